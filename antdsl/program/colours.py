@@ -1,0 +1,99 @@
+"""The colours an artist may write after a state's label.
+
+Takes a word, gives display (sRGB) values; the checker asks it whether a word is a colour, pictures and caches ask it for the numbers."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+RGB = tuple[int, int, int]
+
+# Chosen to stay apart from each other on sunlit soil: a shade darker and a little less pure than the web's names of the same word.
+COLOURS: Mapping[str, RGB] = MappingProxyType(
+    {
+        "amber": (242, 163, 31),
+        "aqua": (70, 214, 214),
+        "azure": (62, 142, 240),
+        "beige": (222, 208, 170),
+        "black": (28, 26, 26),
+        "blue": (48, 102, 222),
+        "bronze": (176, 118, 58),
+        "brown": (124, 78, 44),
+        "charcoal": (62, 64, 68),
+        "copper": (190, 106, 66),
+        "coral": (250, 120, 88),
+        "cream": (248, 236, 204),
+        "crimson": (196, 26, 62),
+        "cyan": (38, 196, 220),
+        "emerald": (22, 160, 106),
+        "fuchsia": (226, 50, 186),
+        "gold": (234, 188, 40),
+        "gray": (142, 144, 148),
+        "green": (66, 166, 62),
+        "grey": (142, 144, 148),
+        "indigo": (78, 58, 168),
+        "ivory": (246, 242, 224),
+        "jade": (30, 150, 112),
+        "lavender": (184, 164, 232),
+        "lilac": (196, 150, 214),
+        "lime": (164, 214, 44),
+        "magenta": (214, 40, 150),
+        "maroon": (122, 32, 48),
+        "mauve": (176, 126, 160),
+        "mint": (130, 220, 172),
+        "mustard": (208, 166, 44),
+        "navy": (34, 52, 112),
+        "ochre": (200, 132, 46),
+        "olive": (124, 126, 48),
+        "orange": (240, 118, 30),
+        "peach": (250, 184, 142),
+        "pink": (242, 132, 172),
+        "plum": (134, 66, 124),
+        "purple": (132, 66, 190),
+        "red": (214, 48, 44),
+        "rose": (232, 84, 120),
+        "ruby": (170, 24, 58),
+        "rust": (172, 78, 36),
+        "salmon": (244, 144, 122),
+        "sand": (216, 190, 142),
+        "scarlet": (232, 54, 32),
+        "sienna": (158, 88, 52),
+        "silver": (190, 194, 200),
+        "sky": (120, 186, 240),
+        "slate": (98, 112, 130),
+        "tan": (204, 170, 124),
+        "teal": (26, 146, 146),
+        "turquoise": (58, 204, 186),
+        "umber": (96, 74, 54),
+        "vermilion": (228, 72, 42),
+        "violet": (150, 92, 222),
+        "white": (244, 244, 240),
+        "wine": (116, 34, 60),
+        "yellow": (246, 218, 44),
+    }
+)
+
+# Machines and states without a colour of their own take these in turn, so that neighbours in the text differ plainly.
+DEFAULT_TURN: tuple[str, ...] = (
+    "amber",
+    "blue",
+    "green",
+    "crimson",
+    "teal",
+    "violet",
+    "yellow",
+    "pink",
+    "brown",
+    "sky",
+    "lime",
+    "grey",
+)
+
+
+def rgb(name: str) -> RGB | None:
+    """Display values 0..255 of the colour called `name`; None when no colour has that name."""
+    return COLOURS.get(name)
+
+
+def default_rgb(index: int) -> RGB:
+    """The colour of the `index`-th state (0 or more) that names none."""
+    return COLOURS[DEFAULT_TURN[index % len(DEFAULT_TURN)]]
