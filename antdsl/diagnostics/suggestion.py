@@ -1,0 +1,22 @@
+"""Which known name somebody may have meant: the words behind `did you mean …`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+def nearest_name(word: str, candidates: Iterable[str]) -> str | None:
+    """The candidate most like `word`, or None when none is near enough to be a slip of the pen.
+
+    Ties go to the name that sorts first, so that the answer does not depend on the order of the candidates.
+    """
+    names = sorted(set(candidates) - {word})
+    lowered = word.lower()
+    for name in names:
+        if name.lower().replace("_", "") == lowered.replace("_", ""):
+            return name
+    # below four letters one wrong letter is already a large part of the word, so more unlikeness is allowed
+    cutoff = 0.5 if len(word) <= 3 else 0.65
+    found = get_close_matches(word[:64], names, n=1, cutoff=cutoff)
+    return found[0] if found else None

@@ -1,0 +1,39 @@
+"""Every cap in one place. A person may raise one by a flag of the command line; a program or a scene never can."""
+
+from __future__ import annotations
+
+from typing import Final
+
+KIB: Final = 1024
+MIB: Final = 1024 * KIB
+GIB: Final = 1024 * MIB
+
+# text of one program
+ANT_FILE_BYTES: Final = 256 * KIB
+PROJECT_BYTES: Final = 4 * MIB
+USED_FILES: Final = 64
+USE_DEPTH: Final = 16
+LINE_CHARACTERS: Final = 2000
+NAME_CHARACTERS: Final = 64
+NUMBER_DIGITS: Final = 32
+NESTING: Final = 64  # brackets of any kind, open at once
+EXPRESSION_DEPTH: Final = 200  # operations inside operations, `1 + 1 + 1` being two deep; keeps recursion over a tree safe
+DIAGNOSTICS_SHOWN: Final = 50
+
+# meaning of one program
+NODES: Final = 20_000  # of the tree, behaviours put in place of their calls
+STATES: Final = 256
+LAYERS: Final = 32
+ATTRIBUTES: Final = 256
+FIELDS: Final = 64
+
+# scene
+SCENE_BYTES: Final = 1 * MIB
+YAML_DEPTH: Final = 32
+YAML_NODES: Final = 50_000
+MESH_BYTES: Final = 512 * MIB
+MESH_FACES: Final = 10_000_000
+VOXELS: Final = 512_000_000
+GRID_BYTES: Final = 8 * GIB
+AGENTS: Final = 5_000_000
+FRAMES: Final = 1_000_000

@@ -1,0 +1,38 @@
+"""Where the files that come with antdsl are: the grammar and the library of behaviours. No other file knows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def _folder(name: str) -> Path:
+    """In an installed package the folders lie in `_data`, in a checkout beside the package."""
+    packed = _PACKAGE / "_data" / name
+    return packed if packed.is_dir() else _PACKAGE.parent / name
+
+
+def grammar_folder() -> Path:
+    """The folder of the grammar, its tables and the language reference."""
+    return _folder("grammar")
+
+
+def behaviours_folder() -> Path:
+    """The folder of the library, one `.ant` file for each name that `use NAME` can bring."""
+    return _folder("behaviours")
+
+
+def grammar_file(name: str) -> Path:
+    """A file of the grammar's folder, such as `tables.json`."""
+    return grammar_folder() / name
+
+
+def library_names() -> tuple[str, ...]:
+    """The names that `use NAME` can bring, sorted."""
+    return tuple(sorted(path.stem for path in behaviours_folder().glob("*.ant")))
+
+
+def library_file(name: str) -> Path | None:
+    """The file behind `use NAME`, or None when the library has none of that name."""
+    return behaviours_folder() / f"{name}.ant" if name in library_names() else None
