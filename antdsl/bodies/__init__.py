@@ -1,0 +1,1 @@
+"""What agents, food and nests look like: small meshes made from numbers."""
