@@ -1,0 +1,77 @@
+"""A `Diagnostic` is one complaint with its place; a `Report` is what a stage has to complain about."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from antdsl.source import Span
+
+Severity = Literal["error", "warning"]
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """A second place that belongs to a complaint, with the words that say why."""
+
+    span: Span
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """Text to put in place of a span; an editor can apply it."""
+
+    span: Span
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostic:
+    """One complaint: a stable code, one lower-case line that stands alone, a place, and what to write instead."""
+
+    code: str
+    message: str
+    span: Span | None
+    severity: Severity = "error"
+    help: str | None = None
+    labels: tuple[Label, ...] = ()
+    fix: Fix | None = None
+
+
+@dataclass(slots=True)
+class Report:
+    """Everything one or more stages had to say. The same code at the same place is kept once."""
+
+    diagnostics: list[Diagnostic] = field(default_factory=list)
+
+    def add(self, diagnostic: Diagnostic) -> None:
+        if not any(d.code == diagnostic.code and d.span == diagnostic.span for d in self.diagnostics[-64:]):
+            self.diagnostics.append(diagnostic)
+
+    def error(self, code: str, message: str, span: Span | None, help: str | None = None, **more: object) -> None:
+        self.add(Diagnostic(code, message, span, "error", help, **more))  # type: ignore[arg-type]
+
+    def warning(self, code: str, message: str, span: Span | None, help: str | None = None, **more: object) -> None:
+        self.add(Diagnostic(code, message, span, "warning", help, **more))  # type: ignore[arg-type]
+
+    def extend(self, others: Report | Iterable[Diagnostic]) -> None:
+        for diagnostic in others.diagnostics if isinstance(others, Report) else others:
+            self.add(diagnostic)
+
+    @property
+    def errors(self) -> list[Diagnostic]:
+        return [d for d in self.diagnostics if d.severity == "error"]
+
+    @property
+    def ok(self) -> bool:
+        return not any(d.severity == "error" for d in self.diagnostics)
+
+    def sorted(self) -> list[Diagnostic]:
+        """In order of file and place; complaints without a place come last."""
+
+        def key(d: Diagnostic) -> tuple[int, str, int]:
+            return (1, "", 0) if d.span is None else (0, d.span.source.path, d.span.start)
+
+        return sorted(self.diagnostics, key=key)

@@ -1,0 +1,329 @@
+"""The plan: what the program became. Scalar nodes in a closed table of operations, statements over them, registers per agent.
+
+A `Node` is pure and interned by its Builder (the same operation of the same operands is the same object); a vector is three nodes.
+A statement acts on the agents of its region: the whole species, narrowed by each enclosing `If`.
+Base units: mm, s, g, rad; positions are float32, relative to the scene's own origin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+
+from antdsl.source import Span
+
+
+class Kind(Enum):
+    F32 = "f32"
+    BOOL = "bool"
+    I32 = "i32"  # a state's index, an item's row (-1 is none)
+    I64 = "i64"  # an agent's id (-1 is none)
+    TUPLE = "tuple"  # several results; taken apart by `get`
+    SET = "set"
+
+
+class Rate(IntEnum):
+    CONST = 0
+    RUN = 1
+    STEP = 2
+    AGENT = 3
+    PAIR = 4  # inside a set: per (agent, other agent) or (agent, item)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Node:
+    op: str
+    args: tuple[Node, ...]
+    attrs: tuple
+    kind: Kind
+    rate: Rate
+    span: Span | None
+    number: int  # position in the builder's list: operands have smaller numbers
+
+    def __repr__(self) -> str:
+        inner = ", ".join([f"%{a.number}" for a in self.args] + [repr(a) for a in self.attrs])
+        return f"%{self.number} = {self.op}({inner})"
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """What the table says of an operation: kinds of its operands, attributes, kind of its result, least rate.
+
+    `args` is a string of letters, one an operand: f F32, b BOOL, i I32, l I64, t TUPLE, s SET, x any scalar, * the last one repeated."""
+
+    args: str
+    attrs: tuple[str, ...]
+    kind: Kind
+    rate: Rate
+    meaning: str
+
+
+F, B, I, L, T, S = Kind.F32, Kind.BOOL, Kind.I32, Kind.I64, Kind.TUPLE, Kind.SET
+_C, _R, _T, _A, _P = Rate.CONST, Rate.RUN, Rate.STEP, Rate.AGENT, Rate.PAIR
+
+OPS: dict[str, Operation] = {
+    # constants and what the run gives
+    "const": Operation("", ("value",), F, _C, "a float32"),
+    "const.bool": Operation("", ("value",), B, _C, "true or false"),
+    "const.i32": Operation("", ("value",), I, _C, "a state's index or an item's row"),
+    "const.i64": Operation("", ("value",), L, _C, "an agent's id; -1 is none"),
+    "param": Operation("", ("name",), F, _R, "a param's value in base units"),
+    "run": Operation("", ("name",), F, _R, "dt (s), u (mm per scene unit), up_x, up_y, up_z (the scene's up)"),
+    "step": Operation("", ("name",), F, _T, "time (s), frame"),
+    # elementwise; float32, IEEE, in exactly this order of operations
+    "add": Operation("ff", (), F, _C, "a + b"),
+    "sub": Operation("ff", (), F, _C, "a - b"),
+    "mul": Operation("ff", (), F, _C, "a * b"),
+    "div": Operation("ff", (), F, _C, "a / b"),
+    "neg": Operation("f", (), F, _C, "-a"),
+    "abs": Operation("f", (), F, _C, "|a|"),
+    "min": Operation("ff", (), F, _C, "the lesser; the other one where one is NaN"),
+    "max": Operation("ff", (), F, _C, "the greater; the other one where one is NaN"),
+    "floor": Operation("f", (), F, _C, "greatest whole number not above a"),
+    "sqrt": Operation("f", (), F, _C, "square root; NaN below 0"),
+    "sin": Operation("f", (), F, _C, "own kernel"),
+    "cos": Operation("f", (), F, _C, "own kernel"),
+    "exp": Operation("f", (), F, _C, "own kernel"),
+    "log": Operation("f", (), F, _C, "own kernel, natural"),
+    "pow": Operation("ff", (), F, _C, "own kernel: exp(b log a), whole-number powers of negative a exact in sign"),
+    "atan2": Operation("ff", (), F, _C, "own kernel"),
+    "lt": Operation("ff", (), B, _C, "a < b"),
+    "le": Operation("ff", (), B, _C, "a <= b"),
+    "gt": Operation("ff", (), B, _C, "a > b"),
+    "ge": Operation("ff", (), B, _C, "a >= b"),
+    "eq": Operation("xx", (), B, _C, "a == b, both of one kind"),
+    "ne": Operation("xx", (), B, _C, "a != b, both of one kind"),
+    "and": Operation("bb", (), B, _C, "both"),
+    "or": Operation("bb", (), B, _C, "either"),
+    "not": Operation("b", (), B, _C, "not"),
+    "where": Operation("bxx", (), F, _C, "b where a holds, else c; kind of b and c"),
+    "number": Operation("x", (), F, _C, "bool, state or row as float32"),
+    "finite": Operation("f", (), F, _C, "a, or 0 where it is not finite"),
+    "get": Operation("t", ("index",), F, _C, "one result of a tuple; its kind is that result's"),
+    # the agent
+    "snap": Operation("", ("register",), F, _A, "a register as it was at the start of the step; kind of the register"),
+    "load": Operation("", ("register", "version"), F, _A, "a register now; `version` counts the stores seen before"),
+    "id": Operation("", (), L, _A, "the agent's own id"),
+    "age": Operation("", (), F, _A, "seconds since birth"),
+    "draw": Operation("", ("site", "index"), F, _A, "uniform in [0, 1): a function of seed, frame, species, id, site, index"),
+    "draw.agent": Operation("", ("site", "species"), L, _A, "the id of one living agent of the species, evenly; -1 if there is none"),
+    "event": Operation("", ("name",), B, _A, "the event reached this agent in the step before"),
+    "surface.touching": Operation("", ("name",), B, _A, "the agent stands on that surface"),
+    # references to other agents and to items
+    "agent.get": Operation("l", ("species", "register"), F, _A, "another agent's register as it was; 0 for none; kind of the register"),
+    "agent.alive": Operation("l", ("species",), B, _A, "there is such an agent"),
+    "item.get": Operation("i", ("items", "attribute"), F, _A, "x y z radius or a declared attribute of an item; 0 for none"),
+    "item.alive": Operation("i", ("items",), B, _A, "there is such an item"),
+    # senses of the place; the agent's own position at the start of the step
+    "ray": Operation("ffff", ("target",), T, _A, "(hit b, distance f, nx f, ny f, nz f) along the direction (made unit), up to reach; normal toward the agent"),
+    "obstacle.near": Operation("f", ("target",), T, _A, "(within reach b, distance f, nx f, ny f, nz f): closest point of an obstacle or surface"),
+    "field.value": Operation("", ("field",), F, _A, "the field in the agent's own cell"),
+    "field.strongest": Operation("", ("field", "count"), T, _A, "(value f, x f, y f, z f): the strongest of the nearest `count` cells; own position where there is none"),
+    "field.gradient": Operation("", ("field",), T, _A, "(x f, y f, z f), per mm"),
+    "curve.closest": Operation("", ("curve",), T, _A, "(distance f, x f, y f, z f, tx f, ty f, tz f): closest point and unit tangent"),
+    # sets
+    "set.agents": Operation("ff", ("species", "all_round"), S, _A, "others of a species within radius (first) whose direction has a cosine to the heading >= the second (ignored if all_round); never oneself"),
+    "set.every": Operation("", ("species",), S, _A, "all others of a species"),
+    "set.items": Operation("f", ("items",), S, _A, "items whose centre lies within a distance (inf: all)"),
+    "other": Operation("", ("register",), F, _P, "the other agent's register as it was, or the item's attribute (x y z radius …); kind of the register"),
+    "other.id": Operation("", (), L, _P, "the other agent's id"),
+    "other.row": Operation("", (), I, _P, "the item's row"),
+    "pair.x": Operation("", (), F, _P, "other's x - own x"),
+    "pair.y": Operation("", (), F, _P, "other's y - own y"),
+    "pair.z": Operation("", (), F, _P, "other's z - own z"),
+    "pair.distance": Operation("", (), F, _P, "sqrt((x*x + y*y) + z*z)"),
+    # reductions: set, condition (BOOL), body where there is one. Sums are exact: decision 23 of the language reference
+    "reduce.sum": Operation("sbf", ("quantum",), F, _A, "each term rounded to a multiple of 2**quantum, then added exactly; 0 for none"),
+    "reduce.min": Operation("sbf", (), F, _A, "inf for none"),
+    "reduce.max": Operation("sbf", (), F, _A, "-inf for none"),
+    "reduce.count": Operation("sb", (), F, _A, "how many"),
+    "reduce.any": Operation("sb", (), B, _A, "at least one"),
+    "reduce.agent": Operation("sbf", (), L, _A, "id of the agent with the least body, the lesser id at a tie; -1 for none"),
+    "reduce.item": Operation("sbf", (), I, _A, "row of the item with the least body, the lesser row at a tie; -1 for none"),
+}
+
+TUPLES: dict[str, tuple[Kind, ...]] = {
+    "ray": (B, F, F, F, F),
+    "obstacle.near": (B, F, F, F, F),
+    "field.strongest": (F, F, F, F),
+    "field.gradient": (F, F, F),
+    "curve.closest": (F, F, F, F, F, F, F),
+}
+
+SENSES = frozenset(
+    name for name in OPS if name.split(".")[0] in ("ray", "obstacle", "field", "curve", "reduce") or name in ("draw.agent",)
+)
+
+
+# --- statements ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    statements: tuple[Statement, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class If:
+    """The agents of the region for which the condition holds (NaN never does)."""
+
+    condition: Node
+    then: Block
+    span: Span | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Store:
+    """Set a register. A value that is not finite is not stored: the agent is faulted (decision 24), unless `infinite` and it is +inf."""
+
+    register: str
+    value: Node
+    span: Span | None
+    infinite: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Deposit:
+    """Lands in the agent's own cell at t+1. Amount per step (already multiplied by dt)."""
+
+    field: str
+    amount: Node
+    span: Span | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Claim:
+    """Ask for `amount` of an item's attribute; settled after decide, by (draw, id), while the rest suffices. `won` (BOOL register) is
+    set for those who got it; the amount is added to the agent's own register of that name, if it has one, when it wins."""
+
+    items: str
+    attribute: str
+    item: Node
+    amount: Node
+    won: str
+    own: str | None
+    site: str
+    span: Span | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Give:
+    """Move `amount` (at most what the agent has; all if None) of the agent's register `own` to the item's attribute at t+1."""
+
+    items: str
+    attribute: str
+    item: Node
+    amount: Node | None
+    own: str
+    span: Span | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Emit:
+    """Raise an event for all agents that handle it within a distance (mm; None: only for itself), seen at t+1."""
+
+    event: str
+    within: Node | None
+    span: Span | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spawn:
+    species: str
+    site: str
+    span: Span | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Die:
+    span: Span | None
+
+
+Statement = If | Store | Deposit | Claim | Give | Emit | Spawn | Die
+
+
+# --- the plan --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Register:
+    """A value per agent. role: attribute (the author's or given), memory (keep, latch, held, machines' bookkeeping), temp (this step only,
+    starts each step at `zero`). All but temp are kept from step to step and hashed."""
+
+    name: str
+    kind: Kind
+    role: str
+    zero: float | int | bool = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MachinePlan:
+    """Registers of a machine are `NAME.state`, `.previous`, `.next` (I32) and `.time_in_state` (F32, seconds)."""
+
+    name: str
+    states: tuple[str, ...]
+    labels: tuple[str, ...]
+    colours: tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LayerPlan:
+    text: str
+    span: Span
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpeciesPlan:
+    """`born` fills the registers at birth (placement and velocity are there already) and runs `on spawn`.
+    `decide`, `act`, `blend` run in this order each step; claims are settled between decide and act.
+    Vectors are registers NAME.x NAME.y NAME.z. Registers that every species has: position velocity heading up (vectors), push (vector, temp),
+    size mass radius clearance max_speed max_force max_turn response group. max_turn inf is no limit. `response` 0 or `kinematic`: the push is a velocity change at once."""
+
+    name: str
+    registers: dict[str, Register]
+    machines: tuple[MachinePlan, ...]
+    born: Block
+    decide: Block
+    act: Block
+    blend: Block
+    handles: tuple[str, ...]  # events
+    layers: tuple[LayerPlan, ...]
+    lazy: tuple[Node, ...] = ()  # worth keeping for the whole step once computed: senses used in more than one region
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldPlan:
+    """Nodes at rate RUN. `keep` is a factor per step (half_life, evaporate, keeps are all turned into it)."""
+
+    name: str
+    surfaces: tuple[str, ...]
+    cell: Node
+    keep: Node | None
+    diffuse: Node | None  # mm^2/s
+    combine: str
+    limit: Node | None
+    span: Span
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ItemsPlan:
+    name: str
+    attributes: dict[str, float]  # declared attributes and their defaults, base units
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ParamPlan:
+    name: str
+    default: Node  # rate RUN at most
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    species: dict[str, SpeciesPlan]
+    fields: dict[str, FieldPlan]
+    items: dict[str, ItemsPlan]
+    params: dict[str, ParamPlan]
+    surfaces: tuple[str, ...]
+    obstacles: tuple[str, ...]
+    curves: tuple[str, ...]
+    nodes: tuple[Node, ...] = field(default=())

@@ -1,0 +1,249 @@
+"""Every word that the language knows by itself, as tables: units, types, given names, built-in operations, phases of what works.
+
+The checker types calls by these tables, the lowering has one rule per operation name, the editor shows the help. Adding an operation
+is one row here and one rule in `plan/rules`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+
+from antdsl.program.model import Dim
+
+LENGTH, TIME, MASS, ANGLE = Dim(length=1), Dim(time=1), Dim(mass=1), Dim(angle=1)
+SPEED = Dim(length=1, time=-1)
+FORCE = Dim(length=1, time=-2, mass=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """`factor` to base units (mm, s, g, rad); `u` and `step` are powers of the scene's unit and of dt."""
+
+    dim: Dim
+    factor: float
+    u: int = 0
+    step: int = 0
+
+
+UNITS: dict[str, Unit] = {
+    "mm": Unit(LENGTH, 1.0),
+    "cm": Unit(LENGTH, 10.0),
+    "m": Unit(LENGTH, 1000.0),
+    "u": Unit(LENGTH, 1.0, u=1),
+    "s": Unit(TIME, 1.0),
+    "min": Unit(TIME, 60.0),
+    "step": Unit(TIME, 1.0, step=1),
+    "rad": Unit(ANGLE, 1.0),
+    "deg": Unit(ANGLE, pi / 180.0),
+    "turn": Unit(ANGLE, 2.0 * pi),
+    "mg": Unit(MASS, 0.001),
+    "g": Unit(MASS, 1.0),
+    "kg": Unit(MASS, 1000.0),
+    "N": Unit(FORCE, 1e6),
+    "uN": Unit(FORCE, 1.0),
+    "%": Unit(Dim(), 0.01),
+}
+
+# Type words of `behaviour` arguments, results and annotations. A word that is not a dimension is a Kind of the model.
+TYPE_WORDS: dict[str, Dim | str] = {
+    "number": Dim(),
+    "length": LENGTH,
+    "time": TIME,
+    "angle": ANGLE,
+    "mass": MASS,
+    "speed": SPEED,
+    "force": FORCE,
+    "area": Dim(length=2),
+    "push": "push",  # a vector without dimension
+    "vector": "vector",  # any dimension
+    "position": "position",  # a vector of length
+    "velocity": "velocity",  # a vector of speed
+    "bool": "bool",
+    "place": "place",  # an item, an agent, a position, a curve: anything that has a place
+    "item": "item",
+    "agent": "agent",
+    "field": "field",
+    "obstacle": "obstacle",
+    "surface": "surface",
+    "curve": "curve",
+    "species": "species",
+    "items": "items",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """A name that every agent has. `settable` ones are written without `=` in a species and may be assigned."""
+
+    type: str
+    settable: bool
+    default: str | None  # as the language would write it
+    help: str
+
+
+GIVEN: dict[str, Given] = {
+    "position": Given("position", False, None, "where it stands"),
+    "velocity": Given("velocity", False, None, "how it moves; may be set in `on` and `enter`"),
+    "heading": Given("push", False, None, "where it faces, a unit vector along the surface; may be set in `on` and `enter`"),
+    "up": Given("push", False, None, "away from the surface, a unit vector"),
+    "speed": Given("speed", False, None, "the length of its velocity"),
+    "id": Given("number", False, None, "its number, given at birth and never again"),
+    "age": Given("time", False, None, "since birth"),
+    "group": Given("number", False, None, "which line of the scene's `crowd` made it, from 0"),
+    "size": Given("length", True, "4 mm", "body length"),
+    "mass": Given("mass", True, "1 g", "inertia"),
+    "radius": Given("length", True, "size / 2", "how much room it takes"),
+    "clearance": Given("length", True, "0 mm", "height of the body over the surface"),
+    "max_speed": Given("speed", True, "30 mm/s", "fastest"),
+    "max_force": Given("force", True, "mass * max_speed / response", "strength of a push of 1"),
+    "max_turn": Given("angle / time", True, None, "fastest turn of the heading; no limit if not set"),
+    "response": Given("time", True, "0.15 s", "from standing to full speed; `1 step` reaches any velocity at once"),
+}
+
+# Values of the run, usable anywhere.
+RUN_NAMES: dict[str, str] = {"dt": "time", "time": "time", "frame": "number"}
+
+ITEM_GIVEN: dict[str, str] = {"position": "position", "radius": "length"}
+HIT_GIVEN: dict[str, str] = {"distance": "length", "normal": "push", "position": "position"}
+
+
+@dataclass(frozen=True, slots=True)
+class Arg:
+    """One argument. `type`: a type word; `number A` is a number of any dimension, the same for every A of the call; `vector A`
+    likewise; `range A` two such numbers (they fill two places of the operation); `count` a whole constant; `any A` anything,
+    all alike; `condition` a bool about the element. `default` as the language would write it; `optional` may be absent (None)."""
+
+    name: str
+    type: str
+    default: str | None = None
+    optional: bool = False
+    variadic: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Builtin:
+    args: tuple[Arg, ...]
+    result: str
+    help: str
+    op: str  # name in the typed tree
+
+
+def _f(op: str, args: list[Arg], result: str, help: str) -> Builtin:
+    return Builtin(tuple(args), result, help, op)
+
+
+# Called as functions. Names with several rows are told apart by the first argument's type; the first row that fits wins.
+BUILTINS: dict[str, tuple[Builtin, ...]] = {
+    "abs": (_f("abs", [Arg("x", "number A")], "number A", "without its sign"),),
+    "clamp": (_f("clamp", [Arg("x", "number A"), Arg("to", "range A")], "number A", "kept inside a range"),),
+    "floor": (_f("floor", [Arg("x", "number")], "number", "the whole number below"),),
+    "sqrt": (_f("sqrt", [Arg("x", "number A")], "number sqrt A", "square root; its dimension is halved"),),
+    "sin": (_f("sin", [Arg("x", "angle")], "number", "sine"),),
+    "cos": (_f("cos", [Arg("x", "angle")], "number", "cosine"),),
+    "exp": (_f("exp", [Arg("x", "number")], "number", "e to the x"),),
+    "log": (_f("log", [Arg("x", "number")], "number", "natural logarithm"),),
+    "ramp": (
+        _f("ramp", [Arg("x", "number A"), Arg("from", "range A"), Arg("to", "range B", "0 .. 1")], "number B",
+           "maps one range to another in a straight line, and stays inside it"),
+    ),
+    "mix": (
+        _f("mix", [Arg("a", "number A"), Arg("b", "number A"), Arg("t", "number")], "number A", "a at t = 0, b at t = 1"),
+        _f("mix", [Arg("a", "vector A"), Arg("b", "vector A"), Arg("t", "number")], "vector A", "a at t = 0, b at t = 1"),
+    ),
+    "min": (_f("min", [Arg("a", "number A"), Arg("b", "number A")], "number A", "the lesser"),),
+    "max": (
+        _f("max", [Arg("a", "number A"), Arg("b", "number A")], "number A", "the greater"),
+        _f("field_max", [Arg("field", "field"), Arg("nearest", "count", "16")], "number", "the strongest of the nearest cells"),
+    ),
+    "strongest": (
+        _f("strongest", [Arg("field", "field"), Arg("nearest", "count", "16")], "position",
+           "where the strongest of the nearest cells lies; its own position where there is nothing"),
+    ),
+    "gradient": (_f("gradient", [Arg("field", "field")], "vector 1/length", "uphill in the field, per length"),),
+    "length": (_f("length", [Arg("v", "vector A")], "number A", "how long a vector is"),),
+    "unit": (_f("unit", [Arg("v", "vector A")], "push", "the same way, length 1; nothing stays nothing"),),
+    "dot": (_f("dot", [Arg("a", "vector A"), Arg("b", "vector B")], "number A*B", "scalar product"),),
+    "cross": (_f("cross", [Arg("a", "vector A"), Arg("b", "vector B")], "vector A*B", "vector product"),),
+    "angle": (_f("angle", [Arg("a", "vector A"), Arg("b", "vector B")], "angle", "between two directions, 0 to half a turn"),),
+    "rotate": (
+        _f("rotate", [Arg("v", "vector A"), Arg("about", "push"), Arg("by", "angle")], "vector A", "turned about an axis"),
+    ),
+    "project": (_f("project", [Arg("v", "vector A"), Arg("onto", "push")], "vector A", "the part of v along a direction"),),
+    "limit": (_f("limit", [Arg("v", "vector A"), Arg("max", "number A")], "vector A", "shortened to a length if longer"),),
+    "vector": (
+        _f("vector", [Arg("x", "number A"), Arg("y", "number A"), Arg("z", "number A")], "vector A", "from three numbers, in the scene's axes"),
+    ),
+    "first": (_f("first", [Arg("a", "any A", variadic=True)], "any A", "the first that is not none"),),
+    "uniform": (_f("uniform", [Arg("low", "number A"), Arg("high", "number A")], "number A", "a random number, evenly between two"),),
+    "normal": (
+        _f("normal", [Arg("mean", "number A"), Arg("deviation", "number A")], "number A", "a random number about a mean"),
+    ),
+    "pick": (_f("pick", [Arg("a", "any A", variadic=True)], "any A", "one of these, evenly"),),
+    "random": (_f("random_agent", [Arg("of", "species")], "agent", "one living agent of a species, evenly"),),
+    "rising": (_f("rising", [Arg("x", "number A"), Arg("over", "range A")], "number", "0 below, 1 above, straight between"),),
+    "falling": (_f("falling", [Arg("x", "number A"), Arg("over", "range A")], "number", "1 below, 0 above, straight between"),),
+    "around": (_f("around", [Arg("x", "number A"), Arg("over", "range A")], "number", "1 in the middle of the range, 0 outside"),),
+    # senses
+    "neighbours": (
+        _f("neighbours", [Arg("radius", "length"), Arg("fov", "angle", "360 deg"), Arg("of", "species", optional=True)], "set",
+           "others of its own species (or of another) near it and in its field of view"),
+    ),
+    "all": (
+        _f("all", [Arg("of", "items"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)], "set", "items or agents"),
+        _f("all", [Arg("of", "species"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)], "set", "agents"),
+    ),
+    "feelers": (
+        _f("feelers", [Arg("on", "obstacle"), Arg("count", "count", "3"), Arg("spread", "angle", "35 deg"), Arg("reach", "length")], "set",
+           "rays ahead along the velocity and turned about up, evenly out to `spread` on either side: the hits"),
+    ),
+    "nearest": (
+        _f("nearest", [Arg("of", "items"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)], "item", "the nearest, or none"),
+        _f("nearest", [Arg("of", "species"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)], "agent", "the nearest, or none"),
+        _f("nearest", [Arg("of", "set")], "any", "the nearest of a set, or none"),
+    ),
+    "ray": (
+        _f("ray", [Arg("direction", "push"), Arg("reach", "length"), Arg("on", "obstacle")], "hit", "what lies that way, or none"),
+    ),
+    "distance": (_f("distance", [Arg("to", "place")], "length", "how far; endless to none"),),
+    "direction": (
+        _f("direction", [Arg("of", "place"), Arg("to", "place", optional=True)], "push",
+           "toward it, length 1 (or from it to another place); nothing to none"),
+    ),
+    "position": (_f("position", [Arg("of", "place")], "position", "where a place is; its own position for none"),),
+    "velocity": (_f("velocity", [Arg("of", "place")], "velocity", "how it moves; nothing for what stands or is none"),),
+    "touching": (_f("touching", [Arg("x", "place")], "bool", "its room meets that thing"),),
+    "falloff": (_f("falloff", [Arg("from", "place"), Arg("floor", "length")], "number", "floor / distance, at most 1"),),
+    "closest": (_f("closest", [Arg("on", "curve")], "position", "the nearest point of a curve"),),
+    "tangent": (_f("tangent", [Arg("on", "curve")], "push", "the way the curve was drawn, at its nearest point"),),
+    "match": (
+        _f("match", [Arg("velocity", "velocity")], "push", "the push that reaches a velocity: (velocity - own) / (max_force / mass * response)"),
+    ),
+}
+
+# `slope` is a name, not a call: the angle between `up` and the world's up.
+SENSED_NAMES: dict[str, str] = {"slope": "angle"}
+
+REDUCERS: dict[str, str] = {
+    "sum": "sum of the body; 0 or nothing for an empty set",
+    "mean": "mean of the body; 0 for an empty set",
+    "min": "least; endless for an empty set",
+    "max": "greatest; minus endless for an empty set",
+    "count": "how many (for which the body holds)",
+    "any": "the body holds for at least one",
+    "every": "the body holds for all",
+    "best": "the element for which the body is greatest",
+}
+
+# Operations that signs and words stand for, in the typed tree: args as written, None for absent ones.
+SIGN_OPS = {
+    "+": "add", "-": "sub", "*": "mul", "/": "div", "^": "pow", "<": "lt", "<=": "le", ">": "gt", ">=": "ge", "==": "eq",
+    "!=": "ne", "and": "and", "or": "or", "not": "not", "neg": "neg",
+}  # fmt: skip
+# Further ops of the typed tree:
+#   if(condition, then, else)      is_none(x)  (also `no x`; for a set: it is empty)      chance(rate or share)
+#   field_value(field)             slope()      run(dt | time | frame as Thing)           switched(latch as Local)
+OTHER_OPS = ("if", "is_none", "is_some", "chance", "field_value", "slope", "run", "to_bool")
+
+# Words with a meaning to come. Used as a name they are refused, used as a construct they get a placed "not yet".
+RESERVED = ("noise", "flow", "map", "play", "fuzzy", "repeat", "import", "share", "total", "clip")

@@ -1,0 +1,559 @@
+"""The tree of a `.ant` file, as written: no name is resolved here and no unit is understood.
+
+Every node has a `span`. A name is a `Name(text, span)`, never a bare string. Nodes are frozen and compare by identity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Union
+
+from antdsl.source import Source, Span
+
+
+def node(cls: type) -> type:
+    return dataclass(frozen=True, slots=True, eq=False)(cls)
+
+
+@node
+class Name:
+    text: str
+    span: Span
+
+
+@node
+class Text:
+    """A string in quotes; `text` is without them."""
+
+    text: str
+    span: Span
+
+
+@node
+class Comment:
+    """A `# …` to the end of its line, with the sign."""
+
+    text: str
+    span: Span
+
+
+# --- expressions -----------------------------------------------------------------------------------------------------
+
+
+@node
+class Number:
+    value: float
+    span: Span
+
+
+@node
+class Quantity:
+    """A number with a unit: `30 mm/s` is value 30 and unit `mm/s`; `unit_span` covers the unit alone."""
+
+    value: float
+    unit: str
+    unit_span: Span
+    span: Span
+
+
+@node
+class NameRef:
+    """A bare name used as a value, also `state`, `self`, `up`, `previous`."""
+
+    name: Name
+    span: Span
+
+
+@node
+class Member:
+    """`food.load`, `mine.wander`."""
+
+    owner: Expr
+    name: Name
+    span: Span
+
+
+@node
+class Index:
+    """`likes[other]`."""
+
+    owner: Expr
+    index: Expr
+    span: Span
+
+
+@node
+class Argument:
+    """One argument. `name` is there for `reach: 3`; the value may be a `RangeExpr`."""
+
+    name: Name | None
+    value: Expr
+    span: Span
+
+
+@node
+class Comprehension:
+    """`n in SET: EXPR`, only as the single argument of a call such as `sum(…)`."""
+
+    variable: Name
+    over: Expr
+    body: Expr
+    span: Span
+
+
+@node
+class Call:
+    """`function(arguments)`; `function` is a NameRef or a Member."""
+
+    function: Expr
+    arguments: tuple[Argument | Comprehension, ...]
+    span: Span
+
+
+@node
+class Unary:
+    """`-x`, `not x`, `no x` (x is none, or a set is empty), `chance x`: `op` is that word or sign."""
+
+    op: str
+    operand: Expr
+    op_span: Span
+    span: Span
+
+
+@node
+class Binary:
+    """`+ - * / ^ < <= > >= == != and or`; `op` is the word or sign."""
+
+    op: str
+    left: Expr
+    right: Expr
+    op_span: Span
+    span: Span
+
+
+@node
+class IsNone:
+    """`x is none`, `x is not none`."""
+
+    operand: Expr
+    negated: bool
+    span: Span
+
+
+@node
+class IfElse:
+    condition: Expr
+    then: Expr
+    otherwise: Expr
+    span: Span
+
+
+@node
+class RangeExpr:
+    """`0 mm .. 200 mm`; only as an argument, after `in`, or in `seeds`."""
+
+    low: Expr
+    high: Expr
+    span: Span
+
+
+@node
+class PairOf:
+    """`friend to foe`, reserved."""
+
+    left: Expr
+    right: Expr
+    span: Span
+
+
+@node
+class NoneOf:
+    """`none` or `none of food`."""
+
+    of: Name | None
+    span: Span
+
+
+@node
+class BadExpr:
+    """Stands where an expression could not be read; the complaint has been made already."""
+
+    span: Span
+
+
+Expr = Union[
+    Number, Quantity, NameRef, Member, Index, Call, Unary, Binary, IsNone, IfElse, RangeExpr, PairOf, NoneOf, BadExpr
+]
+
+
+# --- types as written ------------------------------------------------------------------------------------------------
+
+
+@node
+class TypeName:
+    """`length`, `push`, `item of food` (`of`), `field to …` is reserved."""
+
+    name: Name
+    of: Name | None
+    span: Span
+
+
+# --- statements ------------------------------------------------------------------------------------------------------
+
+
+@node
+class Steer:
+    push: Expr
+    span: Span
+
+
+@node
+class Assign:
+    """`x = e`, `x += e`, `x -= e`. `target` is NameRef, Member or Index."""
+
+    target: Expr
+    op: str
+    value: Expr
+    span: Span
+
+
+@node
+class Deposit:
+    field: Name
+    amount: Expr
+    span: Span
+
+
+@node
+class Carve:
+    solid: Name
+    arguments: tuple[Argument, ...]
+    span: Span
+
+
+@node
+class Emit:
+    event: Name
+    arguments: tuple[Argument, ...]
+    span: Span
+
+
+@node
+class Spawn:
+    species: Name
+    span: Span
+
+
+@node
+class Die:
+    span: Span
+
+
+@node
+class Play:
+    clip: Name
+    span: Span
+
+
+@node
+class Give:
+    """`give 1 load to nest`, `give all load to nest` (`amount` None means all)."""
+
+    amount: Expr | None
+    attribute: Name
+    to: Expr
+    span: Span
+
+
+Action = Union[Assign, Deposit, Carve, Emit, Spawn, Die, Play, Give]
+
+
+@node
+class Take:
+    amount: Expr
+    attribute: Name
+    source: Expr
+    span: Span
+
+
+@node
+class Weight:
+    target: Name
+    weight: Expr
+    span: Span
+
+
+@node
+class Target:
+    """Where a transition goes: a state's name, `previous`, or `choose { … }` (`choices`)."""
+
+    name: Name | None
+    previous: bool
+    choices: tuple[Weight, ...]
+    span: Span
+
+
+@node
+class Change:
+    """A transition. `after` holds for `when after 0.5 s`; `condition` is None then. `held` goes with a condition.
+    `any_except` is a tuple for `from any except a, b when …` and None for a transition inside a state."""
+
+    interrupt: bool
+    condition: Expr | None
+    after: Expr | None
+    held: Expr | None
+    take: Take | None
+    target: Target
+    actions: tuple[Action, ...]
+    any_except: tuple[Name, ...] | None
+    span: Span
+
+
+@node
+class Let:
+    name: Name
+    value: Expr
+    help: Text | None
+    span: Span
+
+
+@node
+class State:
+    name: Name
+    label: Text | None
+    colour: Name | None
+    at_least: Expr | None
+    body: tuple[Steer | Action | Change | Let, ...]  # in text order
+    enter: tuple[Action, ...]
+    exit: tuple[Action, ...]
+    span: Span
+
+
+# --- members of a species --------------------------------------------------------------------------------------------
+
+
+@node
+class Relax:
+    to: Expr
+    over: Expr
+    span: Span
+
+
+@node
+class ForEach:
+    species: Name
+    strongest: Expr | None
+    span: Span
+
+
+@node
+class Declaration:
+    """`NAME: TYPE = V in LOW .. HIGH relax to V over T for each S, strongest N "help"`, also as an item's attribute."""
+
+    name: Name
+    type: TypeName | None
+    value: Expr
+    range: RangeExpr | None
+    relax: Relax | None
+    each: ForEach | None
+    help: Text | None
+    span: Span
+
+
+@node
+class ParamDecl:
+    declaration: Declaration
+    span: Span
+
+
+@node
+class Given:
+    """`size 4 mm`: a given property of the animal, set without `=`."""
+
+    name: Name
+    value: Expr
+    help: Text | None
+    span: Span
+
+
+@node
+class Latch:
+    name: Name
+    on: Expr
+    until: Expr
+    span: Span
+
+
+@node
+class Rule:
+    condition: Expr
+    value: Expr
+    span: Span
+
+
+@node
+class Fuzzy:
+    name: Name
+    rules: tuple[Rule, ...]
+    span: Span
+
+
+@node
+class Start:
+    state: Name
+    span: Span
+
+
+@node
+class On:
+    """`on EVENT { … }`, `on collision(other) { … }`."""
+
+    event: Name
+    variable: Name | None
+    actions: tuple[Action, ...]
+    span: Span
+
+
+@node
+class Layer:
+    push: Expr
+    condition: Expr | None
+    span: Span
+
+
+@node
+class Layers:
+    mode: Name | None  # `sum`, `first`; None is the budget
+    layers: tuple[Layer, ...]
+    span: Span
+
+
+@node
+class Machine:
+    name: Name
+    members: tuple[State | Start | Change | Let | Latch, ...]
+    span: Span
+
+
+SpeciesMember = Union[
+    ParamDecl, Declaration, Given, Let, Latch, Fuzzy, Start, On, Layers, Machine, State, Change
+]
+
+
+# --- the top of a file -----------------------------------------------------------------------------------------------
+
+
+@node
+class Use:
+    """`use steering` (`library`), `use "./mine.ant" as mine` (`path`, `alias`)."""
+
+    library: Name | None
+    path: Text | None
+    alias: Name | None
+    span: Span
+
+
+@node
+class WorldItem:
+    """`surface ground "help"`, `items food { load = 0 }`: `kind` is the first word."""
+
+    kind: Name
+    name: Name
+    attributes: tuple[Declaration, ...]
+    help: Text | None
+    span: Span
+
+
+@node
+class World:
+    items: tuple[WorldItem, ...]
+    span: Span
+
+
+@node
+class Setting:
+    """A line of a field: `cell 4 mm`."""
+
+    name: Name
+    value: Expr
+    span: Span
+
+
+@node
+class FieldDecl:
+    name: Name
+    surfaces: tuple[Name, ...]
+    settings: tuple[Setting, ...]
+    span: Span
+
+
+@node
+class Species:
+    name: Name
+    members: tuple[SpeciesMember, ...]
+    help: Text | None
+    span: Span
+
+
+@node
+class BehaviourArgument:
+    name: Name
+    type: TypeName
+    default: Expr | None
+    span: Span
+
+
+@node
+class Keep:
+    """`keep x: T = FIRST then NEXT`."""
+
+    name: Name
+    type: TypeName | None
+    first: Expr
+    then: Expr
+    span: Span
+
+
+@node
+class Behaviour:
+    name: Name
+    arguments: tuple[BehaviourArgument, ...]
+    returns: TypeName
+    help: Text | None
+    body: tuple[Keep | Let, ...]
+    result: Expr
+    span: Span
+
+
+@node
+class SpecLine:
+    """`kind`: for seeds set always never eventually within until each; the parts that the kind needs are there."""
+
+    kind: str
+    target: Expr | None
+    time: Expr | None
+    condition: Expr | None
+    lines: tuple[SpecLine, ...]
+    span: Span
+
+
+@node
+class Spec:
+    name: Text
+    scene: Text | None
+    lines: tuple[SpecLine, ...]
+    span: Span
+
+
+TopItem = Union[Use, World, FieldDecl, Species, Behaviour, Spec]
+
+
+@node
+class File:
+    """One parsed file. `items` holds what could be read, in text order, even where other parts were broken."""
+
+    source: Source
+    edition: Number | None
+    help: Text | None
+    items: tuple[TopItem, ...]
+    comments: tuple[Comment, ...] = field(default=())
