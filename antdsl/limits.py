@@ -37,3 +37,7 @@ VOXELS: Final = 512_000_000
 GRID_BYTES: Final = 8 * GIB
 AGENTS: Final = 5_000_000
 FRAMES: Final = 1_000_000
+
+# senses and fields
+NEIGHBOURS: Final = 256  # of one agent in one question, the nearest
+FIELD_CELLS: Final = 20_000_000  # of one field
