@@ -1,0 +1,218 @@
+"""Agents near agents: a sorted cell grid takes positions and answers with (query, neighbour) pairs within a radius.
+The pairs are the same bits, in the same order, whatever the rows' order, the chunk or the cell size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.limits import NEIGHBOURS
+
+Floats = NDArray[np.float32]
+Rows = NDArray[np.int32]
+
+_QUERIES_PER_CHUNK = 16_384
+_CANDIDATES_PER_CHUNK = 1 << 20
+_MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
+_SLACK = 1.0 + 1e-6  # float32 distances err by a few 2**-24; candidates must be a superset
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """Pairs within reach, sorted by `i`, then the neighbour's cell, then its id. All arrays have one length.
+
+    `i` counts queries from 0, `j` is the row of the neighbour in the grid, `dx dy dz` is neighbour minus query and
+    `distance` its length, in float32 millimetres.
+    """
+
+    i: Rows
+    j: Rows
+    dx: Floats
+    dy: Floats
+    dz: Floats
+    distance: Floats
+
+
+class CellGrid:
+    """Agents sorted into cells: rows along x that are cut four times finer than along y and z.
+
+    `x y z` are float32[n] in millimetres, `ids` int64[n] unique, `cell` the usual radius of a query: any radius works,
+    this one fastest. An agent at a place that is not finite is nobody's neighbour.
+    """
+
+    def __init__(self, x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float) -> None:
+        self.x, self.y, self.z, self.ids = x, y, z, ids
+        rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
+        places = [np.asarray(a, np.float64)[rows] for a in (x, y, z)]
+        self._low = [float(p.min()) if rows.size else 0.0 for p in places]
+        high = [float(p.max()) if rows.size else 0.0 for p in places]
+        extent = max(h - low for h, low in zip(high, self._low))
+        cell = cell if np.isfinite(cell) and cell > 0 else max(extent, 1.0)
+        # Wider cells only add candidates; the packed key of a far-flung crowd must not overflow.
+        wide = max(cell, extent / (_MAX_CELLS_ALONG - 4), 1e-30)
+        self._width = (max(wide / 4, extent / (_MAX_CELLS_ALONG - 4)), wide, wide)
+        # The lattice stands still in the world, so an agent far away does not reorder the pairs of others.
+        self._low = [float(np.floor(low / w)) * w for low, w in zip(self._low, self._width)]
+        self._size = [int(np.floor((h - low) / w)) + 1 for h, low, w in zip(high, self._low, self._width)]
+        cx, cy, cz = (np.floor((p - low) / w).astype(np.int64) for p, low, w in zip(places, self._low, self._width))
+        key = (cz * self._size[1] + cy) * self._size[0] + cx
+        if np.any(ids[1:] < ids[:-1]):
+            by_id = np.argsort(ids[rows], kind="stable")
+            rows, key = rows[by_id], key[by_id]
+        order = np.argsort(key, kind="stable")
+        self._rows = rows[order].astype(np.int32)
+        self._keys = key[order]
+        self._sorted = [np.ascontiguousarray(a[self._rows], np.float32) for a in (x, y, z)]
+        self._starts = self._start_table()
+
+    def _start_table(self) -> NDArray[np.int32] | None:
+        """First sorted agent of every cell, when the box has few enough cells to be listed; else None."""
+        cells = self._size[0] * self._size[1] * self._size[2]
+        if cells > max(1 << 16, 16 * self._rows.size):
+            return None
+        table = np.zeros(cells + 1, np.int32)
+        np.cumsum(np.bincount(self._keys, minlength=cells), out=table[1:])
+        return table
+
+    def pairs(
+        self,
+        rows: Rows | None,
+        radius: Floats | float,
+        *,
+        qx: Floats | None = None,
+        qy: Floats | None = None,
+        qz: Floats | None = None,
+        qid: NDArray[np.int64] | None = None,
+    ) -> Pairs:
+        """Neighbours of the agents `rows` (all when None) within `radius` (one, or one for each of `rows`).
+
+        Without `qx qy qz` the grid's own agents ask, and nobody is their own neighbour. With them those agents ask: `rows`
+        selects from them, and `qid` says who they are when they are of the grid's species. At most
+        `limits.NEIGHBOURS` of an agent are kept, the nearest by (distance, id).
+        """
+        if qx is None or qy is None or qz is None:
+            qx, qy, qz, qid = self.x, self.y, self.z, self.ids
+        if rows is not None:
+            qx, qy, qz = qx[rows], qy[rows], qz[rows]
+            qid = None if qid is None else qid[rows]
+        qx, qy, qz = (np.asarray(q, np.float32) for q in (qx, qy, qz))
+        reach = np.broadcast_to(np.asarray(radius, np.float32), qx.shape)
+        found: list[tuple[NDArray, ...]] = []
+        for a in range(0, qx.size, _QUERIES_PER_CHUNK):
+            part = slice(a, a + _QUERIES_PER_CHUNK)
+            query = (qx[part], qy[part], qz[part])
+            first, count = self._ranges(query, reach[part])
+            # A crowd on one spot has n² candidates, so a chunk is cut again by what it would hold in memory.
+            ends = np.cumsum(count.sum(axis=1))
+            b = 0
+            while b < ends.size:
+                limit = (ends[b - 1] if b else 0) + _CANDIDATES_PER_CHUNK
+                e = max(b + 1, int(np.searchsorted(ends, limit, side="right")))
+                sub = tuple(q[b:e] for q in query)
+                who = None if qid is None else qid[part][b:e]
+                i, *rest = self._within(sub, reach[part][b:e], who, first[b:e], count[b:e])
+                found.append((i + np.int32(a + b), *rest))
+                b = e
+        if not found:
+            empty = np.empty(0, np.float32)
+            return Pairs(np.empty(0, np.int32), np.empty(0, np.int32), empty, empty, empty, empty)
+        if len(found) == 1:
+            return Pairs(*found[0])
+        return Pairs(*(np.concatenate(column) for column in zip(*found)))
+
+    def _ranges(
+        self, query: tuple[Floats, Floats, Floats], radius: Floats
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """First sorted agent and number of agents of each row of cells that a query may reach, as (m, rows)."""
+        m = query[0].size
+        qx, qy, qz = (q.astype(np.float64) for q in query)
+        usable = np.isfinite(qx) & np.isfinite(qy) & np.isfinite(qz) & (radius >= 0)
+        r = np.where(usable, radius, -1.0).astype(np.float64)
+        qx, qy, qz = (np.where(usable, q, low) for q, low in zip((qx, qy, qz), self._low))
+        largest = max(float(np.abs(q).max(initial=0.0)) for q in (qx, qy, qz))
+        r = np.where(usable, r * _SLACK + 1e-14 * largest + 1e-18, -1.0)
+        y0, y1 = self._span(qy, r, 1)
+        z0, z1 = self._span(qz, r, 2)
+        tall = int((y1 - y0).max(initial=-1)) + 1
+        deep = int((z1 - z0).max(initial=-1)) + 1
+        if self._rows.size == 0 or tall <= 0 or deep <= 0:
+            return np.zeros((m, 1), np.int32), np.zeros((m, 1), np.int32)
+        firsts, counts = [], []
+        for dz in range(deep):
+            cz = z0 + dz
+            off_z = self._off(qz, cz, 2)
+            for dy in range(tall):
+                cy = y0 + dy
+                off_y = self._off(qy, cy, 1)
+                left = r * r - off_y * off_y - off_z * off_z
+                open_row = (cz <= z1) & (cy <= y1) & (left >= 0) & usable
+                x0, x1 = self._span(qx, np.sqrt(np.maximum(left, 0.0)) * _SLACK + 1e-14 * largest, 0)
+                base = (cz * self._size[1] + cy) * self._size[0]
+                open_row &= x0 <= x1
+                firsts.append(self._lookup(np.where(open_row, base + x0, 0)))
+                counts.append(np.where(open_row, self._lookup(np.where(open_row, base + x1 + 1, 0)) - firsts[-1], 0))
+        return np.stack(firsts, axis=1), np.stack(counts, axis=1).astype(np.int32)
+
+    def _span(self, q: NDArray, r: NDArray, axis: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Lowest and highest cell along an axis that [q - r, q + r] meets; empty (low > high) when outside."""
+        low, width, size = self._low[axis], self._width[axis], self._size[axis]
+        first = np.floor(np.clip((q - r - low) / width, 0.0, float(size)))
+        last = np.floor(np.clip((q + r - low) / width, -1.0, size - 1.0))
+        return first.astype(np.int64), last.astype(np.int64)
+
+    def _off(self, q: NDArray, cell: NDArray, axis: int) -> NDArray:
+        """Least distance along an axis from q to a cell, rounded down."""
+        low = self._low[axis] + cell * self._width[axis]
+        gap = np.maximum(np.maximum(low - q, q - (low + self._width[axis])), 0.0)
+        return gap * (1.0 - 1e-6)
+
+    def _lookup(self, key: NDArray[np.int64]) -> NDArray[np.int32]:
+        """How many sorted agents lie in cells before `key`."""
+        if self._starts is not None:
+            return self._starts[key]
+        return np.searchsorted(self._keys, key, side="left").astype(np.int32)
+
+    def _within(
+        self,
+        query: tuple[Floats, ...],
+        radius: Floats,
+        who: NDArray[np.int64] | None,
+        first: NDArray[np.int32],
+        count: NDArray[np.int32],
+    ) -> tuple[NDArray, ...]:
+        """Measure the candidates of some queries and keep those in reach."""
+        flat = count.ravel()
+        total = int(flat.sum())
+        before = np.cumsum(flat) - flat
+        at = np.repeat((first.ravel() - before).astype(np.int32), flat)
+        at += np.arange(total, dtype=np.int32)
+        i = np.repeat(np.arange(count.shape[0], dtype=np.int32), count.sum(axis=1))
+        dx, dy, dz = (s[at] - q[i] for s, q in zip(self._sorted, query))
+        distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
+        keep = np.flatnonzero(distance <= radius[i])
+        i, j = i[keep], self._rows[at[keep]]
+        if who is not None:
+            other = np.flatnonzero(self.ids[j] != who[i])
+            keep, i, j = keep[other], i[other], j[other]
+        chosen = self._nearest(i, j, distance[keep])
+        if chosen is not None:
+            keep, i, j = keep[chosen], i[chosen], j[chosen]
+        return i, j, dx[keep], dy[keep], dz[keep], distance[keep]
+
+    def _nearest(self, i: Rows, j: Rows, distance: Floats) -> NDArray[np.int64] | None:
+        """Which pairs stay when a query has more than the cap: its nearest by (distance, id); None when all stay."""
+        if i.size == 0 or int(np.bincount(i).max()) <= NEIGHBOURS:
+            return None
+        order = np.lexsort((self.ids[j], distance, i))
+        return np.sort(order[_rank(i[order]) < NEIGHBOURS])
+
+
+def _rank(i: Rows) -> NDArray[np.int64]:
+    """Place of every entry within its run of equal values; `i` is sorted."""
+    if i.size == 0:
+        return np.empty(0, np.int64)
+    number = np.arange(i.size)
+    starts = np.flatnonzero(np.concatenate(([True], i[1:] != i[:-1])))
+    return number - np.repeat(starts, np.diff(np.append(starts, i.size)))
