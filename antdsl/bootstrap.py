@@ -1,0 +1,106 @@
+"""Sets up a checkout on a machine that has Python and nothing else, then runs the foraging example or the tests.
+
+`python3 -m antdsl.bootstrap example` and `python3 -m antdsl.bootstrap test`. Standard library only: nothing is installed yet.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# What Open3D loads from the system, and the Debian package that brings it.
+SYSTEM_LIBRARIES = {"libEGL.so.1": "libegl1", "libGL.so.1": "libgl1", "libusb-1.0.so.0": "libusb-1.0-0"}
+
+
+def missing_packages() -> list[str]:
+    """Debian packages whose shared library cannot be loaded here (Linux only)."""
+    if not sys.platform.startswith("linux"):
+        return []
+    missing = []
+    for library, package in SYSTEM_LIBRARIES.items():
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            missing.append(package)
+    return missing
+
+
+def install_system_packages() -> None:
+    """Install what Open3D needs from the system, where this user may; else say which command does it, and stop."""
+    packages = missing_packages()
+    if not packages:
+        return
+    words = "apt-get install -y --no-install-recommends " + " ".join(packages)
+    prefix: list[str] | None = None
+    if shutil.which("apt-get"):
+        if os.geteuid() == 0:
+            prefix = []
+        elif shutil.which("sudo"):
+            prefix = ["sudo"]
+    if prefix is None:
+        sys.exit(f"Open3D needs system libraries that are missing here; on Debian or Ubuntu, run as root:\n  {words}")
+    print(f"installing system packages: {' '.join(packages)}", flush=True)
+    env = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+    subprocess.run([*prefix, "apt-get", "update", "-qq"], check=True, env=env)
+    subprocess.run([*prefix, *words.split()], check=True, env=env, stdout=subprocess.DEVNULL)
+
+
+def ensure_environment(folder: Path, requirements: list[str]) -> Path:
+    """Make the virtual environment once, again when pyproject.toml changed; give its python."""
+    python = folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + repr(requirements).encode()).hexdigest()
+    stamp = folder / "antdsl-installed"
+    if python.exists() and stamp.exists() and stamp.read_text() == wanted:
+        return python
+    print(f"setting up {folder} (Python packages, about 1 GB with Open3D; some minutes the first time)", flush=True)
+    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
+    pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
+    subprocess.run([*pip, "--editable", f"{ROOT}[test]", *requirements], check=True)
+    stamp.write_text(wanted)
+    return python
+
+
+def run_example(python: Path, out: Path) -> int:
+    """The main job on an example: simulate foraging, then a still and a contact sheet of it."""
+    scene = ROOT / "examples" / "foraging" / "scene.yaml"
+    antdsl = [str(python), "-m", "antdsl"]
+    for command in (
+        [*antdsl, "run", str(scene), "--out", str(out)],
+        [*antdsl, "render", str(out), "--sheet"],
+    ):
+        code = subprocess.run(command, cwd=ROOT).returncode
+        if code:
+            return code
+    print(f"the cache and its picture are in {out}")
+    return 0
+
+
+def run_tests(python: Path, arguments: list[str]) -> int:
+    """The test suite, as CI runs it."""
+    return subprocess.run([str(python), "-m", "pytest", "-q", *arguments], cwd=ROOT).returncode
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python3 -m antdsl.bootstrap", description=__doc__)
+    parser.add_argument("job", choices=("example", "test"))
+    parser.add_argument("--env", type=Path, default=ROOT / ".venv", help="where the virtual environment is made")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "foraging", help="where the example's cache goes")
+    parser.add_argument("--require", action="append", default=[], help="a further requirement, such as open3d-cpu==0.18.0")
+    arguments, rest = parser.parse_known_args()
+    if sys.version_info < (3, 11):
+        sys.exit("antdsl needs Python 3.11 or newer")
+    install_system_packages()
+    python = ensure_environment(arguments.env.resolve(), arguments.require)
+    return run_example(python, arguments.out.resolve()) if arguments.job == "example" else run_tests(python, rest)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
