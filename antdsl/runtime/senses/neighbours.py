@@ -14,14 +14,17 @@ Floats = NDArray[np.float32]
 Rows = NDArray[np.int32]
 
 _QUERIES_PER_CHUNK = 16_384
-_CANDIDATES_PER_CHUNK = 1 << 20
+_CANDIDATES_PER_CHUNK = 1 << 16  # arrays of this length stay in the cache
 _MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
+_AGENTS_PER_COLUMN = 6
 _SLACK = 1.0 + 1e-6  # float32 distances err by a few 2**-24; candidates must be a superset
 
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
     """Pairs within reach, sorted by `i`, then the neighbour's cell, then its id. All arrays have one length.
+
+    The order of rows is not observable in them; the order within one `i` may change with the whole crowd's extent.
 
     `i` counts queries from 0, `j` is the row of the neighbour in the grid, `dx dy dz` is neighbour minus query and
     `distance` its length, in float32 millimetres.
@@ -36,7 +39,7 @@ class Pairs:
 
 
 class CellGrid:
-    """Agents sorted into cells: rows along x that are cut four times finer than along y and z.
+    """Agents sorted into cells: rows along the crowd's longest axis, cut four times finer than across.
 
     `x y z` are float32[n] in millimetres, `ids` int64[n] unique, `cell` the usual radius of a query: any radius works,
     this one fastest. An agent at a place that is not finite is nobody's neighbour.
@@ -45,27 +48,35 @@ class CellGrid:
     def __init__(self, x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float) -> None:
         self.x, self.y, self.z, self.ids = x, y, z, ids
         rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
-        places = [np.asarray(a, np.float64)[rows] for a in (x, y, z)]
-        self._low = [float(p.min()) if rows.size else 0.0 for p in places]
-        high = [float(p.max()) if rows.size else 0.0 for p in places]
-        extent = max(h - low for h, low in zip(high, self._low))
-        cell = cell if np.isfinite(cell) and cell > 0 else max(extent, 1.0)
-        # Wider cells only add candidates; the packed key of a far-flung crowd must not overflow.
-        wide = max(cell, extent / (_MAX_CELLS_ALONG - 4), 1e-30)
-        self._width = (max(wide / 4, extent / (_MAX_CELLS_ALONG - 4)), wide, wide)
-        # The lattice stands still in the world, so an agent far away does not reorder the pairs of others.
-        self._low = [float(np.floor(low / w)) * w for low, w in zip(self._low, self._width)]
-        self._size = [int(np.floor((h - low) / w)) + 1 for h, low, w in zip(high, self._low, self._width)]
-        cx, cy, cz = (np.floor((p - low) / w).astype(np.int64) for p, low, w in zip(places, self._low, self._width))
-        key = (cz * self._size[1] + cy) * self._size[0] + cx
         if np.any(ids[1:] < ids[:-1]):
-            by_id = np.argsort(ids[rows], kind="stable")
-            rows, key = rows[by_id], key[by_id]
+            rows = rows[np.argsort(ids[rows], kind="stable")]
+        places = [np.asarray(a, np.float64)[rows] for a in (x, y, z)]
+        low = [float(p.min(initial=np.inf)) if rows.size else 0.0 for p in places]
+        extent = [float(p.max(initial=-np.inf)) - b if rows.size else 0.0 for p, b in zip(places, low)]
+        self._axes = tuple(sorted(range(3), key=lambda axis: -extent[axis]))  # fast, middle, slow
+        places, low, extent = ([values[axis] for axis in self._axes] for values in (places, low, extent))
+        cell = cell if np.isfinite(cell) and cell > 0 else max(extent[0], 1.0)
+        # Wider cells only add candidates; the packed key of a far-flung crowd must not overflow.
+        least = max(extent[0] / (_MAX_CELLS_ALONG - 4), 1e-30)
+        width = [max(cell / 4, least), max(cell, least), max(cell, least)]
+        cells = [np.floor((p - b) / w).astype(np.int64) for p, b, w in zip(places, low, width)]
+        if extent[2] > 0 and self._is_sheet(cells, rows.size):
+            cells[2][:] = 0
+            width[2] = 2 * extent[2]
+        self._low, self._width = low, width
+        self._size = [int(e / w) + 1 for e, w in zip(extent, width)]
+        key = (cells[2] * self._size[1] + cells[1]) * self._size[0] + cells[0]
         order = np.argsort(key, kind="stable")
         self._rows = rows[order].astype(np.int32)
         self._keys = key[order]
         self._sorted = [np.ascontiguousarray(a[self._rows], np.float32) for a in (x, y, z)]
         self._starts = self._start_table()
+
+    @staticmethod
+    def _is_sheet(cells: list[NDArray[np.int64]], n: int) -> bool:
+        """Whether a crowd on ground has so few agents above each other that its layers need not be told apart."""
+        column = np.sort((cells[1] << 32) | (cells[0] >> 2))
+        return n <= _AGENTS_PER_COLUMN * (1 + int(np.count_nonzero(column[1:] != column[:-1])))
 
     def _start_table(self) -> NDArray[np.int32] | None:
         """First sorted agent of every cell, when the box has few enough cells to be listed; else None."""
@@ -125,9 +136,12 @@ class CellGrid:
     def _ranges(
         self, query: tuple[Floats, Floats, Floats], radius: Floats
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """First sorted agent and number of agents of each row of cells that a query may reach, as (m, rows)."""
+        """First sorted agent and number of agents of each row of cells that a query may reach, as (m, rows).
+
+        Here x, y, z stand for the grid's fast, middle and slow axis.
+        """
         m = query[0].size
-        qx, qy, qz = (q.astype(np.float64) for q in query)
+        qx, qy, qz = (query[axis].astype(np.float64) for axis in self._axes)
         usable = np.isfinite(qx) & np.isfinite(qy) & np.isfinite(qz) & (radius >= 0)
         r = np.where(usable, radius, -1.0).astype(np.float64)
         qx, qy, qz = (np.where(usable, q, low) for q, low in zip((qx, qy, qz), self._low))
@@ -186,20 +200,22 @@ class CellGrid:
         flat = count.ravel()
         total = int(flat.sum())
         before = np.cumsum(flat) - flat
-        at = np.repeat((first.ravel() - before).astype(np.int32), flat)
-        at += np.arange(total, dtype=np.int32)
-        i = np.repeat(np.arange(count.shape[0], dtype=np.int32), count.sum(axis=1))
-        dx, dy, dz = (s[at] - q[i] for s, q in zip(self._sorted, query))
-        distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
-        keep = np.flatnonzero(distance <= radius[i])
-        i, j = i[keep], self._rows[at[keep]]
+        at = np.repeat(first.ravel() - before, flat)  # int64: an index of another type is converted at every use
+        at += np.arange(total)
+        each = count.sum(axis=1)
+        i = np.repeat(np.arange(each.size, dtype=np.int32), each)
+        dx, dy, dz = (s.take(at) - q.repeat(each) for s, q in zip(self._sorted, query))
+        with np.errstate(over="ignore"):  # beyond float32 is beyond any radius but an infinite one
+            distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
+        keep = np.flatnonzero(distance <= radius.repeat(each))
+        i, j = i.take(keep), self._rows.take(at.take(keep))
         if who is not None:
-            other = np.flatnonzero(self.ids[j] != who[i])
-            keep, i, j = keep[other], i[other], j[other]
-        chosen = self._nearest(i, j, distance[keep])
+            other = np.flatnonzero(self.ids.take(j) != who.take(i))
+            keep, i, j = keep.take(other), i.take(other), j.take(other)
+        chosen = self._nearest(i, j, distance.take(keep))
         if chosen is not None:
             keep, i, j = keep[chosen], i[chosen], j[chosen]
-        return i, j, dx[keep], dy[keep], dz[keep], distance[keep]
+        return i, j, dx.take(keep), dy.take(keep), dz.take(keep), distance.take(keep)
 
     def _nearest(self, i: Rows, j: Rows, distance: Floats) -> NDArray[np.int64] | None:
         """Which pairs stay when a query has more than the cap: its nearest by (distance, id); None when all stay."""
