@@ -1,0 +1,90 @@
+"""What a bound scene gives to the runtime: geometry, things, crowds and numbers, all in mm, seconds and the scene's own axes.
+
+Plain frozen values without a reader behind them, so that a test can write one by hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshData:
+    """A triangle mesh: vertices float64 (n, 3) in mm, faces int32 (m, 3) counter-clockwise from outside."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ItemData:
+    """One item. `attributes` in base units; those absent take the declared default."""
+
+    name: str
+    position: Point
+    radius: float
+    attributes: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceData:
+    """Where a crowd starts.
+
+    `points` (n, 3), one an agent, in order (those after the last start over); else a disc of `radius` mm around `around`, dropped
+    along the scene's up onto the surfaces; else evenly over the surfaces. `on` narrows to some surfaces (empty: all)."""
+
+    on: tuple[str, ...] = ()
+    around: Point | None = None
+    radius: float | None = None
+    points: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CrowdData:
+    """`count` agents of one species; `group` is the number of this line of the scene, from 0."""
+
+    species: str
+    count: int
+    place: PlaceData = PlaceData()
+    group: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldStart:
+    """A field's value at the first frame: everywhere, or only within `radius` mm of `around`."""
+
+    value: float
+    around: Point | None = None
+    radius: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setting:
+    """Everything that binding a plan needs. `unit_mm` is the length of `u`; `up` a unit vector; `params` by qualified name
+    (`forager.smell`), those absent take their default; `first_frame` is the number of the first simulated frame (preroll included)."""
+
+    fps: Fraction = Fraction(24)
+    substeps: int = 1
+    up: Point = (0.0, 1.0, 0.0)
+    unit_mm: float = 1.0
+    seed: int = 0
+    first_frame: int = 0
+    surfaces: Mapping[str, MeshData] = field(default_factory=dict)
+    obstacles: Mapping[str, MeshData] = field(default_factory=dict)
+    items: Mapping[str, tuple[ItemData, ...]] = field(default_factory=dict)
+    curves: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    crowds: tuple[CrowdData, ...] = ()
+    params: Mapping[str, float] = field(default_factory=dict)
+    field_start: Mapping[str, FieldStart] = field(default_factory=dict)
+
+    @property
+    def dt(self) -> float:
+        """Seconds a step."""
+        return float(1 / self.fps)
