@@ -1,0 +1,88 @@
+"""The command line: one file a command, each with flags, a call into the chain, printing and an exit code."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import typer
+
+from antdsl.cli import check, doctor, info, new, plan, render, run
+from antdsl.cli.exits import Exit, Stop
+
+# In the order of `antdsl --help`: what one does first comes first.
+COMMANDS = (
+    ("new", new.new),
+    ("check", check.check),
+    ("run", run.run),
+    ("render", render.render),
+    ("info", info.info),
+    ("plan", plan.plan),
+    ("doctor", doctor.doctor),
+)
+
+app = typer.Typer(
+    name="antdsl",
+    help="Crowds of animals from text: write behaviour in .ant files, simulate them on real ground.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for _name, _command in COMMANDS:
+    app.command(_name)(_command)
+
+
+def _version(value: bool) -> None:
+    if value:
+        from antdsl import __version__
+
+        typer.echo(f"antdsl {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _root(
+    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version and stop."),
+) -> None:
+    """Crowds of animals from text: write behaviour in .ant files, simulate them on real ground."""
+
+
+def main() -> None:
+    """Run a command and leave with its exit code; nothing that a person can do ends in a traceback."""
+    sys.exit(_run())
+
+
+def _run() -> int:
+    try:
+        try:
+            app(standalone_mode=True, prog_name="antdsl")
+        except SystemExit as leave:
+            sys.stdout.flush()
+            return leave.code if isinstance(leave.code, int) else Exit.FINE
+        return Exit.FINE
+    except Stop as stop:
+        for line in (stop.message, stop.hint):
+            if line:
+                print(line, file=sys.stderr)
+        return stop.code
+    except BrokenPipeError:
+        # whoever read our output has had enough; Python would complain once more when it flushes at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return Exit.FINE
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return Exit.INTERRUPTED
+    except MemoryError:
+        print("error: out of memory; fewer agents, larger cells or a lighter mesh need less", file=sys.stderr)
+        return Exit.INPUT_OUTPUT
+    except OSError as problem:
+        print(f"error: {problem.strerror or problem}: {problem.filename or ''}".rstrip(": "), file=sys.stderr)
+        return Exit.INPUT_OUTPUT
+    except Exception:
+        import traceback
+
+        traceback.print_exc()
+        print("\nThis is a bug in antdsl, not in your files: please report it with the lines above.", file=sys.stderr)
+        return Exit.BUG

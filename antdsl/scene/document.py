@@ -1,0 +1,230 @@
+"""Text of a scene to a tree of plain mappings, sequences and scalars, each with its place: YAML without tags, anchors, aliases,
+merges or duplicate keys. Scalars stay text: what `no`, `1:30` or `010` mean is for the schema to say."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from antdsl import limits
+from antdsl.diagnostics import Label, Report
+from antdsl.source import Source, Span
+
+Key = str | int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScalarNode:
+    text: str
+    quoted: bool
+    span: Span
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SequenceNode:
+    items: tuple[Node, ...]
+    span: Span
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MappingNode:
+    """`entries` keeps the order of the text; `keys` has the place of each key."""
+
+    entries: dict[str, Node]
+    keys: dict[str, Span]
+    span: Span
+
+
+Node = ScalarNode | SequenceNode | MappingNode
+
+
+def plain(node: Node) -> Any:
+    """The tree as dicts, lists and str, for the schema."""
+    if isinstance(node, MappingNode):
+        return {key: plain(value) for key, value in node.entries.items()}
+    if isinstance(node, SequenceNode):
+        return [plain(item) for item in node.items]
+    return node.text
+
+
+def find(node: Node, path: Sequence[Key], *, key: bool = False) -> tuple[Span, tuple[Key, ...]]:
+    """The place of what a path of keys leads to (of its last key if `key`), or of the nearest thing above it, and the path so far.
+
+    Parts of the path that are not in the tree, such as a schema's own tags, are passed over."""
+    span, walked = node.span, ()  # type: tuple[Span, tuple[Key, ...]]
+    for part in path:
+        if isinstance(node, MappingNode) and isinstance(part, str) and part in node.entries:
+            span = node.keys[part] if key else node.entries[part].span
+            node = node.entries[part]
+        elif isinstance(node, SequenceNode) and isinstance(part, int) and 0 <= part < len(node.items):
+            node = node.items[part]
+            span = node.span
+        else:
+            continue
+        walked = (*walked, part)
+    return span, walked
+
+
+class _Refused(Exception):
+    """Reading cannot go on; the complaint is in the report already."""
+
+
+_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
+
+
+def decode(data: bytes, name: str) -> tuple[Source, Report]:
+    """Bytes of a scene's file as a Source; a byte order mark is dropped, anything but UTF-8 is refused."""
+    report = Report()
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        source = Source(name, "")
+        report.error("bad-encoding", f"`{name}` is UTF-16, not UTF-8", Span(source, 0, 0), "save the file as UTF-8")
+        return source, report
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as problem:
+        shown = data.decode("utf-8", "replace")
+        place = len(data[: problem.start].decode("utf-8"))
+        source = Source(name, shown)
+        report.error("bad-encoding", f"byte {problem.start} is not UTF-8", Span(source, place, place + 1), "save the file as UTF-8")
+        return source, report
+    source = Source(name, text)
+    bad = _FORBIDDEN.search(text)
+    if bad:
+        message = f"the character U+{ord(bad[0]):04X} cannot stand in a scene, it would not show"
+        report.error("bad-character", message, Span(source, bad.start(), bad.end()), "delete it")
+    return source, report
+
+
+def read_document(source: Source) -> tuple[MappingNode | None, Report]:
+    """The tree of a scene's text, or None when there is none to speak of."""
+    reader = _Reader(source)
+    try:
+        root = reader.read()
+    except _Refused:
+        return None, reader.report
+    return (root if reader.report.ok else None), reader.report
+
+
+@dataclass(slots=True)
+class _Open:
+    """A mapping or sequence whose end has not come yet."""
+
+    start: int
+    mapping: bool
+    items: list[Node] = field(default_factory=list)
+
+
+class _Reader:
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.report = Report()
+        self.lines = [0]
+        for match in re.finditer("\r\n|\r|\n", source.text):
+            self.lines.append(match.end())
+
+    def offset(self, mark: Any) -> int:
+        start = self.lines[min(mark.line, len(self.lines) - 1)]
+        return min(start + mark.column, len(self.source.text))
+
+    def span(self, event: Any) -> Span:
+        start, end = self.offset(event.start_mark), self.offset(event.end_mark)
+        return Span(self.source, start, max(end, start))
+
+    def refuse(self, code: str, message: str, span: Span, help: str | None = None) -> _Refused:
+        self.report.error(code, message, span, help)
+        return _Refused()
+
+    def read(self) -> MappingNode:
+        import yaml
+
+        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+        try:
+            root = self.consume(yaml, yaml.parse(self.source.text, Loader=loader))
+        except yaml.YAMLError as problem:
+            raise self.syntax(problem) from None
+        whole = Span(self.source, 0, min(len(self.source.text), 1))
+        if root is None or (isinstance(root, ScalarNode) and not root.text):
+            raise self.refuse("empty-scene", "the scene is empty", whole, "begin with `antdsl: 1`")
+        if not isinstance(root, MappingNode):
+            raise self.refuse("wrong-value", "a scene is a list of `key: value` lines", root.span, "begin with `antdsl: 1`")
+        return root
+
+    def syntax(self, problem: Any) -> _Refused:
+        mark = getattr(problem, "problem_mark", None) or getattr(problem, "context_mark", None)
+        start = self.offset(mark) if mark is not None else 0
+        words = (getattr(problem, "problem", None) or "this is not YAML").replace("'\\t'", "a tab")
+        text, help = self.source.text, None
+        if text[start : start + 1] == "\t" or "a tab" in words:
+            words, help = "a tab cannot indent a line", "indent with blanks"
+        elif "%" in text[start : start + 1]:
+            words, help = "directives are not supported", "begin with `antdsl: 1`"
+        elif "mapping values are not allowed" in words:
+            words, help = "a second `:` in one line", "put the text in quotes, or start a new line"
+        return self.refuse("scene-syntax", f"cannot read the scene here: {words}", Span(self.source, start, min(start + 1, len(text))), help)
+
+    def consume(self, yaml: Any, events: Any) -> Node | None:
+        """Build the tree from the stream of events with a stack of our own, so that depth and number are known before they cost."""
+        stack: list[_Open] = []
+        root: Node | None = None
+        count = documents = 0
+        for event in events:
+            done: Node | None = None
+            if isinstance(event, yaml.DocumentStartEvent):
+                documents += 1
+                if event.version or event.tags:
+                    raise self.refuse("yaml-tag", "directives such as `%YAML` and `%TAG` are not supported", self.span(event), "delete the line")
+                if documents > 1:
+                    raise self.refuse("scene-syntax", "a second document in one scene", self.span(event), "delete `---` and what follows")
+                continue
+            if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
+                raise self.refuse("yaml-alias", "anchors and aliases are not supported", self.span(event), "write the value out where it is wanted")
+            if getattr(event, "tag", None) not in (None, "!"):
+                raise self.refuse("yaml-tag", "tags such as `!name` are not supported", self.span(event), "write the value alone")
+            if isinstance(event, yaml.NodeEvent):
+                count += 1
+                if count > limits.YAML_NODES:
+                    raise self.refuse("too-large", f"the scene has more than {limits.YAML_NODES:,} values", self.span(event))
+            if isinstance(event, yaml.ScalarEvent):
+                done = ScalarNode(event.value, event.style is not None, self.span(event))
+            elif isinstance(event, yaml.CollectionStartEvent):
+                stack.append(_Open(self.offset(event.start_mark), isinstance(event, yaml.MappingStartEvent)))
+                if len(stack) > limits.YAML_DEPTH:
+                    raise self.refuse("too-large", f"values lie more than {limits.YAML_DEPTH} deep in each other", self.span(event))
+            elif isinstance(event, yaml.CollectionEndEvent):
+                done = self.close(stack.pop(), self.offset(event.end_mark))
+            if done is not None:
+                if stack:
+                    stack[-1].items.append(done)
+                else:
+                    root = done
+        return root
+
+    def close(self, opened: _Open, end: int) -> Node:
+        text = self.source.text
+        while end > opened.start + 1 and text[end - 1 : end].isspace():
+            end -= 1
+        span = Span(self.source, opened.start, end)
+        if not opened.mapping:
+            return SequenceNode(tuple(opened.items), span)
+        entries: dict[str, Node] = {}
+        keys: dict[str, Span] = {}
+        folded: dict[str, str] = {}
+        for key, value in zip(opened.items[::2], opened.items[1::2], strict=True):
+            if not isinstance(key, ScalarNode) or not key.text:
+                self.report.error("wrong-value", "a key must be one word", key.span, "write `key: value`")
+                continue
+            if key.text == "<<":
+                self.report.error("yaml-alias", "merges are not supported", key.span, "write the values out where they are wanted")
+                continue
+            other = folded.get(key.text.lower())
+            if other is not None:
+                words = f"`{key.text}` is given twice" if other == key.text else f"`{key.text}` and `{other}` differ by case only"
+                self.report.error("duplicate-key", words, key.span, "keep one of them", labels=(Label(keys[other], "here first"),))
+                continue
+            folded[key.text.lower()] = key.text
+            entries[key.text] = value
+            keys[key.text] = key.span
+        return MappingNode(entries, keys, span)

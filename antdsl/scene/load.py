@@ -1,0 +1,154 @@
+"""Reads a scene: bytes, tree, models. Every complaint has its place in the text and says what to write instead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from antdsl import limits
+from antdsl.diagnostics import Report
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.scene.document import Key, MappingNode, decode, find, plain, read_document
+from antdsl.scene.paths import PathRefused, Roots, read_named
+from antdsl.source import Source, Span
+
+if TYPE_CHECKING:
+    from antdsl.scene.model import SceneModel
+
+# What people look for in a scene and find elsewhere.
+_ELSEWHERE = {
+    "threads": "give `--threads N` on the command line",
+    "chunk": "give `--chunk N` on the command line",
+    "root": "give `--root NAME=FOLDER` on the command line",
+    "roots": "give `--root NAME=FOLDER` on the command line",
+    "out": "give `--out FOLDER` on the command line",
+    "limits": "limits cannot be raised by a scene",
+    "plugin": "a scene can load no code",
+    "plugins": "a scene can load no code",
+    "import": "a scene can load no code",
+    "include": "a scene is one file",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A scene as it was written and typed, not yet matched with a program."""
+
+    model: SceneModel
+    document: MappingNode
+    source: Source
+    roots: Roots
+
+    def span(self, *path: Key, key: bool = False) -> Span:
+        """Where a value (or, with `key`, the key before it) stands in the text; the nearest thing above it if it is not there."""
+        return find(self.document, path, key=key)[0]
+
+
+def load(path: Path, grants: Mapping[str, Path] | None = None) -> tuple[Scene | None, Report]:
+    """Read and type a scene's file. Files that it names are not touched; its own folder and `grants` are where they may lie."""
+    try:
+        data = read_named(path, limits.SCENE_BYTES)
+    except PathRefused as refused:
+        report = Report()
+        report.error(refused.code, str(refused), None, refused.help)
+        return None, report
+    return load_text(data, str(path), Roots(path.resolve().parent, dict(grants or {})))
+
+
+def load_text(data: bytes, name: str, roots: Roots) -> tuple[Scene | None, Report]:
+    """As `load`, from the bytes of a file."""
+    source, report = decode(data, name)
+    if not report.ok:
+        return None, report
+    document, report = read_document(source)
+    if document is None:
+        return None, report
+    from pydantic import ValidationError
+
+    from antdsl.scene.model import SceneModel
+
+    try:
+        model = SceneModel.model_validate(plain(document))
+    except ValidationError as problem:
+        for error in problem.errors(include_url=False, include_input=False):
+            _complain(report, document, error)
+        return None, report
+    return Scene(model, document, source, roots), report
+
+
+def _complain(report: Report, document: MappingNode, error: Any) -> None:
+    kind, path = error["type"], tuple(error["loc"])
+    if kind == "extra_forbidden":
+        _unknown_key(report, document, path)
+        return
+    if kind == "missing":
+        span, walked = find(document, path[:-1], key=bool(path[:-1]))
+        whole = f"`{walked[-1]}`" if walked and isinstance(walked[-1], str) else "the scene" if not walked else "this line"
+        if not walked:
+            span = Span(span.source, span.start, min(span.start + 1, span.end))
+        report.error("missing-key", f"{whole} has no `{path[-1]}`", span, f"add `{path[-1]}: …`")
+        return
+    bad_key = bool(path) and path[-1] == "[key]"
+    span, _ = find(document, path[:-1] if bad_key else path, key=bad_key)
+    if kind == "scene":
+        context = error["ctx"]
+        report.error("wrong-value", context["words"], span, context["help"] or None)
+    else:
+        report.error("wrong-value", _words(kind, error), span)
+
+
+_SHAPES = {
+    "tuple_type": "a list is wanted here",
+    "dict_type": "a mapping is wanted here",
+    "model_type": "a mapping is wanted here",
+    "model_attributes_type": "a mapping is wanted here",
+    "too_long": "this list has too many values",
+    "string_type": "a word is wanted here",
+}
+
+
+def _words(kind: str, error: Any) -> str:
+    return _SHAPES.get(kind) or str(error["msg"]).rstrip(".").replace("Input should be", "this should be").lower()
+
+
+def _unknown_key(report: Report, document: MappingNode, path: tuple[Key, ...]) -> None:
+    key = str(path[-1])
+    span, _ = find(document, path, key=True)
+    allowed = sorted(_allowed(path))
+    near = nearest_name(key, allowed)
+    if len(path) == 1 and key in _ELSEWHERE:
+        report.error("unknown-key", f"`{key}` is not a scene setting", span, _ELSEWHERE[key])
+        return
+    help = f"did you mean `{near}`?" if near else "known here: " + ", ".join(f"`{word}`" for word in allowed)
+    report.error("unknown-key", f"`{key[:60]}` is not a key of {_place(path)}", span, help)
+
+
+def _place(path: tuple[Key, ...]) -> str:
+    above = [part for part in path[:-1] if isinstance(part, str) and not part.endswith("-thing")]
+    return f"`{above[-1]}`" if above else "a scene"
+
+
+def _allowed(path: tuple[Key, ...]) -> list[str]:
+    """The keys that the model at a path knows."""
+    from antdsl.scene import model
+
+    # the last word of the path (tags of the schema are among them) that tells which model complained
+    models: dict[str, type[model.Part]] = {
+        "mesh-thing": model.MeshThing,
+        "curve-thing": model.CurveThing,
+        "place": model.Placement,
+        "crowd": model.CrowdLine,
+        "fields": model.FieldStart,
+        "camera": model.Camera,
+        "output": model.Output,
+        "from": model.StartFrom,
+    }
+    for part in reversed(path[:-1]):
+        if part in models:
+            found = models[str(part)]
+            break
+    else:
+        found = model.SceneModel
+    return [field.alias or name for name, field in found.model_fields.items()]

@@ -1,0 +1,175 @@
+"""The one door to files that a scene or a program names: only below the scene's own folder or a root that the person granted.
+
+A path is judged as text before the disk is touched, then opened part by part without following links."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+_DEVICES = frozenset(["con", "prn", "aux", "nul", *(f"com{i}" for i in range(10)), *(f"lpt{i}" for i in range(10))])
+_PART = re.compile(r"[A-Za-z0-9_.,+@() \u00a1-\uffff\-]+")
+_GRANTED = re.compile(r"([A-Za-z][A-Za-z0-9_]{1,31}):(?!//)(.*)", re.DOTALL)
+_PATH_CHARACTERS = 500
+
+
+class PathRefused(Exception):
+    """A path that will not be opened; `code` is a diagnostic's code, the text its message, `help` what to write instead."""
+
+    def __init__(self, code: str, message: str, help: str | None = None) -> None:
+        super().__init__(message)
+        self.code, self.message, self.help = code, message, help
+
+
+@dataclass(frozen=True, slots=True)
+class Roots:
+    """Where files may come from: the folder of the scene, and folders granted by name (`--root assets=PATH`)."""
+
+    folder: Path
+    granted: Mapping[str, Path] = field(default_factory=dict)
+
+    def locate(self, text: str) -> tuple[Path, tuple[str, ...]]:
+        """The root and the parts of a path below it; PathRefused when the text names anything else. The disk is not touched."""
+        named = _GRANTED.fullmatch(text)
+        if named and len(named[1]) > 1:
+            name, rest = named[1], named[2]
+            if name in ("http", "https", "file", "ftp", "data"):
+                raise _refuse(text, "is an address, not a file", "copy the file beside the scene")
+            if name not in self.granted:
+                known = ", ".join(f"`{n}:`" for n in sorted(self.granted)) or "none"
+                raise PathRefused("root-not-granted", f"no root `{name}:` is granted (granted: {known})", f"run with `--root {name}=FOLDER`")
+            return self.granted[name], _parts(text, rest)
+        return self.folder, _parts(text, text)
+
+    def path(self, text: str) -> Path:
+        """The full path of a file, judged as text only."""
+        root, parts = self.locate(text)
+        return root.joinpath(*parts)
+
+    def read(self, text: str, cap: int) -> bytes:
+        """The bytes of a regular file of at most `cap` bytes; PathRefused says why not."""
+        root, parts = self.locate(text)
+        handle = _open_below(root, parts, text)
+        with os.fdopen(handle, "rb") as file:
+            size = _regular(handle, text)
+            if size > cap:
+                raise PathRefused("too-large", f"`{text}` has {size:,} bytes, more than {cap:,} are not read")
+            data = file.read(cap + 1)
+        if len(data) > cap:
+            raise PathRefused("too-large", f"`{text}` grew while it was read")
+        return data
+
+    def exists(self, text: str) -> int:
+        """The size of a regular file in bytes, without reading it; PathRefused says why not."""
+        root, parts = self.locate(text)
+        handle = _open_below(root, parts, text)
+        try:
+            return _regular(handle, text)
+        finally:
+            os.close(handle)
+
+
+def read_named(path: Path, cap: int) -> bytes:
+    """The bytes of a file that the person named on the command line: links are followed, anything but a regular file refused."""
+    shown = str(path)
+    try:
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    except FileNotFoundError:
+        raise PathRefused("no-such-file", f"there is no file `{shown}`") from None
+    except OSError as problem:
+        raise PathRefused("no-such-file", f"cannot open `{shown}`: {(problem.strerror or 'it is refused').lower()}") from None
+    with os.fdopen(handle, "rb") as file:
+        size = _regular(handle, shown)
+        data = file.read(cap + 1) if size <= cap else b""
+    if size > cap or len(data) > cap:
+        raise PathRefused("too-large", f"`{shown}` is larger than {cap:,} bytes")
+    return data
+
+
+def _refuse(text: str, why: str, help: str | None) -> PathRefused:
+    shown = text if len(text) <= 80 else text[:77] + "…"
+    return PathRefused("bad-path", f"the path `{shown}` {why}", help)
+
+
+def _parts(text: str, rest: str) -> tuple[str, ...]:
+    inside = "write a path below the scene's folder, such as `meshes/ground.ply`"
+    granted = "put the file below the scene's folder, or grant its folder: `--root assets=FOLDER` and `assets:…`"
+    if not rest or len(rest) > _PATH_CHARACTERS:
+        raise _refuse(text, "is empty" if not rest else "is too long", inside)
+    if "\\" in rest:
+        raise _refuse(text, "has a backslash", "write `/` between folders")
+    if rest.startswith("/") or re.match("[A-Za-z]:", rest):
+        raise _refuse(text, "is absolute", granted)
+    if rest.startswith("~") or any(c in rest for c in "$%*?<>|\"'`{}[]\0\n\r\t"):
+        raise _refuse(text, "has signs that are not expanded here", inside)
+    parts = tuple(p for p in rest.split("/") if p != ".")
+    for part in parts:
+        if part == "..":
+            raise _refuse(text, "leaves its folder", granted)
+        if not part or not _PART.fullmatch(part) or part[-1] in ". " or part[0] == " ":
+            raise _refuse(text, "has a part that not every system can name", inside)
+        if part.split(".")[0].lower() in _DEVICES:
+            raise _refuse(text, "names a device", inside)
+    if not parts:
+        raise _refuse(text, "names no file", inside)
+    return parts
+
+
+def _regular(handle: int, shown: str) -> int:
+    about = os.fstat(handle)
+    if not stat.S_ISREG(about.st_mode):
+        kind = "a folder" if stat.S_ISDIR(about.st_mode) else "not a regular file"
+        raise PathRefused("not-a-file", f"`{shown}` is {kind}")
+    return about.st_size
+
+
+def _open_below(root: Path, parts: tuple[str, ...], shown: str) -> int:
+    """Open a file below a root, no part of the way being a link. Without `dir_fd` (Windows) the resolved path is compared instead."""
+    if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
+        whole = root.joinpath(*parts)
+        if not whole.resolve().is_relative_to(root.resolve()):
+            raise _refuse(shown, "leaves its folder by a link", None)
+        return os.open(whole, os.O_RDONLY | getattr(os, "O_BINARY", 0))
+    try:
+        folder = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        raise PathRefused("no-such-file", f"there is no folder `{root}`") from None
+    try:
+        for part in parts[:-1]:
+            _exact_name(folder, part, shown)
+            inner = os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=folder)
+            os.close(folder)
+            folder = inner
+        _exact_name(folder, parts[-1], shown)
+        # O_NONBLOCK: opening a named pipe must not wait for somebody to write
+        return os.open(parts[-1], os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
+    except OSError as problem:
+        raise _why_not(problem, folder, shown) from None
+    finally:
+        os.close(folder)
+
+
+def _exact_name(folder: int, part: str, shown: str) -> None:
+    """Refuse a name that differs by case from the file's own: a file system blind to case would find it, another would not."""
+    names = os.listdir(folder)
+    if part not in names:
+        alike = sorted(name for name in names if name.lower() == part.lower())
+        if alike:
+            raise PathRefused("no-such-file", f"there is no file `{shown}`; `{alike[0]}` differs by case only", f"write `{alike[0]}`")
+
+
+def _why_not(problem: OSError, folder: int, shown: str) -> PathRefused:
+    import errno
+
+    if problem.errno == errno.ENOENT:
+        from antdsl.diagnostics.suggestion import nearest_name
+
+        near = nearest_name(shown.rsplit("/", 1)[-1], sorted(os.listdir(folder))[:2000])
+        return PathRefused("no-such-file", f"there is no file `{shown}`", f"did you mean `{near}`?" if near else None)
+    if problem.errno in (errno.ELOOP, errno.ENOTDIR):
+        return PathRefused("bad-path", f"a part of `{shown}` is a link or no folder; links are not followed", "name the file itself")
+    return PathRefused("no-such-file", f"cannot open `{shown}`: {(problem.strerror or 'it is refused').lower()}")

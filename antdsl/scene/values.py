@@ -1,0 +1,188 @@
+"""The kinds of scalar that a scene has, as pydantic types over text: whole numbers, quantities, lengths, rates of frames, names.
+
+Each turns text into a value by one exact routine, or refuses with a code, words and what to write instead."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import BeforeValidator
+from pydantic_core import PydanticCustomError
+
+from antdsl import limits
+from antdsl.program.model import Dim
+from antdsl.scene.quantities import BadQuantity, Quantity, dim_words, parse_number, parse_quantity
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+LENGTH, ANGLE, TIME = Dim(length=1), Dim(angle=1), Dim(time=1)
+
+
+def refuse(message: str, help: str = "") -> PydanticCustomError:
+    """An error that keeps its words as they are, braces and all."""
+    return PydanticCustomError("scene", "{words}", {"words": message, "help": help})  # type: ignore[arg-type]
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, str):
+        return f"`{value if len(value) <= 60 else value[:57] + '…'}`"
+    return "a list" if isinstance(value, list) else "a mapping"
+
+
+def _text(value: Any, wanted: str) -> str:
+    if not isinstance(value, str):
+        raise refuse(f"{wanted} is wanted here, not {_shown(value)}")
+    if not value.strip():
+        raise refuse(f"{wanted} is wanted here, and nothing is given")
+    return value.strip()
+
+
+def whole(low: int, high: int) -> Callable[[Any], int]:
+    """A whole number in decimal digits between two bounds."""
+
+    def read(value: Any) -> int:
+        text = _text(value, "a whole number")
+        if not re.fullmatch(r"[+-]?[0-9]{1,20}", text, re.ASCII):
+            raise refuse(f"{_shown(text)} is not a whole number", f"write digits only, {low} to {high}")
+        if not low <= int(text) <= high:
+            raise refuse(f"`{int(text)}` is not between {low} and {high}")
+        return int(text)
+
+    return read
+
+
+def _quantity(value: Any) -> Quantity:
+    text = _text(value, "a number")
+    try:
+        return parse_quantity(text)
+    except BadQuantity as why:
+        raise refuse(f"{_shown(text)} {why}", "write a number and a unit of mm cm m u s min step rad deg turn mg g kg N uN %") from None
+
+
+def of_dim(dim: Dim) -> Callable[[Any], Quantity]:
+    """A quantity of one dimension; a bare number is in the scene's own unit (degrees for an angle)."""
+
+    def read(value: Any) -> Quantity:
+        found = _quantity(value)
+        if found.bare and dim == ANGLE:
+            return parse_quantity(f"{found.text} deg")
+        if found.dim != dim and not found.bare:
+            raise refuse(f"`{found.text}` is not {dim_words(dim)}")
+        return found
+
+    return read
+
+
+def positive(dim: Dim) -> Callable[[Any], Quantity]:
+    """As `of_dim`, and above zero."""
+    inner = of_dim(dim)
+
+    def read(value: Any) -> Quantity:
+        found = inner(value)
+        if found.number <= 0:
+            raise refuse(f"`{found.text}` is not above zero")
+        return found
+
+    return read
+
+
+def number(low: float, high: float) -> Callable[[Any], float]:
+    """A plain decimal number between two bounds."""
+
+    def read(value: Any) -> float:
+        text = _text(value, "a number")
+        try:
+            found = parse_number(text)
+        except BadQuantity as why:
+            raise refuse(f"{_shown(text)} {why}") from None
+        if not low <= found <= high:
+            raise refuse(f"`{text}` is not between {low:g} and {high:g}")
+        return found
+
+    return read
+
+
+def _name(value: Any) -> str:
+    text = _text(value, "a name")
+    if not _NAME.fullmatch(text) or len(text) > limits.NAME_CHARACTERS:
+        raise refuse(f"{_shown(text)} is not a name", "names have letters, digits and `_`, and begin with a letter")
+    return text
+
+
+def one_of(*words: str) -> Callable[[Any], str]:
+    """One word of a closed list."""
+
+    def read(value: Any) -> str:
+        from antdsl.diagnostics.suggestion import nearest_name
+
+        text = _text(value, "a word")
+        if text not in words:
+            near = nearest_name(text, words)
+            listed = ", ".join(f"`{w}`" for w in words)
+            raise refuse(f"{_shown(text)} is none of {listed}", f"did you mean `{near}`?" if near else "")
+        return text
+
+    return read
+
+
+def _fps(value: Any) -> Fraction:
+    text = _text(value, "a number of frames a second")
+    if not re.fullmatch(r"[0-9]{1,7}(\.[0-9]{1,6}|/[0-9]{1,7})?", text, re.ASCII) or text.endswith("/0"):
+        raise refuse(f"{_shown(text)} is not a number of frames a second", "write `24`, `23.976` or `24000/1001`")
+    try:
+        rate = Fraction(text)
+    except ZeroDivisionError:
+        raise refuse(f"{_shown(text)} divides by zero", "write `24000/1001`") from None
+    # what people write as 23.976 or 29.97 is a rate of the form N·1000/1001
+    for nominal in (24, 30, 48, 60, 120):
+        exact = Fraction(nominal * 1000, 1001)
+        if "." in text and abs(rate - exact) < Fraction(1, 200):
+            rate = exact
+    if not 1 <= rate <= 960:
+        raise refuse(f"`{text}` frames a second is not between 1 and 960")
+    return rate
+
+
+class FrameRange(NamedTuple):
+    """First and last frame, both included."""
+
+    first: int
+    last: int
+
+
+def parse_frames(text: str) -> FrameRange:
+    """`1001..1720` or one frame; BadQuantity says why not."""
+    found = re.fullmatch(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))?", text.strip(), re.ASCII)
+    if not found:
+        raise BadQuantity("is not a range of frames")
+    first = int(found[1])
+    last = int(found[2]) if found[2] is not None else first
+    if last < first:
+        raise BadQuantity("ends before it begins")
+    if last - first >= limits.FRAMES:
+        raise BadQuantity(f"has more than {limits.FRAMES:,} frames")
+    return FrameRange(first, last)
+
+
+def _frames(value: Any) -> FrameRange:
+    text = _text(value, "a range of frames")
+    try:
+        return parse_frames(text)
+    except BadQuantity as why:
+        raise refuse(f"{_shown(text)} {why}", "write `1001..1240`") from None
+
+
+def _path(value: Any) -> str:
+    return _text(value, "the path of a file")
+
+
+Name = Annotated[str, BeforeValidator(_name)]
+FilePath = Annotated[str, BeforeValidator(_path)]
+AnyQuantity = Annotated[Quantity, BeforeValidator(_quantity)]
+Length = Annotated[Quantity, BeforeValidator(of_dim(LENGTH))]
+PositiveLength = Annotated[Quantity, BeforeValidator(positive(LENGTH))]
+Angle = Annotated[Quantity, BeforeValidator(of_dim(ANGLE))]
+Fps = Annotated[Fraction, BeforeValidator(_fps)]
+Frames = Annotated[FrameRange, BeforeValidator(_frames)]
