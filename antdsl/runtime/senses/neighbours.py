@@ -133,9 +133,7 @@ class CellGrid:
             return Pairs(*found[0])
         return Pairs(*(np.concatenate(column) for column in zip(*found)))
 
-    def _ranges(
-        self, query: tuple[Floats, Floats, Floats], radius: Floats
-    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    def _ranges(self, query: tuple[Floats, Floats, Floats], radius: Floats) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """First sorted agent and number of agents of each row of cells that a query may reach, as (m, rows).
 
         Here x, y, z stand for the grid's fast, middle and slow axis.

@@ -1,0 +1,61 @@
+"""How far away is the nearest triangle, at least: a coarse grid that tells in a few array passes who can touch nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.senses.rasterise import triangle_cells
+
+_CELLS = 300_000
+
+
+class DistanceGrid:
+    """Lower bounds of the distance to a set of triangles, from vertices float64[n,3] (mm) and faces int[m,3]."""
+
+    def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int32], cells: int = _CELLS) -> None:
+        from scipy.ndimage import distance_transform_edt
+
+        corners = vertices[faces]
+        self._low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
+        extent = (corners.max(axis=(0, 1)) if len(corners) else np.zeros(3)) - self._low
+        self._width = _cell_width(extent, cells)
+        self._size = np.floor(extent / self._width).astype(np.int64) + 1
+        self._high = self._low + extent
+        free = np.ones(tuple(self._size), bool)
+        for cell, _ in triangle_cells((corners - self._low) / self._width, exact=False):
+            cell = np.minimum(cell, self._size - 1)
+            free[cell[:, 0], cell[:, 1], cell[:, 2]] = False
+        away = distance_transform_edt(free) if len(corners) else np.full(tuple(self._size), np.inf)
+        # Both the asker and the triangle may stand anywhere in their cells: two half diagonals.
+        self._least = np.maximum((away - np.sqrt(3.0)) * self._width * (1 - 1e-6), 0.0).astype(np.float32).ravel()
+
+    def at_least(self, x: NDArray, y: NDArray, z: NDArray) -> NDArray[np.float32]:
+        """A distance (mm, float32[n]) within which there is no triangle; 0 near the triangles."""
+        flat: NDArray[np.int64] | int = 0
+        outside: NDArray | float = 0.0
+        for axis, place in enumerate((x, y, z)):
+            low, high, size = self._low[axis], self._high[axis], int(self._size[axis])
+            inside = np.minimum(np.maximum(place, low), high)
+            gap = place - inside
+            outside = outside + gap * gap
+            step = ((inside - low) * (1.0 / self._width)).astype(np.int32)
+            flat = flat * size + np.minimum(step, size - 1)
+        least = self._least.take(flat)
+        # The nearest place of the box is a projection, so the two distances are legs of a right angle at least.
+        return np.where(outside > 0, np.sqrt(least * least + outside) * (1 - 1e-5), least).astype(np.float32)
+
+
+def _cell_width(extent: NDArray[np.float64], cells: int) -> float:
+    """Edge of cubes of which about `cells` fill a box; thin boxes count only their long sides."""
+    longest = float(extent.max())
+    if not longest > 0:
+        return 1.0
+    low, high = longest / cells, longest
+    for _ in range(60):
+        middle = (low * high) ** 0.5
+        if float(np.prod(np.floor(extent / middle) + 1)) > cells:
+            low = middle
+        else:
+            high = middle
+    return high
