@@ -1,0 +1,202 @@
+"""Every code block of the documents is run: programs are checked, scenes are read, commands and Python are executed.
+
+A block's first line says what it is: see `BLOCKS`. The tables of the documents are held against the code's own tables."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from antdsl.diagnostics.model import Report
+from antdsl.source import Source
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCUMENTS = [ROOT / "README.md", ROOT / "grammar" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCKS = ("ant", "yaml scene", "python", "console", "text", "json", "bash")
+
+# What a fragment stands in. The names are those of the samples in the language reference.
+WORLD = """ant 1
+use steering
+world {
+  surface ground; obstacle stones; solid hill; curve way_in
+  items food { load = 0 }; items nest { load = 0 }
+}
+"""
+TRAIL = "field trail on ground { cell 4 mm; half_life 8 s }\n"
+ATTRIBUTES = "  load = 0\n  source = none of food\n"
+RESTING = "  state rest { when after 1 s -> search }\n"
+
+
+@dataclass(frozen=True)
+class Block:
+    document: Path
+    line: int
+    info: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.document.relative_to(ROOT)}:{self.line}"
+
+    @property
+    def words(self) -> list[str]:
+        return self.info.split()
+
+    @property
+    def wanted_error(self) -> str | None:
+        return next((word.removeprefix("error=") for word in self.words if word.startswith("error=")), None)
+
+
+def blocks() -> Iterator[Block]:
+    for document in DOCUMENTS:
+        info, start, lines = None, 0, []
+        for number, line in enumerate(document.read_text(encoding="utf-8").splitlines(), 1):
+            if line.startswith("```"):
+                if info is None:
+                    info, start, lines = line[3:].strip(), number, []
+                else:
+                    yield Block(document, start, info, "\n".join(lines) + "\n")
+                    info = None
+            elif info is not None:
+                lines.append(line)
+        assert info is None, f"{document}:{start}: this block has no end"
+
+
+ALL = list(blocks())
+
+
+def of_kind(kind: str) -> list[Block]:
+    return [block for block in ALL if block.words[:1] == [kind]]
+
+
+def whole(block: Block) -> str:
+    """The block's text as a file that can be checked."""
+    part = next((word.removeprefix("fragment-of-") for word in block.words if word.startswith("fragment-of-")), None)
+    if part is None:
+        return block.text
+    text = block.text
+    if part == "file":
+        words = WORLD + TRAIL if "world {" not in text else "ant 1\nuse steering\n"
+        return words + text
+    if part == "species":
+        rest = "" if "start " in text else "  start search\n  state search { steer wander(); when chance 1 %/s -> rest }\n" + RESTING
+        layers = "" if "layers " in text else "  layers { state }\n"
+        return WORLD + TRAIL + "species forager {\n" + text + rest + layers + "}\n"
+    if part == "state":
+        return WORLD + TRAIL + "species forager {\n" + ATTRIBUTES + "  start search\n  state search {\n" + text + "  }\n" + RESTING + "  layers { state }\n}\n"
+    assert part == "expressions", f"{block}: what is a {part}?"
+    conditions = [line for line in text.splitlines() if "chance" in line or "state ==" in line]
+    lets = "".join(f"  let e{n} = {line}\n" for n, line in enumerate(text.splitlines()) if line not in conditions)
+    whens = "".join(f"    when {line} -> rest\n" for line in conditions)
+    body = "  start search\n  state search {\n" + whens + "    when after 1 s -> rest\n  }\n"
+    return WORLD + TRAIL + "species forager {\n" + ATTRIBUTES + lets + body + RESTING + "  layers { state }\n}\n"
+
+
+def check(text: str, name: str) -> Report:
+    from antdsl.program import check as check_program
+    from antdsl.resources import behaviour_text
+    from antdsl.syntax import parse
+
+    file, report = parse(Source(name, text))
+
+    def library(wanted: str) -> object:
+        found = behaviour_text(wanted)
+        return None if found is None else parse(Source(f"{wanted}.ant", found))[0]
+
+    _, findings = check_program(file, library=library, modules={})
+    report.extend(findings)
+    return report
+
+
+def test_every_block_says_what_it_is() -> None:
+    for block in ALL:
+        assert any(block.info == kind or block.info.startswith(kind + " ") for kind in BLOCKS), f"{block}: ```{block.info}"
+
+
+@pytest.mark.parametrize("block", of_kind("ant"), ids=str)
+def test_programs_check_as_the_documents_say(block: Block) -> None:
+    text = whole(block)
+    report = check(text, str(block))
+    errors = [f"{d.span}: {d.code}: {d.message}" for d in report.errors]
+    if block.wanted_error is None:
+        assert not errors, "\n".join([*errors, text])
+    else:
+        assert [d.code for d in report.errors] == [block.wanted_error], "\n".join([*errors, text])
+
+
+@pytest.mark.parametrize("block", of_kind("yaml"), ids=str)
+def test_scenes_read_as_the_documents_say(block: Block) -> None:
+    from antdsl.scene import Roots, load_text
+
+    _, report = load_text(block.text.encode(), str(block), Roots(ROOT, {}))
+    codes = [d.code for d in report.errors]
+    assert codes == ([] if block.wanted_error is None else [block.wanted_error]), report.errors
+
+
+@pytest.mark.parametrize("block", of_kind("python"), ids=str)
+def test_python_runs(block: Block, tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", block.text], cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("block", [b for b in of_kind("console") if "run" in b.words], ids=str)
+def test_commands_do_what_the_documents_say(block: Block) -> None:
+    """Each `$ antdsl …` line is run; a line of output that follows must occur in what it prints, `…` standing for anything."""
+    wanted: list[str] = []
+    printed = ""
+    for line in [*block.text.splitlines(), "$"]:
+        if not line.startswith("$"):
+            wanted.append(line)
+            continue
+        for words in wanted:
+            pattern = ".*".join(re.escape(part.strip()) for part in words.split("…"))
+            assert re.search(pattern, printed), f"{block}: {words!r} is not in\n{printed}"
+        wanted = []
+        command = shlex.split(line[1:])
+        if command:
+            assert command[0] == "antdsl", line
+            done = subprocess.run(
+                [sys.executable, "-m", *command], cwd=ROOT, env=environment(), capture_output=True, text=True, timeout=60
+            )
+            printed = done.stdout + done.stderr
+            assert "Traceback" not in printed, printed
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "200"}
+
+
+def rows(document: str) -> Iterator[list[str]]:
+    """The cells of all table rows of a document."""
+    for line in (ROOT / document).read_text(encoding="utf-8").splitlines():
+        if line.startswith("|") and not re.fullmatch(r"[|\s:-]+", line):
+            yield [cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip().strip("|"))]
+
+
+def test_every_link_leads_somewhere() -> None:
+    for document in DOCUMENTS:
+        text = re.sub(r"```.*?```", "", document.read_text(encoding="utf-8"), flags=re.DOTALL)
+        for link in re.findall(r"\]\(([^)\s]+)\)", text):
+            target, _, anchor = link.partition("#")
+            if "://" in link:
+                continue
+            file = (document.parent / target).resolve() if target else document
+            assert file.exists(), f"{document.name}: {link}"
+            if anchor:
+                assert anchor in anchors(file), f"{document.name}: {link}"
+
+
+def anchors(file: Path) -> set[str]:
+    heads = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+
+
+def test_the_reference_is_short() -> None:
+    assert len((ROOT / "grammar" / "README.md").read_text(encoding="utf-8").splitlines()) <= 700
