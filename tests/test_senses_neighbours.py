@@ -22,11 +22,11 @@ def by_brute_force(x, y, z, ids, qx, qy, qz, qid, radius) -> set[tuple[int, int]
     near = distance <= np.broadcast_to(np.asarray(radius, np.float32), qx.shape)[:, None]
     if qid is not None:
         near &= ids[None, :] != qid[:, None]
-    return set(zip(*(a.tolist() for a in np.nonzero(near))))
+    return set(zip(*(a.tolist() for a in np.nonzero(near)), strict=True))
 
 
 def as_ids(pairs: Pairs, ids: np.ndarray, asker: np.ndarray) -> list[tuple]:
-    rows = zip(asker[pairs.i], ids[pairs.j], pairs.dx, pairs.dy, pairs.dz, pairs.distance)
+    rows = zip(asker[pairs.i], ids[pairs.j], pairs.dx, pairs.dy, pairs.dz, pairs.distance, strict=True)
     return [tuple(v.item() for v in row) for row in rows]
 
 
@@ -38,7 +38,7 @@ def test_same_pairs_as_brute_force(extent, cell):
     pairs = CellGrid(x, y, z, ids, cell).pairs(None, 21.5)
     expected = by_brute_force(x, y, z, ids, x, y, z, ids, 21.5)
     assert len(expected) > 100
-    assert set(zip(pairs.i.tolist(), pairs.j.tolist())) == expected
+    assert set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True)) == expected
     assert pairs.i.size == len(expected)
     assert np.all(np.diff(pairs.i) >= 0)
     dx, dy, dz = (a[pairs.j] - a[pairs.i] for a in (x, y, z))
@@ -50,7 +50,7 @@ def test_same_pairs_as_the_tree_of_scipy():
     x, y, z = crowd(15_000, (480, 30, 480))
     pairs = CellGrid(x, y, z, np.arange(15_000, dtype=np.int64), 7.0).pairs(None, 6.3)
     tree = cKDTree(np.stack([x, y, z], axis=1).astype(np.float64))
-    mine = set(zip(pairs.i.tolist(), pairs.j.tolist()))
+    mine = set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
     theirs = tree.query_pairs(6.3, output_type="ndarray")
     theirs = set(map(tuple, np.concatenate([theirs, theirs[:, ::-1]]).tolist()))
     borderline = mine ^ theirs  # float32 and float64 may part within rounding of the radius
@@ -65,7 +65,7 @@ def test_own_radius_of_each_query_and_other_species():
     radius[:3] = (0, np.nan, -1)
     grid = CellGrid(x, y, z, np.arange(700, dtype=np.int64), 10.0)
     pairs = grid.pairs(None, radius, qx=qx, qy=qy, qz=qz)
-    assert set(zip(pairs.i.tolist(), pairs.j.tolist())) == by_brute_force(x, y, z, None, qx, qy, qz, None, radius)
+    assert set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True)) == by_brute_force(x, y, z, None, qx, qy, qz, None, radius)
     rows = np.array([200, 7, 7, 40], np.int32)
     some = grid.pairs(rows, radius[rows], qx=qx, qy=qy, qz=qz)
     for k, row in enumerate(rows):
@@ -89,7 +89,7 @@ def test_an_agent_far_away_changes_nothing_for_others():
     x, y, z = crowd(500, (100, 5, 100))
     ids = np.arange(501, dtype=np.int64)
     before = sorted(as_ids(CellGrid(x, y, z, ids[:500], 9.0).pairs(None, 9.0), ids, ids))
-    far = [np.append(a, np.float32(v)) for a, v in zip((x, y, z), (-70_000.0, 3e4, 1e5))]
+    far = [np.append(a, np.float32(v)) for a, v in zip((x, y, z), (-70_000.0, 3e4, 1e5), strict=True)]
     assert sorted(as_ids(CellGrid(*far, ids, 9.0).pairs(None, 9.0), ids, ids)) == before
 
 
@@ -115,5 +115,5 @@ def test_nothing_wrong_with_nobody_and_with_places_that_are_not_numbers():
     x = np.array([0, 1, np.nan, np.inf, 1e30, 2], np.float32)
     zero = np.zeros(6, np.float32)
     pairs = CellGrid(x, zero, zero, np.arange(6, dtype=np.int64), 5.0).pairs(None, np.float32(np.inf))
-    assert {(0, 1), (1, 0), (0, 5), (5, 4)} <= set(zip(pairs.i.tolist(), pairs.j.tolist()))
+    assert {(0, 1), (1, 0), (0, 5), (5, 4)} <= set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
     assert not np.isin([2, 3], pairs.j).any() and not np.isin([2, 3], pairs.i).any()

@@ -44,7 +44,7 @@ def test_mesh_and_face_of_several_meshes():
     assert hits.mesh.tolist() == [0, 2]
     v, f = meshes[2]
     assert v[f[hits.face[1]]][:, 1].min() > 0.5
-    mesh, face, place, distance = scene.closest(np.array([[5.0, 3.0, 0.0]]))
+    mesh, face, _place, distance = scene.closest(np.array([[5.0, 3.0, 0.0]]))
     assert mesh[0] == 2 and distance[0] == pytest.approx(2.0, abs=0.02) and 0 <= face[0] < len(f)
 
 

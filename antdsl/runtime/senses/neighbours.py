@@ -52,19 +52,19 @@ class CellGrid:
             rows = rows[np.argsort(ids[rows], kind="stable")]
         places = [np.asarray(a, np.float64)[rows] for a in (x, y, z)]
         low = [float(p.min(initial=np.inf)) if rows.size else 0.0 for p in places]
-        extent = [float(p.max(initial=-np.inf)) - b if rows.size else 0.0 for p, b in zip(places, low)]
+        extent = [float(p.max(initial=-np.inf)) - b if rows.size else 0.0 for p, b in zip(places, low, strict=True)]
         self._axes = tuple(sorted(range(3), key=lambda axis: -extent[axis]))  # fast, middle, slow
         places, low, extent = ([values[axis] for axis in self._axes] for values in (places, low, extent))
         cell = cell if np.isfinite(cell) and cell > 0 else max(extent[0], 1.0)
         # Wider cells only add candidates; the packed key of a far-flung crowd must not overflow.
         least = max(extent[0] / (_MAX_CELLS_ALONG - 4), 1e-30)
         width = [max(cell / 4, least), max(cell, least), max(cell, least)]
-        cells = [np.floor((p - b) / w).astype(np.int64) for p, b, w in zip(places, low, width)]
+        cells = [np.floor((p - b) / w).astype(np.int64) for p, b, w in zip(places, low, width, strict=True)]
         if extent[2] > 0 and self._is_sheet(cells, rows.size):
             cells[2][:] = 0
             width[2] = 2 * extent[2]
         self._low, self._width = low, width
-        self._size = [int(e / w) + 1 for e, w in zip(extent, width)]
+        self._size = [int(e / w) + 1 for e, w in zip(extent, width, strict=True)]
         key = (cells[2] * self._size[1] + cells[1]) * self._size[0] + cells[0]
         order = np.argsort(key, kind="stable")
         self._rows = rows[order].astype(np.int32)
@@ -131,7 +131,7 @@ class CellGrid:
             return Pairs(np.empty(0, np.int32), np.empty(0, np.int32), empty, empty, empty, empty)
         if len(found) == 1:
             return Pairs(*found[0])
-        return Pairs(*(np.concatenate(column) for column in zip(*found)))
+        return Pairs(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
     def _ranges(self, query: tuple[Floats, Floats, Floats], radius: Floats) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """First sorted agent and number of agents of each row of cells that a query may reach, as (m, rows).
@@ -142,7 +142,7 @@ class CellGrid:
         qx, qy, qz = (query[axis].astype(np.float64) for axis in self._axes)
         usable = np.isfinite(qx) & np.isfinite(qy) & np.isfinite(qz) & (radius >= 0)
         r = np.where(usable, radius, -1.0).astype(np.float64)
-        qx, qy, qz = (np.where(usable, q, low) for q, low in zip((qx, qy, qz), self._low))
+        qx, qy, qz = (np.where(usable, q, low) for q, low in zip((qx, qy, qz), self._low, strict=True))
         largest = max(float(np.abs(q).max(initial=0.0)) for q in (qx, qy, qz))
         r = np.where(usable, r * _SLACK + 1e-14 * largest + 1e-18, -1.0)
         y0, y1 = self._span(qy, r, 1)
@@ -202,7 +202,7 @@ class CellGrid:
         at += np.arange(total)
         each = count.sum(axis=1)
         i = np.repeat(np.arange(each.size, dtype=np.int32), each)
-        dx, dy, dz = (s.take(at) - q.repeat(each) for s, q in zip(self._sorted, query))
+        dx, dy, dz = (s.take(at) - q.repeat(each) for s, q in zip(self._sorted, query, strict=True))
         with np.errstate(over="ignore"):  # beyond float32 is beyond any radius but an infinite one
             distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
         keep = np.flatnonzero(distance <= radius.repeat(each))

@@ -1,4 +1,4 @@
-"""The one door to Open3D: rays, occlusions and closest points against triangle meshes, same bits for any batch or thread count."""
+"""The one door to Open3D: rays, occlusions, closest points and feelers against triangles, same bits for any batch or threads."""
 
 from __future__ import annotations
 
@@ -82,7 +82,9 @@ class RayScene:
         counts = np.array([len(f) for _, f in arrays], np.int64)
         before = np.cumsum([0, *(len(v) for v, _ in arrays)])
         vertices = np.concatenate([v for v, _ in arrays]) if arrays else np.empty((0, 3))
-        faces = np.concatenate([f + b for (_, f), b in zip(arrays, before)]) if arrays else np.empty((0, 3), np.int64)
+        faces = (
+            np.concatenate([f + b for (_, f), b in zip(arrays, before[:-1], strict=True)]) if arrays else np.empty((0, 3), np.int64)
+        )
         self._first_face = np.cumsum(np.concatenate(([0], counts)))
         self._mesh_of_face = np.repeat(np.arange(len(arrays), dtype=np.int32), counts)
         self._faces = faces.astype(np.int32)
