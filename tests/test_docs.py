@@ -200,3 +200,26 @@ def anchors(file: Path) -> set[str]:
 
 def test_the_reference_is_short() -> None:
     assert len((ROOT / "grammar" / "README.md").read_text(encoding="utf-8").splitlines()) <= 700
+
+
+PARITY_IDS = [
+    *(f"T{n:02}" for n in (*range(1, 41), *range(50, 61))),
+    *("T60b", "T61", "T62"),
+    *(f"P{n:02}" for n in range(1, 19)),
+    *(f"H{n:02}" for n in range(1, 16)),
+    *(f"R{n:02}" for n in range(1, 17)),
+    *(f"X{n}" for n in range(1, 18)),
+]
+
+
+def test_parity_has_every_id_once_and_names_files_that_exist() -> None:
+    found = [row for row in rows("docs/parity.md") if row[0] != "id"]
+    assert [row[0] for row in found] == PARITY_IDS
+    for name, what, state, shown in found:
+        assert what and state in ("done", "part", "not yet"), name
+        files = [word for word in re.findall(r"`([^`]+)`", shown) if "/" in word]
+        assert files or state == "not yet", f"{name} is {state} and names no file"
+        for file in files:
+            assert (ROOT / file.split("::")[0]).exists(), f"{name}: there is no {file}"
+            if "::" in file:
+                assert f"def {file.split('::')[1]}(" in (ROOT / file.split("::")[0]).read_text(encoding="utf-8"), f"{name}: {file}"
