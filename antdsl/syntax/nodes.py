@@ -382,6 +382,7 @@ class Latch:
     on: Expr
     until: Expr
     span: Span
+    help: Text | None = None
 
 
 @node
@@ -396,6 +397,7 @@ class Fuzzy:
     name: Name
     rules: tuple[Rule, ...]
     span: Span
+    help: Text | None = None
 
 
 @node
@@ -433,6 +435,7 @@ class Machine:
     name: Name
     members: tuple[State | Start | Change | Let | Latch, ...]
     span: Span
+    help: Text | None = None
 
 
 SpeciesMember = Union[
@@ -485,6 +488,7 @@ class FieldDecl:
     surfaces: tuple[Name, ...]
     settings: tuple[Setting, ...]
     span: Span
+    help: Text | None = None
 
 
 @node
@@ -527,7 +531,8 @@ class Behaviour:
 
 @node
 class SpecLine:
-    """`kind`: for seeds set always never eventually within until each; the parts that the kind needs are there."""
+    """`kind`: for seeds set always never eventually within until each. `for` and `within` have a `time`; `seeds` (a number or a
+    range) and `set` (the value) keep it in `condition`; `target` is what `set` sets, or the species of `each` (a NameRef)."""
 
     kind: str
     target: Expr | None

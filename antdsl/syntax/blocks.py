@@ -1,0 +1,155 @@
+"""Paired tokens → lines, and inside their braces lines again: what each is made of, and its text for the parser."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass, field
+
+from antdsl.source import Source, Span
+from antdsl.syntax.brackets import text_of
+from antdsl.syntax.scan import Scan, Token
+
+
+@dataclass(slots=True)
+class Group:
+    """A pair of braces and the lines between them. `chooses` is true after the word `choose`."""
+
+    open: Token
+    close: Token
+    lines: list[Line]
+    chooses: bool
+
+
+@dataclass(slots=True)
+class Line:
+    """One statement: its own tokens (braces included, what they hold not), and its groups in text order."""
+
+    tokens: list[Token] = field(default_factory=list)
+    groups: list[Group] = field(default_factory=list)
+
+    @property
+    def start(self) -> int:
+        return self.tokens[0].start
+
+    @property
+    def end(self) -> int:
+        return self.tokens[-1].end
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A stretch of parsed text: where it begins there, where in the source, and how long it is in the source."""
+
+    begin: int
+    offset: int
+    length: int
+
+
+class Lookup:
+    """Text for the parser, with the way back from places in it to the source."""
+
+    def __init__(self, source: Source, parts: list[tuple[str, int, int]]) -> None:
+        self.source = source
+        self.parts = parts  # text, offset in the source, length in the source
+        self.text = "".join(part[0] for part in parts)
+        self.begins: list[int] = []
+        begin = 0
+        for text, _, _ in parts:
+            self.begins.append(begin)
+            begin += len(text)
+
+    def offset(self, position: int) -> int:
+        """The source offset of a position in the text; the text's end maps to the end of its last part."""
+        part = max(0, bisect_right(self.begins, position) - 1)
+        _, offset, length = self.parts[part]
+        return offset + min(position - self.begins[part], length)
+
+    def span(self, start: int, end: int) -> Span:
+        first = self.offset(start)
+        if end <= start:
+            return Span(self.source, first, first)
+        part = max(0, bisect_right(self.begins, end - 1) - 1)
+        _, offset, length = self.parts[part]
+        return Span(self.source, first, max(first, offset + min(end - self.begins[part], length)))
+
+    def position(self, offset: int) -> int:
+        """The first position in the text that stands for a source offset or a later one."""
+        for (text, start, length), begin in zip(self.parts, self.begins, strict=True):
+            if offset < start:
+                return begin
+            if offset < start + length:
+                return min(begin + offset - start, begin + len(text))
+        return len(self.text)
+
+    def splice(self, start: int, end: int, text: str) -> Lookup:
+        """The same with `text` in place of the positions from `start` to `end`."""
+        span = self.span(start, end)
+        before, after = self._cut(0, start), self._cut(end, len(self.text))
+        return Lookup(self.source, [*before, (text, span.start, span.end - span.start), *after])
+
+    def _cut(self, start: int, end: int) -> list[tuple[str, int, int]]:
+        cut = []
+        for (text, offset, length), begin in zip(self.parts, self.begins, strict=True):
+            low, high = max(start, begin) - begin, min(end, begin + len(text)) - begin
+            if low < high:
+                cut.append((text[low:high], offset + min(low, length), max(0, min(high, length) - low)))
+        return cut
+
+
+def lookup(scan: Scan, line: Line) -> Lookup:
+    """The text of a line with nothing between its braces."""
+    opens = {group.open.start for group in line.groups}
+    parts: list[tuple[str, int, int]] = []
+    begin: int | None = None
+    end = 0
+    for token in line.tokens:
+        if token.virtual:
+            if begin is not None:
+                parts.append(("".join(scan.clean[begin:end]), begin, end - begin))
+            parts.append((token.virtual, token.start, 0))
+            begin = None
+            continue
+        begin = token.start if begin is None else begin
+        end = token.end
+        if token.kind == "open" and token.start in opens:
+            parts.append(("".join(scan.clean[begin:end]), begin, end - begin))
+            begin = None
+    if begin is not None:
+        parts.append(("".join(scan.clean[begin:end]), begin, end - begin))
+    return Lookup(scan.source, parts)
+
+
+def cut(scan: Scan, tokens: list[Token]) -> list[Line]:
+    """The lines of the whole text. Braces must be paired."""
+    top: list[Line] = [Line()]
+    stack: list[tuple[list[Line], Token, bool]] = []  # what is around: its lines, the brace, whether `choose` came before
+    lines = top
+    for token in tokens:
+        sign = text_of(scan, token) if token.kind in ("open", "close") else ""
+        line = lines[-1]
+        if sign == "{":
+            if not line.tokens and len(lines) > 1 and not lines[-2].groups:
+                lines.pop()
+                line = lines[-1]
+                if not token.virtual:
+                    scan.error("brace-on-own-line", "`{` on a line of its own", token.start, token.end, "put it at the end of the line above")
+            chooses = bool(line.tokens) and text_of(scan, line.tokens[-1]) == "choose"
+            line.tokens.append(token)
+            stack.append((lines, token, chooses))
+            lines = [Line()]
+        elif sign == "}":
+            inner = [each for each in lines if each.tokens]
+            lines, opening, chooses = stack.pop()
+            lines[-1].tokens.append(token)
+            lines[-1].groups.append(Group(opening, token, inner, chooses))
+        elif token.kind == "end":
+            if line.tokens:
+                lines.append(Line())
+        else:
+            if token.kind == "word" and line.groups and line.tokens[-1] is line.groups[-1].close:
+                word = text_of(scan, token)
+                scan.error("missing-line-end", f"`{word}` on the same line after `}}`", token.start, token.end, "begin a new line, or write `;`")
+                lines.append(Line())
+                line = lines[-1]
+            line.tokens.append(token)
+    return [line for line in top if line.tokens]

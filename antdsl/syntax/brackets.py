@@ -1,0 +1,223 @@
+"""Tokens → the same with every bracket in a pair. A forgotten one is complained about where it was opened, and put in; one too many is
+left out. Line ends inside parentheses disappear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from antdsl import limits
+from antdsl.syntax.scan import Scan, Token
+from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS
+
+_CLOSING = {"(": ")", "[": "]", "{": "}"}
+_LINE_WORDS = frozenset(word for words in LINE_WORDS.values() for word in words)
+
+
+def pair(scan: Scan) -> list[Token] | None:
+    """The tokens with paired brackets; None when they are nested too deep to go on."""
+    depth = 0
+    for token in scan.tokens:
+        depth += (token.kind == "open") - (token.kind == "close" and depth > 0)
+        if depth > limits.NESTING:
+            message = f"brackets nested more than {limits.NESTING} deep"
+            scan.error("nesting-too-deep", message, token.start, token.end, "give inner parts a name with `let`")
+            return None
+    return _Braces(scan, _Parentheses(scan).run()).run()
+
+
+def text_of(scan: Scan, token: Token) -> str:
+    return token.virtual or "".join(scan.clean[token.start : token.end])
+
+
+class _Parentheses:
+    """Pairs `( )` and `[ ]`. A brace or a `;` ends whatever is open: none can stand inside parentheses."""
+
+    def __init__(self, scan: Scan) -> None:
+        self.scan = scan
+        self.out: list[Token] = []
+        self.origin: list[int] = []  # for each token of `out`, its number among the scan's tokens
+        self.open: list[int] = []  # places in `out` of what is open
+        self.indents = _line_indents(scan.tokens)
+
+    def run(self) -> list[Token]:
+        tokens, index = self.scan.tokens, 0
+        while index <= len(tokens):
+            token = tokens[index] if index < len(tokens) else None
+            text = text_of(self.scan, token) if token is not None else "}"
+            if self.open and (token is None or text in ("{", "}", ";")):
+                index = self.forgotten(index)
+                continue
+            if token is None:
+                break
+            self.step(index, token, text)
+            index += 1
+        for token in self.out:
+            if token.kind == "soft":
+                self.scan.replace(token.start, " ")
+        return [token for token in self.out if token.kind != "soft"]
+
+    def step(self, index: int, token: Token, text: str) -> None:
+        if text in ("(", "["):
+            self.open.append(len(self.out))
+        elif text in (")", "]"):
+            if not self.open:
+                opening = "(" if text == ")" else "["
+                self.scan.error("unopened-bracket", f"`{text}` without a `{opening}`", token.start, token.end, "delete it, or open it")
+                self.scan.blank(token.start, token.end)
+                return
+            wanted = _CLOSING[text_of(self.scan, self.out[self.open.pop()])]
+            if text != wanted:
+                self.scan.error("unopened-bracket", f"`{text}` where `{wanted}` was expected", token.start, token.end, f"write `{wanted}`")
+                self.scan.replace(token.start, wanted)
+        elif token.kind == "end" and self.open:
+            token = replace(token, kind="soft")
+        self.out.append(token)
+        self.origin.append(index)
+
+    def forgotten(self, index: int) -> int:
+        """Something stayed open: close it at the end of its line, or after the lines that are set in more. Returns where to go on."""
+        first, last = self.open[0], self.out[self.open[-1]]
+        indent = self.indents[self.origin[first]]
+        cut = len(self.out)
+        for place in range(first + 1, len(self.out) - 1):
+            following = self.out[place + 1]
+            if self.out[place].kind == "soft" and following.kind != "soft":
+                word = text_of(self.scan, following) if following.kind == "word" else ""
+                if following.indent <= indent or word in _LINE_WORDS:
+                    cut = place
+                    break
+        text = text_of(self.scan, last)
+        self.scan.error("unclosed-bracket", f"`{text}` is never closed", last.start, last.end, f"write the missing `{_CLOSING[text]}`")
+        at = self.out[cut - 1].end
+        go_on = self.origin[cut] if cut < len(self.out) else index
+        closing = [Token("close", at, at, -1, _CLOSING[text_of(self.scan, self.out[place])]) for place in reversed(self.open)]
+        del self.out[cut:], self.origin[cut:]
+        self.out.extend(closing)
+        self.origin.extend([go_on] * len(closing))
+        self.open.clear()
+        return go_on
+
+
+@dataclass(slots=True)
+class _Open:
+    """An open brace: its token, its place in the output, and how its line and its contents are set in."""
+
+    token: Token
+    indent: int
+    inner: int | None = None  # of its first line; -1 when something follows the brace on its own line
+
+
+class _Braces:
+    """Pairs `{ }`. Where they do not add up, how the lines are set in says which one is missing."""
+
+    def __init__(self, scan: Scan, tokens: list[Token]) -> None:
+        self.scan = scan
+        self.tokens = tokens
+        self.indents = _line_indents(tokens)
+        self.out: list[Token] = []
+        self.stack: list[_Open] = []
+        self.surplus = 0  # how many more are closed than opened
+
+    def run(self) -> list[Token]:
+        signs = [text_of(self.scan, token) for token in self.tokens if token.kind in ("open", "close")]
+        depth = lowest = 0
+        for sign in signs:
+            depth += (sign == "{") - (sign == "}")
+            lowest = min(lowest, depth)
+        if depth == 0 and lowest == 0:
+            return self.tokens
+        self.surplus = -depth
+        for index, token in enumerate(self.tokens):
+            self.step(token, self.indents[index])
+        if self.stack:
+            self.unclosed(self.stack[-1])
+            end = self.tokens[-1].end
+            self.out.extend(Token("close", end, end, -1, "}") for _ in self.stack)
+        return self.out
+
+    def step(self, token: Token, indent: int) -> None:
+        sign = text_of(self.scan, token) if token.kind in ("open", "close") else ""
+        if token.kind != "end" and sign != "}":
+            self.dedent(token)
+            if self.stack and self.stack[-1].inner is None:
+                self.stack[-1].inner = token.indent
+        if sign == "{":
+            self.stack.append(_Open(token, indent))
+        elif sign == "}" and not self.closes(token, indent):
+            return
+        self.out.append(token)
+
+    def dedent(self, token: Token) -> None:
+        """A line that is not set in more than the one that opened the brace ends the block, if the block was set in."""
+        while self.stack and token.indent >= 0:
+            top = self.stack[-1]
+            own_line = top.inner is not None and (top.inner == -1 or top.inner > top.indent)
+            if not own_line or token.indent > top.indent:
+                return
+            self.unclosed(top)
+            self.close_before_line()
+
+    def closes(self, token: Token, indent: int) -> bool:
+        """Whether a `}` pairs with an open brace; if not it is complained about and left out."""
+        if token.indent >= 0:
+            if any(entry.indent == token.indent for entry in self.stack) and not (self.stack[-1].indent < token.indent):
+                while self.stack[-1].indent != token.indent:
+                    self.unclosed(self.stack[-1])
+                    self.close_before_line()
+                self.stack.pop()
+                return True
+            if (not self.stack or self.stack[-1].indent < token.indent) and self.surplus > 0:
+                self.surplus -= 1
+                return self.opened_late(token)
+        elif self.surplus > 0 and (not self.stack or self.stack[-1].inner != -1):
+            self.surplus -= 1
+            return self.drop(token)
+        if not self.stack:
+            return self.drop(token)
+        self.stack.pop()
+        return True
+
+    def drop(self, token: Token) -> bool:
+        self.scan.error("unopened-brace", "`}` without a `{`", token.start, token.end, "delete it, or write the `{` that it closes")
+        self.scan.blank(token.start, token.end)
+        return False
+
+    def opened_late(self, token: Token) -> bool:
+        """A block lost its `{`: find the line, as far in as the `}`, that begins one, and give it back."""
+        for place in range(len(self.out) - 1, -1, -1):
+            candidate = self.out[place]
+            if candidate.indent < 0 or candidate.indent > token.indent:
+                continue
+            if candidate.indent < token.indent or text_of(self.scan, candidate) not in BLOCK_WORDS:
+                break
+            stop = next((at for at in range(place, len(self.out)) if self.out[at].kind == "end"), len(self.out))
+            if any(t.kind == "open" and text_of(self.scan, t) == "{" for t in self.out[place:stop]):
+                break
+            last = self.out[stop - 1]
+            word = text_of(self.scan, candidate)
+            self.scan.error("missing-brace", f"`{word}` without a `{{`", candidate.start, last.end, "write `{` at the end of this line")
+            self.out.insert(stop, Token("open", last.end, last.end, -1, "{"))
+            return True
+        return self.drop(token)
+
+    def unclosed(self, entry: _Open) -> None:
+        token = entry.token
+        self.scan.error("unclosed-brace", "`{` is never closed", token.start, token.end, "write the missing `}`")
+
+    def close_before_line(self) -> None:
+        """Puts in a `}` at the end of the last line that was read."""
+        self.stack.pop()
+        place = len(self.out)
+        while place and self.out[place - 1].kind == "end":
+            place -= 1
+        at = self.out[place - 1].end
+        self.out.insert(place, Token("close", at, at, -1, "}"))
+
+
+def _line_indents(tokens: list[Token]) -> list[int]:
+    """For each token how far its line is set in."""
+    found, indent = [], 0
+    for token in tokens:
+        indent = token.indent if token.indent >= 0 else indent
+        found.append(indent)
+    return found

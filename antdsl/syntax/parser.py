@@ -1,0 +1,250 @@
+"""Source → File: the text is cut into lines, and each line is parsed by itself, so that a mistake costs no more than its line.
+
+Of a line that cannot be read, what is not understood is replaced by an unreadable expression, and what still makes sense is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+from antdsl import limits
+from antdsl.diagnostics.model import Report
+from antdsl.source import Source, Span
+from antdsl.syntax import nodes as n
+from antdsl.syntax.blocks import Line, Lookup, cut, lookup
+from antdsl.syntax.brackets import pair, text_of
+from antdsl.syntax.builder import Builder, Header, Result
+from antdsl.syntax.depth import deep_places
+from antdsl.syntax.scan import UNREADABLE, Scan, scan
+from antdsl.syntax.tables import load_parser
+from antdsl.syntax.wording import Surprise, begins_line, better_first_word, complain
+from antdsl.syntax.words import BODIES
+
+if TYPE_CHECKING:
+    from lark import Lark
+
+EDITIONS = (1,)
+_MENDED = 100  # after so many complaints in a file, broken lines are dropped instead of mended
+_lock = Lock()  # the builder holds the place of the line that is being parsed
+
+# Words and signs that part a line into slots, one of which is left out when it cannot be read.
+_SEPARATORS = frozenset("when -> held take from in to until then relax over for = += -= steer : { }".split())
+
+
+@lru_cache(maxsize=1)
+def _tools() -> tuple[Lark, Builder]:
+    builder = Builder()
+    return load_parser(builder), builder
+
+
+def parse(source: Source) -> tuple[n.File, Report]:
+    """Read a text. The file holds all that could be understood; the report says what could not, and where. Never raises."""
+    report = Report()
+    scanned = scan(source, report)
+    if not scanned.tokens:
+        if report.ok:
+            report.error("empty-file", "file has nothing in it", Span(source, 0, 0), "begin with `ant 1`, then write a `species`")
+        return n.File(source, None, None, (), tuple(scanned.comments)), report
+    tokens = pair(scanned)
+    if tokens is None:
+        return n.File(source, None, None, (), tuple(scanned.comments)), report
+    lines = cut(scanned, tokens)
+    scanned.faults.sort()
+    with _lock:
+        return _Reading(scanned).file(lines), report
+
+
+class _Reading:
+    """One text that is being parsed."""
+
+    def __init__(self, scanned: Scan) -> None:
+        self.scan = scanned
+        self.source = scanned.source
+        self.report = scanned.report
+        self.parser, self.builder = _tools()
+        self.builder.bodies = {}
+
+    # --- the file ---
+
+    def file(self, lines: list[Line]) -> n.File:
+        edition, lines = self.header(lines)
+        help: n.Text | None = None
+        if lines and [token.kind for token in lines[0].tokens] == ["text"]:
+            first = lines.pop(0)
+            help = n.Text(text_of(self.scan, first.tokens[0])[1:-1], Span(self.source, first.start, first.end))
+        items = self.lines(lines, "top")
+        if not items and self.report.ok:
+            help_text = "write a `species`, or a `behaviour` that other files can use"
+            self.report.error("empty-file", "file declares nothing", Span(self.source, 0, 0), help_text)
+        return n.File(self.source, edition, help, items, tuple(self.scan.comments))
+
+    def header(self, lines: list[Line]) -> tuple[n.Number | None, list[Line]]:
+        """The edition. Without one the current edition holds, with a warning."""
+        if not lines or text_of(self.scan, lines[0].tokens[0]) != "ant":
+            start = lines[0].start if lines else 0
+            if not self.scan.has_fault(0, start):
+                message, help = "file does not name its edition", "write `ant 1` as the first line"
+                self.report.warning("missing-edition", message, Span(self.source, start, lines[0].tokens[0].end if lines else 0), help)
+            return None, lines
+        nodes = self.line(lines[0], "header")
+        for node in nodes:
+            if isinstance(node, Header):
+                if node.edition.value not in EDITIONS:
+                    message = f"edition `{node.edition.span.text}` is not known to this antdsl"
+                    self.report.error("unknown-edition", message, node.edition.span, "write `ant 1`, or install a newer antdsl")
+                return node.edition, lines[1:]
+        return None, lines[1:]
+
+    # --- lines ---
+
+    def lines(self, lines: list[Line], rule: str) -> tuple[Any, ...]:
+        return tuple(node for line in lines for node in self.line(line, rule))
+
+    def line(self, line: Line, rule: str) -> list[Any]:
+        """The node of a line, none when it makes no sense, two when a line end is missing."""
+        first = text_of(self.scan, line.tokens[0])
+        for group in line.groups:
+            body = "weight" if group.chooses else BODIES.get((rule, first)) or BODIES.get((rule, "*"))
+            self.builder.bodies[group.open.start] = self.lines(group.lines, body) if body else ()
+        text = lookup(self.scan, line)
+        from lark.exceptions import UnexpectedInput
+
+        try:
+            return self.checked(self.attempt(text, rule), line)
+        except UnexpectedInput as error:
+            surprise = self.surprise(error, line, text, rule)
+            if not self.damaged(line, text):
+                self.report.add(complain(surprise))
+            if len(self.report.diagnostics) > _MENDED:
+                return []
+            return self.mend(line, text, rule, surprise)
+
+    def attempt(self, text: Lookup, rule: str) -> Any:
+        self.builder.place = text
+        return self.parser.parse(text.text, start=rule)
+
+    def damaged(self, line: Line, text: Lookup) -> bool:
+        """Whether something has been said about this line already."""
+        for _, offset, length in text.parts[:-1]:
+            if self.scan.has_fault(offset, offset + length):
+                return True
+        _, offset, length = text.parts[-1]
+        stop = self.source.text.find("\n", offset + length)
+        return self.scan.has_fault(offset, len(self.source.text) if stop < 0 else stop)
+
+    def checked(self, node: Any, line: Line) -> list[Any]:
+        """What the grammar leaves open: depth, and the one result of a behaviour."""
+        if len(line.tokens) > limits.EXPRESSION_DEPTH:
+            for span in deep_places(node):
+                message = f"expression more than {limits.EXPRESSION_DEPTH} operations deep"
+                self.report.error("expression-too-deep", message, span, "give parts of it a name with `let`")
+                return []
+        if isinstance(node, n.Behaviour):
+            self.results(node, line)
+        return [node]
+
+    def results(self, node: n.Behaviour, line: Line) -> None:
+        lines = self.builder.bodies.get(line.groups[-1].open.start, ()) if line.groups else ()
+        results = [each for each in lines if isinstance(each, Result)]
+        if not results and not any(self.scan.has_fault(group.open.start, group.close.end) for group in line.groups):
+            help = "end it with a line that is only a value, such as `direction(target)`"
+            self.report.error("missing-result", f"behaviour `{node.name.text}` has no result", node.name.span, help)
+        for extra in results[:-1]:
+            help = "give it a name with `let`, or delete it"
+            self.report.error("second-result", f"behaviour `{node.name.text}` has more than one result", extra.span, help)
+
+    # --- lines that cannot be read ---
+
+    def surprise(self, error: Any, line: Line, text: Lookup, rule: str) -> Surprise:
+        token = getattr(error, "token", None)
+        ended = token is not None and token.type == "$END"
+        position = len(text.text) if ended else error.pos_in_stream
+        if token is not None and not ended:
+            position = token.start_pos
+        offset = text.offset(position)
+        before = [each for each in line.tokens if each.start < offset or (ended and each.start <= offset)]
+        after = [] if ended else [each for each in line.tokens if each.start >= offset]
+        last, found = (before[-1] if before else None), (after[0] if after else None)
+        span = Span(self.source, found.start, found.end) if found else Span(self.source, line.end, line.end)
+        first = line.tokens[0]
+        interactive = getattr(error, "interactive_parser", None)
+        wanted = interactive.accepts() if interactive is not None else getattr(error, "allowed", None) or ()
+        return Surprise(
+            rule,
+            text_of(self.scan, first),
+            text_of(self.scan, last) if last else "",
+            last.kind if last else "",
+            text_of(self.scan, found) if found else "",
+            found.kind if found else "",
+            span,
+            Span(self.source, first.start, first.end),
+            frozenset(wanted),
+        )
+
+    def mend(self, line: Line, text: Lookup, rule: str, surprise: Surprise) -> list[Any]:
+        """What can still be understood of a line about which a complaint has been made."""
+        position = text.position(surprise.span.start)
+        if surprise.found and begins_line(surprise):
+            halves = [text.splice(position, len(text.text), ""), text.splice(0, position, "")]
+            return [node for half in halves for node in self.first_that_parses(iter([half]), rule)]
+        return self.first_that_parses(self.candidates(line, text, rule, surprise, position), rule)
+
+    def first_that_parses(self, candidates: Iterator[Lookup], rule: str) -> list[Any]:
+        from lark.exceptions import UnexpectedInput
+
+        for candidate in candidates:
+            try:
+                return [self.attempt(candidate, rule)]
+            except UnexpectedInput:
+                continue
+        return []
+
+    def candidates(self, line: Line, text: Lookup, rule: str, surprise: Surprise, position: int) -> Iterator[Lookup]:
+        better = better_first_word(surprise)
+        if better is not None:
+            yield text.splice(0, len(surprise.first), better)
+        if surprise.found == "=" and "SAME" in surprise.wanted:
+            yield text.splice(position, position + 1, "==")
+        lefts, rights = self.slots(line, text, position)
+        for left in lefts:
+            for right in rights:
+                if left <= right and "{" not in text.text[left:right]:
+                    yield text.splice(left, right, f" {UNREADABLE} ")
+        if surprise.found and surprise.found not in "{}":
+            yield text.splice(position, position + len(surprise.found), "")
+        yield from self.bare(line, text, rule)
+
+    def slots(self, line: Line, text: Lookup, position: int) -> tuple[list[int], list[int]]:
+        """Where the part that cannot be read may begin and end: next to the separators around it, and at the line's ends."""
+        marks: list[tuple[int, int]] = []
+        depth = 0
+        for token in line.tokens:
+            sign = text_of(self.scan, token)
+            depth -= sign in (")", "]")
+            if depth <= 0 and (sign in _SEPARATORS or token.kind == "text"):
+                start = text.position(token.start)
+                marks.append((start, start + len(sign)))
+            depth += sign in ("(", "[")
+        lefts = [end for _, end in marks if end <= position][-1:]
+        heads = [text.position(token.end) for token in line.tokens[:2] if token.end <= self.source_offset(text, position)]
+        rights = [start for start, _ in marks if start >= position][:1]
+        return [*lefts, *reversed(heads), 0], [*rights, len(text.text)]
+
+    def source_offset(self, text: Lookup, position: int) -> int:
+        return text.offset(position)
+
+    def bare(self, line: Line, text: Lookup, rule: str) -> Iterator[Lookup]:
+        """A block whose first line makes no sense, with no more than its word, its name and its braces."""
+        words = [token for token in line.tokens if token.kind in ("word", "text")][:2]
+        first = text_of(self.scan, line.tokens[0])
+        if not line.groups or BODIES.get((rule, first)) is None or len(words) < 2:
+            return
+        group = line.groups[-1]
+        name = (text_of(self.scan, words[1]), words[1].start, words[1].end - words[1].start)
+        head = [(f"{first} ", line.start, len(first)), name]
+        braces = [("{", group.open.start, len("{")), ("}", group.close.start, group.close.end - group.close.start)]
+        extra = {"field": " on x ", "behaviour": "() -> push "}.get(first, " ")
+        yield Lookup(self.source, [*head, (extra, words[1].end, 0), *braces])

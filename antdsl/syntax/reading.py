@@ -1,0 +1,113 @@
+"""Path → Source: opening a stranger's file without waiting on it, running out of memory or guessing its encoding."""
+
+from __future__ import annotations
+
+import os
+import stat
+
+from antdsl import limits
+from antdsl.diagnostics.model import Report
+from antdsl.source import Source, Span
+
+# First bytes of files that are something else.
+_OTHERS = (
+    (b"PK\x03\x04", "a zip archive"),
+    (b"PXR-USDC", "a USD scene"),
+    (b"#usda", "a USD scene"),
+    (b"\x89PNG", "a picture"),
+    (b"\xff\xd8\xff", "a picture"),
+    (b"GIF8", "a picture"),
+    (b"%PDF", "a PDF"),
+    (b"ply\n", "a mesh"),
+    (b"ply\r\n", "a mesh"),
+    (b"glTF", "a mesh"),
+    (b"\x93NUMPY", "an array"),
+    (b"\x7fELF", "a program"),
+    (b"\x1f\x8b", "a compressed file"),
+    (b"---\n", "YAML"),
+    (b"%YAML", "YAML"),
+    (b"<?xml", "XML"),
+    (b"<!DOCTYPE", "a web page"),
+    (b"\xff\xfe", "UTF-16 text"),
+    (b"\xfe\xff", "UTF-16 text"),
+)
+
+
+def read(path: str | os.PathLike[str]) -> tuple[Source | None, Report]:
+    """Read a `.ant` file: regular, at most 256 KiB, UTF-8 (a byte order mark is dropped, line ends become LF).
+
+    Returns no source when it cannot be read; the report says why. Never raises for whatever the path names.
+    """
+    report = Report()
+    name = os.fspath(path)
+    data = _bytes(name, report)
+    if data is None:
+        return None, report
+    for magic, kind in _OTHERS:
+        if data.startswith(magic):
+            report.error("not-an-ant-file", f"`{name}` looks like {kind}", None, _wanted(kind))
+            return None, report
+    text = _decode(name, data, report)
+    if text is None:
+        return None, report
+    return Source(name, text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")), report
+
+
+def _wanted(kind: str) -> str:
+    return "save it as UTF-8" if kind.startswith("UTF-16") else "name a text file that begins with `ant 1`"
+
+
+def _bytes(name: str, report: Report) -> bytes | None:
+    if "\0" in name:
+        report.error("cannot-read", "file name with a zero character in it", None, "name a `.ant` file")
+        return None
+    try:
+        # without O_NONBLOCK, opening a pipe waits for somebody to write into it
+        descriptor = os.open(name, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0))
+    except OSError as error:
+        report.error("cannot-read", f"cannot read `{name}`: {_reason(error)}", None, "check the name and your right to read it")
+        return None
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            kind = "a folder" if stat.S_ISDIR(status.st_mode) else "no regular file"
+            report.error("cannot-read", f"`{name}` is {kind}", None, "name a `.ant` file")
+            return None
+        data = _at_most(descriptor, limits.ANT_FILE_BYTES + 1) if status.st_size <= limits.ANT_FILE_BYTES else None
+    except OSError as error:
+        report.error("cannot-read", f"cannot read `{name}`: {_reason(error)}", None, "check the disk")
+        return None
+    finally:
+        os.close(descriptor)
+    if data is None or len(data) > limits.ANT_FILE_BYTES:
+        most = limits.ANT_FILE_BYTES // limits.KIB
+        report.error("file-too-large", f"`{name}` is larger than {most} KiB", None, 'split it, and bring the parts in with `use "./part.ant" as part`')
+        return None
+    return data
+
+
+def _at_most(descriptor: int, count: int) -> bytes:
+    """Up to `count` bytes, even of a file that grows meanwhile."""
+    parts = []
+    while count > 0 and (part := os.read(descriptor, count)):
+        parts.append(part)
+        count -= len(part)
+    return b"".join(parts)
+
+
+def _decode(name: str, data: bytes, report: Report) -> str | None:
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        shown = Source(name, data.decode("utf-8", errors="replace"))
+        place = len(data[: error.start].decode("utf-8"))
+        message = f"byte {error.start} is not UTF-8 text"
+        help = "save the file as UTF-8 in your editor"
+        report.error("not-utf8", message, Span(shown, place, place + 1), help)
+        return None
+
+
+def _reason(error: OSError) -> str:
+    return (error.strerror or "unknown reason").lower()
+
+

@@ -1,0 +1,407 @@
+"""Source → tokens for cutting and a clean text for parsing. What no `.ant` text may hold is reported here, and put right where the
+meaning is plain, so that one slip gives one complaint. The clean text has the length of the source: every offset holds for both."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from bisect import bisect_left
+from dataclasses import dataclass, field
+
+from antdsl import limits
+from antdsl.diagnostics.model import Fix, Report
+from antdsl.source import Source, Span
+from antdsl.syntax.lookalikes import ascii_for
+from antdsl.syntax.nodes import Comment
+from antdsl.syntax.words import UNIT_NAMES, UNIT_SLIPS
+
+UNREADABLE = "\ufffd"
+
+
+@dataclass(frozen=True, slots=True)
+class Token:
+    """`kind`: word number text sign open close end. `indent` is that of its line where it is the first there, else -1.
+    `virtual` is the text of a bracket that the author forgot; it has no length in the source."""
+
+    kind: str
+    start: int
+    end: int
+    indent: int = -1
+    virtual: str = ""
+
+
+@dataclass(slots=True)
+class Scan:
+    """What scanning found. `clean` is a list of single characters until `text()` is asked for."""
+
+    source: Source
+    report: Report
+    clean: list[str]
+    tokens: list[Token] = field(default_factory=list)
+    comments: list[Comment] = field(default_factory=list)
+    faults: list[int] = field(default_factory=list)  # offsets of complaints, which silence what a parser would say there
+
+    def error(self, code: str, message: str, start: int, end: int, help: str | None = None, fix: str | None = None) -> None:
+        span = Span(self.source, start, end)
+        self.report.error(code, message, span, help, fix=None if fix is None else Fix(span, fix))
+        self.faults.append(start)
+
+    def blank(self, start: int, end: int) -> None:
+        self.clean[start:end] = " " * (end - start)
+
+    def replace(self, start: int, text: str) -> None:
+        self.clean[start : start + len(text)] = text
+
+    def has_fault(self, start: int, end: int) -> bool:
+        """Whether a complaint has been made between two offsets; `faults` must be sorted."""
+        found = bisect_left(self.faults, start)
+        return found < len(self.faults) and self.faults[found] <= end
+
+
+_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+_CONFLICT = re.compile(r"^(<{7}|\|{7}|={7}|>{7})(?=[ \r\n]|$).*$", re.MULTILINE)
+_FENCE = re.compile(r"^[ \t]*(```|~~~).*$", re.MULTILINE)
+_UNIT = rf"(?:{'|'.join(UNIT_NAMES)})(?:\^[0-9]+)?(?![A-Za-z0-9_])"
+_PIECE = re.compile(
+    rf"""(?P<blank>[ \t\r]+)
+    | (?P<comment>\#[^\n]*)
+    | (?P<end>[\n;])
+    | (?P<text>"[^"\n]*"?)
+    | (?P<number>[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+(?![0-9A-Za-z_]))?)
+    | (?P<word>[A-Za-z_][A-Za-z_0-9]*)
+    | (?P<open>[(\[{{])
+    | (?P<close>[)\]}}])
+    | (?P<wrong>&&|\|\||//|/\*|=>|:=|===|\+\+|\*\*)
+    | (?P<sign>->|\.\.|[-+<>=!]=|[-+*/^<>=.,:])
+    | (?P<odd>.)""",
+    re.VERBOSE | re.DOTALL,
+)
+_QUANTITY = re.compile(rf"[ \t]*(?:%|{_UNIT}|/(?:{_UNIT}))(?:[/*](?:{_UNIT}))*")
+_GLUED = re.compile(r"[A-Za-z_][A-Za-z_0-9]*|\.[0-9][0-9.]*|\.(?!\.)")
+_WORD = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
+_ANY_WORD = re.compile(r"\w+")
+_COLON = re.compile(r"[ \t]*:")
+_FRACTION = re.compile(r"\.[0-9]+")
+_SLIP = re.compile(rf"[/*]({'|'.join(UNIT_SLIPS)})(?![A-Za-z0-9_])")
+_DOUBLE_QUOTES = "\u201c\u201d\u201e\u201f\u00ab\u00bb\u2033\uff02"
+_SINGLE_QUOTES = "'\u2018\u2019\u201a\u201b\u00b4\u2032`"
+_WRONG_SIGNS = {
+    "&&": ("write `and`", None),
+    "||": ("write `or`", None),
+    "//": ("begin a comment with `#`", "comment"),
+    "/*": ("begin each line of a comment with `#`", "comment"),
+    "=>": ("write `->`", "->"),
+    ":=": ("write `=`", " ="),
+    "===": ("write `==`", "== "),
+    "++": ("write `+= 1`", None),
+    "**": ("write `^` for a power", "^ "),
+    "!": ("write `not`", None),
+    "%": ("a percent sign follows a number, as in `20 %`", None),
+    "\u00d7": ("write `*`", "*"),
+    "\u00b7": ("write `*`", "*"),
+    "\u00f7": ("write `/`", "/"),
+    "\u2212": ("write `-`", "-"),
+    "\u2013": ("write `-`", "-"),
+    "\u2014": ("write `-`", "-"),
+    "\u2192": ("write `->`", None),
+    "\u2264": ("write `<=`", None),
+    "\u2265": ("write `>=`", None),
+    "\u2260": ("write `!=`", None),
+    "\u2026": ("write `..` for a range", None),
+    "\u00b0": ("write `deg`", None),
+    "\u00b2": ("write `^ 2`", None),
+    "\u00b3": ("write `^ 3`", None),
+}
+_NO_NUMBERS = ("nan", "inf", "infinity")
+
+
+def scan(source: Source, report: Report) -> Scan:
+    """The tokens of a whole text. Complaints go into `report`; whatever the text, no exception."""
+    found = Scan(source, report, list(source.text))
+    _forbidden(found)
+    _markers(found)
+    _long_lines(found)
+    _Scanner(found).run()
+    found.faults.sort()
+    return found
+
+
+def _forbidden(found: Scan) -> None:
+    for match in _FORBIDDEN.finditer(found.source.text):
+        character = match.group()
+        name = f"U+{ord(character):04X}"
+        if "\u202a" <= character <= "\u2069" and character not in "\u2028\u2029":
+            message, help = f"hidden text direction mark {name}", "delete it: it can make text look like something else"
+            found.error("hidden-direction", message, match.start(), match.end(), help, "")
+        else:
+            found.error("control-character", f"control character {name}", match.start(), match.end(), "delete it", "")
+        found.blank(match.start(), match.end())
+
+
+def _markers(found: Scan) -> None:
+    """Of a merge conflict the first side is kept, so that the rest of the file can be checked."""
+    if "<<<<<<<" in found.source.text or ">>>>>>>" in found.source.text:
+        drop_from = -1
+        for match in _CONFLICT.finditer(found.source.text):
+            sign = match.group()[0]
+            if sign in "<" or (sign == ">" and drop_from < 0):
+                help = "keep one of the two versions and delete the lines with `<<<<<<<`, `=======` and `>>>>>>>`"
+                found.error("merge-conflict", "merge conflict left in the file", match.start(), match.end(), help)
+            elif sign in "|=" and drop_from < 0:
+                drop_from = match.start()
+            elif sign == ">":
+                _blank_lines(found, drop_from, match.end())
+                drop_from = -1
+            _blank_lines(found, match.start(), match.end())
+    for index, match in enumerate(_FENCE.finditer(found.source.text)):
+        if index == 0:
+            found.error("markdown-fence", "markdown code fence in the file", match.start(), match.end(), "delete this line", "")
+        _blank_lines(found, match.start(), match.end())
+
+
+def _blank_lines(found: Scan, start: int, end: int) -> None:
+    for offset in range(start, end):
+        if found.clean[offset] != "\n":
+            found.clean[offset] = " "
+
+
+def _long_lines(found: Scan) -> None:
+    if len(found.source.text) <= limits.LINE_CHARACTERS:
+        return
+    start = 0
+    for line in found.source.text.split("\n"):
+        if len(line) > limits.LINE_CHARACTERS:
+            message = f"line of {len(line)} characters, at most {limits.LINE_CHARACTERS} are allowed"
+            end = start + len(line)
+            found.error("line-too-long", message, end - 1, end, "break the line inside parentheses, or at `;`")
+            return
+        start += len(line) + 1
+
+
+class _Scanner:
+    """One walk over the text. Each kind of piece has a method; `odd` ones are put right or blanked."""
+
+    def __init__(self, found: Scan) -> None:
+        self.found = found
+        self.characters = "".join(found.clean)
+        self.indent = 0  # of the line so far, -1 after its first token
+        self.told: set[str] = set()  # names and kinds of slip that have been complained about already
+        self.last_end = -1  # offset where the last token ended
+
+    def run(self) -> None:
+        position = 0
+        while position < len(self.characters):
+            match = _PIECE.match(self.characters, position)
+            assert match is not None and match.lastgroup is not None
+            position = getattr(self, match.lastgroup)(match.start(), match.end(), match.group())
+
+    def token(self, kind: str, start: int, end: int) -> int:
+        self.found.tokens.append(Token(kind, start, end, self.indent))
+        self.indent = 0 if kind == "end" and self.characters[start] == "\n" else -1
+        self.last_end = end
+        return end
+
+    def blank(self, start: int, end: int, piece: str) -> int:
+        if self.indent >= 0:
+            self.indent += sum(4 if character == "\t" else 1 for character in piece if character != "\r")
+        self.found.blank(start, end)
+        return end
+
+    def comment(self, start: int, end: int, piece: str) -> int:
+        self.found.comments.append(Comment(piece.rstrip("\r"), Span(self.found.source, start, end - piece.endswith("\r"))))
+        self.found.blank(start, end)
+        return end
+
+    def end(self, start: int, end: int, piece: str) -> int:
+        return self.token("end", start, end)
+
+    def sign(self, start: int, end: int, piece: str) -> int:
+        if piece == "." and self.characters[end : end + 1].isdigit() and self.last_end != start:
+            digits = _FRACTION.match(self.characters, start)
+            if digits is not None:
+                stop = start + digits.end()
+                self.found.error("bad-number", f"number `{digits.group()}` begins with a dot", start, stop, f"write `0{digits.group()}`")
+                self.found.replace(start, "1" + " " * (stop - start - 1))
+                return self.token("number", start, self.quantity_end(stop))
+        return self.token("sign", start, end)
+
+    def open(self, start: int, end: int, piece: str) -> int:
+        return self.token("open", start, end)
+
+    def close(self, start: int, end: int, piece: str) -> int:
+        return self.token("close", start, end)
+
+    # --- words and numbers ---
+
+    def word(self, start: int, end: int, piece: str) -> int:
+        if self.characters[end : end + 1] > "\x7f" and self.characters[end].isalnum():
+            return self.foreign_word(start)
+        if piece in _NO_NUMBERS and not _COLON.match(self.characters, end):
+            help = "leave the limit out, or write a large number"
+            self.found.error("bad-number", f"`{piece}` is not a number here", start, end, help)
+            self.found.blank(start, end)
+            self.found.replace(start, UNREADABLE)
+        elif len(piece) > limits.NAME_CHARACTERS:
+            message = f"name of {len(piece)} characters, at most {limits.NAME_CHARACTERS} are allowed"
+            self.found.error("name-too-long", message, start, end, "choose a shorter name")
+            self.told.add(piece)
+        if not re.fullmatch(r"[a-z][a-z_0-9]*", piece):
+            better = re.sub(r"[^a-z0-9_]", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", piece).lower()).strip("_") or "name"
+            if piece not in self.told:
+                self.told.add(piece)
+                message = f"name `{piece[:80]}` is not written in lower case" if piece[0] != "_" else f"name `{piece[:80]}` begins with `_`"
+                help = f"write `{better[:80]}`; names are small letters, digits and `_`, and begin with a letter"
+                self.found.error("bad-name", message, start, end, help, better)
+            self.found.replace(start, re.sub("^_+", lambda under: "x" * len(under.group()), piece.lower()))
+        return self.token("word", start, end)
+
+    def foreign_word(self, start: int) -> int:
+        """A word with letters or digits that are not ASCII: put right letter by letter."""
+        match = _ANY_WORD.match(self.characters, start)
+        piece = match.group() if match else self.characters[start]
+        end = start + len(piece)
+        plain = "".join(ascii_for(character) or "x" for character in piece)
+        if re.fullmatch(r"[µμ]N", piece):
+            self.found.error("look-alike", f"unit `{piece}` has a Greek letter", start, end, "write `uN`", "uN")
+            self.found.replace(start, "uN")
+            return self.token("word", start, end)
+        if piece not in self.told:
+            self.told.add(piece)
+            odd = next(character for character in piece if character > "\x7f")
+            name = unicodedata.name(odd, f"U+{ord(odd):04X}").lower()
+            if all(ascii_for(character) for character in piece):
+                message = f"`{piece[:80]}` looks like `{plain[:80]}`, but has a {name} in it"
+                self.found.error("look-alike", message, start, end, f"type `{plain[:80]}`", plain)
+            else:
+                message = f"name `{piece[:80]}` has a {name} in it"
+                self.found.error("bad-name", message, start, end, "names are small letters a to z, digits and `_`")
+        plain = plain.lower()
+        self.found.replace(start, plain)
+        if plain[0].isdigit():
+            digits = len(plain) - len(plain.lstrip("0123456789"))
+            return self.number(start, start + digits, plain[:digits])
+        self.found.replace(start, "x" * (len(plain) - len(plain.lstrip("_"))))
+        return self.token("word", start, end)
+
+    def quantity_end(self, end: int) -> int:
+        tail = _QUANTITY.match(self.characters, end)
+        return tail.end() if tail else end
+
+    def number(self, start: int, end: int, piece: str) -> int:
+        problem = self.number_problem(start, end, piece)
+        if problem is not None:
+            message, stop, help = problem
+            self.found.error("bad-number", message, start, stop, help)
+            self.found.replace(start, "1" + " " * (stop - start - 1))
+            end = stop
+        tail = _QUANTITY.match(self.characters, end)
+        if tail is not None:
+            end = tail.end()
+            slip = _SLIP.match(self.characters, end)
+            if slip is not None:
+                message = f"`{slip.group(1)}` is not a unit"
+                self.found.error("unknown-unit", message, slip.start(1), slip.end(), UNIT_SLIPS[slip.group(1)])
+                self.found.blank(slip.start(), slip.end())
+                self.token("number", start, end)
+                return slip.end()
+        elif (glued := _WORD.match(self.characters, end)) is not None:
+            unit = glued.group()
+            self.found.error("unknown-unit", f"`{unit[:80]}` is not a unit", end, glued.end(), unit_help(unit))
+            self.found.blank(end, glued.end())
+            self.token("number", start, end)
+            return glued.end()
+        return self.token("number", start, end)
+
+    def number_problem(self, start: int, end: int, piece: str) -> tuple[str, int, str] | None:
+        """What is wrong with a number, where it ends, and what to write."""
+        glued = _GLUED.match(self.characters, end)
+        rest = glued.group() if glued else ""
+        whole = f"{piece}{rest}"[:80]
+        stop = end + len(rest)
+        if rest[:1] == "." and rest[1:2].isdigit():
+            return f"number `{whole}` has two dots", stop, "write one dot at most, as in `1.25`"
+        if rest == ".":
+            return f"number `{whole}` ends in a dot", stop, f"write `{piece}`"
+        if rest[:1] == "_" or (piece == "0" and rest[:1] in ("x", "X", "o", "O", "b", "B")):
+            return f"`{whole}` is not a number", stop, "write it with digits and at most one dot, as in `1200` or `1.25`"
+        if len(piece) > 1 and piece[0] == "0" and piece[1].isdigit():
+            return f"number `{piece[:80]}` begins with a needless 0", end, f"write `{piece.lstrip('0') or '0'}`"[:80]
+        if sum(character.isdigit() for character in piece) > limits.NUMBER_DIGITS:
+            return f"number of {len(piece)} digits", end, f"write at most {limits.NUMBER_DIGITS} digits"
+        value = float(piece)
+        if value > 1e38 or (value < 1e-38 and re.search(r"[1-9]", re.split("[eE]", piece)[0])):
+            return f"number `{piece[:80]}` cannot be represented", end, "write a number between 1e-38 and 1e38"
+        return None
+
+    # --- what does not belong ---
+
+    def wrong(self, start: int, end: int, piece: str) -> int:
+        help, repair = _WRONG_SIGNS[piece]
+        if repair == "comment":
+            if piece == "/*" and (close := self.characters.find("*/", end)) >= 0:
+                stop = close + 2
+            else:
+                stop = self.characters.find("\n", end)
+                stop = len(self.characters) if stop < 0 else stop
+            self.found.error("unknown-sign", f"`{piece}` does not begin a comment", start, end, help)
+            _blank_lines(self.found, start, stop)
+            return stop
+        self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help)
+        if repair is None:
+            self.found.blank(start, end)
+            return end
+        self.found.replace(start, repair)
+        return self.token("sign", start, end)
+
+    def odd(self, start: int, end: int, piece: str) -> int:
+        if piece in _DOUBLE_QUOTES or piece in _SINGLE_QUOTES:
+            return self.wrong_quotes(start, piece)
+        if piece.isspace() or unicodedata.category(piece) in ("Zs", "Cf"):
+            if "blank" not in self.told:
+                self.told.add("blank")
+                name = unicodedata.name(piece, f"U+{ord(piece):04X}").lower()
+                self.found.error("odd-blank", f"{name} in place of a blank", start, end, "type a blank", " ")
+            return self.blank(start, end, piece)
+        if piece.isalnum() and piece not in "\u00b2\u00b3":
+            return self.foreign_word(start)
+        help, repair = _WRONG_SIGNS.get(piece, ("delete it", None))
+        self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help)
+        self.found.replace(start, repair or " ")
+        return self.token("sign", start, end) if repair else end
+
+    def wrong_quotes(self, start: int, piece: str) -> int:
+        quotes = _DOUBLE_QUOTES + '"' if piece in _DOUBLE_QUOTES else _SINGLE_QUOTES
+        line_end = self.characters.find("\n", start)
+        line_end = len(self.characters) if line_end < 0 else line_end
+        stop = next((at for at in range(start + 1, line_end) if self.characters[at] in quotes), -1)
+        if stop < 0:
+            self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, start + 1, 'put text in `"` quotes')
+            self.found.blank(start, start + 1)
+            return start + 1
+        self.found.error("wrong-quotes", f"text in `{piece}` quotes", start, stop + 1, f'write `"{self.characters[start + 1 : stop][:60]}"`')
+        self.found.replace(start, '"' + self.characters[start + 1 : stop].replace('"', " ") + '"')
+        return self.token("text", start, stop + 1)
+
+    def text(self, start: int, end: int, piece: str) -> int:
+        if len(piece) > 1 and piece.endswith('"'):
+            return self.token("text", start, end)
+        smart = next((at for at in range(start + 1, end) if self.characters[at] in _DOUBLE_QUOTES), -1)
+        if smart > 0:
+            self.found.error("wrong-quotes", f"text ends in a `{self.characters[smart]}` quote", smart, smart + 1, 'write `"`', '"')
+            self.found.replace(smart, '"')
+            return self.token("text", start, smart + 1)
+        stop = start + len(re.sub(r"[ \t\r]*[{};]*[ \t\r]*$", "", piece))
+        self.found.error("unclosed-text", "text without a closing quote", start, start + 1, 'end the text with `"` on the same line')
+        if stop - start < 2:
+            self.found.blank(start, start + 1)
+            return start + 1
+        self.found.replace(stop - 1, '"')
+        return self.token("text", start, stop)
+
+
+def unit_help(word: str) -> str:
+    """What to write in place of a word that is not a unit."""
+    from antdsl.diagnostics.suggestion import nearest_name
+
+    near = nearest_name(word, UNIT_NAMES)
+    return UNIT_SLIPS.get(word.lower()) or (f"did you mean `{near}`?" if near else f"units are {' '.join(UNIT_NAMES)} and %")

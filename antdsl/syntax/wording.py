@@ -1,0 +1,220 @@
+"""What the parser found and what it could have taken → one complaint in an artist's words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from antdsl.diagnostics.model import Diagnostic, Fix
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.source import Span
+from antdsl.syntax.scan import unit_help
+from antdsl.syntax.words import BELONGS, FIELD_SETTINGS, FORMS, LINE_WORDS, RULE_FORMS, WORLD_KINDS
+
+
+@dataclass(frozen=True, slots=True)
+class Surprise:
+    """Where a line could not be read on. `before` and `found` are the texts on both sides (`found` empty at the line's end),
+    `wanted` the names of the terminals that could have stood there, `rule` the rule of the grammar that reads the line."""
+
+    rule: str
+    first: str
+    before: str
+    before_kind: str
+    found: str
+    found_kind: str
+    span: Span
+    first_span: Span
+    wanted: frozenset[str]
+
+
+# After these words or signs, what comes next, in words.
+_AFTER = {
+    "when": "a condition",
+    "and": "a condition",
+    "or": "a condition",
+    "not": "a condition",
+    "no": "a sense, such as `meal`",
+    "if": "a condition",
+    "then": "a value",
+    "else": "a value",
+    "steer": "a push, such as `seek(meal)`",
+    "held": "a time, such as `0.5 s`",
+    "after": "a time, such as `0.5 s`",
+    "over": "a time, such as `4 s`",
+    "within": "a time, such as `20 s`",
+    "least": "a time, such as `1 s`",
+    "take": "an amount, such as `1 load`",
+    "give": "an amount, such as `all load`",
+    "from": "where from",
+    "to": "where to",
+    "in": "a range, such as `0 mm .. 200 mm`",
+    "chance": "a rate, such as `20 %/s`",
+    "until": "a condition",
+    "state": "the name of the state",
+    "start": "the name of a state",
+    "species": "the name of a species",
+    "field": "the name of the field",
+    "machine": "the name of the machine",
+    "behaviour": "the name of the behaviour",
+    "param": "the name of the parameter",
+    "let": "a name",
+    "latch": "a name",
+    "fuzzy": "a name",
+    "keep": "a name",
+    "use": "the name of a library, or the path of a file in quotes",
+    "as": "a name",
+    "spec": "a name in quotes",
+    "deposit": "the name of a field",
+    "carve": "the name of a solid",
+    "spawn": "the name of a species",
+    "emit": "the name of an event",
+    "play": "the name of a clip",
+    "choose": "`{`",
+    "each": "the name of a species",
+    "of": "a name",
+    "is": "`none` or `not none`",
+    "(": "a value or `)`",
+    "..": "the upper end of the range",
+    "ant": "the edition, `1`",
+    "{": "a line or `}`",
+}
+# Of the terminals that can follow a finished value, the ones that a line needs, most telling first.
+_NEEDED = (
+    ("ARROW", "`->`"),
+    ("_THEN", "`then`"),
+    ("_ELSE", "`else`"),
+    ("UNTIL", "`until`"),
+    ("_OVER", "`over`"),
+    ("FROM", "`from`"),
+    ("_DOTS", "`..`"),
+    ("_COLON", "`:`"),
+    ("RPAR", "`)`"),
+    ("RSQB", "`]`"),
+    ("LBRACE", "`{`"),
+    ("EQUAL", "`=`"),
+    ("_TO", "`to`"),
+    ("_IN", "`in`"),
+    ("WHEN", "`when`"),
+    ("ANY", "`any`"),
+    ("_AT", "`at`"),
+    ("_LEAST", "`least`"),
+    ("EACH", "`each`"),
+    ("AS", "`as`"),
+    ("ON", "`on`"),
+    ("_COMMA", "`,`"),
+)
+_VALUE = frozenset({"NUMBER", "QUANTITY", "NAME", "LPAR"})
+_COMPARISONS = {"==", "!=", "<", ">", "<=", ">=", "is"}
+
+
+def complain(surprise: Surprise) -> Diagnostic:
+    """The complaint about a line that cannot be read; the first kind of mistake that fits."""
+    for kind in (_misspelt, _misplaced, _unit, _equals, _compared_twice, _second_line, _unfinished):
+        found = kind(surprise)
+        if found is not None:
+            return found
+    message = f"found {_shown(surprise.found)} after {_shown(surprise.before)}" if surprise.before else f"found {_shown(surprise.found)}"
+    wanted = _wanted(surprise)
+    return Diagnostic("unexpected-text", f"{message}, expected {wanted}", surprise.span, help=_form(surprise))
+
+
+def better_first_word(surprise: Surprise) -> str | None:
+    """The word that the first word of a line is a slip of, when the line fits no other reading."""
+    words = LINE_WORDS[surprise.rule]
+    if surprise.first in words or not surprise.first.isidentifier() or surprise.found in ("=", "+=", "-="):
+        return None
+    return nearest_name(surprise.first, words)
+
+
+def _misspelt(surprise: Surprise) -> Diagnostic | None:
+    better = better_first_word(surprise)
+    if better is None:
+        return None
+    message = f"`{surprise.first}` does not begin a line here"
+    return Diagnostic("unknown-line", message, surprise.first_span, help=f"did you mean `{better}`?", fix=Fix(surprise.first_span, better))
+
+
+def _misplaced(surprise: Surprise) -> Diagnostic | None:
+    if surprise.first in LINE_WORDS[surprise.rule] or surprise.first not in BELONGS:
+        return None
+    belongs = BELONGS[surprise.first]
+    return Diagnostic("misplaced-line", f"`{surprise.first}` does not stand here", surprise.first_span, help=f"it belongs {belongs}")
+
+
+def _unit(surprise: Surprise) -> Diagnostic | None:
+    number = surprise.before_kind == "number" and surprise.before[-1:].isdigit()
+    if not number or surprise.found_kind != "word" or surprise.found in _keywords():
+        return None
+    return Diagnostic("unknown-unit", f"`{surprise.found}` is not a unit", surprise.span, help=unit_help(surprise.found))
+
+
+def _keywords() -> frozenset[str]:
+    return frozenset(word for words in LINE_WORDS.values() for word in words) | set(_AFTER)
+
+
+def _equals(surprise: Surprise) -> Diagnostic | None:
+    if surprise.found != "=" or "SAME" not in surprise.wanted:
+        return None
+    return Diagnostic("unexpected-text", "found `=` in a condition", surprise.span, help="to compare, write `==`", fix=Fix(surprise.span, "=="))
+
+
+def _compared_twice(surprise: Surprise) -> Diagnostic | None:
+    if surprise.found not in _COMPARISONS or "SAME" in surprise.wanted or not {"AND", "OR"} & surprise.wanted:
+        return None
+    return Diagnostic("unexpected-text", f"found a second comparison `{surprise.found}`", surprise.span, help="join two comparisons with `and`")
+
+
+def _second_line(surprise: Surprise) -> Diagnostic | None:
+    if not begins_line(surprise):
+        return None
+    message = f"`{surprise.found}` in the middle of a line"
+    return Diagnostic("missing-line-end", message, surprise.span, help="begin a new line with it, or write `;` before it")
+
+
+def begins_line(surprise: Surprise) -> bool:
+    """Whether the surprise is a word that begins a line, after something that could have been the end of one."""
+    return surprise.found in LINE_WORDS[surprise.rule] and "$END" in surprise.wanted
+
+
+def _unfinished(surprise: Surprise) -> Diagnostic | None:
+    if surprise.found:
+        return None
+    message = f"line ends after {_shown(surprise.before)}, expected {_wanted(surprise)}"
+    return Diagnostic("unfinished-line", message, surprise.span, help=_form(surprise))
+
+
+def _wanted(surprise: Surprise) -> str:
+    wanted = surprise.wanted
+    if surprise.before == "->":
+        return {"top": "the type of the result, such as `push`", "rule": "a value from 0 to 1"}.get(surprise.rule, "the name of a state")
+    if _VALUE <= wanted:
+        return _AFTER.get(surprise.before, "a value")
+    if surprise.before in _AFTER and not ("$END" in wanted and surprise.before in ("{", "to")):
+        return _AFTER[surprise.before]
+    if surprise.rule == "world_item" and "NAME" in wanted:
+        return f"a name after one of {' '.join(WORLD_KINDS)}" if not surprise.before else "a name"
+    if surprise.rule == "setting" and not surprise.before:
+        return f"one of {' '.join(FIELD_SETTINGS)}"
+    if wanted == {"$END"}:
+        return "the end of the line"
+    for terminal, words in _NEEDED:
+        if terminal in wanted and not ("$END" in wanted and terminal in ("EQUAL", "_COMMA", "_TO", "_IN", "WHEN", "ON")):
+            return words
+    if "NAME" in wanted:
+        return "a name"
+    if "STRING" in wanted and "$END" not in wanted:
+        return "text in quotes"
+    return "the end of the line" if "$END" in wanted else "something else"
+
+
+def _form(surprise: Surprise) -> str:
+    form = FORMS.get(surprise.first) if surprise.first in LINE_WORDS[surprise.rule] else RULE_FORMS.get(surprise.rule)
+    if form is None:
+        return f"a line here begins with one of {' '.join(LINE_WORDS[surprise.rule])}"
+    return f"write it like `{form}`"
+
+
+def _shown(text: str) -> str:
+    if not text:
+        return "the end of the line"
+    return f"`{text}`" if len(text) <= 40 else f"`{text[:37]}...`"

@@ -1,0 +1,161 @@
+"""The words that the text of the language is made of: what begins a line where, and the units, with what people write instead."""
+
+from __future__ import annotations
+
+UNIT_NAMES = ("mm", "cm", "m", "s", "min", "deg", "rad", "turn", "mg", "g", "kg", "N", "uN", "u", "step")
+
+UNIT_SLIPS = {
+    "ms": "write thousandths of a second as `0.001 s`",
+    "h": "write an hour as `60 min`",
+    "km": "write a kilometre as `1000 m`",
+    "sec": "write `s`",
+    "secs": "write `s`",
+    "second": "write `s`",
+    "seconds": "write `s`",
+    "minute": "write `min`",
+    "minutes": "write `min`",
+    "metr": "write `m`",
+    "metre": "write `m`",
+    "meter": "write `m`",
+    "metres": "write `m`",
+    "meters": "write `m`",
+    "millimetre": "write `mm`",
+    "millimeter": "write `mm`",
+    "millimetres": "write `mm`",
+    "millimeters": "write `mm`",
+    "degree": "write `deg`",
+    "degrees": "write `deg`",
+    "radian": "write `rad`",
+    "radians": "write `rad`",
+    "turns": "write `turn`",
+    "steps": "write `step`",
+    "tick": "write `step`",
+    "ticks": "write `step`",
+    "frame": "write a rate per second, such as `/s`, which does not depend on the frame rate; `/step` is for porting",
+    "frames": "write a time in `s`, which does not depend on the frame rate; `step` is for porting",
+    "gram": "write `g`",
+    "grams": "write `g`",
+    "percent": "write `%`",
+    "newton": "write `N`",
+    "pct": "write `%`",
+    "px": "write a length such as `mm`",
+    "unit": "write `u`",
+    "units": "write `u`",
+}
+
+# What a line may begin with, by the rule of the grammar that reads the line; anything else is a value or a name of the author's.
+_ACTIONS = ("deposit", "carve", "give", "emit", "spawn", "die", "play")
+_CHANGES = ("when", "interrupt")
+LINE_WORDS: dict[str, tuple[str, ...]] = {
+    "header": ("ant",),
+    "top": ("use", "world", "field", "species", "behaviour", "spec"),
+    "world_item": (),
+    "declaration": (),
+    "setting": (),
+    "member": ("param", "let", "latch", "fuzzy", "start", "on", "layers", "machine", "state", "from"),
+    "machine_member": ("state", "start", "from", "let", "latch"),
+    "statement": ("steer", "let", "enter", "exit", *_CHANGES, *_ACTIONS),
+    "action": _ACTIONS,
+    "layer": (),
+    "rule": (),
+    "weight": (),
+    "behaviour_line": ("keep", "let"),
+    "spec_line": ("for", "seeds", "set", "always", "never", "eventually", "until", "within", "each"),
+}
+
+# What a person may write after `items NAME …` and so on, shown when the word is missing.
+WORLD_KINDS = ("surface", "obstacle", "solid", "items", "curve", "flow", "map", "species")
+FIELD_SETTINGS = ("cell", "half_life", "evaporate", "keeps", "diffuse", "combine", "limit")
+
+# Where a line with such a first word belongs, for one that stands elsewhere.
+BELONGS: dict[str, str] = {
+    **{word: "at the top of the file" for word in LINE_WORDS["top"]},
+    **{word: "in a species" for word in LINE_WORDS["member"]},
+    **{word: "in a state" for word in ("steer", "enter", "exit", *_CHANGES)},
+    **{word: "in a state, or in the braces of a transition" for word in _ACTIONS},
+    "let": "in a species, a state or a behaviour",
+    "keep": "in a behaviour",
+    **{word: "in a spec" for word in LINE_WORDS["spec_line"]},
+}
+
+# What the braces after a line hold: by the rule that reads the line, and its first word (`*` for any).
+BODIES: dict[tuple[str, str], str] = {
+    ("top", "world"): "world_item",
+    ("top", "field"): "setting",
+    ("top", "species"): "member",
+    ("top", "behaviour"): "behaviour_line",
+    ("top", "spec"): "spec_line",
+    ("world_item", "*"): "declaration",
+    ("member", "state"): "statement",
+    ("member", "machine"): "machine_member",
+    ("member", "layers"): "layer",
+    ("member", "on"): "action",
+    ("member", "fuzzy"): "rule",
+    ("member", "from"): "action",
+    ("machine_member", "state"): "statement",
+    ("machine_member", "from"): "action",
+    ("statement", "enter"): "action",
+    ("statement", "exit"): "action",
+    ("statement", "when"): "action",
+    ("statement", "interrupt"): "action",
+    ("spec_line", "each"): "spec_line",
+}
+BLOCK_WORDS = frozenset(word for _, word in BODIES) - {"*", "when", "interrupt", "from"}  # their braces cannot be left out
+
+# One line of each kind, shown as the text to write instead.
+FORMS: dict[str, str] = {
+    "ant": "ant 1",
+    "use": "use steering` or `use \"./mine.ant\" as mine",
+    "world": "world { surface ground }",
+    "field": "field trail on ground { cell 4 mm; half_life 8 s }",
+    "species": "species forager { … }",
+    "behaviour": "behaviour seek(target: place) -> push { … }",
+    "spec": "spec \"what it shows\" on \"scene.yaml\" { … }",
+    "param": "param smell = 40 mm in 0 mm .. 200 mm",
+    "let": "let meal = nearest(food)",
+    "latch": "latch hungry = energy < 0.4 until energy > 0.6",
+    "fuzzy": "fuzzy danger { near and fast -> 0.8 }",
+    "start": "start search",
+    "on": "on collision(other) { calm -= 0.3 }",
+    "layers": "layers { avoid(stones); state }",
+    "machine": "machine moving { … }",
+    "state": "state search \"Looking for food\" amber { … }",
+    "from": "from any except dead when hurt -> flee",
+    "steer": "steer seek(meal)",
+    "enter": "enter { calm = 1 }",
+    "exit": "exit { calm = 1 }",
+    "when": "when meal -> approach",
+    "interrupt": "interrupt when hurt -> flee",
+    "deposit": "deposit trail 2 /s",
+    "carve": "carve hill(radius: 2 mm)",
+    "give": "give all load to nest",
+    "emit": "emit alarm(within: 50 mm)",
+    "spawn": "spawn worker",
+    "die": "die",
+    "play": "play walk",
+    "keep": "keep bearing = 0 deg then bearing + 1 deg",
+    "for": "for 20 s",
+    "seeds": "seeds 1 .. 5",
+    "set": "set forager.smell = 50 mm",
+    "always": "always: share(state == carry) < 0.9",
+    "never": "never: share(state == carry) > 0.9",
+    "eventually": "eventually: share(state == carry) > 0.1",
+    "until": "until: total(food.load) == 0",
+    "within": "within 20 s: total(nest.load) > 0",
+    "each": "each forager { never: speed > 40 mm/s }",
+}
+
+# The same for lines that begin with a name of the author's, by the rule that reads the line.
+RULE_FORMS: dict[str, str] = {
+    "header": "ant 1",
+    "world_item": "surface ground \"What ants walk on\"",
+    "declaration": "load = 0",
+    "setting": "cell 4 mm",
+    "member": "calm = 1` or `max_speed 30 mm/s",
+    "statement": "calm -= 10 %/s",
+    "action": "calm = 1",
+    "layer": "avoid(stones) when state == carry",
+    "rule": "near and fast -> 0.8",
+    "weight": "search: 2",
+    "behaviour_line": "direction(target)",
+}
