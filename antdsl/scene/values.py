@@ -14,7 +14,8 @@ from pydantic_core import PydanticCustomError
 
 from antdsl import limits
 from antdsl.program.model import Dim
-from antdsl.scene.quantities import BadQuantity, Quantity, dim_words, parse_number, parse_quantity
+from antdsl.program.units import dimension_words, with_unit
+from antdsl.scene.quantities import BadQuantity, Quantity, parse_number, parse_quantity
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 LENGTH, ANGLE, TIME = Dim(length=1), Dim(angle=1), Dim(time=1)
@@ -69,7 +70,7 @@ def of_dim(dim: Dim) -> Callable[[Any], Quantity]:
         if found.bare and dim == ANGLE:
             return parse_quantity(f"{found.text} deg")
         if found.dim != dim and not found.bare:
-            raise refuse(f"`{found.text}` is not {dim_words(dim)}")
+            raise refuse(f"`{found.text}` is not {dimension_words(dim)}", f"write `{with_unit(50, dim)}`")
         return found
 
     return read

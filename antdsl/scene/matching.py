@@ -1,0 +1,248 @@
+"""A scene against a program: each name bound to a thing of the right kind, each value of the right dimension and inside its range.
+
+No mesh is read here; that the named files are there is looked at. `CHECKS` is the list of what is compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from antdsl import limits
+from antdsl.diagnostics import Label, Report
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.model import Const, Dim, Kind, Program, WorldThing
+from antdsl.program.units import dimension_words, shown, unit_of, with_unit
+from antdsl.scene.document import Key
+from antdsl.scene.load import Scene
+from antdsl.scene.model import CurveThing, MeshThing, Placement
+from antdsl.scene.paths import PathRefused
+from antdsl.scene.quantities import Quantity
+
+_FORMS = {
+    "surface": (MeshThing, "a mesh", "{mesh: ground.ply}"),
+    "obstacle": (MeshThing, "a mesh", "{mesh: stones.ply}"),
+    "solid": (MeshThing, "a mesh", "{mesh: hill.ply, voxel: 1 mm}"),
+    "curve": (CurveThing, "a curve", "{curve: way.json}"),
+    "items": (dict, "items", "{one: {at: [0, 0, 0]}}"),
+}
+# What a frame of a cache can hold besides the attributes of the species themselves.
+FRAME_ATTRIBUTES = ("P", "v", "orient", "id", "pscale", "Cd", "state", "species", "age", "group")
+
+
+def match(scene: Scene, program: Program) -> Report:
+    """Everything that does not fit, at its place in the scene."""
+    report = Report()
+    for check in CHECKS:
+        check(scene, program, report)
+    return report
+
+
+def const_base(const: Const, scene: Scene) -> float:
+    """A constant of the program in base units, for this scene's length unit and frame rate."""
+    return float(const.number * scene.model.unit_mm**const.u * float(1 / scene.model.fps) ** const.step)
+
+
+def _unknown(report: Report, scene: Scene, path: tuple[Key, ...], what: str, known: Iterable[str], *, key: bool = True) -> None:
+    names = sorted(known)
+    name = str(path[-1]) if key else scene.span(*path).text
+    near = nearest_name(name, names)
+    help = f"did you mean `{near}`?" if near else ("known: " + ", ".join(f"`{n}`" for n in names[:12]) if names else None)
+    report.error("unknown-name", f"{what} `{name}`", scene.span(*path, key=key), help)
+
+
+def _file(scene: Scene, report: Report, text: str, *path: Key) -> None:
+    try:
+        size = scene.roots.exists(text)
+    except PathRefused as refused:
+        report.error(refused.code, str(refused), scene.span(*path), refused.help)
+        return
+    if size > limits.MESH_BYTES:
+        report.error("too-large", f"`{text}` has {size:,} bytes, more than {limits.MESH_BYTES:,}", scene.span(*path))
+
+
+def _world(scene: Scene, program: Program, report: Report) -> None:
+    given = scene.model.world
+    wanted = {name: thing for name, thing in program.world.items() if thing.kind in _FORMS}
+    for name in given:
+        if name not in wanted:
+            _unknown(report, scene, ("world", name), "no program has a thing of the world named", wanted)
+    for name, thing in wanted.items():
+        form, words, sample = _FORMS[thing.kind]
+        if name not in given:
+            place = scene.span("world", key=True) if "world" in scene.document.entries else scene.span("antdsl", key=True)
+            message = f"the program's {thing.kind} `{name}` has no {'place' if thing.kind == 'items' else 'geometry'} in the scene"
+            report.error("missing-thing", message, place, f"add `{name}: {sample}` to `world`", labels=(Label(thing.span, "declared here"),))
+        elif not isinstance(given[name], form):
+            message = f"`{name}` is {words} in the program, and something else here"
+            report.error("wrong-kind", message, scene.span("world", name), f"write `{name}: {sample}`", labels=(Label(thing.span, "declared here"),))
+        else:
+            _thing(scene, report, name, thing)
+
+
+def _thing(scene: Scene, report: Report, name: str, thing: WorldThing) -> None:
+    value = scene.model.world[name]
+    if isinstance(value, MeshThing):
+        _file(scene, report, value.mesh, "world", name, "mesh")
+        if value.scale == 0 or abs(value.scale) < 1e-6:
+            report.error("wrong-value", "a scale of nothing leaves no mesh", scene.span("world", name, "scale"), "write `scale: 1`")
+        elif value.scale < 0:
+            report.warning("mirrored", f"the mesh of `{name}` is mirrored", scene.span("world", name, "scale"), "its faces are turned so that outside stays outside")
+    elif isinstance(value, CurveThing):
+        _file(scene, report, value.curve, "world", name, "curve")
+    else:
+        declared = {a.name: a for a in thing.attributes}
+        for item, placed in value.items():
+            for key, quantity in (placed.model_extra or {}).items():
+                if key not in declared:
+                    _unknown(report, scene, ("world", name, item, key), f"`{name}` has no attribute", [*declared, "at", "radius"])
+                elif declared[key].type.kind is Kind.NUMBER:
+                    _dimension(scene, report, quantity, declared[key].type.dim, key, "world", name, item, key)
+
+
+def _dimension(scene: Scene, report: Report, value: Quantity, dim: Dim, name: str, *path: Key) -> bool:
+    if value.dim == dim:
+        return True
+    wanted = dimension_words(dim)
+    if value.bare:
+        report.error("missing-unit", f"`{name}` is {wanted}, and `{value.text}` has no unit", scene.span(*path), f"write `{with_unit(value.number, dim)}`")
+    elif not unit_of(dim):
+        report.error("wrong-unit", f"`{name}` is {wanted}, not {dimension_words(value.dim)}", scene.span(*path), "write the number alone")
+    else:
+        message = f"`{name}` is {wanted}, not {dimension_words(value.dim)}"
+        report.error("wrong-unit", message, scene.span(*path), f"write a value in `{unit_of(dim)}`")
+    return False
+
+
+def _crowd(scene: Scene, program: Program, report: Report) -> None:
+    total = 0
+    for number, line in enumerate(scene.model.crowd):
+        total += line.count
+        if line.species not in program.species:
+            _unknown(report, scene, ("crowd", number, "species"), "no program has a species", program.species, key=False)
+        _placement(scene, program, report, line.place, "crowd", number, "place")
+    if total > limits.AGENTS:
+        report.error("too-large", f"{total:,} agents are more than {limits.AGENTS:,}", scene.span("crowd"))
+
+
+def item_names(scene: Scene) -> dict[str, tuple[str, str]]:
+    """What `around` may name: an item, or items of which the first is meant; each as (items, item)."""
+    found: dict[str, tuple[str, str]] = {}
+    for name, value in scene.model.world.items():
+        if isinstance(value, dict) and value:
+            found[name] = (name, next(iter(value)))
+    for name, value in scene.model.world.items():
+        if isinstance(value, dict):
+            for item in value:
+                found.setdefault(item, (name, item))
+    return found
+
+
+def _around(scene: Scene, report: Report, around: object, radius: object, *path: Key) -> None:
+    if isinstance(around, str) and around not in item_names(scene):
+        _unknown(report, scene, (*path, "around"), "no item is named", item_names(scene), key=False)
+    if (around is None) != (radius is None):
+        missing, other = ("around", "radius") if around is None else ("radius", "around")
+        report.error("missing-key", f"`{other}` says nothing without `{missing}`", scene.span(*path, other, key=True), f"add `{missing}: …`")
+
+
+def _placement(scene: Scene, program: Program, report: Report, place: Placement, *path: Key) -> None:
+    surfaces = [n for n, t in program.world.items() if t.kind == "surface"]
+    if place.on is not None and place.on not in surfaces:
+        _unknown(report, scene, (*path, "on"), "no surface is named", surfaces, key=False)
+    if place.points is not None:
+        _file(scene, report, place.points, *path, "points")
+        if place.around is not None:
+            report.error("wrong-value", "agents are placed at points or around a place, not both", scene.span(*path, "around", key=True), "keep one of them")
+    _around(scene, report, place.around, place.radius, *path)
+
+
+def _params(scene: Scene, program: Program, report: Report) -> None:
+    for name, value in scene.model.set.items():
+        check_param(scene, program, report, name, value, "set", name)
+
+
+def check_param(scene: Scene, program: Program, report: Report, name: str, value: Quantity, *path: Key) -> None:
+    """One param's value against its declaration: name, dimension, range."""
+    if name not in program.params:
+        if path:
+            _unknown(report, scene, path, "no program has a param", program.params)
+        else:
+            near = nearest_name(name, program.params)
+            report.error("unknown-name", f"no program has a param `{name}`", None, f"did you mean `{near}`?" if near else None)
+        return
+    param = program.params[name]
+    if not _dimension(scene, report, value, param.type.dim, name, *(path or ("antdsl",))):
+        return
+    number = value.base(scene.model.unit_mm, float(1 / scene.model.fps))
+    low, high = (None if bound is None else const_base(bound, scene) for bound in (param.low, param.high))
+    slack = 1e-9 * max(abs(number), 1e-30)
+    if (low is not None and number < low - slack) or (high is not None and number > high + slack):
+        ends = [_bound(bound, name) for bound in (param.low, param.high)]
+        message = f"`{name}` = {value.text} is outside {ends[0]} .. {ends[1]}"
+        place = scene.span(*path) if path else None
+        report.error("out-of-range", message, place, "write a value inside the range", labels=(Label(param.span, "declared here"),))
+
+
+def _bound(bound: Const | None, name: str) -> str:
+    if bound is None:
+        return "…"
+    return bound.span.text if 0 < len(bound.span.text) < 40 else shown(bound.number)
+
+
+def _fields(scene: Scene, program: Program, report: Report) -> None:
+    for name, start in scene.model.fields.items():
+        if name not in program.fields:
+            _unknown(report, scene, ("fields", name), "no program has a field", program.fields)
+        _around(scene, report, start.around, start.radius, "fields", name)
+
+
+def layer_order(scene: Scene, program: Program, species: str) -> tuple[list[str] | None, list[int]]:
+    """The texts of a species' layers in the scene's order, or None and the numbers of the scene's lines that fit none or several."""
+    layers = list(program.species[species].layers.layers)
+    order: list[str] = []
+    wrong: list[int] = []
+    for number, line in enumerate(scene.model.layers[species]):
+        fitting = [layer.text for layer in layers if layer.text.startswith(line.strip()) and layer.text not in order]
+        exact = [text for text in fitting if text == line.strip() or text.split("(")[0].strip() == line.strip()]
+        fitting = exact if len(exact) == 1 else fitting
+        if len(fitting) == 1:
+            order.append(fitting[0])
+        else:
+            wrong.append(number)
+    return (order if not wrong and len(order) == len(layers) else None), wrong
+
+
+def _layers(scene: Scene, program: Program, report: Report) -> None:
+    for name in scene.model.layers:
+        if name not in program.species:
+            _unknown(report, scene, ("layers", name), "no program has a species", program.species)
+            continue
+        texts = [layer.text for layer in program.species[name].layers.layers]
+        order, wrong = layer_order(scene, program, name)
+        for number in wrong:
+            line = scene.model.layers[name][number]
+            help = "write the beginning of one of: " + ", ".join(f"`{text}`" for text in texts)
+            report.error("unknown-name", f"`{line}` begins no single layer of `{name}`", scene.span("layers", name, number), help)
+        if order is None and not wrong:
+            left = [text for text in texts if not any(text.startswith(line.strip()) for line in scene.model.layers[name])]
+            help = "add " + ", ".join(f"`{text}`" for text in left) if left else None
+            report.error("missing-thing", f"the order of the layers of `{name}` is not complete", scene.span("layers", name), help)
+
+
+def _output(scene: Scene, program: Program, report: Report) -> None:
+    known = set(FRAME_ATTRIBUTES)
+    for species in program.species.values():
+        known |= {attribute.name for attribute in species.attributes if attribute.type.kind is Kind.NUMBER}
+        known |= {f"{machine.name}.state" for machine in species.machines}
+    for number, name in enumerate(scene.model.output.attributes):
+        if name not in known:
+            _unknown(report, scene, ("output", "attributes", number), "no attribute is named", known, key=False)
+
+
+CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
+    _world,  # what `around` and `on` name is in here
+    _crowd,
+    _params,
+    _fields,
+    _layers,
+    _output,
+)

@@ -1,0 +1,234 @@
+"""Mesh files to `MeshData`: counts are held against the file's size before anything is allocated, and what a reader of meshes
+would let pass (indices out of range, values that are not finite, faces without area) is looked at here."""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.scene.setting import MeshData
+
+Floats = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+_PLY_BYTES = {"char": 1, "uchar": 1, "short": 2, "ushort": 2, "int": 4, "uint": 4, "float": 4, "double": 8, "int8": 1, "uint8": 1,
+              "int16": 2, "uint16": 2, "int32": 4, "uint32": 4, "float32": 4, "float64": 8}  # fmt: skip
+_FARTHEST = 1e9  # mm; a thousand kilometres
+
+
+class MeshError(Exception):
+    """Why a file is no usable mesh, in words that fit after its name."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawMesh:
+    """Vertices in the file's units and axes, and how many faces without area were left out."""
+
+    vertices: Floats
+    faces: Faces
+    dropped: int
+
+
+def read_mesh(data: bytes, name: str) -> RawMesh:
+    """The triangles of an .obj, .ply or .stl file's bytes; MeshError says why there are none."""
+    kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
+    reader = READERS.get(kind)
+    if reader is None:
+        raise MeshError(f"is not one of {', '.join('.' + k for k in READERS)}")
+    try:
+        vertices, faces = reader(data)
+    except MeshError:
+        raise
+    except Exception as problem:  # a reader of other people's making meets a file of other people's making
+        raise MeshError(f"cannot be read ({type(problem).__name__})") from problem
+    return _sound(vertices, faces)
+
+
+def _sound(vertices: Floats, faces: Faces) -> RawMesh:
+    """The checks that hold for every format."""
+    if len(vertices) == 0 or len(faces) == 0:
+        raise MeshError("has no faces")
+    if len(faces) > limits.MESH_FACES:
+        raise MeshError(f"has {len(faces):,} faces, more than {limits.MESH_FACES:,}")
+    bad = np.flatnonzero((faces < 0).any(axis=1) | (faces >= len(vertices)).any(axis=1))
+    if len(bad):
+        raise MeshError(f"has a face (number {bad[0]}) that names a vertex which is not there")
+    used = np.zeros(len(vertices), bool)
+    used[faces.ravel()] = True
+    wrong = np.flatnonzero(used & ~(np.isfinite(vertices).all(axis=1) & (np.abs(vertices) < 1e30).all(axis=1)))
+    if len(wrong):
+        raise MeshError(f"has a vertex (number {wrong[0]}) that is not a finite point")
+    corners = vertices[faces]
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = np.linalg.norm(np.cross(a, b), axis=1)
+    longest = np.maximum((a * a).sum(axis=1), (b * b).sum(axis=1))
+    keep = area > 1e-12 * longest
+    ordered = np.sort(faces, axis=1)
+    _, first = np.unique(ordered, axis=0, return_index=True)
+    single = np.zeros(len(faces), bool)
+    single[first] = True
+    keep &= single
+    if not keep.any():
+        raise MeshError("has no face with an area")
+    kept = faces[keep]
+    # vertices that no face uses would stretch the bounding box
+    numbers = np.full(len(vertices), -1, np.int64)
+    used[:] = False
+    used[kept.ravel()] = True
+    numbers[used] = np.arange(int(used.sum()))
+    return RawMesh(np.ascontiguousarray(vertices[used]), numbers[kept], int(len(faces) - len(kept)))
+
+
+def _number(text: bytes) -> float:
+    if len(text) > 40 or b"_" in text:
+        raise ValueError(text)
+    return float(text)
+
+
+def _read_obj(data: bytes) -> tuple[Floats, Faces]:
+    """Vertices and faces of a Wavefront file; materials, normals and everything else are passed over, polygons cut into fans."""
+    if b"\0" in data[:4096]:
+        raise MeshError("is not a text file")
+    points: list[tuple[float, float, float]] = []
+    triangles: list[tuple[int, int, int]] = []
+    for line_number, line in enumerate(data.split(b"\n"), 1):
+        if line[:2] in (b"v ", b"v\t"):
+            try:
+                x, y, z = (_number(word) for word in line.split()[1:4])
+            except ValueError:
+                raise MeshError(f"has no three numbers after `v` in line {line_number}") from None
+            points.append((x, y, z))
+        elif line[:2] in (b"f ", b"f\t"):
+            corners = [_obj_index(word, len(points), line_number) for word in line.split()[1:]]
+            if len(corners) < 3:
+                raise MeshError(f"has a face of fewer than three corners in line {line_number}")
+            triangles.extend((corners[0], corners[i], corners[i + 1]) for i in range(1, len(corners) - 1))
+            if len(triangles) > limits.MESH_FACES:
+                raise MeshError(f"has more than {limits.MESH_FACES:,} faces")
+    return np.array(points, np.float64).reshape(-1, 3), np.array(triangles, np.int64).reshape(-1, 3)
+
+
+def _obj_index(word: bytes, count: int, line_number: int) -> int:
+    parts = word.split(b"/")
+    if len(parts) > 3 or not re.fullmatch(rb"-?[0-9]{1,10}", parts[0]) or int(parts[0]) == 0:
+        raise MeshError(f"has a corner `{word[:20].decode('ascii', 'replace')}` that is no vertex number in line {line_number}")
+    index = int(parts[0])
+    index = index - 1 if index > 0 else count + index
+    if index < 0 or index >= count:
+        raise MeshError(f"names a vertex {int(parts[0])} that is not there in line {line_number}")
+    return index
+
+
+def _read_ply(data: bytes) -> tuple[Floats, Faces]:
+    """A .ply file, after its header was held against the size of the file."""
+    _check_ply(data)
+    return _through_trimesh(data, "ply")
+
+
+def _check_ply(data: bytes) -> None:
+    end = data.find(b"end_header", 0, 64 * limits.KIB)
+    if not data.startswith(b"ply") or end < 0:
+        raise MeshError("is not a .ply file")
+    body = data.find(b"\n", end) + 1
+    ascii_form, elements = False, []  # type: bool, list[tuple[str, int, int]]
+    for line in data[:end].decode("ascii", "replace").splitlines()[1:]:
+        words = line.split()
+        if not words or words[0] in ("comment", "obj_info"):
+            continue
+        if words[0] == "format" and len(words) == 3:
+            if words[1] not in ("ascii", "binary_little_endian", "binary_big_endian"):
+                raise MeshError(f"has an unknown format `{words[1][:20]}`")
+            ascii_form = words[1] == "ascii"
+        elif words[0] == "element" and len(words) == 3 and re.fullmatch("[0-9]{1,12}", words[2]):
+            elements.append((words[1], int(words[2]), 0))
+        elif words[0] == "property" and elements:
+            listed = len(words) == 5 and words[1] == "list"
+            kinds = words[2:4] if listed else words[1:2]
+            if (not listed and len(words) != 3) or any(k not in _PLY_BYTES for k in kinds):
+                raise MeshError(f"has a header line that is not understood: `{line[:40]}`")
+            name, count, size = elements[-1]
+            # the shortest that a list can be is its own count
+            elements[-1] = (name, count, size + _PLY_BYTES[kinds[0]])
+        else:
+            raise MeshError(f"has a header line that is not understood: `{line[:40]}`")
+        if len(elements) > 16:
+            raise MeshError("has more than 16 kinds of element")
+    counts = {name: count for name, count, _ in elements}
+    if counts.get("face", 0) > limits.MESH_FACES or counts.get("vertex", 0) > 3 * limits.MESH_FACES:
+        raise MeshError(f"says it has {counts.get('face', 0):,} faces, more than {limits.MESH_FACES:,}")
+    least = sum(count * (1 if ascii_form else size) for _, count, size in elements)
+    if least > len(data) - body:
+        raise MeshError(f"says it has {sum(counts.values()):,} elements, too many for a file of {len(data):,} bytes")
+
+
+def _read_stl(data: bytes) -> tuple[Floats, Faces]:
+    """A .stl file, binary or text, with the corners that lie at one point joined."""
+    if len(data) >= 84 and len(data) == 84 + 50 * struct.unpack_from("<I", data, 80)[0]:
+        count = struct.unpack_from("<I", data, 80)[0]
+        if count > limits.MESH_FACES:
+            raise MeshError(f"says it has {count:,} faces, more than {limits.MESH_FACES:,}")
+        rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, 84)
+        corners = rows["corners"].reshape(-1, 3).astype(np.float64)
+    elif data.lstrip()[:5] == b"solid" and b"facet" in data[: 64 * limits.KIB]:
+        words = re.findall(rb"vertex\s+(\S{1,40})\s+(\S{1,40})\s+(\S{1,40})", data)
+        if not words or len(words) % 3:
+            raise MeshError("has a facet without three corners")
+        try:
+            corners = np.array([[_number(w) for w in row] for row in words], np.float64)
+        except ValueError:
+            raise MeshError("has a corner that is not three numbers") from None
+    else:
+        raise MeshError("is not a .stl file, or a part of it is missing")
+    if not np.isfinite(corners).all():
+        raise MeshError("has a corner that is not a finite point")
+    vertices, inverse = np.unique(corners, axis=0, return_inverse=True)
+    return vertices, inverse.reshape(-1, 3).astype(np.int64)
+
+
+def _through_trimesh(data: bytes, kind: str) -> tuple[Floats, Faces]:
+    import trimesh
+
+    # process=False keeps the order of vertices; no resolver is given, so no other file can be opened
+    mesh = trimesh.load(io.BytesIO(data), file_type=kind, process=False, force="mesh", skip_materials=True, maintain_order=True)
+    faces = np.asarray(getattr(mesh, "faces", np.empty((0, 3))), np.int64).reshape(-1, 3)
+    return np.asarray(getattr(mesh, "vertices", np.empty((0, 3))), np.float64).reshape(-1, 3), faces
+
+
+READERS: dict[str, Callable[[bytes], tuple[Floats, Faces]]] = {"ply": _read_ply, "obj": _read_obj, "stl": _read_stl}
+
+
+def turned_up(points: Floats, own: str, wanted: str) -> Floats:
+    """Points of a file whose up axis is `own` in a scene whose up axis is `wanted`: a quarter turn about x."""
+    if own == wanted:
+        return points
+    x, y, z = points.T
+    return np.column_stack((x, z, -y) if own == "z" else (x, -z, y))
+
+
+def rotated(points: Floats, angles: tuple[float, float, float]) -> Floats:
+    """Points turned about x, then y, then z, by radians."""
+    for axis, angle in enumerate(angles):
+        if angle:
+            c, s = np.cos(angle), np.sin(angle)
+            b, d = (axis + 1) % 3, (axis + 2) % 3
+            turned = points.copy()
+            turned[:, b] = c * points[:, b] - s * points[:, d]
+            turned[:, d] = s * points[:, b] + c * points[:, d]
+            points = turned
+    return points
+
+
+def placed(mesh: RawMesh, *, factor: float, own_up: str, up: str, angles: tuple[float, float, float], at: tuple[float, float, float]) -> MeshData:
+    """A file's mesh in the scene: millimetres, the scene's axes. A mirrored mesh keeps its outside outside. MeshError when it lies too far out."""
+    vertices = rotated(turned_up(mesh.vertices * factor, own_up, up), angles) + np.array(at)
+    if not np.isfinite(vertices).all() or np.abs(vertices).max() > _FARTHEST:
+        raise MeshError("lies more than a thousand kilometres out")
+    faces = mesh.faces[:, ::-1] if factor < 0 else mesh.faces
+    return MeshData(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int32))

@@ -1,0 +1,42 @@
+"""JSON files of points, for curves and for placing agents one by one: a list of `[x, y, z]`."""
+
+from __future__ import annotations
+
+import json
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+
+POINT_BYTES = 64 * limits.MIB
+
+
+class PointsError(Exception):
+    """Why a file has no points, in words that fit after its name."""
+
+
+def _refuse(word: str) -> Any:
+    raise PointsError(f"has `{word}`, which is no number")
+
+
+def read_points(data: bytes, least: int) -> NDArray[np.float64]:
+    """At least `least` points as an array (n, 3) in the file's own units; PointsError says why not."""
+    try:
+        found = json.loads(data.decode("utf-8-sig"), parse_constant=_refuse)
+    except (ValueError, RecursionError):
+        raise PointsError("is not JSON") from None
+    if not isinstance(found, list) or len(found) < least:
+        raise PointsError(f"is not a list of at least {least} points `[x, y, z]`")
+    if len(found) > limits.AGENTS:
+        raise PointsError(f"has more than {limits.AGENTS:,} points")
+    for number, point in enumerate(found):
+        if not isinstance(point, list) or len(point) != 3 or not all(_is_number(part) for part in point):
+            raise PointsError(f"has no point `[x, y, z]` at number {number}")
+    return np.array(found, np.float64).reshape(-1, 3)
+
+
+def _is_number(part: Any) -> bool:
+    return isinstance(part, (int, float)) and not isinstance(part, bool) and abs(part) < 1e30 and isfinite(part)

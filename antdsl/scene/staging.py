@@ -1,0 +1,231 @@
+"""A matched scene to a `Setting`: meshes and points are read, everything is turned to millimetres and the scene's axes.
+
+What binding would need in memory is computed first, so that a request for a billion cells is refused before anything is allocated."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.diagnostics import Label, Report
+from antdsl.program.model import Const, Program
+from antdsl.scene import setting as stage_of
+from antdsl.scene.document import Key
+from antdsl.scene.load import Scene
+from antdsl.scene.matching import const_base, item_names
+from antdsl.scene.meshes import MeshError, placed, read_mesh, turned_up
+from antdsl.scene.model import UNIT_MM, CurveThing, ItemThing, MeshThing, Placement, Point, millimetres
+from antdsl.scene.paths import PathRefused
+from antdsl.scene.points import POINT_BYTES, PointsError, read_points
+from antdsl.scene.quantities import Quantity
+
+DEFAULT_ITEM_RADIUS = 10.0  # mm
+_UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_FAR = 1e7  # mm from the origin; float32 steps are 1 mm there
+
+
+@dataclass(slots=True)
+class Staging:
+    """A setting in the making: the report, and a hash of the bytes of each file that was read."""
+
+    scene: Scene
+    program: Program
+    report: Report = field(default_factory=Report)
+    hashes: dict[str, str] = field(default_factory=dict)
+
+    def read(self, text: str, cap: int, *path: Key) -> bytes | None:
+        """A file's bytes, or None and a complaint at the path that names it."""
+        try:
+            data = self.scene.roots.read(text, cap)
+        except PathRefused as refused:
+            self.report.error(refused.code, str(refused), self.scene.span(*path), refused.help)
+            return None
+        self.hashes[text] = hashlib.blake2b(data, digest_size=16).hexdigest()
+        return data
+
+
+def stage(scene: Scene, program: Program, overrides: Mapping[str, Quantity] | None = None) -> tuple[stage_of.Setting | None, Report, dict[str, str]]:
+    """The setting, what there is to complain about, and a hash for each file read. `overrides` are params given by the person."""
+    staging = Staging(scene, program)
+    model = scene.model
+    surfaces = _meshes(staging, "surface")
+    obstacles = _meshes(staging, "obstacle")
+    _solids(staging)
+    if staging.report.ok:
+        _check_cells(staging, surfaces)
+    curves = _curves(staging)
+    crowds = tuple(
+        stage_of.CrowdData(line.species, line.count, _place(staging, line.place, "crowd", number, "place"), number)
+        for number, line in enumerate(model.crowd)
+    )
+    if not staging.report.ok:
+        return None, staging.report, staging.hashes
+    dt = float(1 / model.fps)
+    params = {name: value.base(model.unit_mm, dt) for name, value in {**model.set, **(overrides or {})}.items()}
+    made = stage_of.Setting(
+        fps=model.fps,
+        substeps=model.substeps,
+        up=_UP[model.up],
+        unit_mm=model.unit_mm,
+        seed=model.seed,
+        first_frame=model.frames.first - model.preroll,
+        surfaces=surfaces,
+        obstacles=obstacles,
+        items={name: tuple(_items(staging, name, value)) for name, value in model.world.items() if isinstance(value, dict)},
+        curves=curves,
+        crowds=crowds,
+        params=params,
+        field_start={
+            name: stage_of.FieldStart(start.start, _point(scene, start.around), _length(scene, start.radius)) for name, start in model.fields.items()
+        },
+    )
+    return made, staging.report, staging.hashes
+
+
+def _length(scene: Scene, value: Quantity | None) -> float | None:
+    return None if value is None else value.length(scene.model.unit_mm)
+
+
+def _point(scene: Scene, around: Point | str | None) -> stage_of.Point | None:
+    if around is None:
+        return None
+    if isinstance(around, str):
+        items, name = item_names(scene)[around]
+        thing = scene.model.world[items]
+        assert isinstance(thing, dict)
+        around = thing[name].at
+    return millimetres(around, scene.model.unit_mm)
+
+
+def _meshes(staging: Staging, kind: str) -> dict[str, stage_of.MeshData]:
+    found = {}
+    for name, thing in staging.program.world.items():
+        value = staging.scene.model.world.get(name)
+        if thing.kind == kind and isinstance(value, MeshThing):
+            mesh = _mesh(staging, name, value)
+            if mesh is not None:
+                found[name] = mesh
+    return found
+
+
+def _mesh(staging: Staging, name: str, value: MeshThing) -> stage_of.MeshData | None:
+    scene, report = staging.scene, staging.report
+    data = staging.read(value.mesh, limits.MESH_BYTES, "world", name, "mesh")
+    if data is None:
+        return None
+    span = scene.span("world", name, "mesh")
+    unit_mm = scene.model.unit_mm
+    try:
+        raw = read_mesh(data, value.mesh)
+        mesh = placed(
+            raw,
+            factor=UNIT_MM[value.units or scene.model.units] * value.scale,
+            own_up=value.up or scene.model.up,
+            up=scene.model.up,
+            angles=tuple(angle.number for angle in value.rotate) if value.rotate else (0.0, 0.0, 0.0),  # type: ignore[arg-type]
+            at=millimetres(value.at, unit_mm) if value.at else (0.0, 0.0, 0.0),
+        )
+    except MeshError as why:
+        report.error("bad-mesh", f"the mesh `{value.mesh}` {why}", span)
+        return None
+    if raw.dropped:
+        faces = "face" if raw.dropped == 1 else "faces"
+        report.warning("degenerate-faces", f"{raw.dropped:,} {faces} of `{value.mesh}` without area or given twice left out", span)
+    if np.abs(mesh.vertices).max() > _FAR:
+        report.warning("far-away", f"the mesh `{value.mesh}` lies more than 10 km from the origin", span, "move it with `at`, or check its `units`")
+    return mesh
+
+
+def _solids(staging: Staging) -> None:
+    """Solids are not simulated yet, but a request that could never be met is refused now."""
+    scene = staging.scene
+    for name, value in scene.model.world.items():
+        if not isinstance(value, MeshThing) or value.voxel is None:
+            continue
+        mesh = _mesh(staging, name, value)
+        if mesh is not None:
+            edge = value.voxel.length(scene.model.unit_mm)
+            sides = [float(side) / edge + 1 for side in np.ptp(mesh.vertices, axis=0)]
+            _refuse_if_many(staging, sides[0] * sides[1] * sides[2], limits.VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel")
+
+
+def _check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
+    for name, declared in staging.program.fields.items():
+        if not isinstance(declared.cell, Const):
+            continue
+        edge = const_base(declared.cell, staging.scene)
+        if edge <= 0:
+            continue
+        area = sum(_area(surfaces[s]) for s in declared.surfaces if s in surfaces)
+        place = declared.surfaces[0] if declared.surfaces else ""
+        # a plane that lies aslant touches up to 1.7 times the voxels of its area; one each for the area is the least
+        labels = (Label(declared.cell.span, "the cell's size"),)
+        _refuse_if_many(staging, area / (edge * edge), limits.FIELD_CELLS, f"the field `{name}`", "cells", edge, "world", place, labels=labels)
+
+
+def _area(mesh: stage_of.MeshData) -> float:
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+def _refuse_if_many(staging: Staging, count: float, cap: int, what: str, parts: str, edge: float, *path: Key, labels: tuple[Label, ...] = ()) -> None:
+    if count > cap:
+        size = f"{count * 8 / limits.GIB:,.0f} GiB" if count * 8 > limits.GIB else f"{count * 8 / limits.MIB:,.0f} MiB"
+        message = f"{what} would need at least {count:,.0f} {parts} of {edge:g} mm (about {size}), more than {cap:,}"
+        larger = edge * (count / cap) ** (1 / 3 if parts == "voxels" else 1 / 2)
+        help = f"write {parts[:-1]}s of {larger * 1.05:.3g} mm or more, or check the `units` of the mesh"
+        staging.report.error("too-large", message, staging.scene.span(*path), help, labels=labels)
+
+
+def _curves(staging: Staging) -> dict[str, NDArray[np.float64]]:
+    found = {}
+    model = staging.scene.model
+    for name, value in model.world.items():
+        if isinstance(value, CurveThing):
+            points = _points(staging, value.curve, 2, "world", name, "curve")
+            if points is not None:
+                moved = turned_up(points * UNIT_MM[value.units or model.units], value.up or model.up, model.up)
+                found[name] = moved + np.array(millimetres(value.at, model.unit_mm) if value.at else (0.0, 0.0, 0.0))
+    return found
+
+
+def _points(staging: Staging, text: str, least: int, *path: Key) -> NDArray[np.float64] | None:
+    data = staging.read(text, POINT_BYTES, *path)
+    if data is None:
+        return None
+    try:
+        return read_points(data, least)
+    except PointsError as why:
+        staging.report.error("bad-points", f"`{text}` {why}", staging.scene.span(*path))
+        return None
+
+
+def _items(staging: Staging, name: str, value: Mapping[str, ItemThing]) -> list[stage_of.ItemData]:
+    model = staging.scene.model
+    dt = float(1 / model.fps)
+    made = []
+    for item, placed_item in value.items():
+        radius = _length(staging.scene, placed_item.radius)
+        attributes = {key: quantity.base(model.unit_mm, dt) for key, quantity in (placed_item.model_extra or {}).items()}
+        made.append(stage_of.ItemData(item, millimetres(placed_item.at, model.unit_mm), DEFAULT_ITEM_RADIUS if radius is None else radius, attributes))
+    return made
+
+
+def _place(staging: Staging, place: Placement, *path: Key) -> stage_of.PlaceData:
+    scene = staging.scene
+    points = None
+    if place.points is not None:
+        points = _points(staging, place.points, 1, *path, "points")
+        if points is not None:
+            points = points * scene.model.unit_mm
+    return stage_of.PlaceData(
+        on=(place.on,) if place.on is not None else (),
+        around=_point(scene, place.around),
+        radius=_length(scene, place.radius),
+        points=points,
+    )
