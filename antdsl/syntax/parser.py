@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl import limits
 from antdsl.diagnostics.model import Report
+from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
 from antdsl.syntax.blocks import Line, Lookup, cut, lookup
@@ -21,7 +22,7 @@ from antdsl.syntax.depth import deep_places
 from antdsl.syntax.scan import UNREADABLE, Scan, scan
 from antdsl.syntax.tables import load_parser
 from antdsl.syntax.wording import Surprise, begins_line, better_first_word, complain
-from antdsl.syntax.words import BODIES
+from antdsl.syntax.words import BODIES, LINE_WORDS
 
 if TYPE_CHECKING:
     from lark import Lark
@@ -106,6 +107,8 @@ class _Reading:
     def line(self, line: Line, rule: str) -> list[Any]:
         """The node of a line, none when it makes no sense, two when a line end is missing."""
         first = text_of(self.scan, line.tokens[0])
+        if line.groups and first not in LINE_WORDS[rule]:
+            first = nearest_name(first, LINE_WORDS[rule]) or first
         for group in line.groups:
             body = "weight" if group.chooses else BODIES.get((rule, first)) or BODIES.get((rule, "*"))
             self.builder.bodies[group.open.start] = self.lines(group.lines, body) if body else ()
@@ -229,12 +232,9 @@ class _Reading:
                 marks.append((start, start + len(sign)))
             depth += sign in ("(", "[")
         lefts = [end for _, end in marks if end <= position][-1:]
-        heads = [text.position(token.end) for token in line.tokens[:2] if token.end <= self.source_offset(text, position)]
+        heads = [text.position(token.end) for token in line.tokens[:2] if token.end <= text.offset(position)]
         rights = [start for start, _ in marks if start >= position][:1]
         return [*lefts, *reversed(heads), 0], [*rights, len(text.text)]
-
-    def source_offset(self, text: Lookup, position: int) -> int:
-        return text.offset(position)
 
     def bare(self, line: Line, text: Lookup, rule: str) -> Iterator[Lookup]:
         """A block whose first line makes no sense, with no more than its word, its name and its braces."""

@@ -239,9 +239,8 @@ class _Scanner:
         if piece in _NO_NUMBERS and not _COLON.match(self.characters, end):
             help = "leave the limit out, or write a large number"
             self.found.error("bad-number", f"`{piece}` is not a number here", start, end, help)
-            self.found.blank(start, end)
-            self.found.replace(start, UNREADABLE)
-        elif len(piece) > limits.NAME_CHARACTERS:
+            return self.unreadable(start, end)
+        if len(piece) > limits.NAME_CHARACTERS:
             message = f"name of {len(piece)} characters, at most {limits.NAME_CHARACTERS} are allowed"
             self.found.error("name-too-long", message, start, end, "choose a shorter name")
             self.told.add(piece)
@@ -301,15 +300,17 @@ class _Scanner:
             if slip is not None:
                 message = f"`{slip.group(1)}` is not a unit"
                 self.found.error("unknown-unit", message, slip.start(1), slip.end(), UNIT_SLIPS[slip.group(1)])
-                self.found.blank(slip.start(), slip.end())
-                self.token("number", start, end)
-                return slip.end()
+                return self.unreadable(start, slip.end())
         elif (glued := _WORD.match(self.characters, end)) is not None:
             unit = glued.group()
             self.found.error("unknown-unit", f"`{unit[:80]}` is not a unit", end, glued.end(), unit_help(unit))
-            self.found.blank(end, glued.end())
-            self.token("number", start, end)
-            return glued.end()
+            return self.unreadable(start, glued.end())
+        return self.token("number", start, end)
+
+    def unreadable(self, start: int, end: int) -> int:
+        """A number of which the unit is not known: whoever checks units has nothing to say about it."""
+        self.found.blank(start, end)
+        self.found.replace(start, UNREADABLE)
         return self.token("number", start, end)
 
     def number_problem(self, start: int, end: int, piece: str) -> tuple[str, int, str] | None:

@@ -1,4 +1,4 @@
-"""The parser's tables: made from the grammar by `python -m antdsl.syntax.tables`, kept as JSON, read back without building anything."""
+"""The shipped parser: the tables made from the grammar are read back from JSON, nothing is built."""
 
 from __future__ import annotations
 
@@ -28,26 +28,7 @@ STARTS = (
     "behaviour_line",
     "spec_line",
 )
-_FILE = "tables.json"
-
-
-def build_parser(starts: tuple[str, ...] = STARTS, transformer: object | None = None) -> Lark:
-    """A parser straight from the grammar, refusing every conflict. Takes half a second and needs `interegular`."""
-    from lark import Lark
-
-    grammar = resources.grammar_file("antdsl.lark").read_text(encoding="utf-8")
-    return Lark(grammar, parser="lalr", lexer="contextual", strict=True, start=list(starts), transformer=transformer)  # type: ignore[arg-type]
-
-
-def tables_text() -> str:
-    """The tables as JSON text. The numbers of states and rules vary from build to build; what they accept does not."""
-    from lark.grammar import Rule
-    from lark.lexer import TerminalDef
-
-    data, memo = build_parser().memo_serialize([TerminalDef, Rule])
-    data["options"]["strict"] = False  # collisions were looked for just now; looking again needs `interegular` where antdsl is used
-    tables = {"grammar": grammar_hash(), "data": data, "memo": memo}
-    return json.dumps(tables, separators=(",", ":"), ensure_ascii=True) + "\n"
+TABLES_FILE = "tables.json"
 
 
 def grammar_hash() -> str:
@@ -59,7 +40,7 @@ def load_parser(transformer: object) -> Lark:
     """The parser that ships, with `transformer`'s methods called as rules are recognised."""
     from lark import Lark
 
-    stored = json.loads(resources.grammar_file(_FILE).read_text(encoding="utf-8"))
+    stored = json.loads(resources.grammar_file(TABLES_FILE).read_text(encoding="utf-8"))
     data, memo = stored["data"], _whole_keys(stored["memo"])
     table = data["parser"]["parser"]
     table["tokens"] = _whole_keys(table["tokens"])
@@ -71,7 +52,3 @@ def load_parser(transformer: object) -> Lark:
 def _whole_keys(table: dict[str, Any]) -> dict[int, Any]:
     """JSON has only text as keys; lark counts its states, tokens and rules."""
     return {int(key): value for key, value in table.items()}
-
-
-if __name__ == "__main__":
-    resources.grammar_file(_FILE).write_text(tables_text(), encoding="utf-8")

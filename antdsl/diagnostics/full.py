@@ -1,0 +1,58 @@
+"""For people: the message, the line with the place marked under it, and what to write instead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from antdsl.diagnostics.model import Diagnostic
+from antdsl.diagnostics.places import area, safe, safe_line, width
+from antdsl.source import Span
+
+_WIDEST = 120  # of a source line; a longer one is shown around the place
+
+
+def full(diagnostics: Sequence[Diagnostic], more: int) -> str:
+    blocks = [_block(diagnostic) for diagnostic in diagnostics]
+    if more:
+        blocks.append(f"… and {more:,} more\n")
+    return "\n".join(blocks)
+
+
+def _block(diagnostic: Diagnostic) -> str:
+    lines = [f"{diagnostic.severity}[{diagnostic.code}]: {safe(diagnostic.message)}"]
+    spans = [span for span in (diagnostic.span, *(label.span for label in diagnostic.labels)) if span is not None]
+    margin = max((len(str(area(span).line)) for span in spans), default=1)
+    if diagnostic.span is not None:
+        lines += _snippet(diagnostic.span, margin, "-->", "^", "")
+    for label in diagnostic.labels:
+        lines += _snippet(label.span, margin, ":::", "-", label.text)
+    if diagnostic.help:
+        lines.append(f"{' ' * margin} = help: {safe(diagnostic.help)}")
+    return "\n".join(lines) + "\n"
+
+
+def _snippet(span: Span, margin: int, arrow: str, mark: str, text: str) -> list[str]:
+    """The line of a span's start, with the span marked up to that line's end."""
+    place = area(span)
+    bar = f"{' ' * margin} |"
+    head = f"{' ' * margin}{arrow} {safe(place.path)}:{place.line}:{place.column}"
+    line = span.source.line_text(place.line)
+    if not line and not span.text:
+        return [head]
+    start = place.column - 1
+    end = min(len(line), start + max(1, span.end - span.start))
+    before, marked, after = _window(line, start, end)
+    marks = mark * max(1, width(marked))
+    under = f"{bar} {' ' * width(before)}{marks} {safe(text)}".rstrip()
+    return [head, bar, f"{place.line:>{margin}} | {before}{marked}{after}".rstrip(), under]
+
+
+def _window(line: str, start: int, end: int) -> tuple[str, str, str]:
+    """The part of a line around a place, in three: before it, the place, after it."""
+    if len(line) <= _WIDEST:
+        return safe_line(line[:start]), safe_line(line[start:end]), safe_line(line[end:])
+    low = max(0, start - _WIDEST // 3)
+    high = min(len(line), low + _WIDEST)
+    end = min(end, high)
+    before = ("…" if low else "") + safe_line(line[low:start])
+    return before, safe_line(line[start:end]), safe_line(line[end:high]) + ("…" if high < len(line) else "")

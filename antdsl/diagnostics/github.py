@@ -1,0 +1,37 @@
+"""Workflow commands that GitHub shows beside the changed lines. Errors come first: GitHub drops what is too much without a word."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from antdsl.diagnostics.model import Diagnostic
+from antdsl.diagnostics.places import area, by_weight, safe
+
+
+def github(diagnostics: Sequence[Diagnostic], more: int) -> str:
+    ordered = sorted(diagnostics, key=lambda diagnostic: by_weight(diagnostic.severity))
+    lines = [_command(diagnostic) for diagnostic in ordered]
+    if more:
+        lines.append(f"::notice title=antdsl::{more} more, see the SARIF output")
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _command(diagnostic: Diagnostic) -> str:
+    text = safe(diagnostic.message) + (f"\nhelp: {safe(diagnostic.help)}" if diagnostic.help else "")
+    properties = {"title": diagnostic.code}
+    if diagnostic.span is not None:
+        place = area(diagnostic.span)
+        properties = {"file": safe(place.path), "line": str(place.line), "col": str(place.column), "endLine": str(place.end_line)}
+        if place.line == place.end_line:
+            properties["endColumn"] = str(place.end_column)
+        properties["title"] = diagnostic.code
+    written = ",".join(f"{key}={_property(value)}" for key, value in properties.items())
+    return f"::{diagnostic.severity} {written}::{_data(text)}"
+
+
+def _data(text: str) -> str:
+    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+def _property(text: str) -> str:
+    return _data(text).replace(":", "%3A").replace(",", "%2C")

@@ -1,0 +1,54 @@
+"""What renderers share: text made safe to show, and lines and columns of a span."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from dataclasses import dataclass
+
+from antdsl.source import Span
+
+# What could move a cursor, change a colour, end a line or turn the direction of writing.
+_UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028\u2029\u202a-\u202e\u2060-\u2069\ufeff\ud800-\udfff]")
+
+
+def safe(text: str) -> str:
+    """The text with every control character written out, such as `\\x1b`."""
+    return _UNSAFE.sub(lambda match: _written(match.group()), text)
+
+
+def safe_line(text: str) -> str:
+    """The same for a line of source: tabs become one blank, so that columns stay columns."""
+    return safe(text.replace("\t", " "))
+
+
+def _written(character: str) -> str:
+    code = ord(character)
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
+
+
+def width(text: str) -> int:
+    """How many places of a terminal a text takes."""
+    return sum(2 if unicodedata.east_asian_width(c) in "WF" else 0 if unicodedata.combining(c) else 1 for c in text)
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """A span in lines and columns, counted from 1; the end column is the one after the last character."""
+
+    path: str
+    line: int
+    column: int
+    end_line: int
+    end_column: int
+
+
+def area(span: Span) -> Area:
+    line, column = span.source.line_column(span.start)
+    end_line, end_column = span.source.line_column(max(span.start, span.end))
+    return Area(span.source.path, line, column, end_line, end_column)
+
+
+def by_weight(severity: str) -> int:
+    """Sorts errors before warnings."""
+    return 0 if severity == "error" else 1

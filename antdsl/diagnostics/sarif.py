@@ -1,0 +1,68 @@
+"""SARIF 2.1.0 (OASIS standard) for code scanning services."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+from urllib.parse import quote
+
+from antdsl.diagnostics.codes import CODES
+from antdsl.diagnostics.model import Diagnostic
+from antdsl.diagnostics.places import area
+from antdsl.source import Span
+
+_SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
+
+
+def sarif(diagnostics: Sequence[Diagnostic], more: int) -> str:
+    codes = sorted({diagnostic.code for diagnostic in diagnostics})
+    rules = [{"id": code, "shortDescription": {"text": CODES.get(code, code)}} for code in codes]
+    seen: Counter[str] = Counter()
+    results = [_result(diagnostic, codes.index(diagnostic.code), seen) for diagnostic in diagnostics]
+    run: dict[str, Any] = {
+        "tool": {"driver": {"name": "antdsl", "rules": rules}},
+        "columnKind": "unicodeCodePoints",
+        "results": results,
+    }
+    if more:
+        run["properties"] = {"leftOut": more}
+    return json.dumps({"$schema": _SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2, ensure_ascii=True) + "\n"
+
+
+def _result(diagnostic: Diagnostic, rule: int, seen: Counter[str]) -> dict[str, Any]:
+    text = diagnostic.message + (f"\nhelp: {diagnostic.help}" if diagnostic.help else "")
+    result: dict[str, Any] = {
+        "ruleId": diagnostic.code,
+        "ruleIndex": rule,
+        "level": diagnostic.severity,
+        "message": {"text": text},
+    }
+    if diagnostic.span is not None:
+        result["locations"] = [_location(diagnostic.span)]
+        result["partialFingerprints"] = {"primaryLocationLineHash": _fingerprint(diagnostic, diagnostic.span, seen)}
+    if diagnostic.labels:
+        result["relatedLocations"] = [{**_location(label.span), "message": {"text": label.text}} for label in diagnostic.labels]
+    if diagnostic.fix is not None:
+        location = _location(diagnostic.fix.span)["physicalLocation"]
+        change = {"deletedRegion": location["region"], "insertedContent": {"text": diagnostic.fix.text}}
+        fix = {"artifactChanges": [{"artifactLocation": location["artifactLocation"], "replacements": [change]}]}
+        result["fixes"] = [fix]
+    return result
+
+
+def _location(span: Span) -> dict[str, Any]:
+    place = area(span)
+    region = {"startLine": place.line, "startColumn": place.column, "endLine": place.end_line, "endColumn": place.end_column}
+    uri = quote(place.path.replace("\\", "/").removeprefix("./"))
+    return {"physicalLocation": {"artifactLocation": {"uri": uri}, "region": region}}
+
+
+def _fingerprint(diagnostic: Diagnostic, span: Span, seen: Counter[str]) -> str:
+    """Stays the same when lines above are added: made of the code and the line's text, and counted where they come again."""
+    line = span.source.line_text(area(span).line).strip()
+    digest = hashlib.sha256(f"{diagnostic.code}\0{span.source.path}\0{line}".encode("utf-8", "surrogatepass")).hexdigest()[:16]
+    seen[digest] += 1
+    return f"{digest}:{seen[digest]}"
