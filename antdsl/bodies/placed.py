@@ -1,0 +1,125 @@
+"""Bodies of what is placed: an apple, a ring (a donut), a nest mound, a plain ball. Radius 1, y up, resting at y = 0 or sunk a little."""
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.shapes import Mesh, joined, sphere, waves
+
+Painted = tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32]]  # vertices, faces, display colour per vertex
+
+
+def _apple() -> Painted:
+    vertices, faces = sphere(4)
+    flat = np.hypot(vertices[:, 0], vertices[:, 2])
+    turn = np.arctan2(vertices[:, 2], vertices[:, 0])
+    high = vertices[:, 1]
+    top = np.exp(-((flat / 0.32) ** 2)) * np.where(high > 0, 0.42, 0.22) * np.sign(high)
+    shoulder = 1 + 0.05 * np.cos(5 * turn) * (1 - high) / 2
+    body = np.stack([vertices[:, 0] * shoulder, high * 0.9 - top, vertices[:, 2] * shoulder], axis=1)
+    blush = np.clip(0.5 + 0.55 * waves(vertices, 41, 1.5, 2), 0, 1)[:, None]
+    streak = np.clip(0.5 + 0.5 * np.sin(17 * turn + 4 * waves(vertices, 42, 1.2, 1)), 0, 1)[:, None] * 0.25
+    red, gold = np.array([0.74, 0.11, 0.10]), np.array([0.90, 0.68, 0.22])
+    near_top = np.exp(-(((flat - 0.05) / 0.34) ** 2))[:, None] * (high > 0)[:, None]
+    colour = red + (gold - red) * np.clip(0.55 * (1 - blush) + streak * 0.5 + 0.8 * near_top, 0, 1)
+    stem_points, stem_faces = sphere(1)
+    bend = 0.10 * (stem_points[:, 1] + 1) ** 2
+    stem = np.stack([stem_points[:, 0] * 0.045 + bend * 0.5, 0.72 + 0.22 * stem_points[:, 1], stem_points[:, 2] * 0.045], axis=1)
+    points, triangles = joined([(body, faces), (stem, stem_faces)])
+    shade = np.concatenate([colour, np.full((len(stem), 3), (0.33, 0.22, 0.13))])
+    points[:, 1] += 0.78
+    return points, triangles, shade.astype(np.float32)
+
+
+def _ring() -> Painted:
+    """A glazed ring: outer radius 1, tube 0.38, icing on the upper half with a wavy border, and sprinkles."""
+    around, across = 48, 20
+    u = np.arange(around) * 2 * np.pi / around
+    v = np.arange(across) * 2 * np.pi / across
+    big, small = np.meshgrid(u, v, indexing="ij")
+    radius = 0.62 + 0.38 * np.cos(small)
+    points = np.stack([radius * np.cos(big), 0.36 * np.sin(small), radius * np.sin(big)], axis=2).reshape(-1, 3)
+    border = 0.02 + 0.10 * np.sin(7 * big) * 0.5 + 0.05 * np.sin(11 * big + 1)
+    iced = (points[:, 1] > border.reshape(-1)).astype(np.float64)[:, None]
+    points *= 1 + 0.035 * iced
+    row, column = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
+    a = (row * across + column).reshape(-1)
+    b = (row * across + (column + 1) % across).reshape(-1)
+    c, d = (a + across) % (around * across), (b + across) % (around * across)
+    faces = np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)]).astype(np.int32)
+    dough, icing = np.array([0.80, 0.56, 0.30]), np.array([0.93, 0.52, 0.64])
+    parts: list[Mesh] = [(points, faces)]
+    shades = [dough + (icing - dough) * iced]
+    draw = np.random.Generator(np.random.Philox(51))
+    hues = np.array([(0.98, 0.96, 0.92), (0.97, 0.83, 0.25), (0.36, 0.68, 0.86), (0.45, 0.76, 0.42), (0.85, 0.26, 0.24)])
+    for k in range(34):
+        turn, side, own = draw.uniform(0, 2 * np.pi), draw.uniform(0.35, np.pi - 0.35), draw.uniform(0, np.pi)
+        grain, triangles = sphere(0)
+        grain = grain * np.array([0.075, 0.022, 0.022])
+        grain = np.stack([grain[:, 0] * np.cos(own) - grain[:, 2] * np.sin(own), grain[:, 1], grain[:, 0] * np.sin(own) + grain[:, 2] * np.cos(own)], 1)
+        reach = 0.62 + 0.40 * np.cos(side)
+        parts.append((grain + np.array([reach * np.cos(turn), 0.385 * np.sin(side), reach * np.sin(turn)]), triangles))
+        shades.append(np.tile(hues[k % len(hues)], (len(grain), 1)))
+    vertices, triangles = joined(parts)
+    vertices[:, 1] += 0.30
+    return vertices, triangles, np.concatenate(shades).astype(np.float32)
+
+
+def _mound() -> Painted:
+    """A crater of loose soil with a dark hole, as ants throw it up around their door."""
+    rings, around = 22, 40
+    reach = np.linspace(0, 1.25, rings)
+    turn = np.arange(around) * 2 * np.pi / around
+    r, t = np.meshgrid(reach, turn, indexing="ij")
+    crest = 0.52
+    outside = 0.30 * np.exp(-(((r - crest) / 0.34) ** 2))
+    inside = 0.30 * np.exp(-(((r - crest) / 0.22) ** 2)) - 0.30 * np.exp(-((r / 0.20) ** 2))
+    high = np.where(r > crest, outside, inside)
+    points = np.stack([r * np.cos(t), high, r * np.sin(t)], axis=2).reshape(-1, 3)
+    soft = np.clip(r.reshape(-1) / 0.25, 0, 1)
+    points[:, 1] += 0.025 * waves(points * np.array([1, 0, 1]), 61, 0.35, 2) * soft
+    points[:, 1] -= np.clip(r.reshape(-1) - 0.9, 0, None) * 0.35
+    row, column = np.meshgrid(np.arange(rings - 1), np.arange(around), indexing="ij")
+    a, b = (row * around + column).reshape(-1), (row * around + (column + 1) % around).reshape(-1)
+    faces = np.concatenate([np.stack([a, b, b + around], 1), np.stack([a, b + around, a + around], 1)]).astype(np.int32)
+    depth = np.clip((r.reshape(-1) - 0.10) / 0.22, 0.0, 1.0)[:, None]
+    soil, dark = np.array([0.60, 0.46, 0.33]), np.array([0.07, 0.05, 0.04])
+    tone = 1 + 0.10 * waves(points, 62, 0.22, 2)[:, None]
+    return points, faces, np.clip((dark + (soil - dark) * depth) * tone, 0, 1).astype(np.float32)
+
+
+def _ball() -> Painted:
+    vertices, faces = sphere(3)
+    vertices[:, 1] += 0.85
+    return vertices, faces, np.full((len(vertices), 3), (0.86, 0.80, 0.62), np.float32)
+
+
+PLACED: dict[str, Callable[[], Painted]] = {"apple": _apple, "ring": _ring, "mound": _mound, "sphere": _ball}
+
+# Words in an item's name that tell its shape; the first that is found decides.
+_WORDS: tuple[tuple[str, str], ...] = (
+    ("apple", "apple"),
+    ("fruit", "apple"),
+    ("donut", "ring"),
+    ("doughnut", "ring"),
+    ("ring", "ring"),
+    ("nest", "mound"),
+    ("home", "mound"),
+    ("hill", "mound"),
+)
+
+
+@cache
+def placed(shape: str) -> Painted:
+    """Vertices, faces and display colours 0..1 of the named shape."""
+    made = PLACED[shape]()
+    for array in made:
+        array.setflags(write=False)
+    return made
+
+
+def shape_of(kind: str, name: str) -> str:
+    """The shape that suits items called `kind` (`food`, `nest`) of this `name` (`apple`)."""
+    return next((shape for text in (name, kind) for word, shape in _WORDS if word in text.lower()), "sphere")

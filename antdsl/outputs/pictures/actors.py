@@ -1,0 +1,112 @@
+"""All that moves, as one ray scene: every agent's posed body and every item at its size, in this frame."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.body import Body, orientation, rotation, vertex_normals
+from antdsl.bodies.catalogue import body
+from antdsl.bodies.placed import placed
+from antdsl.outputs.pictures.camera import View
+from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.model import Crowd, Item, Picture
+from antdsl.runtime.senses.rays import RayScene
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+CLOSE = 16.0  # pixels of body length from which the close-up body is worth its triangles
+_DARK = decoded((0.16, 0.11, 0.09))  # legs, feelers, eyes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """One kind of thing many times: vertices and normals (n, 3), faces, linear colour (n, 3), gloss (n,)."""
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    normal: Floats
+    colour: Floats
+    gloss: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Actors:
+    """`rays` over one mesh of everything that moves; `tall`: the longest way its shadow needs to be looked for."""
+
+    rays: RayScene
+    mesh: Mesh
+    tall: float
+    size: float
+
+
+def actors(picture: Picture, view: View) -> Actors:
+    """The moving part of `picture`, agents that are large in `view` with their close-up bodies, those out of sight left out."""
+    parts: list[Mesh] = []
+    longest = 0.0
+    for crowd in picture.crowds:
+        if len(crowd.position):
+            parts += _crowd(crowd, view)
+            longest = max(longest, float(np.max(crowd.scale)))
+    parts += [_item(item, picture.up) for item in picture.items if item.shape != "none" and item.left > 0 and item.radius > 0]
+    widest = max((item.radius for item in picture.items), default=0.0)
+    if not parts:
+        nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), *(np.zeros((0, 3), np.float32),) * 2, np.zeros(0, np.float32))
+        return Actors(RayScene(nothing.vertices, nothing.faces), nothing, 0.0, 0.0)
+    starts = np.cumsum([0] + [len(part.vertices) for part in parts])
+    mesh = Mesh(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + np.int32(start) for part, start in zip(parts, starts[:-1], strict=True)]),
+        np.concatenate([part.normal for part in parts]),
+        np.concatenate([part.colour for part in parts]),
+        np.concatenate([part.gloss for part in parts]),
+    )
+    return Actors(RayScene(mesh.vertices, mesh.faces), mesh, max(20 * longest, 8 * widest), max(longest, 0.3 * widest))
+
+
+def _crowd(crowd: Crowd, view: View) -> list[Mesh]:
+    depth = view.project(crowd.position)[1]
+    scale = np.asarray(crowd.scale, np.float64)
+    near = np.linalg.norm(crowd.position - view.eye, axis=1)
+    finite = np.isfinite(crowd.position).all(axis=1) & np.isfinite(scale) & (scale > 0)
+    seen = finite & ((depth > -20 * scale) & _in_sight(crowd.position, depth, 20 * scale, view))
+    close = seen & (scale / view.pixel_at(np.maximum(near, 1e-9)) >= CLOSE)
+    made = [(body(crowd.body, True), np.flatnonzero(close)), (body(crowd.body, False), np.flatnonzero(seen & ~close))]
+    return [_posed(crowd, shape, rows) for shape, rows in made if len(rows)]
+
+
+def _in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray[np.bool_]:
+    """Whether a ball of `margin` around each point reaches into the picture's pyramid."""
+    seen = points - view.eye
+    inside = np.ones(len(points), np.bool_)
+    for axis, half in ((view.right, view.half[0]), (view.above, view.half[1])):
+        inside &= np.abs(seen @ axis) - depth * half <= margin * float(np.hypot(1.0, half))
+    return inside
+
+
+def _posed(crowd: Crowd, shape: Body, rows: NDArray[np.int64]) -> Mesh:
+    scale = np.asarray(crowd.scale, np.float64)[rows]
+    walked = np.zeros(len(rows)) if crowd.walked is None else np.asarray(crowd.walked, np.float64)[rows] / scale
+    turn = rotation(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32)
+    local = shape.posed(walked) * scale.astype(np.float32)[:, None, None]
+    across = np.swapaxes(turn, 1, 2)
+    vertices = np.matmul(local, across).astype(np.float64) + np.asarray(crowd.position, np.float64)[rows, None, :]
+    normal = np.matmul(np.broadcast_to(shape.normals, (len(rows), *shape.normals.shape)), across)
+    bright = decoded(np.asarray(crowd.colour, np.float32)[rows])[:, None, :]
+    tint = shape.tint[None, :, None]
+    colour = bright * tint + (_DARK * 0.75 + bright * 0.25) * (1 - tint)
+    count = len(shape.normals)
+    faces = (shape.faces[None] + (np.arange(len(rows), dtype=np.int32) * count)[:, None, None]).reshape(-1, 3)
+    gloss = np.full(len(rows) * count, 0.55, np.float32)
+    return Mesh(vertices.reshape(-1, 3), faces, normal.reshape(-1, 3), colour.reshape(-1, 3), gloss)
+
+
+def _item(item: Item, up: tuple[float, float, float]) -> Mesh:
+    vertices, faces, colour = placed(item.shape)
+    size = item.radius * min(max(item.left, 0.0), 1.0) ** (1 / 3)
+    upward = np.array([up])
+    turn = rotation(orientation(np.array([[0.83, 0.31, 0.46]]), upward))[0]
+    points = (vertices * size) @ turn.T + np.asarray(item.position, np.float64)
+    gloss = np.full(len(points), 0.0 if item.shape == "mound" else 0.5, np.float32)
+    return Mesh(points, faces, vertex_normals(points, faces), decoded(colour), gloss)

@@ -1,0 +1,86 @@
+"""Sun, sky, haze and the curve that makes display values of light. Everything is linear light in float32 until `displayed`."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+
+SUN = np.array([2.65, 2.36, 1.95], np.float32)
+SKY = np.array([0.50, 0.62, 0.84], np.float32)
+BOUNCE = np.array([0.34, 0.28, 0.21], np.float32)
+ZENITH = np.array([0.20, 0.40, 0.74], np.float32)
+HORIZON = np.array([0.74, 0.80, 0.84], np.float32)
+SUN_WIDTH = 0.045  # tangent of the half angle: wider than the real one, for soft edges
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sun:
+    """`towards`: unit direction to the sun; `a`, `b`: unit axes across it; `up`: the world's."""
+
+    towards: Floats
+    a: Floats
+    b: Floats
+    up: Floats
+
+    def directions(self, turn: Floats, reach: Floats) -> Floats:
+        """Directions (n, 3) to places on the sun's disc: `turn`, `reach` (n,) within 0..1."""
+        angle = turn * np.float32(2 * np.pi)
+        radius = np.sqrt(reach) * np.float32(SUN_WIDTH)
+        return self.towards + (radius * np.cos(angle))[:, None] * self.a + (radius * np.sin(angle))[:, None] * self.b
+
+
+def sun_over(up: NDArray[np.float64], elevation: float = 43.0, azimuth: float = 128.0) -> Sun:
+    """A sun at `elevation` and `azimuth` degrees above the level plane of `up`."""
+    upward = up / np.linalg.norm(up)
+    first = np.roll(upward, 1) - upward * float(np.dot(np.roll(upward, 1), upward))
+    first /= np.linalg.norm(first)
+    second = np.cross(upward, first)
+    turn, high = np.radians(azimuth), np.radians(elevation)
+    towards = np.cos(high) * (np.cos(turn) * first + np.sin(turn) * second) + np.sin(high) * upward
+    a = np.cross(towards, upward)
+    a /= np.linalg.norm(a)
+    return Sun(*(v.astype(np.float32) for v in (towards, a, np.cross(a, towards), upward)))
+
+
+def ambient(upness: Floats) -> Floats:
+    """Light (n, 3) from the sky and the ground around for normals that point up by `upness` (−1..1)."""
+    share = (0.5 + 0.5 * upness)[:, None]
+    return SKY * share + BOUNCE * (1 - share)
+
+
+def sky(direction: Floats, sun: Sun) -> Floats:
+    """What a ray (n, 3) that meets nothing sees."""
+    high = direction @ sun.up
+    share = np.sqrt(np.clip(high, 0.0, 1.0))[:, None]
+    glow = np.clip(direction @ sun.towards, 0.0, 1.0)[:, None]
+    return HORIZON * (1 - share) + ZENITH * share + np.array([0.22, 0.17, 0.10], np.float32) * glow**8
+
+
+def hazed(colour: Floats, far: Floats, direction: Floats, sun: Sun, reach: float) -> Floats:
+    """`colour` seen through `far` of air that hides half at about 0.7 `reach`; looking down there is little of it."""
+    level = 1 - np.clip(-(direction @ sun.up), 0.0, 1.0)
+    amount = (1 - np.exp(-far / np.float32(reach))) * level * level * level
+    return colour + (HORIZON - colour) * amount[:, None]
+
+
+def displayed(light: Floats) -> Floats:
+    """Display-linear values 0..1: straight in the darks and middles, rolling off softly above 0.7."""
+    light = np.maximum(light * np.float32(0.62), 0)
+    knee = np.float32(0.7)
+    over = np.maximum(light - knee, 0)
+    return np.where(light > knee, knee + (1 - knee) * (1 - np.exp(-over / (1 - knee))), light)
+
+
+def encoded(linear: Floats) -> NDArray[np.uint8]:
+    """Display-linear values as sRGB bytes."""
+    low = linear * 12.92
+    high = 1.055 * np.power(np.maximum(linear, 1e-8), 1 / 2.4) - 0.055
+    return np.clip(np.where(linear <= 0.0031308, low, high) * 255 + 0.5, 0, 255).astype(np.uint8)
+
+
+def decoded(display: NDArray[np.floating] | tuple[float, ...]) -> Floats:
+    """Linear values of sRGB display values 0..1."""
+    value = np.asarray(display, np.float32)
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)

@@ -1,0 +1,113 @@
+"""Colour and grain of what stands still: soil, rock, the cut edge of the ground, the table it stands on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.noise import value_noise
+
+Floats = NDArray[np.float32]
+
+KINDS = ("ground", "stone", "boulder", "hill", "table", "edge")
+GROUND, STONE, BOULDER, HILL, TABLE, EDGE = range(len(KINDS))
+
+_SOIL = decoded((0.73, 0.66, 0.54))
+_DRY = decoded((0.80, 0.755, 0.65))
+_MOSS = decoded((0.56, 0.585, 0.42))
+_ROCK = decoded((0.50, 0.465, 0.42))
+_STONES = decoded(np.array([(0.57, 0.565, 0.56), (0.50, 0.515, 0.54), (0.64, 0.60, 0.55)]))
+_BOULDER = decoded((0.60, 0.575, 0.545))
+_LICHEN = decoded((0.70, 0.70, 0.58))
+_HILL = decoded((0.55, 0.42, 0.30))
+_EARTH = decoded((0.42, 0.33, 0.25))
+_TABLE = decoded((0.80, 0.80, 0.79))
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """Lengths in world units that the looks go by: the whole set's `extent`, the `grain` of about one body length."""
+
+    extent: float
+    grain: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """Samples of what stands still: linear `albedo` (n, 3) and the `normal` (n, 3) with its grain."""
+
+    albedo: Floats
+    normal: Floats
+
+
+def surface(kind: NDArray[np.uint8], points: Floats, normal: Floats, up: Floats, pixel: Floats, scales: Scales, painted: Floats) -> Surface:
+    """Look of samples: `kind` (n,) of KINDS, `points`, smooth `normal` (n, 3), `pixel` (n,) the width of a pixel there.
+
+    `painted` (n, 4): a colour of the mesh's own and whether it holds (0 or 1)."""
+    upness = normal @ up
+    large, _ = value_noise(points, scales.extent / 9, 1)
+    patch, _ = value_noise(points, scales.extent / 34, 2)
+    albedo = np.empty_like(points)
+    for code in np.unique(kind):
+        here = np.flatnonzero(kind == code)
+        albedo[here] = _COLOURS[int(code)](points[here], upness[here], large[here], patch[here], up, scales)
+    own = painted[:, 3:]
+    albedo = albedo * (1 - own) + painted[:, :3] * own
+    return _grained(albedo, normal, kind, points, pixel, scales)
+
+
+def _grained(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: Scales) -> Surface:
+    """Bumps and specks, each size only where a pixel is small enough to show it."""
+    rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9], np.float32)[kind]
+    for wavelength, height, speck, seed in ((3.2, 0.24, 0.10, 5), (0.9, 0.20, 0.13, 6), (0.27, 0.15, 0.15, 7)):
+        length = wavelength * scales.grain
+        seen = np.clip(length / pixel * 0.4 - 0.5, 0.0, 1.0) * rough
+        here = np.flatnonzero(seen > 0.01)
+        if not len(here):
+            continue
+        value, slope = value_noise(points[here], length, seed)
+        strength = seen[here, None]
+        slope -= normal[here] * (slope * normal[here]).sum(axis=1, keepdims=True)
+        normal[here] -= strength * slope * np.float32(height * length * 0.5)
+        albedo[here] *= 1 + strength * value[:, None] * np.float32(speck)
+    normal /= np.sqrt((normal * normal).sum(axis=1, keepdims=True))
+    return Surface(albedo, normal)
+
+
+def _mixed(first: Floats, second: Floats, share: Floats) -> Floats:
+    return first + (second - first) * np.clip(share, 0.0, 1.0)[:, None]
+
+
+def _ground(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+    colour = _mixed(_SOIL, _DRY, 0.5 + 0.9 * large)
+    colour = _mixed(colour, _MOSS, (0.55 * patch - 0.75 * large - 0.12) * 1.6 * np.clip(upness * 4 - 2.6, 0, 1))
+    return _mixed(colour, _ROCK, (0.86 - upness + 0.10 * patch) * 4.0)
+
+
+def _stone(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+    tone = np.clip(1.0 + 1.2 * large, 0.0, 2.0)
+    first = _mixed(_STONES[0], _STONES[1], 1 - tone)
+    return _mixed(first, _STONES[2], tone - 1) * (1 + 0.12 * patch)[:, None]
+
+
+def _boulder(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+    bands = np.sin((points @ up) * np.float32(2 * np.pi / (scales.extent / 60)) + 3 * patch)
+    colour = _BOULDER * (1 + 0.07 * bands + 0.08 * patch)[:, None]
+    return _mixed(colour, _LICHEN, (patch + 0.5 * large - 0.35) * 1.8 * np.clip(upness, 0, 1))
+
+
+def _hill(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+    return _HILL * (1 + 0.14 * patch + 0.10 * large)[:, None]
+
+
+def _table(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+    return np.broadcast_to(_TABLE, points.shape)
+
+
+def _edge(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+    layers = np.sin((points @ up) * np.float32(2 * np.pi / (scales.extent / 70)) + 2.2 * patch + 3 * large)
+    return _EARTH * (1 + 0.16 * layers + 0.10 * patch)[:, None]
+
+
+_COLOURS = (_ground, _stone, _boulder, _hill, _table, _edge)

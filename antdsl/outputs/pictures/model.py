@@ -1,0 +1,100 @@
+"""What a picture is made of: solids, crowds, items, trails, a camera. Plain values; nothing here draws."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Kind = Literal["ground", "stone", "boulder", "hill"]
+Shape = Literal["apple", "ring", "mound", "sphere", "none"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """A mesh that stands still between frames: `vertices` (n, 3) in world units, `faces` (m, 3).
+
+    `colour`: display (sRGB) values 0..1, one (3,) or one a vertex (n, 3); None takes the look of its `kind`."""
+
+    name: str
+    vertices: Array
+    faces: NDArray[np.int32]
+    kind: Kind = "ground"
+    colour: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crowd:
+    """Agents of one species. `position` (n, 3), `orient` (n, 4) quaternions x, y, z, w that turn +x to the heading and +y to up,
+    `scale` (n,) body lengths in world units, `colour` (n, 3) display values 0..1, `walked` (n,) distance in world units (drives the legs).
+
+    `ids`, `velocity` (n, 3) and `feelers` (k, 2, 3: starts and ends) are needed only where they are to be shown."""
+
+    species: str
+    position: Array
+    orient: Array
+    scale: Array
+    colour: Array
+    walked: Array | None = None
+    body: str = "ant"
+    ids: NDArray[np.int64] | None = None
+    velocity: Array | None = None
+    feelers: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Item:
+    """Food, a nest, anything placed: `left` is the share that is still there, 0..1; the body shrinks with it."""
+
+    name: str
+    position: tuple[float, float, float]
+    radius: float
+    left: float = 1.0
+    shape: Shape = "sphere"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trail:
+    """A field on the ground: cells at `position` (n, 3) of edge `cell` with `strength` (n,); `full` is the strength drawn strongest
+    (None: that of the strongest hundredth of the cells that hold any)."""
+
+    name: str
+    position: Array
+    strength: Array
+    cell: float
+    colour: tuple[float, float, float] = (0.52, 0.16, 0.62)
+    full: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A pinhole on a 36 mm wide sensor: `focal` in millimetres, or `fov` (degrees, across the picture's width) where that is given."""
+
+    at: tuple[float, float, float]
+    look_at: tuple[float, float, float]
+    focal: float = 35.0
+    fov: float | None = None
+    up: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LegendRow:
+    """A state's name, colour (display values 0..255) and how many agents are in it."""
+
+    name: str
+    colour: tuple[int, int, int]
+    count: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One frame, ready to be drawn. `up` is the world's up; `legend` and `frame` are written over the picture where given."""
+
+    solids: tuple[Solid, ...] = ()
+    crowds: tuple[Crowd, ...] = ()
+    items: tuple[Item, ...] = ()
+    trails: tuple[Trail, ...] = ()
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    legend: tuple[LegendRow, ...] = field(default=())
+    frame: int | None = None

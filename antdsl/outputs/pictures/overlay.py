@@ -1,0 +1,117 @@
+"""What is written over a drawn picture: velocity and feelers as lines, ids, the legend of states, the frame's number."""
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+from PIL import ImageDraw, ImageFont
+
+from antdsl.outputs.pictures.camera import View
+from antdsl.outputs.pictures.model import Crowd, LegendRow, Picture
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_VELOCITY, _FEELER = (255, 250, 235), (255, 96, 64)
+_AHEAD = 0.25  # seconds of way that a velocity line shows
+_MOST_IDS = 2000
+
+
+@cache
+def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Pillow's own typeface at `size` pixels."""
+    return ImageFont.load_default(size)
+
+
+def draw_overlay(image: Image, picture: Picture, view: View, far: NDArray[np.float32], samples: int, show: tuple[str, ...]) -> Image:
+    """`image` with the lines, ids, legend and frame number that `show` and `picture` ask for; what stands behind ground is left out.
+
+    `far`: distance of the still things per sample, rows first."""
+    lines = [word for word in ("velocity", "feelers", "ids") if word in show]
+    if not (lines or picture.legend or picture.frame is not None):
+        return image
+    canvas = PillowImage.fromarray(image)
+    draw = ImageDraw.Draw(canvas, "RGBA")
+    depth = far.reshape(view.height, samples, view.width, samples)[:, samples // 2, :, samples // 2]
+    for crowd in picture.crowds:
+        seen = _visible(crowd, view, depth)
+        if "velocity" in show and crowd.velocity is not None:
+            lift = _lifted(crowd)[seen]
+            _draw_lines(draw, view, np.stack([lift, lift + _AHEAD * np.asarray(crowd.velocity)[seen]], axis=1), _VELOCITY)
+        if "feelers" in show and crowd.feelers is not None and len(crowd.feelers):
+            ends = np.asarray(crowd.feelers, np.float64)
+            _draw_lines(draw, view, ends[_unhidden(ends[:, 0], view, depth)], _FEELER)
+        if "ids" in show and crowd.ids is not None:
+            _draw_ids(draw, view, crowd, np.flatnonzero(seen)[:_MOST_IDS])
+    _draw_legend(draw, picture, view)
+    return np.asarray(canvas)
+
+
+def _lifted(crowd: Crowd) -> Array:
+    """Places a little above the ground, at the height of the body."""
+    from antdsl.bodies.body import turned
+
+    up = turned(np.asarray(crowd.orient, np.float64), np.tile([0.0, 1.0, 0.0], (len(crowd.position), 1)))
+    return np.asarray(crowd.position, np.float64) + up * 0.25 * np.asarray(crowd.scale, np.float64)[:, None]
+
+
+def _visible(crowd: Crowd, view: View, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+    return _unhidden(_lifted(crowd), view, depth) if len(crowd.position) else np.zeros(0, np.bool_)
+
+
+def _unhidden(points: Array, view: View, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Whether nothing that stands still is before each point; False for what the picture does not hold."""
+    places, ahead = view.project(points)
+    inside = (ahead > 0) & (places >= 0).all(axis=1) & (places[:, 0] < view.width) & (places[:, 1] < view.height)
+    column, row = np.where(inside[:, None], places, 0).astype(np.int64).T
+    distance = np.linalg.norm(points - view.eye, axis=1)
+    return inside & (distance <= depth[row, column] * 1.005 + view.pixel_at(np.maximum(ahead, 0)) * 2)
+
+
+def _draw_lines(draw: ImageDraw.ImageDraw, view: View, ends: Array, colour: tuple[int, int, int]) -> None:
+    """Lines between ends (n, 2, 3) that are both ahead of the camera."""
+    if not len(ends):
+        return
+    places, ahead = view.project(ends.reshape(-1, 3))
+    pairs = places.reshape(-1, 4)
+    kept = (ahead.reshape(-1, 2) > 0).all(axis=1) & (np.abs(pairs) < 1e5).all(axis=1)
+    width = 2 if view.height >= 900 else 1
+    for a, b, c, d in pairs[kept].tolist():
+        draw.line((a, b, c, d), fill=(*colour, 215), width=width)
+
+
+def _draw_ids(draw: ImageDraw.ImageDraw, view: View, crowd: Crowd, rows: NDArray[np.int64]) -> None:
+    if crowd.ids is None:
+        return
+    size = max(9, view.height // 54)
+    places, _ = view.project(_lifted(crowd)[rows])
+    for (x, y), name in zip(places.tolist(), np.asarray(crowd.ids)[rows].tolist(), strict=True):
+        draw.text((x + size * 0.3, y - size * 1.1), str(name), font=font(size), fill=(255, 255, 255, 235), stroke_width=1, stroke_fill=(0, 0, 0, 190))
+
+
+def _draw_legend(draw: ImageDraw.ImageDraw, picture: Picture, view: View) -> None:
+    size = max(10, view.height // 36)
+    gap = size // 2
+    if picture.legend:
+        _draw_states(draw, picture.legend, size, gap)
+    if picture.frame is not None:
+        text = f"frame {picture.frame}"
+        wide = draw.textlength(text, font=font(size))
+        box = (view.width - wide - 3 * gap, gap, view.width - gap, gap + size + 2 * gap)
+        draw.rounded_rectangle(box, gap, fill=(18, 20, 24, 150))
+        draw.text((view.width - wide - 2 * gap, gap + gap * 0.8), text, font=font(size), fill=(255, 255, 255, 240))
+
+
+def _draw_states(draw: ImageDraw.ImageDraw, rows: tuple[LegendRow, ...], size: int, gap: int) -> None:
+    names = max(draw.textlength(row.name, font=font(size)) for row in rows)
+    counts = max(draw.textlength(f"{row.count:,}", font=font(size)) for row in rows)
+    line = int(size * 1.35)
+    right = gap + gap + size + gap + names + 2 * gap + counts + gap
+    draw.rounded_rectangle((gap, gap, right, gap + 2 * gap + line * len(rows)), gap, fill=(18, 20, 24, 150))
+    for k, row in enumerate(rows):
+        top = 2 * gap + k * line
+        draw.ellipse((2 * gap, top + size * 0.1, 2 * gap + size * 0.95, top + size * 1.05), fill=(*row.colour, 255))
+        draw.text((3 * gap + size, top - size * 0.05), row.name, font=font(size), fill=(255, 255, 255, 240))
+        count = f"{row.count:,}"
+        draw.text((right - gap - draw.textlength(count, font=font(size)), top - size * 0.05), count, font=font(size), fill=(255, 255, 255, 240))

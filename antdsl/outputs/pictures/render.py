@@ -1,0 +1,224 @@
+"""Draws a `Picture` from a `Camera`: rays for what is seen, sun and open sky for its light; keeps what stands still.
+
+One `Renderer` for a film; `render_frame` for a single picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.pictures import looks
+from antdsl.outputs.pictures.actors import Actors, actors
+from antdsl.outputs.pictures.camera import View, view
+from antdsl.outputs.pictures.light import SUN, Sun, ambient, displayed, encoded, hazed, sky, sun_over
+from antdsl.outputs.pictures.looks import Scales
+from antdsl.outputs.pictures.model import Camera, Picture
+from antdsl.outputs.pictures.noise import dither
+from antdsl.outputs.pictures.overlay import draw_overlay
+from antdsl.outputs.pictures.setting import Setting, setting
+from antdsl.outputs.pictures.stage import Stage, open_share, screen_places, stage
+from antdsl.outputs.pictures.trails import TrailCloth, dyed
+from antdsl.runtime.senses.rays import Hits
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Image = NDArray[np.uint8]
+
+SHOWN = ("trail", "feelers", "velocity", "ids")
+_CONTACT_RAYS = 4
+
+
+@dataclass(slots=True)
+class _Kept:
+    """What one camera saw of what stands still."""
+
+    stage: Stage
+    ground: NDArray[np.int64]
+    cloths: dict[float, TrailCloth]
+
+
+class Renderer:
+    """Draws pictures of one size; while solids and camera stay the same objects and values, their rays are not cast again.
+
+    `samples`: every pixel is the mean of samples × samples rays. `threads`: for the rays (the bits do not depend on it)."""
+
+    def __init__(self, width: int = 960, height: int = 540, *, samples: int = 2, threads: int = 1) -> None:
+        if not (1 <= width <= 8192 and 1 <= height <= 8192 and 1 <= samples <= 4):
+            raise ValueError("a picture is 1 to 8192 pixels wide and high, with 1 to 4 samples along a pixel's edge")
+        self.width, self.height, self.samples, self.threads = width, height, samples, max(1, threads)
+        self._settings: list[tuple[tuple[int, ...], Setting, tuple[object, ...]]] = []
+        self._kept: dict[tuple[object, ...], _Kept] = {}
+
+    def draw(self, picture: Picture, camera: Camera, *, show: Iterable[str] = ("trail",)) -> Image:
+        """The picture as bytes (height, width, 3), sRGB. `show`: any of SHOWN. Raises ValueError for another word."""
+        wanted = tuple(show)
+        wrong = [word for word in wanted if word not in SHOWN]
+        if wrong:
+            raise ValueError(f"cannot show `{wrong[0]}`: there are {', '.join(SHOWN)}")
+        up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
+        sun = sun_over(up)
+        seen = view(camera, self.width, self.height, picture.up)
+        still = self._setting(picture, up)
+        scales = Scales(still.extent, _grain(picture, still.extent))
+        kept = self._stage(picture, camera, still, seen, sun, scales)
+        cast = actors(picture, seen)
+        image = self._light(picture, kept, cast, sun, scales, "trail" in wanted)
+        return draw_overlay(image, picture, seen, kept.stage.far, self.samples, wanted)
+
+    def _setting(self, picture: Picture, up: Array) -> Setting:
+        """The ray scene of the solids; kept with the solids themselves, so that an id is not given to others."""
+        key = tuple(id(solid.vertices) for solid in picture.solids) + tuple(hash(float(v)) for v in up)
+        for known, made, _ in self._settings:
+            if known == key:
+                return made
+        made = setting(picture.solids, up)
+        self._settings = [*self._settings[-1:], (key, made, picture.solids)]
+        return made
+
+    def _stage(self, picture: Picture, camera: Camera, still: Setting, seen: View, sun: Sun, scales: Scales) -> _Kept:
+        key = (id(still), camera, picture.up, scales)
+        if key not in self._kept:
+            made = stage(still, seen, self.samples, sun, scales, self.threads)
+            ground = np.flatnonzero(np.isfinite(made.far) & (made.kind < looks.TABLE))
+            # Two cameras in turn (from above, at eye level) keep what they saw.
+            self._kept = dict([*self._kept.items()][-1:])
+            self._kept[key] = _Kept(made, ground, {})
+        return self._kept[key]
+
+    def _light(self, picture: Picture, kept: _Kept, cast: Actors, sun: Sun, scales: Scales, trail: bool) -> Image:
+        still = kept.stage
+        shade = still.shade
+        if cast.size > 0:
+            shade = shade.copy()
+            open_share(still, cast.rays, 1.1 * cast.size, _CONTACT_RAYS, shade, scales, self.threads)
+        albedo = self._dyed(picture, kept) if trail else still.albedo
+        wide = self.width * self.samples**2
+        image = np.empty((self.height, self.width, 3), np.uint8)
+        for rows in still.strips():
+            own = slice(rows[0] * wide, rows[1] * wide)
+            light = self._strip(still, albedo[own], shade, cast, sun, scales, rows, own)
+            blocks = light.reshape(rows[1] - rows[0], self.samples, self.width, self.samples, 3)
+            image[rows[0] : rows[1]] = encoded(blocks.mean(axis=(1, 3)))
+        return image
+
+    def _dyed(self, picture: Picture, kept: _Kept) -> Floats:
+        albedo = kept.stage.albedo
+        trails = [trail for trail in picture.trails if len(trail.position) and (trail.strength > 0).any()]
+        if not trails or not len(kept.ground):
+            return albedo
+        colours = albedo[kept.ground]
+        for trail in trails:
+            if trail.cell not in kept.cloths:
+                kept.cloths[trail.cell] = TrailCloth(_places(kept.stage)[kept.ground], trail.cell)
+            colours = dyed(colours, kept.cloths[trail.cell].strength(trail), trail)
+        albedo = albedo.copy()
+        albedo[kept.ground] = colours
+        return albedo
+
+    def _strip(
+        self, still: Stage, albedo: Floats, shade: Floats, cast: Actors, sun: Sun, scales: Scales, rows: tuple[int, int], own: slice
+    ) -> Floats:
+        """Display-linear light (n, 3) of the samples of some pixel rows."""
+        direction = still.view.rays(*rows, self.samples)
+        places = screen_places(still.view, self.samples, rows)
+        far = still.far[own]
+        hits = cast.rays.cast(np.broadcast_to(still.view.eye, direction.shape), direction, self.threads)
+        front = np.flatnonzero(hits.t < far)
+        solid = np.isfinite(far)
+        solid[front] = False
+        back = np.flatnonzero(solid)
+        light = sky(direction, sun)
+        direct = still.sun[own][back]
+        if cast.size > 0:
+            direct = self._shadowed(direct, still.view, far[back], direction[back], [p[back] for p in places], cast, sun, scales)
+        opened = shade[places[0][back] // self.samples, places[1][back] // self.samples]
+        around = ambient(still.upness[own][back]) * opened[:, None]
+        colour = albedo[back] * (direct[:, None] * SUN + around)
+        light[back] = self._airy(colour, still.kind[own][back], far[back], direction[back], sun, scales)
+        if len(front):
+            colour = self._actors(cast, still.view, hits, direction, front, sun, scales)
+            light[front] = hazed(colour, hits.t[front], direction[front], sun, 2.2 * scales.extent)
+        return displayed(light)
+
+    def _airy(self, colour: Floats, kind: NDArray[np.uint8], far: Floats, direction: Floats, sun: Sun, scales: Scales) -> Floats:
+        """Haze; the table is lost in it sooner, so that its end is never seen."""
+        colour = hazed(colour, far, direction, sun, 2.2 * scales.extent)
+        table = np.flatnonzero(kind == looks.TABLE)
+        fade = 1 - np.exp(-np.square(far[table] / np.float32(3.2 * scales.extent)))
+        colour[table] += (sky(direction[table] * (1 - sun.up) , sun) - colour[table]) * fade[:, None]
+        return colour
+
+    def _shadowed(
+        self, direct: Floats, seen: View, far: Floats, direction: Floats, places: list[NDArray[np.int64]], cast: Actors, sun: Sun, scales: Scales
+    ) -> Floats:
+        """Sunlight less what the moving things keep from it."""
+        lit = np.flatnonzero(direct > 0)
+        start = seen.eye + far[lit, None].astype(np.float64) * direction[lit]
+        rays = sun.directions(dither(*places)[lit], dither(*places, 1)[lit])
+        met = cast.rays.occluded(start + rays * np.float32(1e-5 * scales.extent), rays, far=cast.tall, threads=self.threads)
+        direct = direct.copy()
+        direct[lit[met]] = 0
+        return direct
+
+    def _actors(
+        self, cast: Actors, seen: View, hits: Hits, direction: Floats, front: NDArray[np.int64], sun: Sun, scales: Scales
+    ) -> Floats:
+        """Light from the samples that meet something that moves."""
+        corners = cast.mesh.faces[hits.face[front]]
+        weight = np.stack([1 - hits.u[front] - hits.v[front], hits.u[front], hits.v[front]], axis=1)
+        normal = np.einsum("nk,nkc->nc", weight, cast.mesh.normal[corners])
+        flat = hits.normal[front]
+        normal *= np.where((normal * flat).sum(axis=1) < 0, -1, 1)[:, None]
+        normal /= np.sqrt((normal * normal).sum(axis=1, keepdims=True)) + np.float32(1e-12)
+        colour = np.einsum("nk,nkc->nc", weight, cast.mesh.colour[corners])
+        gloss = cast.mesh.gloss[corners[:, 0]]
+        where = seen.eye + hits.t[front, None].astype(np.float64) * direction[front] + flat * (2e-5 * scales.extent)
+        aim = np.broadcast_to(sun.towards, where.shape)
+        facing = np.clip(normal @ sun.towards, 0, 1)
+        lit = np.flatnonzero(facing > 0)
+        hidden = cast.rays.occluded(where[lit], aim[lit], far=max(cast.tall, 1e-9), threads=self.threads)
+        facing[lit[hidden]] = 0
+        upness = normal @ sun.up
+        half = sun.towards - direction[front]
+        half /= np.sqrt((half * half).sum(axis=1, keepdims=True))
+        shine = gloss * np.clip((normal * half).sum(axis=1), 0, 1) ** 42 * (facing > 0)
+        rim = gloss * (1 - np.clip(-(normal * direction[front]).sum(axis=1), 0, 1)) ** 4 * 0.5
+        # Undersides see mostly the near ground, which the body keeps dark.
+        near = 0.45 + 0.55 * np.clip(0.6 + 0.8 * upness, 0, 1)
+        around = ambient(upness) * (near * 1.15)[:, None]
+        return colour * (facing[:, None] * SUN + around) + shine[:, None] * SUN * 0.7 + rim[:, None] * ambient(upness) * 0.5
+
+
+def render_frame(
+    picture: Picture,
+    camera: Camera,
+    width: int = 960,
+    height: int = 540,
+    *,
+    samples: int = 2,
+    show: Iterable[str] = ("trail",),
+    threads: int = 1,
+) -> Image:
+    """One picture, bytes (height, width, 3) in sRGB; a film of many is drawn faster by one `Renderer`."""
+    return Renderer(width, height, samples=samples, threads=threads).draw(picture, camera, show=show)
+
+
+def _grain(picture: Picture, extent: float) -> float:
+    """The length that grain and shade go by: the body length of the first crowd, rounded so that growth keeps the stage."""
+    lengths = [float(np.median(crowd.scale)) for crowd in picture.crowds if len(crowd.scale)]
+    length = next((v for v in lengths if v > 0), extent / 250)
+    return float(2.0 ** (round(2 * np.log2(min(max(length, extent / 2000), extent / 20))) / 2))
+
+
+def _places(still: Stage) -> Floats:
+    """World places (n, 3) of all samples; sky samples lie at the eye."""
+    parts = []
+    wide = still.view.width * still.samples**2
+    for rows in still.strips():
+        far = still.far[rows[0] * wide : rows[1] * wide]
+        reach = np.where(np.isfinite(far), far, 0)[:, None].astype(np.float64)
+        parts.append((still.view.eye + reach * still.view.rays(*rows, still.samples)).astype(np.float32))
+    return np.concatenate(parts)

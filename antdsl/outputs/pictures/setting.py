@@ -1,0 +1,89 @@
+"""All that stands still, as one ray scene: the solids, the cut edge below open ground, and the table under it all."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.body import vertex_normals
+from antdsl.outputs.pictures import looks
+from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.model import Solid
+from antdsl.runtime.senses.rays import RayScene
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setting:
+    """`rays` over `faces` (m, 3); per vertex a smooth `normal` (n, 3) and `painted` (n, 4: linear colour, whether it holds);
+    per face its `kind`. `middle` and `extent` (diagonal) of the solids, `base` the height of the table along `up`."""
+
+    rays: RayScene
+    faces: NDArray[np.int32]
+    normal: Floats
+    painted: Floats
+    kind: NDArray[np.uint8]
+    middle: Array
+    extent: float
+    base: float
+    up: Floats
+
+
+def setting(solids: tuple[Solid, ...], up: Array) -> Setting:
+    """The solids made ready for rays; without any there is only the table."""
+    parts: list[tuple[Array, NDArray[np.int32], Floats, int]] = []
+    everything = np.concatenate([solid.vertices for solid in solids if len(solid.vertices)] or [np.zeros((1, 3))])
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    extent = float(np.linalg.norm(high - low)) or 1.0
+    base = float((everything @ up).min()) - 0.03 * extent
+    for solid in solids:
+        if not len(solid.faces):
+            continue
+        painted = np.zeros((len(solid.vertices), 4), np.float32)
+        if solid.colour is not None:
+            painted[:, :3] = decoded(np.asarray(solid.colour, np.float32))
+            painted[:, 3] = 1
+        parts.append((np.asarray(solid.vertices, np.float64), solid.faces, painted, looks.KINDS.index(solid.kind)))
+        if solid.kind == "ground":
+            parts += _edges(np.asarray(solid.vertices, np.float64), solid.faces, up, base)
+    middle = (low + high) / 2
+    parts.append(_table(middle, up, base, 30 * extent))
+    counts = np.cumsum([0] + [len(part[0]) for part in parts])
+    vertices = np.concatenate([part[0] for part in parts])
+    faces = np.concatenate([part[1] + start for part, start in zip(parts, counts[:-1], strict=True)]).astype(np.int32)
+    normal = np.concatenate([vertex_normals(part[0], part[1]) for part in parts])
+    kind = np.concatenate([np.full(len(part[1]), part[3], np.uint8) for part in parts])
+    painted = np.concatenate([part[2] for part in parts])
+    return Setting(RayScene(vertices, faces), faces, normal, painted, kind, middle, extent, base, up.astype(np.float32))
+
+
+def _edges(vertices: Array, faces: NDArray[np.int32], up: Array, base: float) -> list[tuple[Array, NDArray[np.int32], Floats, int]]:
+    """Walls from the open border of a ground down to the table; none for closed meshes and for those that are no floor."""
+    corners = vertices[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    if float((across @ up).sum()) < 0.5 * float(np.linalg.norm(across, axis=1).sum()):
+        return []
+    pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    key = np.minimum(pairs[:, 0], pairs[:, 1]) * len(vertices) + np.maximum(pairs[:, 0], pairs[:, 1])
+    _, first, count = np.unique(key, return_index=True, return_counts=True)
+    border = pairs[first[count == 1]]
+    if not len(border):
+        return []
+    top = vertices[border].reshape(-1, 3)
+    foot = top - up * (top @ up - base)[:, None]
+    points = np.concatenate([top, foot])
+    a = np.arange(0, len(top), 2)
+    b, c, d = a + 1, a + len(top), a + len(top) + 1
+    walls = np.concatenate([np.stack([b, a, c], axis=1), np.stack([b, c, d], axis=1)]).astype(np.int32)
+    return [(points, walls, np.zeros((len(points), 4), np.float32), looks.EDGE)]
+
+
+def _table(middle: Array, up: Array, base: float, reach: float) -> tuple[Array, NDArray[np.int32], Floats, int]:
+    centre = middle - up * (float(middle @ up) - base)
+    first = np.roll(up, 1) - up * float(np.roll(up, 1) @ up)
+    first = first / np.linalg.norm(first)
+    second = np.cross(up, first)
+    points = np.stack([centre + reach * (a * first + b * second) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    return points, np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.zeros((4, 4), np.float32), looks.TABLE

@@ -1,0 +1,71 @@
+"""Colours the ground by what is laid on it: the cells of a field, smoothed from cell to cell along the surface."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.model import Trail
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+_MOST_VOXELS = 40_000_000
+
+
+class TrailCloth:
+    """Where the samples of a stage lie among a trail's cells: made once a camera, then coloured each frame.
+
+    `points` (n, 3): the places of the samples that lie on ground."""
+
+    def __init__(self, points: Floats, cell: float) -> None:
+        low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
+        self.cell = cell
+        while np.prod(np.ceil((high - low) / self.cell) + 4) > _MOST_VOXELS:
+            self.cell *= 1.26
+        self.low = low - 1.5 * self.cell
+        self.shape = tuple(int(v) for v in np.ceil((high - low) / self.cell) + 4)
+        scaled = (points - self.low.astype(np.float32)) * np.float32(1 / self.cell) - np.float32(0.5)
+        whole = np.maximum(np.floor(scaled), 0)
+        self.part = scaled - whole
+        first = whole.astype(np.int32)
+        _, b, c = self.shape
+        self.first = (first[:, 0] * b + first[:, 1]) * c + first[:, 2]
+        own = np.floor(scaled + np.float32(0.5)).astype(np.int32)
+        taken = np.zeros(int(np.prod(self.shape)), np.float32)
+        taken[(own[:, 0] * b + own[:, 1]) * c + own[:, 2]] = 1
+        self.taken = taken
+        self.weight = np.maximum(self._between(taken), np.float32(1e-6))
+
+    def _between(self, voxels: Floats) -> Floats:
+        """Trilinear values at the samples."""
+        _, b, c = self.shape
+        x, y, z = self.part.T
+        rows = []
+        for step in (0, c, b * c, b * c + c):
+            low = voxels.take(self.first + np.int32(step))
+            rows.append(low + (voxels.take(self.first + np.int32(step + 1)) - low) * z)
+        return (rows[0] + (rows[1] - rows[0]) * y) * (1 - x) + (rows[2] + (rows[3] - rows[2]) * y) * x
+
+    def strength(self, trail: Trail) -> Floats:
+        """The trail's strength (n,) at the samples: cells where no sample lies do not thin out those beside them."""
+        inside = (trail.position >= self.low) & (trail.position < self.low + self.cell * np.asarray(self.shape))
+        kept = np.flatnonzero(inside.all(axis=1) & (trail.strength > 0))
+        at = ((trail.position[kept] - self.low) / self.cell).astype(np.int64)
+        _, b, c = self.shape
+        voxels = np.zeros(len(self.taken), np.float32)
+        np.maximum.at(voxels, (at[:, 0] * b + at[:, 1]) * c + at[:, 2], trail.strength[kept].astype(np.float32))
+        return self._between(voxels * self.taken) / self.weight
+
+
+def full_strength(trail: Trail) -> float:
+    """The strength drawn strongest: the trail's own, else that of the strongest hundredth of its cells that hold any."""
+    if trail.full is not None:
+        return max(trail.full, 1e-30)
+    held = trail.strength[trail.strength > 0]
+    return float(np.quantile(held, 0.99)) if len(held) else 1.0
+
+
+def dyed(albedo: Floats, strength: Floats, trail: Trail) -> Floats:
+    """Ground colours (n, 3) with the trail on them; its strongest covers most of the ground's own colour."""
+    share = 1 - np.exp(-2.6 * np.clip(strength / full_strength(trail), 0, 1.5))
+    return albedo + (decoded(trail.colour) - albedo) * (0.88 * share)[:, None]
