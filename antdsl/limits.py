@@ -36,6 +36,7 @@ MESH_FACES: Final = 10_000_000
 VOXELS: Final = 512_000_000
 GRID_BYTES: Final = 8 * GIB
 AGENTS: Final = 5_000_000
+BIRTHS_IN_A_ROW: Final = 16  # generations within one step, where those born bear at once
 FRAMES: Final = 1_000_000
 
 # senses and fields

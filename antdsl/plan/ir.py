@@ -254,6 +254,7 @@ class Register:
     kind: Kind
     role: str
     zero: float | int | bool = 0
+    of: str | None = None  # species whose ids an I64 register holds: references to the dead become -1 in it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
