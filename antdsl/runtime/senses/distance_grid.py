@@ -19,7 +19,7 @@ class DistanceGrid:
         corners = vertices[faces]
         self._low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
         extent = (corners.max(axis=(0, 1)) if len(corners) else np.zeros(3)) - self._low
-        self._width = _cell_width(extent, cells)
+        self._width = cell_width(extent, cells)
         self._size = np.floor(extent / self._width).astype(np.int64) + 1
         self._high = self._low + extent
         free = np.ones(tuple(self._size), bool)
@@ -46,7 +46,7 @@ class DistanceGrid:
         return np.where(outside > 0, np.sqrt(least * least + outside) * (1 - 1e-5), least).astype(np.float32)
 
 
-def _cell_width(extent: NDArray[np.float64], cells: int) -> float:
+def cell_width(extent: NDArray[np.float64], cells: int) -> float:
     """Edge of cubes of which about `cells` fill a box; thin boxes count only their long sides."""
     longest = float(extent.max())
     if not longest > 0:

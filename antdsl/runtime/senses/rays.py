@@ -83,7 +83,9 @@ class RayScene:
         before = np.cumsum([0, *(len(v) for v, _ in arrays)])
         vertices = np.concatenate([v for v, _ in arrays]) if arrays else np.empty((0, 3))
         faces = (
-            np.concatenate([f + b for (_, f), b in zip(arrays, before[:-1], strict=True)]) if arrays else np.empty((0, 3), np.int64)
+            np.concatenate([f + b for (_, f), b in zip(arrays, before[:-1], strict=True)])
+            if arrays
+            else np.empty((0, 3), np.int64)
         )
         self._first_face = np.cumsum(np.concatenate(([0], counts)))
         self._mesh_of_face = np.repeat(np.arange(len(arrays), dtype=np.int32), counts)

@@ -1,0 +1,280 @@
+"""Surfaces that agents stand and walk on, any side up: a footing is a point of a triangle; one door, `Ground.move`, moves it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.senses.rays import Mesh, RayScene
+from antdsl.runtime.senses.surroundings import Around, Nearness
+from antdsl.runtime.senses.topology import Topology, build
+from antdsl.runtime.senses.walk import Walkers, dot, in_frame, in_space, inside, turned, walk
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Footing:
+    """Where agents stand: mesh and face (int32[n], -1 = nowhere) and the weights of the face's second and third corner."""
+
+    mesh: NDArray[np.int32]
+    face: NDArray[np.int32]
+    b1: Floats
+    b2: Floats
+
+    def __len__(self) -> int:
+        return len(self.face)
+
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Footing:
+        """The footings of some rows."""
+        return Footing(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    @staticmethod
+    def joined(parts: Iterable[Footing]) -> Footing:
+        """Footings one after another."""
+        parts = [Footing.nowhere(0), *parts]
+        return Footing(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Footing)))
+
+    @staticmethod
+    def nowhere(n: int) -> Footing:
+        """Footings of agents that stand on nothing."""
+        return Footing(np.full(n, -1, np.int32), np.full(n, -1, np.int32), np.zeros(n), np.zeros(n))
+
+
+@dataclass(frozen=True, slots=True)
+class MoveResult:
+    """Where a step led. Vectors are float64[n,3], lengths mm.
+
+    `up` is the smooth normal on the agent's side, `heading` a unit vector at right angles to it. `direction` is the unit
+    direction of travel at the end, in the face: a velocity is carried along by taking its length times this. `travelled` is
+    the way walked. `blocked` says that an open border ended the way, `lost` that there was no footing to walk from.
+    """
+
+    footing: Footing
+    position: Floats
+    up: Floats
+    heading: Floats
+    direction: Floats
+    travelled: Floats
+    blocked: NDArray[np.bool_]
+    lost: NDArray[np.bool_]
+
+
+class Ground:
+    """One or more surfaces, by name, in the order given: (vertices float64[n,3], faces int32[m,3]) in millimetres.
+
+    An obstacle that may be climbed is a surface like any other. Meshes may overlap and need not be closed.
+    """
+
+    def __init__(self, surfaces: Mapping[str, Mesh]) -> None:
+        self.names = tuple(surfaces)
+        meshes = [
+            (np.asarray(v, np.float64).reshape(-1, 3), np.asarray(f, np.int32).reshape(-1, 3)) for v, f in surfaces.values()
+        ]
+        counts = [len(f) for _, f in meshes]
+        self._first = np.cumsum([0, *counts])
+        self._mesh = np.repeat(np.arange(len(meshes), dtype=np.int32), counts)
+        shift = np.cumsum([0, *(len(v) for v, _ in meshes)])[:-1]
+        self._vertices = np.concatenate([v for v, _ in meshes]) if meshes else np.empty((0, 3))
+        self._faces = (
+            np.concatenate([f + s for (_, f), s in zip(meshes, shift, strict=True)]) if meshes else np.empty((0, 3), np.int32)
+        )
+        self._faces = self._faces.astype(np.int32)
+        used = self._vertices[self._faces.ravel()]
+        self.low = used.min(axis=0) if used.size else np.zeros(3)
+        self.high = used.max(axis=0) if used.size else np.zeros(3)
+        self.extent = float((self.high - self.low).max())
+        self._table: Topology = build(self._vertices, self._faces, self._mesh, self.extent)
+        self._scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
+        self._nearness = Nearness(self._vertices[self._faces], self._table.piece, self.low, self.extent)
+
+    # ---- asking
+
+    def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, NDArray[np.bool_]]:
+        """Footings below points [n,3]: the first surface that a ray from far above along -`up` ([3] or [n,3]) meets.
+
+        Where the ray meets nothing, the nearest point of the surfaces, and False in the second array. `on` names the surfaces
+        to stand on, all when None; KeyError for an unknown name. Without any surface all footings are nowhere.
+        """
+        points = np.asarray(points, np.float64).reshape(-1, 3)
+        up = np.broadcast_to(np.asarray(up, np.float64), points.shape)
+        scene, live = self._scene(on)
+        middle = (self.low + self.high) / 2
+        height = ((middle - points) * up).sum(axis=1) + self.extent * 1.8  # more than the half diagonal above the middle
+        hits = scene.cast(points + up * height[:, None], -up)
+        found = hits.hit
+        face = self._face_of(hits.mesh, hits.face, live)
+        place = points + up * (height - np.where(found, hits.t, 0.0))[:, None]
+        missed = np.flatnonzero(~found)
+        if missed.size:
+            mesh, near, nearest, _ = scene.closest(points[missed])
+            face[missed] = self._face_of(mesh, near, live)
+            place[missed] = nearest
+        return self._footing(face, *self._weights(np.maximum(face, 0), place.T)), found
+
+    def nearest(self, points: Floats) -> tuple[Footing, Floats]:
+        """Footings at the nearest point of the surfaces to points [n,3], and the distance float64[n]."""
+        points = np.asarray(points, np.float64).reshape(-1, 3)
+        scene, live = self._scene(None)
+        mesh, face, place, distance = scene.closest(points)
+        face = self._face_of(mesh, face, live)
+        return self._footing(face, *self._weights(np.maximum(face, 0), place.T)), distance
+
+    def position(self, footing: Footing) -> Floats:
+        """Places in the world, float64[n,3]; zero for footings nowhere."""
+        face, known = self._faces_of(footing)
+        t = self._table
+        if not self._faces.size:
+            return np.zeros((len(footing), 3))
+        place = t.corner.take(face, axis=1) + footing.b1 * t.edge1.take(face, axis=1) + footing.b2 * t.edge2.take(face, axis=1)
+        return np.ascontiguousarray(np.where(known, place, 0.0).T)
+
+    def normal(self, footing: Footing) -> Floats:
+        """Unit normals of the faces, float64[n,3], by how the faces are wound; zero for footings nowhere."""
+        face, known = self._faces_of(footing)
+        if not self._faces.size:
+            return np.zeros((len(footing), 3))
+        return np.ascontiguousarray(np.where(known, self._table.normal.take(face, axis=1), 0.0).T)
+
+    def upright(self, footing: Footing, up: Floats) -> Floats:
+        """Smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings nowhere.
+
+        A crease is not smoothed; away from creases the normal changes steadily along the surface, so a body does not jerk.
+        """
+        up = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(footing), 3)).T, order="C")
+        face, known = self._faces_of(footing)
+        if not self._faces.size:
+            return np.ascontiguousarray(up.T)
+        side = np.where(dot(up, self._table.normal.take(face, axis=1)) < 0, -1.0, 1.0)
+        return np.ascontiguousarray(np.where(known, self._smooth(face, footing.b1, footing.b2) * side, up).T)
+
+    # ---- moving
+
+    def move(
+        self, footing: Footing, displacement: Floats, heading: Floats, up: Floats, body: Floats | float, threads: int = 1
+    ) -> MoveResult:
+        """Walk every agent along its surface by a displacement [n,3], on the side its `up` [n,3] points to.
+
+        The displacement is laid into the face and keeps its length, unless it points into the ground or off it by more than
+        60 degrees. The way unfolds across edges, so a slope neither speeds up nor slows down. A surface that stands in the way
+        (seen by a ray a little above the ground, within the way) is climbed; at an open border a ray down beyond it and a ray
+        back below it look for what continues, else the agent goes along the border or stops. `heading` [n,3] is turned as the
+        surface turns. `body` (mm) scales how high the rays go. A displacement that is not finite counts as none.
+
+        Of the two readings of the thesis's surface pass (longer ray, nearest hit) this takes the nearest surface along the way.
+        """
+        n = len(footing)
+        body = np.broadcast_to(np.asarray(body, np.float64), (n,))
+        face, known = self._faces_of(footing)
+        up_t, heading_t, wish = (np.array(np.asarray(v, np.float64).T, order="C") for v in (up, heading, displacement))
+        if not self._faces.size or not n:
+            return _unmoved(footing, up, heading)
+        wish[:, ~np.isfinite(wish).all(axis=0)] = 0.0
+        t = self._table
+        side = np.where(dot(up_t, t.normal.take(face, axis=1)) < 0, -1.0, 1.0)
+        b1, b2 = inside(np.where(known, footing.b1, 0.0), np.where(known, footing.b2, 0.0))
+        c, s, way = self._laid_down(face, wish)
+        way[~known] = 0.0
+        heading_c, heading_s, _ = self._laid_down(face, heading_t, c, s)
+        w = Walkers(face, b1, b2, side, c, s, heading_c, heading_s, way, np.zeros(n), np.zeros(n, bool))
+        around = Around(t, self._cast, self._weights, self.extent, body, threads)
+        near = self._nearness.of(w, t, float(way.max(initial=0.0) + body.max(initial=0.0)))
+        walk(t, w, near, around)
+        smooth = self._smooth(w.face, w.b1, w.b2) * w.side
+        ahead = in_space(t, w.face, w.heading_c, w.heading_s)
+        ahead = turned(ahead, w.up(t), smooth, ahead)
+        ahead -= dot(ahead, smooth) * smooth
+        ahead /= np.sqrt(dot(ahead, ahead))
+        rows = np.where(known, w.face, -1)
+        moved = self._footing(rows, w.b1, w.b2)
+        result = [np.ascontiguousarray(v.T) for v in (w.place(t), smooth, ahead, w.direction(t))]
+        if not known.all():
+            for vectors, kept in zip(result, (np.zeros((n, 3)), up, heading, heading), strict=True):
+                vectors[~known] = kept[~known]
+        return MoveResult(moved, *result, w.gone, w.blocked, ~known)
+
+    def _laid_down(
+        self, face: Index, v: Floats, c0: Floats | float = 1.0, s0: Floats | float = 0.0
+    ) -> tuple[Floats, Floats, Floats]:
+        """Vectors (3, n) laid into their face: unit (c, s) in its frame, (c0, s0) where nothing is left, and a length."""
+        c, s = in_frame(self._table, face, v)
+        flat = np.sqrt(c * c + s * s)
+        usable = flat > 1e-150
+        size = np.where(usable, flat, 1.0)
+        # Up to 60 degrees off the surface the length is kept; beyond, it falls steadily to nothing.
+        length = np.minimum(np.sqrt(dot(v, v)), 2 * flat)
+        return np.where(usable, c / size, c0), np.where(usable, s / size, s0), np.where(usable, length, 0.0)
+
+    # ---- parts
+
+    def _cast(self, origin: Floats, direction: Floats, threads: int) -> tuple[Floats, Index]:
+        """t and face over all meshes (-1 = none) of rays (3, k) at all surfaces."""
+        scene, live = self._scene(None)
+        hits = scene.cast(origin.T, direction.T, threads)
+        return hits.t.astype(np.float64), self._face_of(hits.mesh, hits.face, live)
+
+    def _scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
+        """Rays against some surfaces, and the face that each face of that scene is."""
+        chosen = tuple(range(len(self.names))) if on is None else tuple(sorted(self.names.index(n) for n in self._known(on)))
+        if chosen not in self._scenes:
+            live = np.flatnonzero(self._table.live & np.isin(self._mesh, chosen))
+            self._scenes[chosen] = (RayScene(self._vertices, self._faces[live]), live)
+        return self._scenes[chosen]
+
+    def _known(self, on: Iterable[str]) -> tuple[str, ...]:
+        names = tuple(on)
+        for name in names:
+            if name not in self.names:
+                raise KeyError(f"no surface `{name}` on this ground, which has {', '.join(self.names) or 'none'}")
+        return names
+
+    @staticmethod
+    def _face_of(mesh: NDArray[np.int32], face: NDArray[np.int32], live: Index) -> Index:
+        result = np.full(len(face), -1, np.int64)
+        hit = mesh >= 0
+        result[hit] = live[face[hit]]
+        return result
+
+    def _faces_of(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
+        """Number over all meshes, 0 where nowhere, and whether it is somewhere."""
+        known = (footing.face >= 0) & (footing.mesh >= 0)
+        return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
+
+    def _footing(self, face: Index, b1: Floats, b2: Floats) -> Footing:
+        known = face >= 0
+        mesh = np.where(known, self._mesh.take(np.maximum(face, 0)) if self._mesh.size else -1, -1).astype(np.int32)
+        local = np.where(known, face - self._first.take(np.maximum(mesh, 0)), -1).astype(np.int32)
+        return Footing(mesh, local, np.where(known, b1, 0.0), np.where(known, b2, 0.0))
+
+    def _weights(self, face: Index, place: Floats) -> tuple[Floats, Floats]:
+        """Weights of the point of each face below places (3, k) near it, in the triangle."""
+        t = self._table
+        if not self._faces.size:
+            return np.zeros(len(face)), np.zeros(len(face))
+        c, s = in_frame(t, face, place - t.corner.take(face, axis=1))
+        return inside(c * t.rate1.take(face) - s * t.shear.take(face), s * t.rate2.take(face))
+
+    def _smooth(self, face: Index, b1: Floats, b2: Floats) -> Floats:
+        """Smooth unit normals (3, n) by how the faces are wound."""
+        n = self._table.smooth.take(face, axis=1)
+        v = n[:3] * (1.0 - b1 - b2) + n[3:6] * b1 + n[6:] * b2
+        return v / np.sqrt(np.maximum(dot(v, v), 1e-300))
+
+
+def _unmoved(footing: Footing, up: Floats, heading: Floats) -> MoveResult:
+    n = len(footing)
+    same = np.array(heading, np.float64).reshape(-1, 3)
+    return MoveResult(
+        Footing.nowhere(n),
+        np.zeros((n, 3)),
+        np.array(up, np.float64).reshape(-1, 3),
+        same,
+        same.copy(),
+        np.zeros(n),
+        np.zeros(n, bool),
+        np.ones(n, bool),
+    )

@@ -1,0 +1,113 @@
+"""What lies around walkers besides the surface that they are on: who is near another one, and rays that find it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.senses.distance_grid import cell_width
+from antdsl.runtime.senses.rasterise import triangle_cells
+from antdsl.runtime.senses.topology import Topology
+from antdsl.runtime.senses.walk import Landing, Walkers, dot
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+Cast = Callable[[Floats, Floats, int], tuple[Floats, Index]]
+Weights = Callable[[Index, Floats], tuple[Floats, Floats]]
+
+_LIFT = 0.05  # of a body: how far above the surface an agent looks ahead
+_NOISE = 1e-4  # of the extent: float32 rays err by less
+_GRID_CELLS = 400_000
+
+
+class Nearness:
+    """Which places have a second, unlinked piece of surface around: a coarse grid of the pieces in each cell."""
+
+    def __init__(self, corners: Floats, piece: NDArray[np.int32], low: Floats, extent: float) -> None:
+        self._several = len(np.unique(piece[piece >= 0])) > 1
+        if not self._several:
+            return
+        size = corners.max(axis=(0, 1)) - low
+        self._width = cell_width(size, _GRID_CELLS)
+        self._low = low
+        self._size = np.floor(size / self._width).astype(np.int64) + 1
+        self._least = np.full(int(self._size.prod()), np.iinfo(np.int32).max, np.int32)
+        self._most = np.full(int(self._size.prod()), -1, np.int32)
+        live = np.flatnonzero(piece >= 0)
+        for cell, which in triangle_cells((corners[live] - low) / self._width, exact=False):
+            flat = self._flat(np.minimum(cell, self._size - 1))
+            np.minimum.at(self._least, flat, piece[live[which]])
+            np.maximum.at(self._most, flat, piece[live[which]])
+        self._mixed: dict[int, NDArray[np.bool_]] = {}
+
+    def _flat(self, cell: Index) -> Index:
+        return (cell[..., 0] * self._size[1] + cell[..., 1]) * self._size[2] + cell[..., 2]
+
+    def of(self, w: Walkers, table: Topology, reach: float) -> NDArray[np.bool_]:
+        """Walkers who may meet another piece within `reach` mm."""
+        if not self._several:
+            return np.zeros(w.face.size, bool)
+        rings = int(min(np.ceil(reach / self._width), self._size.max()))
+        if rings not in self._mixed:
+            self._mixed[rings] = self._spread(rings)
+        cell = ((w.place(table) - self._low[:, None]) / self._width).astype(np.int64)
+        cell = np.clip(cell, 0, (self._size - 1)[:, None])
+        return self._mixed[rings].take((cell[0] * self._size[1] + cell[1]) * self._size[2] + cell[2])
+
+    def _spread(self, rings: int) -> NDArray[np.bool_]:
+        from scipy.ndimage import maximum_filter, minimum_filter
+
+        shape, window = tuple(self._size), 2 * rings + 1
+        least = minimum_filter(self._least.reshape(shape), window, mode="nearest")
+        most = maximum_filter(self._most.reshape(shape), window, mode="nearest")
+        return ((least != most) & (most >= 0)).ravel()
+
+
+class Around:
+    """Rays of walkers against all surfaces of a ground: what stands in their way and what continues beyond a border."""
+
+    def __init__(self, table: Topology, cast: Cast, weights: Weights, extent: float, body: Floats, threads: int) -> None:
+        self._table, self._cast, self._weights = table, cast, weights
+        self._body, self._threads = body, threads
+        self._noise = extent * _NOISE
+
+    def ahead(self, walkers: Walkers, rows: Index, length: Floats) -> Landing:
+        """Another piece of surface within the way, seen from just above the ground; below a low ceiling from half its height."""
+        t = self._table
+        place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
+        lift = np.maximum(_LIFT * self._body[rows], self._noise)
+        piece = t.piece[walkers.face[rows]]
+        ceiling, face = self._cast(place, up, self._threads)
+        low = (face >= 0) & (ceiling <= lift) & (t.piece[face] != piece)
+        lift = np.where(low, ceiling / 2, lift)
+        gone, face = self._cast(place + up * lift, way, self._threads)
+        who = np.flatnonzero((face >= 0) & (gone <= length) & (t.piece[face] != piece))
+        hit = (place + up * lift)[:, who] + way[:, who] * gone[who]
+        return self._landing(who, face[who], hit, way[:, who], gone[who])
+
+    def beyond(self, walkers: Walkers, rows: Index) -> Landing:
+        """Past an open border: what a ray down just beyond it meets, else what a ray back from below it meets."""
+        t = self._table
+        place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
+        body = np.maximum(self._body[rows], 2 * self._noise)
+        gap = np.maximum(0.02 * body, self._noise)
+        down = -up * body
+        part, face = self._cast(place + way * gap + up * (0.5 * body), down, self._threads)
+        hit = place + way * gap + up * (0.5 * body) + down * np.where(np.isfinite(part), part, 0.0)
+        met = (face >= 0) & (part <= 1.0) & (face != walkers.face[rows])
+        back = -way * (gap + 0.5 * body)
+        start = place + way * gap - up * (0.25 * body)
+        part2, face2 = self._cast(start, back, self._threads)
+        below = ~met & (face2 >= 0) & (part2 <= 1.0) & (face2 != walkers.face[rows])
+        hit = np.where(below, start + back * np.where(np.isfinite(part2), part2, 0.0), hit)
+        face, towards = np.where(below, face2, face), np.where(below, back, down)
+        who = np.flatnonzero(met | below)
+        gone = np.where(below, 0.25 * body, gap)[who]
+        return self._landing(who, face[who], hit[:, who], towards[:, who], gone)
+
+    def _landing(self, who: Index, face: Index, hit: Floats, towards: Floats, gone: Floats) -> Landing:
+        """The side of a face that a ray came from is the side to walk on."""
+        side = np.where(dot(self._table.normal.take(face, axis=1), towards) > 0, -1.0, 1.0)
+        return Landing(who, face, *self._weights(face, hit), side, gone)

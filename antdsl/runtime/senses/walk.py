@@ -1,0 +1,254 @@
+"""Walking over triangles: straight lines that unfold across edges, climb what stands in the way and stop at open borders.
+Exact in float64: the point never leaves its triangle, and the way walked is as long as asked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.senses.topology import NO_LINK, Topology
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
+_HOPS = 6  # from surface to surface, or turns along a border, in one step
+_STUCK = 24  # crossings after which a walker is moved off the corner that it may be circling
+_CORNERS = (np.array([1, 2, 0]), np.array([2, 0, 1]))
+
+
+@dataclass(frozen=True, slots=True)
+class Landing:
+    """Where walkers step over to: which of those asked (`who`), the face, its weights, the side, and the way already gone."""
+
+    who: Index
+    face: Index
+    b1: Floats
+    b2: Floats
+    side: Floats
+    gone: Floats
+
+
+class Surroundings(Protocol):
+    """What a walk asks about surfaces that are not linked to the one walked on."""
+
+    def ahead(self, walkers: Walkers, rows: Index, length: Floats) -> Landing:
+        """What stands in the way of `rows` within `length` along their face."""
+
+    def beyond(self, walkers: Walkers, rows: Index) -> Landing:
+        """Where `rows`, who stand on an open border, can step over to."""
+
+
+@dataclass(slots=True)
+class Walkers:
+    """Where agents are and head for: face, weights of its corners, side (1 = of the normal, -1), a unit direction and a
+    heading in the face's frame, the way left and the way gone in mm. All arrays have one length."""
+
+    face: Index
+    b1: Floats
+    b2: Floats
+    side: Floats
+    c: Floats
+    s: Floats
+    heading_c: Floats
+    heading_s: Floats
+    left: Floats
+    gone: Floats
+    blocked: NDArray[np.bool_]
+
+    def place(self, table: Topology, rows: Index | slice = slice(None)) -> Floats:
+        """Positions (3, k)."""
+        f = self.face[rows]
+        return (
+            table.corner.take(f, axis=1)
+            + self.b1[rows] * table.edge1.take(f, axis=1)
+            + self.b2[rows] * table.edge2.take(f, axis=1)
+        )
+
+    def up(self, table: Topology, rows: Index | slice = slice(None)) -> Floats:
+        """Normal of the face on the walker's side, (3, k)."""
+        return table.normal.take(self.face[rows], axis=1) * self.side[rows]
+
+    def direction(self, table: Topology, rows: Index | slice = slice(None)) -> Floats:
+        """Unit direction of travel, (3, k)."""
+        return in_space(table, self.face[rows], self.c[rows], self.s[rows])
+
+
+def in_space(table: Topology, face: Index, c: Floats, s: Floats) -> Floats:
+    """A vector of a face's frame as (3, k)."""
+    return table.axis1.take(face, axis=1) * c + table.axis2.take(face, axis=1) * s
+
+
+def in_frame(table: Topology, face: Index, v: Floats) -> tuple[Floats, Floats]:
+    """The part of vectors (3, k) that lies in their face, in its frame."""
+    return dot(table.axis1.take(face, axis=1), v), dot(table.axis2.take(face, axis=1), v)
+
+
+def dot(a: Floats, b: Floats) -> Floats:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Floats, b: Floats) -> Floats:
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def walk(table: Topology, walkers: Walkers, near: NDArray[np.bool_], around: Surroundings) -> None:
+    """Use up the way left of all walkers. Only those `near` other surfaces look out for what is in their way."""
+    rows = np.flatnonzero(walkers.left > 0)
+    hops = np.zeros(walkers.face.size, np.int8)
+    for turn in range(_CROSSINGS):
+        if not rows.size:
+            return
+        if turn >= _STUCK and turn % _STUCK == 0:
+            _leave_corner(walkers, rows)
+        rows = _stretch(table, walkers, rows, near, hops, around)
+    walkers.left[rows] = 0.0
+
+
+def _stretch(
+    table: Topology, w: Walkers, rows: Index, near: NDArray[np.bool_], hops: NDArray[np.int8], around: Surroundings
+) -> Index:
+    """Walk `rows` to the end of their way or the edge of their face and across; returns those with way left."""
+    everyone = rows.size == w.face.size
+    f, b1, b2, c, s, left = (v if everyone else v[rows] for v in (w.face, w.b1, w.b2, w.c, w.s, w.left))
+    rate1 = c * table.rate1.take(f) - s * table.shear.take(f)
+    rate2 = s * table.rate2.take(f)
+    b, rate = np.stack([1.0 - b1 - b2, b1, b2]), np.stack([-(rate1 + rate2), rate1, rate2])
+    leaving = rate < 0
+    until = np.where(leaving, np.maximum(b, 0.0) / np.where(leaving, -rate, 1.0), np.inf)
+    edge = until.argmin(axis=0)
+    until = until.min(axis=0)
+    length = np.minimum(until, left)
+    met = _climb(table, w, rows, near, length, hops, around)
+    on = rows if met is None else rows[~met]
+    if met is not None:
+        f, edge, until, length, left, rate1, rate2, b1, b2 = (
+            v[~met] for v in (f, edge, until, length, left, rate1, rate2, b1, b2)
+        )
+    w.b1[on], w.b2[on] = inside(b1 + rate1 * length, b2 + rate2 * length)
+    across = np.flatnonzero(until < left)  # before `left`, which may be the walkers' own array, is written
+    w.left[on] = np.where(until >= left, 0.0, left - length)
+    w.gone[on] += length
+    if across.size:
+        _cross(table, w, on[across], 3 * f[across] + edge[across], hops, around)
+    return rows[w.left[rows] > 0]
+
+
+def inside(b1: Floats, b2: Floats) -> tuple[Floats, Floats]:
+    """Weights moved to the nearest that are of a point of the triangle, against rounding."""
+    b1, b2 = np.clip(b1, 0.0, 1.0), np.clip(b2, 0.0, 1.0)
+    total = np.maximum(b1 + b2, 1.0)
+    return b1 / total, b2 / total
+
+
+def _leave_corner(w: Walkers, rows: Index) -> None:
+    grain = 1e-7
+    w.b1[rows] = w.b1[rows] * (1 - grain) + grain / 3
+    w.b2[rows] = w.b2[rows] * (1 - grain) + grain / 3
+
+
+def _climb(
+    table: Topology,
+    w: Walkers,
+    rows: Index,
+    near: NDArray[np.bool_],
+    length: Floats,
+    hops: NDArray[np.int8],
+    around: Surroundings,
+) -> NDArray[np.bool_] | None:
+    """Step over to surfaces that stand in the way; says which of `rows` did so, None when none can."""
+    asked = np.flatnonzero(near[rows])
+    if not asked.size:
+        return None
+    landing = around.ahead(w, rows[asked], length[asked])
+    if not landing.who.size:
+        return None
+    met = np.zeros(rows.size, bool)
+    met[asked[landing.who]] = True
+    _land(table, w, rows[asked], landing, hops)
+    return met
+
+
+def _land(table: Topology, w: Walkers, asked: Index, landing: Landing, hops: NDArray[np.int8]) -> None:
+    """Put walkers on another face, turning direction and heading as the normal turns."""
+    rows = asked[landing.who]
+    before, direction = w.up(table, rows), w.direction(table, rows)
+    heading = in_space(table, w.face[rows], w.heading_c[rows], w.heading_s[rows])
+    after = table.normal.take(landing.face, axis=1) * landing.side
+    for name_c, name_s, vector in (("c", "s", direction), ("heading_c", "heading_s", heading)):
+        c, s = in_frame(table, landing.face, turned(vector, before, after, direction))
+        size = np.sqrt(c * c + s * s)
+        usable = size > 1e-9
+        getattr(w, name_c)[rows] = np.where(usable, c / np.where(usable, size, 1.0), 1.0)
+        getattr(w, name_s)[rows] = np.where(usable, s / np.where(usable, size, 1.0), 0.0)
+    w.face[rows], w.b1[rows], w.b2[rows], w.side[rows] = landing.face, landing.b1, landing.b2, landing.side
+    w.left[rows] = np.maximum(w.left[rows] - landing.gone, 0.0)
+    w.gone[rows] += landing.gone
+    _spend_hop(w, rows, hops)
+
+
+def turned(v: Floats, before: Floats, after: Floats, direction: Floats) -> Floats:
+    """Vectors turned by the least turn that takes one unit normal into another; half a turn goes over `direction`."""
+    cosine = dot(before, after)
+    opposite = cosine < -1 + 1e-9
+    axis = cross(before, after)
+    part = dot(axis, v) / np.where(opposite, 1.0, 1 + cosine)
+    around = cosine * v + cross(axis, v) + part * axis
+    hinge = cross(before, direction)
+    return np.where(opposite, 2 * dot(hinge, v) * hinge - v, around)
+
+
+def _spend_hop(w: Walkers, rows: Index, hops: NDArray[np.int8]) -> None:
+    hops[rows] += 1
+    spent = rows[hops[rows] >= _HOPS]
+    w.left[spent] = 0.0
+    w.blocked[spent] = True
+
+
+def _cross(table: Topology, w: Walkers, rows: Index, half: Index, hops: NDArray[np.int8], around: Surroundings) -> None:
+    """Unfold walkers who stand on half-edges into the faces beyond."""
+    link = table.link[(w.side[rows] < 0).astype(np.intp), half]
+    shut = link == NO_LINK
+    if shut.any():
+        _border(table, w, rows[shut], half[shut], hops, around)
+        rows, half, link = rows[~shut], half[~shut], link[~shut]
+    there, flip = (link >> 1).astype(np.int64), (link & 1).astype(bool)
+    k, k2 = half % 3, there % 3
+    first, second = _weight(w, rows, _CORNERS[0][k]), _weight(w, rows, _CORNERS[1][k])
+    first, second = np.where(flip, first, second), np.where(flip, second, first)
+    c1, s1, c2, s2 = table.edge_c[half], table.edge_s[half], table.edge_c[there], table.edge_s[there]
+    for c, s in ((w.c, w.s), (w.heading_c, w.heading_s)):
+        along = np.where(flip, 1.0, -1.0) * (c[rows] * c1 + s[rows] * s1)
+        out = c[rows] * s1 - s[rows] * c1
+        c[rows], s[rows] = along * c2 - out * s2, along * s2 + out * c2
+    # Corner k2 lies off the edge; the two after it carry the weights of this side's corners.
+    w.b1[rows] = np.where(k2 == 0, first, np.where(k2 == 1, 0.0, second))
+    w.b2[rows] = np.where(k2 == 0, second, np.where(k2 == 1, first, 0.0))
+    w.side[rows] = np.where(flip, -w.side[rows], w.side[rows])
+    w.face[rows] = there // 3
+
+
+def _weight(w: Walkers, rows: Index, corner: Index) -> Floats:
+    b1, b2 = w.b1[rows], w.b2[rows]
+    return np.where(corner == 0, np.maximum(1.0 - b1 - b2, 0.0), np.where(corner == 1, b1, b2))
+
+
+def _border(table: Topology, w: Walkers, rows: Index, half: Index, hops: NDArray[np.int8], around: Surroundings) -> None:
+    """Step over an open border where something lies beyond it, else walk along it as far as the way leads along."""
+    landing = around.beyond(w, rows)
+    stays = np.ones(rows.size, bool)
+    stays[landing.who] = False
+    if landing.who.size:
+        _land(table, w, rows, landing, hops)
+    rows, half = rows[stays], half[stays]
+    c, s = table.edge_c[half], table.edge_s[half]
+    along = w.c[rows] * c + w.s[rows] * s
+    turn = np.where(along < 0, -1.0, 1.0)
+    inward = 1e-6  # off the border, or rounding would ask about it again and again
+    w.c[rows], w.s[rows] = turn * c - inward * s, turn * s + inward * c
+    w.left[rows] = w.left[rows] * np.abs(along)
+    w.blocked[rows] = True
+    _spend_hop(w, rows, hops)
