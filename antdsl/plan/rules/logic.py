@@ -1,0 +1,72 @@
+"""Rules for truths, shades of truth, choices and what may be none."""
+
+from __future__ import annotations
+
+from antdsl.plan.expressions import as_truth, lower, present, select, truth
+from antdsl.plan.ir import Kind, Node
+from antdsl.plan.values import Value
+from antdsl.plan.writing import Writer
+from antdsl.program import model
+
+
+def _joined(sharp: str, shaded: str):  # type: ignore[no-untyped-def]
+    """`and`, `or`: of truths, or of shades from 0 to 1 as their least or greatest (Zadeh 1965, section 2)."""
+
+    def rule(w: Writer, e: model.Op) -> Value:
+        if e.type.kind is model.Kind.NUMBER:
+            return w.b(shaded, *(_shade(w, a) for a in e.args if a is not None))
+        first, second = (truth(w, a) for a in e.args if a is not None)
+        return w.b(sharp, first, second)
+
+    return rule
+
+
+def _shade(w: Writer, e: model.Expr) -> Node:
+    value = lower(w, e)
+    if isinstance(value, Node) and value.kind is Kind.F32:
+        return value
+    return w.b("number", as_truth(w, value, e))
+
+
+def _not(w: Writer, e: model.Op) -> Value:
+    argument = e.args[0]
+    assert argument is not None
+    if e.type.kind is model.Kind.NUMBER:
+        return w.b("sub", w.b.number(1), _shade(w, argument))
+    return w.b("not", truth(w, argument))
+
+
+def _if(w: Writer, e: model.Op) -> Value:
+    condition, then, other = (a for a in e.args if a is not None)
+    return select(w, truth(w, condition), lower(w, then), lower(w, other))
+
+
+def _is_some(w: Writer, e: model.Op) -> Value:
+    argument = e.args[0]
+    assert argument is not None
+    return present(w, lower(w, argument), argument)
+
+
+def _is_none(w: Writer, e: model.Op) -> Value:
+    argument = e.args[0]
+    assert argument is not None
+    return w.b("not", present(w, lower(w, argument), argument))
+
+
+def _to_bool(w: Writer, e: model.Op) -> Value:
+    assert e.args[0] is not None
+    return truth(w, e.args[0])
+
+
+def _first(w: Writer, e: model.Op) -> Value:
+    choices = [(a, lower(w, a)) for a in e.args if a is not None]
+    result = choices[-1][1]
+    for expr, value in reversed(choices[:-1]):
+        result = select(w, present(w, value, expr), value, result)
+    return result
+
+
+RULES = {
+    "and": _joined("and", "min"), "or": _joined("or", "max"), "not": _not, "if": _if, "is_some": _is_some, "is_none": _is_none,
+    "to_bool": _to_bool, "first": _first,
+}  # fmt: skip

@@ -1,0 +1,214 @@
+"""A plan as text for people: what happens to each species at birth and in the phases of a step."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from antdsl.plan.ir import SENSES, Block, Claim, Deposit, Die, Emit, Give, If, Kind, Node, Plan, Rate, Spawn, SpeciesPlan, Statement, Store
+from antdsl.plan.walk import blocks, needed, operands, statements
+
+_INFIX = {
+    "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=",
+    "and": "and", "or": "or",
+}  # fmt: skip
+_LEAVES = frozenset(("const", "const.bool", "const.i32", "const.i64", "param", "run", "step", "snap", "load", "id", "age", "other", "other.id", "other.row", "event"))
+_WIDE = 100  # characters of an expression before its parts get names
+
+
+def show(plan: Plan) -> str:
+    """Readable text, the same for the same plan. A value that is used again is named once, `a1 = …`, where it is first needed."""
+    parts = [_head(plan)]
+    for species in plan.species.values():
+        parts.append("\n".join(_species(species)))
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _head(plan: Plan) -> str:
+    lines = []
+    for param in plan.params.values():
+        lines.append(f"param {param.name} = {_Names().text(param.default)}")
+    for field in plan.fields.values():
+        names = _Names()
+        lines.append(f"field {field.name} on {', '.join(field.surfaces)} ({field.combine})")
+        for word, node in (("cell", field.cell), ("keep", field.keep), ("diffuse", field.diffuse), ("limit", field.limit)):
+            if node is not None:
+                lines.append(f"  {word} {names.text(node)}")
+    for items in plan.items.values():
+        values = ", ".join(f"{name} = {_number(value)}" for name, value in items.attributes.items())
+        lines.append(f"items {items.name} {{ {values} }}" if values else f"items {items.name}")
+    for word, names_of in (("surface", plan.surfaces), ("obstacle", plan.obstacles), ("curve", plan.curves)):
+        lines += [f"{word} {name}" for name in names_of]
+    return "\n".join(lines)
+
+
+def _species(species: SpeciesPlan) -> list[str]:
+    lines = [f"species {species.name}"]
+    for role in ("attribute", "memory", "temp"):
+        names = [r.name + ("" if r.kind is Kind.F32 else f":{r.kind.value}") for r in species.registers.values() if r.role == role]
+        if names:
+            lines.append(f"  {role}: {' '.join(_vectors(names))}")
+    for machine in species.machines:
+        lines.append(f"  machine {machine.name}: {' '.join(f'{i}={s}' for i, s in enumerate(machine.states))}")
+    if species.handles:
+        lines.append(f"  handles: {' '.join(species.handles)}")
+    for number, layer in enumerate(species.layers, 1):
+        lines.append(f"  layer {number}: {' '.join(layer.text.split())}")
+    for phase, block in blocks(species):
+        nodes = needed(n for _, s in statements(block) for n in operands(s))
+        lines.append(f"  {phase} ({_cost(nodes)})")
+        lines += _Text(block, species).lines(block, "    ")
+    return lines
+
+
+def _vectors(names: list[str]) -> list[str]:
+    """position.x position.y position.z as position.xyz."""
+    joined: list[str] = []
+    for name in names:
+        if name.endswith(".x") and f"{name[:-1]}y" in names:
+            joined.append(f"{name}yz")
+        elif not (name.endswith((".y", ".z")) and f"{name[:-1]}x" in names):
+            joined.append(name)
+    return joined
+
+
+def _cost(nodes: list[Node]) -> str:
+    """How much there is to compute: operations once a step, per agent, per pair; senses."""
+    work = [n for n in nodes if n.op not in _LEAVES]
+    count = Counter("pair" if n.rate is Rate.PAIR else "agent" if n.rate is Rate.AGENT else "step" for n in work if n.op not in SENSES and n.op != "get")
+    senses = Counter(n.op for n in work if n.op in SENSES)
+    parts = [f"{count[rate]} per {rate}" for rate in ("step", "agent", "pair") if count[rate]]
+    parts += [f"{number} {name}" for name, number in sorted(senses.items())]
+    return ", ".join(parts) if parts else "nothing"
+
+
+def _number(x: float) -> str:
+    if math.isinf(x):
+        return "inf" if x > 0 else "-inf"
+    return f"{x:.7g}"
+
+
+class _Names:
+    """Expressions as text, with names for nodes that have one."""
+
+    def __init__(self) -> None:
+        self.names: dict[Node, str] = {}
+
+    def text(self, node: Node) -> str:
+        if node in self.names:
+            return self.names[node]
+        return self.spelled(node)
+
+    def spelled(self, node: Node) -> str:
+        inner = [self.text(a) for a in node.args]
+        op, attrs = node.op, node.attrs
+        if op in _INFIX:
+            left, right = (f"({t})" if " " in t and not t.endswith(")") or _open(t) else t for t in inner)
+            return f"{left} {_INFIX[op]} {right}"
+        match op:
+            case "const":
+                return _number(attrs[0])
+            case "const.bool":
+                return "true" if attrs[0] else "false"
+            case "const.i32" | "const.i64":
+                return "none" if attrs[0] == -1 else f"#{attrs[0]}"
+            case "param" | "run" | "step":
+                return str(attrs[0])
+            case "snap":
+                return f"{attrs[0]}"
+            case "load":
+                return f"{attrs[0]}'{attrs[1]}"
+            case "get":
+                return f"{inner[0]}[{attrs[0]}]"
+            case "not":
+                return f"not({inner[0]})"
+            case "other":
+                return f"other.{attrs[0]}"
+            case "where":
+                return f"where({', '.join(inner)})"
+        words = [str(a) for a in attrs] + inner
+        return f"{op}({', '.join(words)})" if words else op
+
+
+def _open(text: str) -> bool:
+    """Whether text like `a(b) + c(d)` would be read wrongly without brackets around it."""
+    depth = 0
+    for character in text:
+        depth += (character in "([") - (character in ")]")
+        if depth == 0 and character == " ":
+            return True
+    return False
+
+
+class _Text(_Names):
+    """The statements of one phase."""
+
+    def __init__(self, block: Block, species: SpeciesPlan) -> None:
+        super().__init__()
+        self.species = species
+        users: Counter[Node] = Counter()
+        everything = [operands(s) for _, s in statements(block)]
+        roots = [n for some in everything for n in some]
+        for node in needed(roots):
+            users.update(node.args)
+        users.update(roots)
+        self.shared = {n for n, count in users.items() if count > 1 and n.op not in _LEAVES and not (n.op == "get")}
+        self.shared |= {n for n in users if n.op in SENSES}
+        self.shared |= self._long(needed(roots))
+
+    def _long(self, nodes: list[Node]) -> set[Node]:
+        """Nodes to name so that no expression grows beyond a line."""
+        named: set[Node] = set()
+        size: dict[Node, int] = {}
+        for node in nodes:
+            inner = sum(4 if a in named or a in self.shared else size[a] for a in node.args)
+            size[node] = len(node.op) + sum(len(str(a)) for a in node.attrs) + inner + 3
+            if size[node] > _WIDE:
+                named.add(node)
+        return named
+
+    def lines(self, block: Block, indent: str) -> list[str]:
+        result: list[str] = []
+        for statement in block.statements:
+            result += [indent + line for line in self._first_named(statement)]
+            place = f"    # {_place(statement)}" if _place(statement) else ""
+            result.append(indent + self._statement(statement) + place)
+            if isinstance(statement, If):
+                result += self.lines(statement.then, indent + "  ")
+        return result
+
+    def _first_named(self, statement: Statement) -> list[str]:
+        made = []
+        for node in needed(operands(statement)):
+            if node in self.shared and node not in self.names and node.rate is not Rate.PAIR:
+                text = self.spelled(node)
+                keep = " (kept)" if node in self.species.lazy else ""
+                self.names[node] = f"{'s' if node.op in SENSES else 'a'}{len(self.names) + 1}"
+                made.append(f"{self.names[node]} = {text}{keep}")
+        return made
+
+    def _statement(self, s: Statement) -> str:
+        match s:
+            case If():
+                return f"where {self.text(s.condition)}:"
+            case Store():
+                return f"{s.register} := {self.text(s.value)}"
+            case Deposit():
+                return f"deposit {self.text(s.amount)} in {s.field}"
+            case Claim():
+                return f"claim {self.text(s.amount)} of {s.items}.{s.attribute} from {self.text(s.item)} -> {s.won}"
+            case Give():
+                amount = "all" if s.amount is None else self.text(s.amount)
+                return f"give {amount} of {s.own} to {s.items}.{s.attribute} of {self.text(s.item)}"
+            case Emit():
+                return f"emit {s.event}" + ("" if s.within is None else f" within {self.text(s.within)}")
+            case Spawn():
+                return f"spawn {s.species}"
+            case Die():
+                return "die"
+
+
+def _place(statement: Statement) -> str:
+    """The line of the text that asked for it."""
+    if statement.span is None:
+        return ""
+    return f"line {statement.span.source.line_column(statement.span.start)[0]}"

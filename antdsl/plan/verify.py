@@ -1,0 +1,209 @@
+"""What a legal plan is. Runs between passes and in tests; a broken plan is our mistake, so it raises."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from antdsl.plan.builder import PlanError, fitting, result_kind, result_rate
+from antdsl.plan.ir import Block, Claim, Deposit, Give, If, Kind, Node, Plan, Rate, SpeciesPlan, Spawn, Statement, Store
+from antdsl.plan.walk import blocks, field_nodes, needed, operands, roots, statements
+
+_READS = ("snap", "load")
+_OWN = {"position", "velocity", "heading", "up"}
+
+
+def verify(plan: Plan) -> None:
+    """Raise PlanError, with all that is wrong, if the plan breaks a rule."""
+    wrong = [*_nodes(plan), *_names(plan)]
+    for species in plan.species.values():
+        wrong += [f"{species.name}: {text}" for text in _species(plan, species)]
+    for field in plan.fields.values():
+        wrong += [f"field {field.name}: {n!r} changes within a run" for n in field_nodes(field) if n.rate > Rate.RUN]
+    for param in plan.params.values():
+        if param.default.rate > Rate.RUN:
+            wrong.append(f"param {param.name}: its default changes within a run")
+    if wrong:
+        raise PlanError("\n".join(wrong))
+
+
+# --- nodes -----------------------------------------------------------------------------------------------------------
+
+
+def _nodes(plan: Plan) -> Iterator[str]:
+    """Each node is what the table says, stands after its operands, and is in the list."""
+    known = set(plan.nodes)
+    for node in roots(plan):
+        if node not in known:
+            yield f"{node!r} is not in the plan's list"
+    for place, node in enumerate(plan.nodes):
+        text = fitting(node.op, node.args, node.attrs)
+        if text:
+            yield f"{node!r}: {text}"
+            continue
+        if node.number != place:
+            yield f"{node!r} has the number {node.number} at place {place}"
+        if any(a.number >= node.number or a not in known for a in node.args):
+            yield f"{node!r} stands before one of its operands"
+        if node.kind is not result_kind(node.op, node.args, node.attrs, node.kind):
+            yield f"{node!r} is said to be a {node.kind.value}"
+        if node.rate != result_rate(node.op, node.args):
+            yield f"{node!r} is said to change per {node.rate.name}"
+        if node.op.startswith("set.") and any(a.rate > Rate.AGENT for a in node.args):
+            yield f"{node!r}: a set's size depends on an element"
+
+
+def _names(plan: Plan) -> Iterator[str]:
+    """What nodes name is there. A species may live in another file."""
+    known: dict[str, object] = {
+        "field.value": plan.fields, "field.strongest": plan.fields, "field.gradient": plan.fields, "item.get": plan.items,
+        "item.alive": plan.items, "set.items": plan.items, "curve.closest": plan.curves, "ray": (*plan.obstacles, *plan.surfaces),
+        "obstacle.near": (*plan.obstacles, *plan.surfaces), "surface.touching": plan.surfaces, "param": plan.params,
+    }  # fmt: skip
+    for node in plan.nodes:
+        if node.op in known and node.attrs[0] not in known[node.op]:  # type: ignore[operator]
+            yield f"{node!r} names {node.attrs[0]!r}, which is not there"
+        if node.op == "item.get" and node.attrs[1] not in ("x", "y", "z", "radius") and node.attrs[0] in plan.items:
+            if node.attrs[1] not in plan.items[node.attrs[0]].attributes:
+                yield f"{node!r}: {node.attrs[0]} have no {node.attrs[1]}"
+        if node.op == "agent.get" and node.attrs[0] in plan.species:
+            yield from _register(plan.species[node.attrs[0]], node, node.attrs[1])
+        if node.op.startswith("reduce."):
+            yield from _elements(plan, node)
+
+
+def _elements(plan: Plan, reduce: Node) -> Iterator[str]:
+    """A reduction reads of its elements only what such elements have."""
+    source = reduce.args[0]
+    of_items = source.op == "set.items"
+    if (reduce.op == "reduce.item" and not of_items) or (reduce.op == "reduce.agent" and of_items):
+        yield f"{reduce!r} over {source.op}"
+    for node in _per_pair(reduce.args[1:]):
+        if node.op == ("other.id" if of_items else "other.row"):
+            yield f"{reduce!r} reads {node.op} over {source.op}"
+        if node.op != "other":
+            continue
+        if of_items:
+            items = plan.items.get(source.attrs[0])
+            if items and node.attrs[0] not in ("x", "y", "z", "radius", *items.attributes):
+                yield f"{reduce!r} reads {node.attrs[0]} of {source.attrs[0]}"
+        elif source.attrs[0] in plan.species:
+            yield from _register(plan.species[source.attrs[0]], node, node.attrs[0])
+
+
+def _per_pair(nodes: tuple[Node, ...]) -> Iterator[Node]:
+    """Nodes at the rate of pairs that belong to this reduction and not to one inside it."""
+    stack, seen = list(nodes), set()
+    while stack:
+        node = stack.pop()
+        if node in seen or node.rate is not Rate.PAIR:
+            continue
+        seen.add(node)
+        yield node
+        stack += node.args
+
+
+def _register(species: SpeciesPlan, node: Node, name: str) -> Iterator[str]:
+    register = species.registers.get(name)
+    if register is None:
+        yield f"{node!r}: {species.name} has no register {name}"
+    elif register.kind is not node.kind:
+        yield f"{node!r}: register {name} of {species.name} is a {register.kind.value}"
+
+
+# --- statements ------------------------------------------------------------------------------------------------------
+
+
+def _species(plan: Plan, species: SpeciesPlan) -> Iterator[str]:
+    for name, register in species.registers.items():
+        if name != register.name:
+            yield f"register {register.name} is filed under {name}"
+    for vector in _OWN | {"push"}:
+        for axis in "xyz":
+            if f"{vector}.{axis}" not in species.registers:
+                yield f"no register {vector}.{axis}"
+    for phase, block in blocks(species):
+        for _, statement in statements(block):
+            yield from (f"{phase}: {text}" for text in _statement(plan, species, statement))
+        for node in needed(n for _, s in statements(block) for n in operands(s)):
+            if node.op in _READS:
+                yield from (f"{phase}: {text}" for text in _register(species, node, node.attrs[0]))
+            if phase == "born" and node.op == "snap":
+                yield f"born: {node!r} asks for a time before birth"
+    yield from _order(Block((*species.decide.statements, *species.act.statements, *species.blend.statements)))
+    yield from _order(species.born)
+
+
+def _statement(plan: Plan, species: SpeciesPlan, statement: Statement) -> Iterator[str]:
+    for node in operands(statement):
+        if node.rate is Rate.PAIR:
+            yield f"{type(statement).__name__} of {node!r}, which is of an element"
+    match statement:
+        case If():
+            if statement.condition.kind is not Kind.BOOL:
+                yield f"If asks {statement.condition!r}"
+        case Store():
+            register = species.registers.get(statement.register)
+            if register is None:
+                yield f"Store to {statement.register}, which is not there"
+            elif register.kind is not statement.value.kind:
+                yield f"Store of {statement.value!r} to {register.name}, a {register.kind.value}"
+        case Deposit():
+            if statement.field not in plan.fields:
+                yield f"Deposit in {statement.field}, which is not there"
+        case Claim() | Give():
+            items = plan.items.get(statement.items)
+            if items is None or statement.attribute not in items.attributes:
+                yield f"{type(statement).__name__} of {statement.items}.{statement.attribute}, which is not there"
+            if statement.own is not None and statement.own not in species.registers:
+                yield f"{type(statement).__name__} for {statement.own}, which is not there"
+            if statement.item.kind is not Kind.I32:
+                yield f"{type(statement).__name__} with {statement.item!r} for an item"
+        case Spawn():
+            if statement.species not in plan.species:
+                yield f"Spawn of {statement.species}, which is not there"
+
+
+class _Seen:
+    """Per register: the version last loaded, and whether something was stored since."""
+
+    def __init__(self) -> None:
+        self.version: dict[str, int] = {}
+        self.stale: set[str] = set()
+
+
+def _order(block: Block) -> Iterator[str]:
+    """A load after a store is another load than the one before it, and versions only grow."""
+    seen = _Seen()
+    yield from _walk(block, seen)
+
+
+def _walk(block: Block, seen: _Seen) -> Iterator[str]:
+    for statement in block.statements:
+        for node in needed(operands(statement)):
+            if node.op != "load":
+                continue
+            name, version = node.attrs
+            last = seen.version.get(name)
+            if last is not None and version < last:
+                yield f"{node!r} is older than a load before it, of version {last}"
+            elif last == version and name in seen.stale:
+                yield f"{node!r} is loaded before and after a store"
+            seen.version[name] = max(version, last or 0)
+            seen.stale.discard(name)
+        for name in written(statement):
+            seen.stale.add(name)
+        if isinstance(statement, If):
+            yield from _walk(statement.then, seen)
+
+
+def written(statement: Statement) -> tuple[str, ...]:
+    """Registers that the statement itself may change."""
+    match statement:
+        case Store():
+            return (statement.register,)
+        case Claim():
+            return (statement.won,) if statement.own is None else (statement.won, statement.own)
+        case Give():
+            return (statement.own,)
+        case _:
+            return ()

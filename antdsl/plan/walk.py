@@ -1,0 +1,89 @@
+"""Going over a plan: statements in order, the nodes a statement names, and all that they need."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from antdsl.plan.ir import (
+    Block,
+    Claim,
+    Deposit,
+    Die,
+    Emit,
+    FieldPlan,
+    Give,
+    If,
+    Node,
+    Plan,
+    Spawn,
+    SpeciesPlan,
+    Statement,
+    Store,
+)
+
+PHASES = ("born", "decide", "act", "blend")
+
+
+def operands(statement: Statement) -> tuple[Node, ...]:
+    """The nodes that a statement itself asks for."""
+    match statement:
+        case If():
+            return (statement.condition,)
+        case Store():
+            return (statement.value,)
+        case Deposit():
+            return (statement.amount,)
+        case Claim():
+            return (statement.item, statement.amount)
+        case Give():
+            return (statement.item,) if statement.amount is None else (statement.item, statement.amount)
+        case Emit():
+            return () if statement.within is None else (statement.within,)
+        case Spawn() | Die():
+            return ()
+
+
+def statements(block: Block) -> Iterator[tuple[Block, Statement]]:
+    """All statements in order, each with the block it stands in; an If before what is in it."""
+    for statement in block.statements:
+        yield block, statement
+        if isinstance(statement, If):
+            yield from statements(statement.then)
+
+
+def blocks(species: SpeciesPlan) -> tuple[tuple[str, Block], ...]:
+    return tuple((phase, getattr(species, phase)) for phase in PHASES)
+
+
+def needed(roots: Iterable[Node]) -> list[Node]:
+    """The nodes and all that they are made of, operands first."""
+    seen: dict[int, Node] = {}
+    stack = list(roots)
+    while stack:
+        node = stack.pop()
+        if node.number not in seen:
+            seen[node.number] = node
+            stack += node.args
+    return [seen[number] for number in sorted(seen)]
+
+
+def field_nodes(field: FieldPlan) -> tuple[Node, ...]:
+    return tuple(n for n in (field.cell, field.keep, field.diffuse, field.limit) if n is not None)
+
+
+def roots(plan: Plan) -> list[Node]:
+    """Every node that something outside the list of nodes names."""
+    found: list[Node] = []
+    for species in plan.species.values():
+        for _, block in blocks(species):
+            for _, statement in statements(block):
+                found += operands(statement)
+        found += species.lazy
+    for field in plan.fields.values():
+        found += field_nodes(field)
+    return found + [p.default for p in plan.params.values()]
+
+
+def registers_read(nodes: Iterable[Node]) -> set[str]:
+    """Names of the agent's own registers that the nodes read."""
+    return {node.attrs[0] for node in nodes if node.op in ("snap", "load")}
