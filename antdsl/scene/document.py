@@ -79,7 +79,7 @@ def decode(data: bytes, name: str) -> tuple[Source, Report]:
     report = Report()
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         source = Source(name, "")
-        report.error("bad-encoding", f"`{name}` is UTF-16, not UTF-8", Span(source, 0, 0), "save the file as UTF-8")
+        report.error("not-utf8", f"`{name}` is UTF-16, not UTF-8", Span(source, 0, 0), "save the file as UTF-8")
         return source, report
     data = data.removeprefix(b"\xef\xbb\xbf")
     try:
@@ -88,13 +88,13 @@ def decode(data: bytes, name: str) -> tuple[Source, Report]:
         shown = data.decode("utf-8", "replace")
         place = len(data[: problem.start].decode("utf-8"))
         source = Source(name, shown)
-        report.error("bad-encoding", f"byte {problem.start} is not UTF-8", Span(source, place, place + 1), "save the file as UTF-8")
+        report.error("not-utf8", f"byte {problem.start} is not UTF-8", Span(source, place, place + 1), "save the file as UTF-8")
         return source, report
     source = Source(name, text)
     bad = _FORBIDDEN.search(text)
     if bad:
         message = f"the character U+{ord(bad[0]):04X} cannot stand in a scene, it would not show"
-        report.error("bad-character", message, Span(source, bad.start(), bad.end()), "delete it")
+        report.error("control-character", message, Span(source, bad.start(), bad.end()), "delete it")
     return source, report
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +44,11 @@ class Scene:
     def span(self, *path: Key, key: bool = False) -> Span:
         """Where a value (or, with `key`, the key before it) stands in the text; the nearest thing above it if it is not there."""
         return find(self.document, path, key=key)[0]
+
+    def changed(self, **values: object) -> Scene:
+        """The same scene with other values for some keys; None leaves a key as it is."""
+        wanted = {name: value for name, value in values.items() if value is not None}
+        return replace(self, model=self.model.model_copy(update=wanted)) if wanted else self
 
 
 def load(path: Path, grants: Mapping[str, Path] | None = None) -> tuple[Scene | None, Report]:

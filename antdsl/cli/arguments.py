@@ -1,0 +1,46 @@
+"""Words of the command line to values: `NAME=VALUE`, ranges of frames, granted roots."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import typer
+
+
+def pairs(words: Iterable[str], flag: str) -> dict[str, str]:
+    """`NAME=VALUE` words as a mapping; wrong use otherwise."""
+    found = {}
+    for word in words:
+        name, sign, value = word.partition("=")
+        if not sign or not name.strip() or not value.strip():
+            raise typer.BadParameter(f"write NAME=VALUE, not `{word}`", param_hint=flag)
+        found[name.strip()] = value.strip()
+    return found
+
+
+def grants(words: Iterable[str]) -> dict[str, Path]:
+    """`--root NAME=DIR` words; the folders must be there."""
+    found = {}
+    for name, folder in pairs(words, "--root").items():
+        path = Path(folder)
+        if not re.fullmatch("[A-Za-z][A-Za-z0-9_]{1,31}", name):
+            raise typer.BadParameter(f"`{name}` is not a name for a root (2 to 32 letters)", param_hint="--root")
+        if not path.is_dir():
+            raise typer.BadParameter(f"there is no folder `{folder}`", param_hint="--root")
+        found[name] = path.resolve()
+    return found
+
+
+def frame_range(text: str | None, flag: str = "--frames"):  # type: ignore[no-untyped-def]
+    """`A..B` as a FrameRange, or None for None."""
+    if text is None:
+        return None
+    from antdsl.scene.quantities import BadQuantity
+    from antdsl.scene.values import parse_frames
+
+    try:
+        return parse_frames(text)
+    except BadQuantity as why:
+        raise typer.BadParameter(f"`{text}` {why}: write A..B", param_hint=flag) from None

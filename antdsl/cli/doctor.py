@@ -1,0 +1,89 @@
+"""`antdsl doctor`: what is installed here, what is missing, and how to get it."""
+
+from __future__ import annotations
+
+import typer
+
+from antdsl.cli.exits import Exit, Stop
+
+PACKAGES = ("numpy", "scipy", "lark", "pydantic", "yaml", "typer", "rich", "trimesh", "PIL", "open3d")
+_NAMES = {"yaml": "pyyaml", "PIL": "pillow"}
+EXTRAS = {"imageio_ffmpeg": "films: pip install 'antdsl[video]'"}
+
+
+def doctor() -> None:
+    """Look whether everything that antdsl needs is here."""
+    problems: list[str] = []
+    _python(problems)
+    _system_libraries(problems)
+    for package in PACKAGES:
+        _package(package, problems)
+    for package, purpose in EXTRAS.items():
+        _optional(package, purpose)
+    _files(problems)
+    if problems:
+        raise Stop(Exit.INPUT_OUTPUT, "\n" + "\n".join(f"to do: {problem}" for problem in problems))
+    typer.echo("\nall is well")
+
+
+def _tell(name: str, good: bool, words: str) -> None:
+    typer.echo(f"{'ok     ' if good else 'MISSING'} {name:<16} {words}".rstrip())
+
+
+def _python(problems: list[str]) -> None:
+    import platform
+    import sys
+
+    good = sys.version_info >= (3, 11)
+    _tell("python", good, f"{platform.python_version()} on {platform.system()} {platform.machine()}")
+    if not good:
+        problems.append("install Python 3.11 or newer")
+
+
+def _system_libraries(problems: list[str]) -> None:
+    from antdsl.bootstrap import missing_packages
+
+    missing = missing_packages()
+    _tell("system libraries", not missing, ", ".join(missing) if missing else "libegl1 libgl1 libusb-1.0-0 or their like")
+    if missing:
+        problems.append(f"as root: apt-get install -y {' '.join(missing)}")
+
+
+def _package(package: str, problems: list[str]) -> None:
+    from importlib import import_module
+
+    shown = _NAMES.get(package, package)
+    try:
+        import_module(package)
+    except Exception as problem:  # a broken binary package can raise anything
+        _tell(shown, False, f"{type(problem).__name__}: {problem}"[:160])
+        problems.append(f"pip install {shown}" if package != "open3d" else "pip install open3d-cpu (Linux x86-64) or open3d, after the system libraries")
+        return
+    _tell(shown, True, _version(shown))
+
+
+def _version(name: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    for candidate in (name, f"{name}-cpu"):
+        try:
+            return version(candidate)
+        except PackageNotFoundError:
+            continue
+    return ""
+
+
+def _optional(package: str, purpose: str) -> None:
+    from importlib.util import find_spec
+
+    words = "installed" if find_spec(package) is not None else f"not installed; wanted for {purpose}"
+    typer.echo(f"{'ok     ' if words == 'installed' else '-      '} {package:<16} {words}")
+
+
+def _files(problems: list[str]) -> None:
+    from antdsl.resources import grammar_file, library_names
+
+    good = grammar_file("tables.json").is_file() and "steering" in library_names()
+    _tell("antdsl's files", good, "grammar, library of behaviours" if good else "grammar or behaviours not found")
+    if not good:
+        problems.append("install antdsl again")

@@ -1,0 +1,125 @@
+"""`antdsl run SCENE`: simulates a scene into a cache."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from antdsl.cli.exits import Exit, Stop
+
+if TYPE_CHECKING:
+    from antdsl.outputs.recording import Recording
+    from antdsl.pipeline import Choices, Shot
+    from antdsl.runtime import Options
+
+
+class Backend(StrEnum):
+    numpy = "numpy"
+    reference = "reference"
+
+
+class OnFault(StrEnum):
+    stop = "stop"
+    quarantine = "quarantine"
+
+
+def run(
+    scene: Path = typer.Argument(..., help="A scene.yaml."),
+    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Other frames than the scene's."),
+    seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Another seed than the scene's."),
+    set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another value for a param: forager.smell=50mm"),
+    out: Path = typer.Option(None, "--out", metavar="DIR", help="Where the cache goes. [default: out/SCENE beside the scene]", show_default=False),
+    root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
+    threads: int = typer.Option(0, "--threads", min=0, max=256, help="Threads for rays and chunks; 0 takes all cores. Changes no result."),
+    chunk: int = typer.Option(16_384, "--chunk", min=1, max=10_000_000, help="Agents worked on at once. Changes no result."),
+    summary: Path = typer.Option(None, "--summary", metavar="FILE", help="Write counts, speeds and measures as JSON."),
+    resume: bool = typer.Option(False, "--resume", help="Go on with the cache of an earlier run that was stopped."),
+    force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
+    backend: Backend = typer.Option(Backend.numpy, "--backend", help="`reference` is slow and plain: one agent at a time."),
+    shuffle: int = typer.Option(None, "--shuffle-rows", metavar="N", min=0, help="Put agents into rows in another order. Changes no result."),
+    on_fault: OnFault = typer.Option(OnFault.stop, "--on-fault", help="What follows when an agent gets a number that is none."),
+    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
+) -> None:
+    """Simulate a scene and write a cache."""
+    from antdsl.cli.arguments import frame_range, grants, pairs
+    from antdsl.cli.reports import demand
+    from antdsl.pipeline import Choices, open_scene
+
+    choices = Choices(grants(root), frame_range(frames), seed, pairs(set_, "--set"))
+    shot, report = open_scene(scene, choices)
+    demand(report)
+    if shot is None:
+        raise Stop(Exit.FINDINGS)
+    from antdsl.runtime import Options
+
+    options = Options(backend=backend.value, chunk=chunk, threads=threads or _cores(), shuffle_rows=shuffle, on_fault=on_fault.value)
+    folder = out if out is not None else scene.resolve().parent / "out" / scene.stem
+    recording = _begin(shot, folder, options, choices, resume, force)
+    _go(recording, quiet, _again(scene, out))
+    if summary is not None:
+        from antdsl.outputs.summary import write_summary
+
+        write_summary(summary, recording)
+
+
+def _cores() -> int:
+    import os
+
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _again(scene: Path, out: Path | None) -> str:
+    import shlex
+
+    where = f" --out {shlex.quote(str(out))}" if out is not None else ""
+    return f"antdsl run {shlex.quote(str(scene))}{where} --resume"
+
+
+def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume: bool, force: bool) -> Recording:
+    from antdsl.outputs.cache_writer import DifferentInputs, ForeignFolder
+    from antdsl.outputs.recording import NothingToResume, begin
+
+    try:
+        return begin(shot, folder, options, resume=resume, force=force)
+    except ForeignFolder as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`, or write into it anyway with `--force`") from None
+    except DifferentInputs as why:
+        raise Stop(Exit.FINDINGS, f"error: {why}", "run without `--resume` to begin again") from None
+    except NothingToResume as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "run without `--resume` to begin again") from None
+
+
+def _go(recording: Recording, quiet: bool, again: str) -> None:
+    """Run to the end, or until Ctrl-C or a termination asks for a stop after the frame under way."""
+    import signal
+
+    from antdsl.cli.progress import progress
+    from antdsl.outputs.lock import Locked
+    from antdsl.outputs.recording import record
+    from antdsl.runtime import FaultStop
+
+    def ask_to_stop(number: int, frame: object) -> None:
+        if recording.stop:
+            raise KeyboardInterrupt
+        recording.stop = True
+
+    before = {number: signal.signal(number, ask_to_stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with progress(recording, quiet) as watch:
+            for _ in record(recording, watch.preroll):
+                watch.frame()
+    except Locked as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "wait for it, or name another folder with `--out`") from None
+    except FaultStop as why:
+        raise Stop(Exit.FINDINGS, f"error: {why}", f"mend the program, or go on without such agents: `--on-fault quarantine`\nthe frames before are in {recording.folder}") from None
+    except OSError as problem:
+        words = f"error: cannot write the cache: {(problem.strerror or str(problem)).lower()}"
+        raise Stop(Exit.INPUT_OUTPUT, words, f"make room, then go on with: {again}") from None
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if recording.stop and not recording.complete:
+        raise Stop(Exit.INTERRUPTED, f"stopped after frame {recording.frame}", f"go on with: {again}")

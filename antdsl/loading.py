@@ -1,0 +1,129 @@
+"""Finds the text behind names: programs that a scene or a person names, the library behind `use steering`, files behind
+`use "./mine.ant"`. Each file is read and parsed once; its hash is kept for the cache."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from antdsl import limits, syntax
+from antdsl.diagnostics import Label, Report
+from antdsl.resources import library_file
+from antdsl.scene.paths import PathRefused, Roots
+from antdsl.source import Source, Span
+from antdsl.syntax import nodes
+
+
+@dataclass(slots=True)
+class Loaded:
+    """Programs and what they use. `modules` is by the path as written in `use`; `texts` are all sources by their path below `folder`,
+    library files as `<steering>`."""
+
+    folder: Path
+    files: list[nodes.File] = field(default_factory=list)
+    modules: dict[str, nodes.File] = field(default_factory=dict)
+    texts: dict[str, str] = field(default_factory=dict)
+    report: Report = field(default_factory=Report)
+    _library: dict[str, nodes.File | None] = field(default_factory=dict)
+    _bytes: int = 0
+
+    def library(self, name: str) -> nodes.File | None:
+        """The file behind `use NAME`, or None when there is none."""
+        if name not in self._library:
+            path = library_file(name)
+            self._library[name] = None if path is None else self._parse(path, f"<{name}>")
+        return self._library[name]
+
+    def add_file(self, path: Path) -> nodes.File | None:
+        """A program that the person named: any path will do; what it uses must lie below its folder."""
+        file = self._parse(path, str(path))
+        if file is not None:
+            self.files.append(file)
+            self._uses(file, Roots(path.resolve().parent), 1, (path.resolve(),))
+        return file
+
+    def add_named(self, text: str, roots: Roots, span: Span) -> nodes.File | None:
+        """A program that a scene names, through the scene's door to files."""
+        path = self._locate(text, roots, span)
+        if path is None:
+            return None
+        file = self._parse(path, shown(path), span)
+        if file is not None:
+            self.files.append(file)
+            self._uses(file, Roots(path.parent, roots.granted), 1, (path,))
+        return file
+
+    def hashes(self) -> dict[str, str]:
+        """A hash for the text of each file, by the name under which it was read."""
+        return {name: hashlib.blake2b(text.encode(), digest_size=16).hexdigest() for name, text in sorted(self.texts.items())}
+
+    def _key(self, path: Path) -> str:
+        full, folder = path.resolve(), self.folder.resolve()
+        return full.relative_to(folder).as_posix() if full.is_relative_to(folder) else full.as_posix()
+
+    def _locate(self, text: str, roots: Roots, span: Span) -> Path | None:
+        if not text.endswith(".ant"):
+            self.report.error("bad-path", f"`{text[:80]}` is not an .ant file", span, "name a file that ends in `.ant`")
+            return None
+        try:
+            roots.exists(text)
+            return roots.path(text)
+        except PathRefused as refused:
+            self.report.error(refused.code, str(refused), span, refused.help)
+            return None
+
+    def _parse(self, path: Path, name: str, span: Span | None = None) -> nodes.File | None:
+        source, report = syntax.read(path)
+        self.report.extend(report)
+        if source is None:
+            return None
+        source = Source(name, source.text)
+        if not name.startswith("<"):
+            self._bytes += len(source.text)
+            if self._bytes > limits.PROJECT_BYTES:
+                self.report.error("too-large", f"the programs together have more than {limits.PROJECT_BYTES:,} bytes", span)
+                return None
+        self.texts[name if name.startswith("<") else self._key(path)] = source.text
+        file, report = syntax.parse(source)
+        self.report.extend(report)
+        return file
+
+    def _uses(self, file: nodes.File, roots: Roots, depth: int, chain: tuple[Path, ...]) -> None:
+        for use in uses(file):
+            if use.path is None:
+                continue
+            text, span = use.path.text, use.path.span
+            if depth > limits.USE_DEPTH or len(self.modules) >= limits.USED_FILES:
+                self.report.error("too-large", "too many files use each other", span, "bring fewer files in")
+                return
+            path = self._locate(text, roots, span)
+            if path is None:
+                continue
+            if path in chain:
+                way = " -> ".join(p.name for p in (*chain[chain.index(path) :], path))
+                self.report.error("use-cycle", f"files use each other in a circle: {way}", span, "remove one of the `use` lines")
+                continue
+            known = self.modules.get(text)
+            if known is not None:
+                if known.source.path != shown(path):
+                    labels = (Label(Span(known.source, 0, 1), "the other file"),)
+                    self.report.error("use-cycle", f"`{text}` means two files in two folders", span, "give one of them another name", labels=labels)
+                continue
+            module = self._parse(path, shown(path), span)
+            if module is not None:
+                self.modules[text] = module
+                self._uses(module, Roots(path.parent, roots.granted), depth + 1, (*chain, path))
+
+
+def uses(file: nodes.File) -> tuple[nodes.Use, ...]:
+    """The `use` lines of a file."""
+    return tuple(item for item in file.items if isinstance(item, nodes.Use))
+
+
+def shown(path: Path) -> str:
+    """A path as people know it: relative to where they are, if it lies below."""
+    try:
+        return str(path.relative_to(Path.cwd()))
+    except ValueError:
+        return str(path)

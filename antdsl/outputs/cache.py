@@ -1,0 +1,124 @@
+"""A cache read: which frames there are, what is in one, which checkpoints and hashes. Nothing in it is trusted before it is checked.
+
+    manifest.json                   what it was made from and how to read it
+    static.npz                      meshes, places of field cells
+    frames/frame.1001.npz           one a frame: agents, fields, items
+    checkpoints/checkpoint.1050.npz all that is needed to go on from there
+    hashes.jsonl                    a hash of the whole state, one line a frame
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.manifest import Manifest, read_manifest
+from antdsl.outputs.npz import ArrayFileError, read_npz
+
+MARKER = ".antdsl-cache"
+HASHES = "hashes.jsonl"
+STATIC = "static.npz"
+_NUMBERED = re.compile(r"(frame|checkpoint)\.(-?[0-9]{1,10})\.npz", re.ASCII)
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+class CacheError(Exception):
+    """Why a part of a cache cannot be used, in words that stand alone."""
+
+
+def frame_path(folder: Path, frame: int) -> Path:
+    """Where a frame is kept; numbers have at least four digits, as frames in pictures do."""
+    return folder / "frames" / f"frame.{frame:04d}.npz"
+
+
+def checkpoint_path(folder: Path, frame: int) -> Path:
+    return folder / "checkpoints" / f"checkpoint.{frame:04d}.npz"
+
+
+def numbered(folder: Path) -> list[int]:
+    """The numbers of the frames or checkpoints that lie in a folder, in order."""
+    if not folder.is_dir():
+        return []
+    found = (_NUMBERED.fullmatch(name.name) for name in folder.iterdir())
+    return sorted(int(match[2]) for match in found if match)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cache:
+    """A cache on disk. `open_cache` makes one."""
+
+    folder: Path
+    manifest: Manifest
+
+    def frames(self) -> list[int]:
+        """The frames that are there, in order."""
+        return numbered(self.folder / "frames")
+
+    def checkpoints(self) -> list[int]:
+        """The frames that have a checkpoint, in order."""
+        return numbered(self.folder / "checkpoints")
+
+    def frame(self, number: int) -> Arrays:
+        """The arrays of a frame, as the format says; CacheError when it is missing or damaged."""
+        return _read(frame_path(self.folder, number), number)
+
+    def checkpoint(self, number: int) -> Arrays:
+        """All that is needed to go on from a frame; CacheError when it is missing or damaged."""
+        return _read(checkpoint_path(self.folder, number), number)
+
+    def static(self) -> Arrays:
+        """Meshes (`mesh.NAME.vertices`, `.faces`) and places of field cells (`field.NAME.P`), in scene units."""
+        return _read(self.folder / STATIC, None)
+
+    def hashes(self) -> dict[int, str]:
+        """The hash of the state at each frame; a last line that was cut off by a crash is left out."""
+        return read_hashes(self.folder / HASHES)
+
+
+def open_cache(folder: Path) -> Cache:
+    """The cache in a folder; ManifestError says why there is none."""
+    return Cache(folder, read_manifest(folder))
+
+
+def read_hashes(path: Path) -> dict[int, str]:
+    """Lines `{"frame": N, "hash": "…"}`; reading stops at the first that is not whole."""
+    found: dict[int, str] = {}
+    if not path.is_file():
+        return found
+    for line in path.read_text(encoding="utf-8", errors="replace").split("\n")[:-1]:
+        try:
+            entry = json.loads(line)
+            frame, value = entry["frame"], entry["hash"]
+        except (ValueError, TypeError, KeyError, RecursionError):
+            break
+        if not isinstance(frame, int) or not isinstance(value, str):
+            break
+        found[frame] = value
+    return found
+
+
+def _read(path: Path, number: int | None) -> Arrays:
+    try:
+        arrays = read_npz(path)
+    except FileNotFoundError:
+        raise CacheError(f"`{path}` is not there") from None
+    except ArrayFileError as why:
+        raise CacheError(f"`{path}` {why}") from None
+    if number is not None:
+        said = arrays.get("frame")
+        if said is None or said.shape != () or int(said) != number:
+            raise CacheError(f"`{path}` does not hold frame {number}")
+    return arrays
+
+
+def scalar(value: int) -> NDArray[np.int64]:
+    """A number as an array without dimensions."""
+    return np.array(value, np.int64)

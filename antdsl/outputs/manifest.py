@@ -1,0 +1,124 @@
+"""What a cache says about itself: what it was made from, how its numbers are to be read. JSON, typed and held to bounds when read."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from antdsl import limits
+from antdsl.outputs.npz import write_whole
+
+FORMAT = 1
+MANIFEST = "manifest.json"
+_BYTES = 16 * limits.MIB
+
+Word = Annotated[str, Field(max_length=500)]
+Triple = tuple[float, float, float]
+
+
+class Part(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False, hide_input_in_errors=True)
+
+
+class StateEntry(Part):
+    """A state's name, label, and display (sRGB) colour from 0 to 1."""
+
+    name: Word
+    label: Word
+    colour: Triple
+
+
+class MachineEntry(Part):
+    name: Word
+    states: tuple[StateEntry, ...]
+
+
+class SpeciesEntry(Part):
+    name: Word
+    machines: tuple[MachineEntry, ...]
+
+
+class MeshEntry(Part):
+    name: Word
+    kind: Literal["surface", "obstacle"]
+
+
+class FieldEntry(Part):
+    """`cell` in scene units."""
+
+    name: Word
+    cell: float
+
+
+class ItemsEntry(Part):
+    """Items of one name: their own names, and the attributes that each frame has an array for. Positions and radii in scene units."""
+
+    name: Word
+    names: tuple[Word, ...]
+    position: tuple[Triple, ...]
+    radius: tuple[float, ...]
+    attributes: tuple[Word, ...]
+
+
+class CameraEntry(Part):
+    """Points in scene units, focal length in mm for a sensor 36 mm wide."""
+
+    at: Triple
+    look_at: Triple
+    focal: float | None
+
+
+class Manifest(Part):
+    """`inputs` has a hash for all that the frames depend on; `fps` is a fraction, `24/1`; `first` and `last` are the frames asked for."""
+
+    format: Literal[1] = FORMAT
+    antdsl: Word
+    scene: Word
+    inputs: dict[Word, Word]
+    units: Literal["mm", "cm", "m"]
+    up: Literal["y", "z"]
+    fps: Annotated[str, Field(pattern=r"^[0-9]{1,9}/[0-9]{1,9}$")]
+    first: int
+    last: int
+    preroll: int
+    substeps: int
+    seed: int
+    checkpoint: Annotated[int, Field(ge=1)]
+    attributes: tuple[Word, ...]
+    species: tuple[SpeciesEntry, ...]
+    meshes: tuple[MeshEntry, ...]
+    fields: tuple[FieldEntry, ...]
+    items: tuple[ItemsEntry, ...]
+    camera: CameraEntry | None = None
+
+
+class ManifestError(Exception):
+    """Why a folder is no cache, in words that stand alone."""
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Put the manifest into a cache's folder, durably."""
+    text = json.dumps(manifest.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n"
+    write_whole(folder / MANIFEST, text.encode(), sync=True)
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """The manifest of a cache's folder; ManifestError says why there is none."""
+    path = folder / MANIFEST
+    try:
+        if path.stat().st_size > _BYTES:
+            raise ManifestError(f"`{path}` is larger than a manifest can be")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        raise ManifestError(f"`{folder}` is no cache: it has no readable `{MANIFEST}`") from None
+    newer = re.search(r'"format"\s*:\s*([0-9]{1,6})', text[:200])
+    if newer and int(newer[1]) > FORMAT:
+        raise ManifestError(f"`{folder}` was written by a newer antdsl (format {newer[1]}, this one reads {FORMAT})")
+    try:
+        return Manifest.model_validate_json(text)
+    except (ValidationError, RecursionError):
+        raise ManifestError(f"`{path}` is damaged") from None

@@ -1,0 +1,158 @@
+"""Simulates a shot into a cache, from the beginning or from the last good checkpoint, one frame at a time for whoever watches."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from antdsl.outputs.cache import Cache
+from antdsl.outputs.cache_writer import CacheWriter, prepare_folder, read_checkpoint, resume_points
+from antdsl.outputs.frames import FrameMaker, describe, static_arrays
+from antdsl.outputs.manifest import CameraEntry
+from antdsl.pipeline import Shot
+from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
+from antdsl.scene.model import millimetres
+
+
+@dataclass(slots=True, eq=False)
+class Recording:
+    """How far a run has come. `stop` asked for between frames ends it at the next, with a checkpoint."""
+
+    shot: Shot
+    folder: Path
+    world: World
+    resumed_from: int | None = None
+    frame: int | None = None  # the last that was written
+    stop: bool = False
+    hash: str = ""
+    surface_error: float = 0.0  # in body lengths
+    steps: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
+    started: float = field(default_factory=time.perf_counter)
+
+    @property
+    def complete(self) -> bool:
+        return self.frame == self.shot.frames.last
+
+    def spend(self, what: str, since: float) -> float:
+        """Count the time since `since` under a name; gives the time now."""
+        now = time.perf_counter()
+        self.seconds[what] = self.seconds.get(what, 0.0) + now - since
+        return now
+
+
+class NothingToResume(Exception):
+    """No checkpoint of an earlier run can be used; the message says why."""
+
+
+def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bool) -> Recording:
+    """Bind the shot; with `resume`, put the world where the last good checkpoint left it.
+
+    A checkpoint is good when all frames up to it are there and the world made from it has the hash that the cache has for that frame."""
+    points: tuple[Cache, list[int]] | None = None
+    if resume:
+        points = resume_points(folder, shot.inputs, shot.frames.first)
+        if points is None and any((folder / "frames").glob("frame.*.npz")):
+            raise NothingToResume(f"`{folder}` has frames and no readable manifest")
+    prepare_folder(folder, force=force)
+    began = time.perf_counter()
+    world = bind(shot.plan, shot.setting, options)
+    recording = Recording(shot, folder, world)
+    recording.spend("bind", began)
+    if points is not None:
+        cache, frames = points
+        hashes = cache.hashes()
+        for frame in frames:
+            arrays = read_checkpoint(cache, frame)
+            if arrays is None:
+                continue
+            restore(world, dict(arrays))
+            if state_hash(world) == hashes.get(frame):
+                recording.resumed_from = recording.frame = frame
+                recording.hash = hashes[frame]
+                return recording
+        if frames:
+            recording.world = bind(shot.plan, shot.setting, options)  # a checkpoint that turned out bad has been put into the other
+    return recording
+
+
+def record(recording: Recording, watch: Callable[[str, int], None] = lambda what, frame: None) -> Iterator[Recording]:
+    """Simulate and write; gives the recording after each frame. `watch(what, frame)` is told of the preroll's frames too.
+
+    When it ends, by itself or because `stop` was set, the last frame has a checkpoint."""
+    shot, world = recording.shot, recording.world
+    model = shot.scene.model
+    maker = FrameMaker(world, shot.program, model.output.attributes)
+    manifest = describe(
+        world, version=shot.inputs["antdsl"], scene=Path(shot.scene.source.path).name, inputs=shot.inputs, units=model.units, up=model.up,
+        first=shot.frames.first, last=shot.frames.last, preroll=model.preroll, checkpoint=model.output.checkpoint,
+        attributes=maker.attributes, camera=_camera(shot),
+    )  # fmt: skip
+    with CacheWriter(recording.folder, manifest) as writer:
+        writer.begin(static_arrays(world), recording.resumed_from)
+        if recording.resumed_from is None:
+            for _ in range(model.preroll):
+                if recording.stop:
+                    return
+                began = time.perf_counter()
+                step(world)
+                recording.spend("step", began)
+                watch("preroll", world.frame)
+            _write(recording, writer, maker, last=recording.stop)
+            yield recording
+        while recording.frame is not None and recording.frame < shot.frames.last and not recording.stop:
+            began = time.perf_counter()
+            step(world)
+            recording.steps += 1
+            recording.spend("step", began)
+            _write(recording, writer, maker, last=False)
+            yield recording
+        if recording.frame is not None and not _is_checkpoint(recording, recording.frame):
+            writer.checkpoint(recording.frame, checkpoint(world))
+
+
+def _is_checkpoint(recording: Recording, frame: int) -> bool:
+    """The first frame and every so many after it; a run that is continued keeps to the same frames."""
+    return (frame - recording.shot.frames.first) % recording.shot.scene.model.output.checkpoint == 0
+
+
+def _write(recording: Recording, writer: CacheWriter, maker: FrameMaker, *, last: bool) -> None:
+    world = recording.world
+    began = time.perf_counter()
+    recording.frame = world.frame
+    recording.surface_error = max(recording.surface_error, surface_error(world))
+    began = recording.spend("measure", began)
+    recording.hash = state_hash(world)
+    began = recording.spend("hash", began)
+    writer.put(world.frame, maker.frame(world), recording.hash)
+    if _is_checkpoint(recording, world.frame):
+        writer.checkpoint(world.frame, checkpoint(world))
+    recording.spend("write", began)
+
+
+def surface_error(world: World) -> float:
+    """The greatest distance of an agent, as it is written (float32), from the triangle that it stands on, in body lengths."""
+    worst = 0.0
+    for population in world.populations.values():
+        if len(population):
+            exact = world.ground.position(population.footing)
+            away = population.position.astype(np.float32) - exact
+            size = np.maximum(population.now["size"].astype(np.float64), 1e-9)
+            clearance = population.now["clearance"].astype(np.float64) if "clearance" in population.now else 0.0
+            distance = np.abs(np.linalg.norm(away, axis=1) - clearance)
+            worst = max(worst, float((distance / size).max()))
+    return worst
+
+
+def _camera(shot: Shot) -> CameraEntry | None:
+    camera = shot.scene.model.camera
+    if camera is None:
+        return None
+    unit_mm = shot.scene.model.unit_mm
+    points: list[Any] = [tuple(part / unit_mm for part in millimetres(point, unit_mm)) for point in (camera.at, camera.look_at)]
+    return CameraEntry(at=points[0], look_at=points[1], focal=camera.focal.number if camera.focal is not None else None)

@@ -1,0 +1,76 @@
+"""What a run amounts to, as one JSON document: the keys of `--summary`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from antdsl.outputs.npz import write_whole
+from antdsl.outputs.recording import Recording
+
+
+def summary(recording: Recording) -> dict[str, Any]:
+    """Counts, speeds and measures of a run; everything but `seconds`, `fps` and `peak_memory` is the same for the same inputs."""
+    world = recording.world
+    stepping = recording.seconds.get("step", 0.0) + recording.seconds.get("hash", 0.0) + recording.seconds.get("write", 0.0)
+    steps = recording.steps
+    return {
+        "agents": len(world),
+        "frames": 0 if recording.frame is None else recording.frame - recording.shot.frames.first + 1,
+        "fps": round(steps / stepping, 3) if stepping > 0 else 0.0,
+        "seconds": {name: round(value, 6) for name, value in {**recording.seconds, **world.timings}.items()},
+        "states": states(recording),
+        "transitions": dict(world.transitions),
+        "items": {
+            name: {attribute: float(amount.sum()) for attribute, amount in items.amounts.items()} for name, items in world.items.items()
+        },
+        "carried": carried(recording),
+        "faults": world.faults.count,
+        "max_surface_error": recording.surface_error,
+        "motion": world.motion.summary(),
+        "state_hash": recording.hash,
+        "peak_memory": peak_memory(),
+    }
+
+
+def states(recording: Recording) -> dict[str, int]:
+    """How many agents are in each state, as `species.state` (`species.machine.state` for machines that have a name of their own)."""
+    import numpy as np
+
+    found = {}
+    for name, population in recording.world.populations.items():
+        for machine in population.plan.machines:
+            counts = np.bincount(population.now[f"{machine.name}.state"], minlength=len(machine.states))
+            prefix = name if machine.name == "main" else f"{name}.{machine.name}"
+            found |= {f"{prefix}.{state}": int(count) for state, count in zip(machine.states, counts, strict=True)}
+    return found
+
+
+def carried(recording: Recording) -> dict[str, float]:
+    """Sums over agents of attributes that items have too, as `species.attribute`: what is under way between items."""
+    import numpy as np
+
+    kept = {attribute for items in recording.world.items.values() for attribute in items.amounts}
+    return {
+        f"{name}.{attribute}": float(population.now[attribute].astype(np.float64).sum())
+        for name, population in recording.world.populations.items()
+        for attribute in sorted(kept)
+        if attribute in population.now
+    }
+
+
+def write_summary(path: Path, recording: Recording) -> None:
+    """Write the summary to a file."""
+    write_whole(path, (json.dumps(summary(recording), indent=1) + "\n").encode(), sync=True)
+
+
+def peak_memory() -> int:
+    """The most memory that this process has used at once, in bytes; 0 where the system does not say."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(peak if sys.platform == "darwin" else peak * 1024)

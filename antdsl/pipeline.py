@@ -1,0 +1,201 @@
+"""The chain on one page: text → tree → program → plan, scene → setting, both → a world that steps.
+
+Every stage gives `(result, Report)`; a result is None where its errors leave nothing to go on with."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from antdsl import __version__
+from antdsl.diagnostics import Report
+from antdsl.loading import Loaded, shown
+
+if TYPE_CHECKING:
+    from antdsl.plan.ir import Plan
+    from antdsl.program.model import Program
+    from antdsl.runtime import Options, World
+    from antdsl.scene import Scene
+    from antdsl.scene.setting import Setting
+    from antdsl.scene.values import FrameRange
+
+SKIPPED_FOLDERS = frozenset(["node_modules", "__pycache__", "out", "build", "dist", "_data"])
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What the person who runs a scene says besides it: roots granted, and values that go before the scene's own."""
+
+    grants: Mapping[str, Path] = field(default_factory=dict)
+    frames: FrameRange | None = None
+    seed: int | None = None
+    params: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """A scene that is ready to be simulated. `inputs` has a hash for all that the result depends on, by name."""
+
+    scene: Scene
+    program: Program
+    plan: Plan
+    setting: Setting
+    inputs: Mapping[str, str]
+
+    @property
+    def frames(self) -> FrameRange:
+        return self.scene.model.frames
+
+
+def compile_files(paths: Iterable[Path]) -> tuple[Program | None, Report]:
+    """Parse and check programs together, with the library and all files that they use."""
+    paths = list(paths)
+    loaded = Loaded(paths[0].resolve().parent if paths else Path.cwd())
+    for path in paths:
+        loaded.add_file(path)
+    return _checked(loaded)
+
+
+def _checked(loaded: Loaded) -> tuple[Program | None, Report]:
+    from antdsl.program import check_all
+
+    report = Report()
+    if not loaded.files:
+        report.extend(loaded.report)
+        return None, report
+    program, findings = check_all(loaded.files, library=loaded.library, modules=loaded.modules)
+    report.extend(loaded.report)
+    report.extend(findings)
+    return program, report
+
+
+def open_scene(path: Path, choices: Choices | None = None) -> tuple[Shot | None, Report]:
+    """Everything from a scene's file to a shot: read, compile, match, lower, optimise, stage."""
+    from antdsl import passes, plan
+    from antdsl.scene.matching import layer_order
+    from antdsl.scene.staging import stage
+
+    choices = choices or Choices()
+    scene, program, loaded, report = _read_scene(path, choices)
+    if scene is None or program is None or not report.ok:
+        return None, report
+    orders = {name: order for name in scene.model.layers if (order := layer_order(scene, program, name)[0]) is not None}
+    lowered, findings = plan.lower(program, orders=orders)
+    report.extend(findings)
+    if not report.ok:
+        return None, report
+    setting, findings, meshes = stage(scene, program, _overrides(scene, program, choices, Report()))
+    report.extend(findings)
+    if setting is None or not report.ok:
+        return None, report
+    inputs = {"antdsl": __version__, "scene": _digest(repr(_result_relevant(scene))), **loaded.hashes(), **meshes}
+    inputs |= {f"--set {name}": text for name, text in choices.params.items()}
+    return Shot(scene, program, passes.optimise(lowered), setting, inputs), report
+
+
+def _read_scene(path: Path, choices: Choices) -> tuple[Scene | None, Program | None, Loaded, Report]:
+    """The scene, the programs of its crowd checked together, and how they match."""
+    from antdsl.scene import load
+    from antdsl.scene.matching import match
+
+    scene, report = load(path, choices.grants)
+    loaded = Loaded(path.resolve().parent)
+    if scene is None:
+        return None, None, loaded, report
+    scene = scene.changed(frames=choices.frames, seed=choices.seed)
+    for number, line in enumerate(scene.model.crowd):
+        if line.source not in {other.source for other in scene.model.crowd[:number]}:
+            loaded.add_named(line.source, scene.roots, scene.span("crowd", number, "from"))
+    if not scene.model.crowd:
+        report.error("no-crowd", "the scene has no crowd, so there is nothing to simulate", scene.span("antdsl", key=True), _CROWD_HELP)
+    program, findings = _checked(loaded)
+    report.extend(findings)
+    if program is not None and findings.ok:
+        report.extend(match(scene, program))
+        _overrides(scene, program, choices, report)
+    return scene, program, loaded, report
+
+
+_CROWD_HELP = "add `crowd:` and below it `  - {species: NAME, from: FILE.ant, count: 100, place: {on: SURFACE}}`"
+
+
+def _overrides(scene: Scene, program: Program, choices: Choices, report: Report) -> Mapping[str, object]:
+    from antdsl.scene.matching import check_param
+    from antdsl.scene.quantities import BadQuantity, parse_quantity
+
+    found = {}
+    for name, text in choices.params.items():
+        try:
+            found[name] = parse_quantity(text)
+        except BadQuantity as why:
+            report.error("wrong-value", f"`--set {name}={text}`: `{text}` {why}", None, "write a number and a unit: `--set NAME=50mm`")
+            continue
+        check_param(scene, program, report, name, found[name])
+    return found
+
+
+def _digest(text: str) -> str:
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def _result_relevant(scene: Scene) -> object:
+    """The scene less what changes no result: camera, output, and the last frame, so that a cache can be continued past it."""
+    values = scene.model.model_dump(exclude={"camera", "output", "frames"})
+    return values | {"first": scene.model.frames.first}
+
+
+def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
+    """Step through a shot: the world at each frame from first to last, the preroll done before the first. The same World each time."""
+    from antdsl.runtime import bind, step
+
+    world = bind(shot.plan, shot.setting, options)
+    for _ in range(shot.scene.model.preroll):
+        step(world)
+    yield world
+    for _ in range(shot.frames.first, shot.frames.last):
+        step(world)
+        yield world
+
+
+def check_path(path: Path, choices: Choices | None = None) -> tuple[Program | None, Report]:
+    """All that can be known about one file without running it: a program by itself, or a scene with its programs."""
+    if path.suffix == ".ant":
+        return compile_files([path])
+    _, program, _, report = _read_scene(path, choices or Choices())
+    return program, report
+
+
+def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
+    """The programs and scenes that paths mean: files as they are, folders searched without following links, hidden ones left out."""
+    import os
+
+    found: dict[Path, None] = {}
+    report = Report()
+    for path in paths:
+        if not path.is_dir():
+            if path.suffix in (".ant", ".yaml", ".yml"):
+                found[path] = None
+            else:
+                report.error("no-such-file", f"`{shown(path)}` is neither a program (.ant), a scene (.yaml) nor a folder", None)
+            continue
+        for folder, inner, files in os.walk(path, followlinks=False):
+            inner[:] = sorted(name for name in inner if not name.startswith(".") and name not in SKIPPED_FOLDERS)
+            for name in sorted(files):
+                file = Path(folder, name)
+                if name.endswith(".ant") or (name.endswith((".yaml", ".yml")) and _is_scene(file)):
+                    found[file] = None
+    return list(found), report
+
+
+def _is_scene(path: Path) -> bool:
+    """Whether a YAML file begins like a scene; a folder may hold others."""
+    try:
+        with open(path, "rb") as file:
+            lines = file.read(4096).removeprefix(b"\xef\xbb\xbf").splitlines()
+    except OSError:
+        return False
+    first = next((line for line in lines if line.strip() and not line.lstrip().startswith(b"#")), b"")
+    return first.startswith(b"antdsl:")
