@@ -57,11 +57,11 @@ class Writer:
 
     # --- registers ---------------------------------------------------------------------------------------------------
 
-    def declare(self, name: str, kind: Kind, role: str, zero: float | int | bool = 0) -> None:
+    def declare(self, name: str, kind: Kind, role: str, zero: float | int | bool = 0, of: str | None = None) -> None:
         """A register of this species; the same one twice is a mistake of ours."""
         known = self.registers.get(name)
         if known is None:
-            self.registers[name] = Register(name, kind, role, zero)
+            self.registers[name] = Register(name, kind, role, zero, of)
         elif known.kind is not kind or known.role != role:
             raise PlanError(f"register {name} of {self.species.name} is a {known.kind.value} {known.role} and a {kind.value} {role}")
 
@@ -71,7 +71,8 @@ class Writer:
             for axis in AXES:
                 self.declare(f"{name}.{axis}", Kind.F32, role)
         elif type.kind in KINDS:
-            self.declare(name, KINDS[type.kind], role, NONE.get(type.kind, 0))
+            of = type.of if type.kind is model.Kind.AGENT else None
+            self.declare(name, KINDS[type.kind], role, NONE.get(type.kind, 0), of)
         else:
             raise PlanError(f"{name} cannot be stored: it is a {type.kind.value}")
 

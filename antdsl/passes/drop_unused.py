@@ -1,0 +1,43 @@
+"""Leave out what nobody reads: stores to temps, then the registers of those temps, then nodes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from antdsl.passes.rewriting import rebuilt
+from antdsl.plan.ir import Block, Claim, If, Plan, SpeciesPlan, Statement, Store
+from antdsl.plan.walk import PHASES, blocks, needed, operands, registers_read, statements
+
+KEPT = frozenset(("push.x", "push.y", "push.z"))  # the runtime reads the result
+
+
+def drop_unused(plan: Plan) -> Plan:
+    """Same effects: attributes and memories are part of the state and stay; a temp that is never read goes with all that made it."""
+    return rebuilt(replace(plan, species={name: _species(s) for name, s in plan.species.items()}))
+
+
+def _species(species: SpeciesPlan) -> SpeciesPlan:
+    while True:
+        everything = [s for _, block in blocks(species) for _, s in statements(block)]
+        read = registers_read(needed(n for s in everything for n in operands(s))) | KEPT
+        read |= {s.won for s in everything if isinstance(s, Claim)}
+        unread = {name for name, r in species.registers.items() if r.role == "temp" and name not in read}
+        if not unread:
+            return species
+        phases = {phase: _without(getattr(species, phase), unread) for phase in PHASES}
+        registers = {name: r for name, r in species.registers.items() if name not in unread}
+        species = replace(species, registers=registers, **phases)  # type: ignore[arg-type]
+
+
+def _without(block: Block, unread: set[str]) -> Block:
+    result: list[Statement] = []
+    for statement in block.statements:
+        if isinstance(statement, Store) and statement.register in unread:
+            continue
+        if isinstance(statement, If):
+            inner = _without(statement.then, unread)
+            if inner.statements:
+                result.append(If(statement.condition, inner, statement.span))
+            continue
+        result.append(statement)
+    return Block(tuple(result))

@@ -1,0 +1,27 @@
+"""Compute what is known, and write regions straight into their place where the condition is known."""
+
+from __future__ import annotations
+
+from antdsl.passes.rewriting import rebuilt, with_blocks
+from antdsl.plan.ir import Block, If, Plan, SpeciesPlan, Statement
+from antdsl.plan.simplify import value
+
+
+def fold(plan: Plan) -> Plan:
+    """Same effects; constant subexpressions are constants, regions of nobody are gone and regions of everybody have no condition."""
+    return with_blocks(rebuilt(plan), lambda species, block: _block(species, block))
+
+
+def _block(species: SpeciesPlan, block: Block) -> Block:
+    result: list[Statement] = []
+    for statement in block.statements:
+        if not isinstance(statement, If):
+            result.append(statement)
+            continue
+        known = value(statement.condition)
+        inner = _block(species, statement.then)
+        if known is True:
+            result += inner.statements
+        elif known is None and inner.statements:
+            result.append(If(statement.condition, inner, statement.span))
+    return Block(tuple(result))

@@ -1,0 +1,34 @@
+"""One region instead of two neighbours with the same condition: the agents are gathered once."""
+
+from __future__ import annotations
+
+from antdsl.passes.rewriting import with_blocks
+from antdsl.plan.ir import Block, If, Node, Plan, SpeciesPlan, Statement
+from antdsl.plan.verify import written
+from antdsl.plan.walk import needed, registers_read, statements
+
+
+def merge(plan: Plan) -> Plan:
+    """Same effects. The same node is the same condition, unless the first region writes what it reads: then it is another load."""
+    return with_blocks(plan, lambda species, block: _block(species, block))
+
+
+def _block(species: SpeciesPlan, block: Block) -> Block:
+    result: list[Statement] = []
+    for statement in block.statements:
+        if not isinstance(statement, If):
+            result.append(statement)
+            continue
+        last = result[-1] if result else None
+        if isinstance(last, If) and last.condition is statement.condition and not _changes(last.then, last.condition):
+            joined = Block((*last.then.statements, *statement.then.statements))
+            result[-1] = If(last.condition, _block(species, joined), last.span)
+        else:
+            result.append(If(statement.condition, _block(species, statement.then), statement.span))
+    return Block(tuple(result))
+
+
+def _changes(block: Block, condition: Node) -> bool:
+    """Whether the statements write a register that the condition loads."""
+    loaded = registers_read(node for node in needed([condition]) if node.op == "load")
+    return any(name in loaded for _, statement in statements(block) for name in written(statement))

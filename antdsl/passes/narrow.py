@@ -1,0 +1,50 @@
+"""Ask the cheap half of a condition first, and the dear half only of those who are left."""
+
+from __future__ import annotations
+
+from antdsl.passes.rewriting import with_blocks
+from antdsl.plan.ir import SENSES, Block, If, Node, Plan, SpeciesPlan, Statement
+from antdsl.plan.walk import needed
+
+
+def narrow(plan: Plan) -> Plan:
+    """`where cheap and dear:` becomes two regions, one inside the other, where only the second half needs a sense."""
+    return with_blocks(plan, lambda species, block: _block(species, block))
+
+
+def _block(species: SpeciesPlan, block: Block) -> Block:
+    return Block(tuple(_statement(species, s) for s in block.statements))
+
+
+def _statement(species: SpeciesPlan, statement: Statement) -> Statement:
+    if not isinstance(statement, If):
+        return statement
+    inner = _block(species, statement.then)
+    cheap: list[Node] = []
+    dear: list[Node] = []
+    for part in _parts(statement.condition):
+        (dear if _senses(part) else cheap).append(part)
+    if not cheap or not dear:
+        return If(statement.condition, inner, statement.span)
+    for part in reversed(cheap + dear):
+        inner = Block((If(part, inner, statement.span),))
+    only = inner.statements[0]
+    assert isinstance(only, If)
+    return only
+
+
+def _parts(condition: Node) -> list[Node]:
+    """The conditions that all must hold, in order."""
+    found: list[Node] = []
+    stack = [condition]
+    while stack:
+        node = stack.pop()
+        if node.op == "and":
+            stack += reversed(node.args)
+        else:
+            found.append(node)
+    return found
+
+
+def _senses(node: Node) -> bool:
+    return any(n.op in SENSES for n in needed([node]))

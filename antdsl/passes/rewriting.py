@@ -1,0 +1,99 @@
+"""Making a plan anew: every node built again by a fresh Builder (which folds and shares), every statement carried over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from antdsl.plan.builder import Builder
+from antdsl.plan.ir import (
+    Block,
+    Claim,
+    Deposit,
+    Emit,
+    FieldPlan,
+    Give,
+    If,
+    Node,
+    ParamPlan,
+    Plan,
+    SpeciesPlan,
+    Statement,
+    Store,
+)
+from antdsl.plan.walk import PHASES, needed, roots
+
+Make = Callable[[Builder, str, tuple[Node, ...]], Node | None]
+
+
+def with_blocks(plan: Plan, change: Callable[[SpeciesPlan, Block], Block]) -> Plan:
+    """The plan with every phase of every species changed."""
+    species = {
+        name: replace(s, **{phase: change(s, getattr(s, phase)) for phase in PHASES})  # type: ignore[arg-type]
+        for name, s in plan.species.items()
+    }
+    return replace(plan, species=species)
+
+
+def rebuilt(plan: Plan, make: Make | None = None) -> Plan:
+    """The same plan of nodes that are needed only, simplified, shared and numbered without gaps.
+
+    `make` may give another node for an operation of operands that are made anew already."""
+    builder = Builder()
+    new: dict[Node, Node] = {}
+    for node in needed(roots(plan)):
+        builder.span = node.span
+        args = tuple(new[a] for a in node.args)
+        other = make(builder, node.op, args) if make else None
+        new[node] = other or builder(node.op, *args, attrs=node.attrs, kind=node.kind)
+    changed = _carried(plan, new)
+    return _numbered(changed)
+
+
+def _numbered(plan: Plan) -> Plan:
+    """Folding leaves nodes that nobody needs any more: make the list anew without them."""
+    builder = Builder()
+    new: dict[Node, Node] = {}
+    for node in needed(roots(plan)):
+        new[node] = builder.intern(node.op, tuple(new[a] for a in node.args), node.attrs, node.kind, node.span)
+    return replace(_carried(plan, new), nodes=tuple(builder.nodes))
+
+
+def _carried(plan: Plan, new: dict[Node, Node]) -> Plan:
+    def optional(node: Node | None) -> Node | None:
+        return None if node is None else new[node]
+
+    def field(f: FieldPlan) -> FieldPlan:
+        return replace(f, cell=new[f.cell], keep=optional(f.keep), diffuse=optional(f.diffuse), limit=optional(f.limit))
+
+    species = {}
+    for name, s in plan.species.items():
+        phases = {phase: _block(getattr(s, phase), new) for phase in PHASES}
+        lazy = tuple(dict.fromkeys(new[n] for n in s.lazy))
+        species[name] = replace(s, lazy=lazy, **phases)  # type: ignore[arg-type]
+    return replace(
+        plan, species=species, fields={n: field(f) for n, f in plan.fields.items()},
+        params={n: ParamPlan(p.name, new[p.default]) for n, p in plan.params.items()},
+    )  # fmt: skip
+
+
+def _block(block: Block, new: dict[Node, Node]) -> Block:
+    return Block(tuple(_statement(s, new) for s in block.statements))
+
+
+def _statement(s: Statement, new: dict[Node, Node]) -> Statement:
+    match s:
+        case If():
+            return If(new[s.condition], _block(s.then, new), s.span)
+        case Store():
+            return replace(s, value=new[s.value])
+        case Deposit():
+            return replace(s, amount=new[s.amount])
+        case Claim():
+            return replace(s, item=new[s.item], amount=new[s.amount])
+        case Give():
+            return replace(s, item=new[s.item], amount=None if s.amount is None else new[s.amount])
+        case Emit():
+            return replace(s, within=None if s.within is None else new[s.within])
+        case _:
+            return s
