@@ -17,7 +17,8 @@ from antdsl.syntax import nodes
 
 @dataclass(slots=True)
 class Loaded:
-    """Programs and what they use. `modules` is by the path as written in `use`; `texts` are all sources by their path below `folder`,
+    """Programs and what they use. `modules` is by the path as written in `use`; `texts` are all sources by their path below
+    `folder`,
     library files as `<steering>`."""
 
     folder: Path
@@ -108,7 +109,13 @@ class Loaded:
             if known is not None:
                 if known.source.path != shown(path):
                     labels = (Label(Span(known.source, 0, 1), "the other file"),)
-                    self.report.error("use-cycle", f"`{text}` means two files in two folders", span, "give one of them another name", labels=labels)
+                    self.report.error(
+                        "use-cycle",
+                        f"`{text}` means two files in two folders",
+                        span,
+                        "give one of them another name",
+                        labels=labels,
+                    )
                 continue
             module = self._parse(path, shown(path), span)
             if module is not None:

@@ -110,7 +110,9 @@ def _read_scene(path: Path, choices: Choices) -> tuple[Scene | None, Program | N
         if line.source not in {other.source for other in scene.model.crowd[:number]}:
             loaded.add_named(line.source, scene.roots, scene.span("crowd", number, "from"))
     if not scene.model.crowd:
-        report.error("no-crowd", "the scene has no crowd, so there is nothing to simulate", scene.span("antdsl", key=True), _CROWD_HELP)
+        report.error(
+            "no-crowd", "the scene has no crowd, so there is nothing to simulate", scene.span("antdsl", key=True), _CROWD_HELP
+        )
     program, findings = _checked(loaded)
     report.extend(findings)
     if program is not None and findings.ok:
@@ -131,7 +133,9 @@ def _overrides(scene: Scene, program: Program, choices: Choices, report: Report)
         try:
             found[name] = parse_quantity(text)
         except BadQuantity as why:
-            report.error("wrong-value", f"`--set {name}={text}`: `{text}` {why}", None, "write a number and a unit: `--set NAME=50mm`")
+            report.error(
+                "wrong-value", f"`--set {name}={text}`: `{text}` {why}", None, "write a number and a unit: `--set NAME=50mm`"
+            )
             continue
         check_param(scene, program, report, name, found[name])
     return found
@@ -148,7 +152,8 @@ def _result_relevant(scene: Scene) -> object:
 
 
 def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
-    """Step through a shot: the world at each frame from first to last, the preroll done before the first. The same World each time."""
+    """Step through a shot: the world at each frame from first to last, the preroll done before the first. The same World
+    each time."""
     from antdsl.runtime import bind, step
 
     world = bind(shot.plan, shot.setting, options)
@@ -169,7 +174,8 @@ def check_path(path: Path, choices: Choices | None = None) -> tuple[Program | No
 
 
 def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
-    """The programs and scenes that paths mean: files as they are, folders searched without following links, hidden ones left out."""
+    """The programs and scenes that paths mean: files as they are, folders searched without following links, hidden ones left
+    out."""
     import os
 
     found: dict[Path, None] = {}

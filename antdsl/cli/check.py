@@ -23,7 +23,9 @@ def check(
     paths: list[Path] = typer.Argument(None, help="Files (.ant, .yaml) or folders. Folders are searched.", show_default=False),
     format: Format = typer.Option(Format.full, "--format", help="How findings are written."),
     strict: bool = typer.Option(False, "--strict", help="Warnings count as errors."),
-    explain: str = typer.Option(None, "--explain", metavar="CODE", help="Say what a code such as `unknown-state` means, and stop."),
+    explain: str = typer.Option(
+        None, "--explain", metavar="CODE", help="Say what a code such as `unknown-state` means, and stop."
+    ),
     params: bool = typer.Option(False, "--params", help="List every param with its default and range."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
 ) -> None:
@@ -75,7 +77,9 @@ def _explain(code: str) -> None:
 
     if code not in CODES:
         near = nearest_name(code, CODES)
-        raise Stop(Exit.USAGE, f"error: no code `{code}`", f"did you mean `{near}`?" if near else "codes stand in brackets after `error`")
+        raise Stop(
+            Exit.USAGE, f"error: no code `{code}`", f"did you mean `{near}`?" if near else "codes stand in brackets after `error`"
+        )
     typer.echo(f"{code}: {CODES[code]}")
 
 

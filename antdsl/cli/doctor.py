@@ -57,7 +57,11 @@ def _package(package: str, problems: list[str]) -> None:
         import_module(package)
     except Exception as problem:  # a broken binary package can raise anything
         _tell(shown, False, f"{type(problem).__name__}: {problem}"[:160])
-        problems.append(f"pip install {shown}" if package != "open3d" else "pip install open3d-cpu (Linux x86-64) or open3d, after the system libraries")
+        problems.append(
+            f"pip install {shown}"
+            if package != "open3d"
+            else "pip install open3d-cpu (Linux x86-64) or open3d, after the system libraries"
+        )
         return
     _tell(shown, True, _version(shown))
 

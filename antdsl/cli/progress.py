@@ -94,7 +94,11 @@ def progress(recording: Recording, quiet: bool) -> Iterator[Watch]:
     if _fancy():
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-        left = frames.last - recording.resumed_from if recording.resumed_from is not None else frames.last - frames.first + 1 + preroll
+        left = (
+            frames.last - recording.resumed_from
+            if recording.resumed_from is not None
+            else frames.last - frames.first + 1 + preroll
+        )
         columns = (BarColumn(24), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[words]}"))
         with Progress(*columns) as bar:
             yield Bar(recording, bar, bar.add_task("", total=left, words=""))
@@ -118,7 +122,11 @@ def _tell_end(recording: Recording) -> None:
     steps = max(recording.steps, 1)
     spent = {**recording.seconds, **recording.world.timings}
     bind = spent.pop("bind", 0.0)
-    parts = ", ".join(f"{name} {1000 * value / steps:.1f}" for name, value in sorted(spent.items(), key=lambda pair: -pair[1]) if value / steps > 5e-5)
+    parts = ", ".join(
+        f"{name} {1000 * value / steps:.1f}"
+        for name, value in sorted(spent.items(), key=lambda pair: -pair[1])
+        if value / steps > 5e-5
+    )
     print(f"{len(recording.world):,} agents; set up in {bind:.1f} s; milliseconds a frame: {parts or 'none'}")
     if recording.world.faults.count:
         print(f"{recording.world.faults.count} faults: agents that got a number that is none")

@@ -31,15 +31,21 @@ def run(
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Other frames than the scene's."),
     seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Another seed than the scene's."),
     set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another value for a param: forager.smell=50mm"),
-    out: Path = typer.Option(None, "--out", metavar="DIR", help="Where the cache goes. [default: out/SCENE beside the scene]", show_default=False),
+    out: Path = typer.Option(
+        None, "--out", metavar="DIR", help="Where the cache goes. [default: out/SCENE beside the scene]", show_default=False
+    ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
-    threads: int = typer.Option(0, "--threads", min=0, max=256, help="Threads for rays and chunks; 0 takes all cores. Changes no result."),
+    threads: int = typer.Option(
+        0, "--threads", min=0, max=256, help="Threads for rays and chunks; 0 takes all cores. Changes no result."
+    ),
     chunk: int = typer.Option(16_384, "--chunk", min=1, max=10_000_000, help="Agents worked on at once. Changes no result."),
     summary: Path = typer.Option(None, "--summary", metavar="FILE", help="Write counts, speeds and measures as JSON."),
     resume: bool = typer.Option(False, "--resume", help="Go on with the cache of an earlier run that was stopped."),
     force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
     backend: Backend = typer.Option(Backend.numpy, "--backend", help="`reference` is slow and plain: one agent at a time."),
-    shuffle: int = typer.Option(None, "--shuffle-rows", metavar="N", min=0, help="Put agents into rows in another order. Changes no result."),
+    shuffle: int = typer.Option(
+        None, "--shuffle-rows", metavar="N", min=0, help="Put agents into rows in another order. Changes no result."
+    ),
     on_fault: OnFault = typer.Option(OnFault.stop, "--on-fault", help="What follows when an agent gets a number that is none."),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
@@ -55,7 +61,9 @@ def run(
         raise Stop(Exit.FINDINGS)
     from antdsl.runtime import Options
 
-    options = Options(backend=backend.value, chunk=chunk, threads=threads or _cores(), shuffle_rows=shuffle, on_fault=on_fault.value)
+    options = Options(
+        backend=backend.value, chunk=chunk, threads=threads or _cores(), shuffle_rows=shuffle, on_fault=on_fault.value
+    )
     folder = out if out is not None else scene.resolve().parent / "out" / scene.stem
     recording = _begin(shot, folder, options, choices, resume, force)
     _go(recording, quiet, _again(scene, out))
@@ -85,7 +93,9 @@ def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume:
     try:
         return begin(shot, folder, options, resume=resume, force=force)
     except ForeignFolder as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`, or write into it anyway with `--force`") from None
+        raise Stop(
+            Exit.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`, or write into it anyway with `--force`"
+        ) from None
     except DifferentInputs as why:
         raise Stop(Exit.FINDINGS, f"error: {why}", "run without `--resume` to begin again") from None
     except NothingToResume as why:
@@ -114,7 +124,12 @@ def _go(recording: Recording, quiet: bool, again: str) -> None:
     except Locked as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "wait for it, or name another folder with `--out`") from None
     except FaultStop as why:
-        raise Stop(Exit.FINDINGS, f"error: {why}", f"mend the program, or go on without such agents: `--on-fault quarantine`\nthe frames before are in {recording.folder}") from None
+        raise Stop(
+            Exit.FINDINGS,
+            f"error: {why}",
+            "mend the program, or go on without such agents: `--on-fault quarantine`\n"
+            f"the frames before are in {recording.folder}",
+        ) from None
     except OSError as problem:
         words = f"error: cannot write the cache: {(problem.strerror or str(problem)).lower()}"
         raise Stop(Exit.INPUT_OUTPUT, words, f"make room, then go on with: {again}") from None

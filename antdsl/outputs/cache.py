@@ -1,10 +1,11 @@
-"""A cache read: which frames there are, what is in one, which checkpoints and hashes. Nothing in it is trusted before it is checked.
+"""A cache read: which frames there are, what is in one, which checkpoints and hashes. Nothing in it is trusted before it is
+checked.
 
-    manifest.json                   what it was made from and how to read it
-    static.npz                      meshes, places of field cells
-    frames/frame.1001.npz           one a frame: agents, fields, items
-    checkpoints/checkpoint.1050.npz all that is needed to go on from there
-    hashes.jsonl                    a hash of the whole state, one line a frame
+manifest.json                   what it was made from and how to read it
+static.npz                      meshes, places of field cells
+frames/frame.1001.npz           one a frame: agents, fields, items
+checkpoints/checkpoint.1050.npz all that is needed to go on from there
+hashes.jsonl                    a hash of the whole state, one line a frame
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Writes a cache so that a crash at any instant leaves one that can be continued: frames are put in place whole by a thread behind the
+"""Writes a cache so that a crash at any instant leaves one that can be continued: frames are put in place whole by a thread
+behind the
 simulation, checkpoints only after all frames before them are on the disk, hashes line by line."""
 
 from __future__ import annotations
@@ -15,7 +16,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.cache import HASHES, MARKER, STATIC, Cache, CacheError, checkpoint_path, frame_path, numbered, open_cache, read_hashes
+from antdsl.outputs.cache import (
+    HASHES,
+    MARKER,
+    STATIC,
+    Cache,
+    CacheError,
+    checkpoint_path,
+    frame_path,
+    numbered,
+    open_cache,
+    read_hashes,
+)
 from antdsl.outputs.lock import LOCK, FolderLock
 from antdsl.outputs.manifest import MANIFEST, Manifest, ManifestError, write_manifest
 from antdsl.outputs.npz import sync_file, sync_folder, to_bytes, write_whole
@@ -75,7 +87,8 @@ def _line(frame: int, value: str) -> bytes:
 def resume_points(folder: Path, inputs: Mapping[str, str], first: int) -> tuple[Cache, list[int]] | None:
     """The cache to continue and the frames one may continue from, the latest first; None where there is nothing to continue.
 
-    A checkpoint counts only when every frame up to it is there with its hash. DifferentInputs when the cache is of other inputs."""
+    A checkpoint counts only when every frame up to it is there with its hash. DifferentInputs when the cache is of other
+    inputs."""
     try:
         cache = open_cache(folder)
     except ManifestError:
@@ -101,7 +114,8 @@ def read_checkpoint(cache: Cache, frame: int) -> Arrays | None:
 
 
 class CacheWriter:
-    """Between `__enter__` and `__exit__` the folder is locked and frames can be put in. After an error nothing more is written."""
+    """Between `__enter__` and `__exit__` the folder is locked and frames can be put in. After an error nothing more is
+    written."""
 
     def __init__(self, folder: Path, manifest: Manifest) -> None:
         self.folder, self.manifest = folder, manifest

@@ -1,4 +1,5 @@
-"""A world at one frame to the arrays of a cache: one row an agent, species after species by name, by id within each; scene units."""
+"""A world at one frame to the arrays of a cache: one row an agent, species after species by name, by id within each; scene
+units."""
 
 from __future__ import annotations
 
@@ -8,7 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.manifest import CameraEntry, FieldEntry, ItemsEntry, MachineEntry, Manifest, MeshEntry, SpeciesEntry, StateEntry
+from antdsl.outputs.manifest import (
+    CameraEntry,
+    FieldEntry,
+    ItemsEntry,
+    MachineEntry,
+    Manifest,
+    MeshEntry,
+    SpeciesEntry,
+    StateEntry,
+)
 from antdsl.program.model import Dim, Kind, Program
 from antdsl.runtime.world import Population, World
 
@@ -17,7 +27,8 @@ _PLAIN = {"P", "v", "orient", "id", "pscale", "Cd", "state", "species", "age", "
 
 
 class FrameMaker:
-    """Turns a world into the arrays of a frame. `attributes` are names of the scene's `output`; others than the usual are registers."""
+    """Turns a world into the arrays of a frame. `attributes` are names of the scene's `output`; others than the usual are
+    registers."""
 
     def __init__(self, world: World, program: Program, attributes: tuple[str, ...]) -> None:
         self.scale = 1.0 / world.setting.unit_mm
@@ -60,7 +71,9 @@ class FrameMaker:
         if attribute == "pscale":
             return _register(population, "size", rows) * np.float32(self.scale)
         if attribute == "Cd":
-            return self.colours[name][_states(population, rows)] if population.plan.machines else np.ones((len(rows), 3), np.float32)
+            return (
+                self.colours[name][_states(population, rows)] if population.plan.machines else np.ones((len(rows), 3), np.float32)
+            )
         if attribute == "state":
             return _states(population, rows).astype(np.int16)
         if attribute == "species":
@@ -106,7 +119,8 @@ def static_arrays(world: World) -> Arrays:
 
 
 def describe(
-    world: World, *, version: str, scene: str, inputs: Mapping[str, str], units: str, up: str, first: int, last: int, preroll: int,
+    world: World, *, version: str, scene: str, inputs: Mapping[str, str], units: str, up: str, first: int, last: int,
+    preroll: int,
     checkpoint: int, attributes: tuple[str, ...], camera: CameraEntry | None,
 ) -> Manifest:  # fmt: skip
     """The manifest of a run that begins with this world."""

@@ -1,4 +1,5 @@
-"""What a cache says about itself: what it was made from, how its numbers are to be read. JSON, typed and held to bounds when read."""
+"""What a cache says about itself: what it was made from, how its numbers are to be read. JSON, typed and held to bounds when
+read."""
 
 from __future__ import annotations
 
@@ -55,7 +56,8 @@ class FieldEntry(Part):
 
 
 class ItemsEntry(Part):
-    """Items of one name: their own names, and the attributes that each frame has an array for. Positions and radii in scene units."""
+    """Items of one name: their own names, and the attributes that each frame has an array for. Positions and radii in scene
+    units."""
 
     name: Word
     names: tuple[Word, ...]
@@ -73,7 +75,8 @@ class CameraEntry(Part):
 
 
 class Manifest(Part):
-    """`inputs` has a hash for all that the frames depend on; `fps` is a fraction, `24/1`; `first` and `last` are the frames asked for."""
+    """`inputs` has a hash for all that the frames depend on; `fps` is a fraction, `24/1`; `first` and `last` are the frames
+    asked for."""
 
     format: Literal[1] = FORMAT
     antdsl: Word

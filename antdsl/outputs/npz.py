@@ -1,6 +1,7 @@
 """NPZ files of plain arrays, written whole and read with suspicion: no pickle, no compression, sizes held against the file.
 
-The layout is NumPy's own (NEP 1 inside an uncompressed zip), so that `numpy.load` of any other program reads what is written here."""
+The layout is NumPy's own (NEP 1 inside an uncompressed zip), so that `numpy.load` of any other program reads what is written
+here."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ FILE_BYTES = 64 * limits.GIB
 _MAGIC = b"\x93NUMPY\x01\x00"
 _DTYPES = ("<f4", "<f8", "<i4", "<i8", "<i2", "|i1", "|u1", "<u2", "<u4", "<u8", "|b1")
 _HEADER = re.compile(
-    r"\{'descr': '([<|][fiub][1248])', 'fortran_order': (False), 'shape': (\((?:[0-9]{1,18}, ?)*(?:[0-9]{1,18})?,?\)), *\} *\n?", re.ASCII
+    r"\{'descr': '([<|][fiub][1248])', 'fortran_order': (False), 'shape': (\((?:[0-9]{1,18}, ?)*(?:[0-9]{1,18})?,?\)), *\} *\n?",
+    re.ASCII,
 )
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-#>|/]*", re.ASCII)
 _STAMP = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever they are written

@@ -53,7 +53,8 @@ class NothingToResume(Exception):
 def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bool) -> Recording:
     """Bind the shot; with `resume`, put the world where the last good checkpoint left it.
 
-    A checkpoint is good when all frames up to it are there and the world made from it has the hash that the cache has for that frame."""
+    A checkpoint is good when all frames up to it are there and the world made from it has the hash that the cache has for
+    that frame."""
     points: tuple[Cache, list[int]] | None = None
     if resume:
         points = resume_points(folder, shot.inputs, shot.frames.first)
@@ -77,7 +78,9 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
                 recording.hash = hashes[frame]
                 return recording
         if frames:
-            recording.world = bind(shot.plan, shot.setting, options)  # a checkpoint that turned out bad has been put into the other
+            recording.world = bind(
+                shot.plan, shot.setting, options
+            )  # a checkpoint that turned out bad has been put into the other
     return recording
 
 
@@ -89,10 +92,19 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
     model = shot.scene.model
     maker = FrameMaker(world, shot.program, model.output.attributes)
     manifest = describe(
-        world, version=shot.inputs["antdsl"], scene=Path(shot.scene.source.path).name, inputs=shot.inputs, units=model.units, up=model.up,
-        first=shot.frames.first, last=shot.frames.last, preroll=model.preroll, checkpoint=model.output.checkpoint,
-        attributes=maker.attributes, camera=_camera(shot),
-    )  # fmt: skip
+        world,
+        version=shot.inputs["antdsl"],
+        scene=Path(shot.scene.source.path).name,
+        inputs=shot.inputs,
+        units=model.units,
+        up=model.up,
+        first=shot.frames.first,
+        last=shot.frames.last,
+        preroll=model.preroll,
+        checkpoint=model.output.checkpoint,
+        attributes=maker.attributes,
+        camera=_camera(shot),
+    )
     with CacheWriter(recording.folder, manifest) as writer:
         writer.begin(static_arrays(world), recording.resumed_from)
         if recording.resumed_from is None:

@@ -24,7 +24,8 @@ def summary(recording: Recording) -> dict[str, Any]:
         "states": states(recording),
         "transitions": dict(world.transitions),
         "items": {
-            name: {attribute: float(amount.sum()) for attribute, amount in items.amounts.items()} for name, items in world.items.items()
+            name: {attribute: float(amount.sum()) for attribute, amount in items.amounts.items()}
+            for name, items in world.items.items()
         },
         "carried": carried(recording),
         "faults": world.faults.count,
@@ -36,7 +37,8 @@ def summary(recording: Recording) -> dict[str, Any]:
 
 
 def states(recording: Recording) -> dict[str, int]:
-    """How many agents are in each state, as `species.state` (`species.machine.state` for machines that have a name of their own)."""
+    """How many agents are in each state, as `species.state` (`species.machine.state` for machines that have a name of their
+    own)."""
     import numpy as np
 
     found = {}

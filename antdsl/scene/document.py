@@ -50,7 +50,8 @@ def plain(node: Node) -> Any:
 
 
 def find(node: Node, path: Sequence[Key], *, key: bool = False) -> tuple[Span, tuple[Key, ...]]:
-    """The place of what a path of keys leads to (of its last key if `key`), or of the nearest thing above it, and the path so far.
+    """The place of what a path of keys leads to (of its last key if `key`), or of the nearest thing above it, and the path
+    so far.
 
     Parts of the path that are not in the tree, such as a schema's own tags, are passed over."""
     span, walked = node.span, ()  # type: tuple[Span, tuple[Key, ...]]
@@ -163,10 +164,13 @@ class _Reader:
             words, help = "directives are not supported", "begin with `antdsl: 1`"
         elif "mapping values are not allowed" in words:
             words, help = "a second `:` in one line", "put the text in quotes, or start a new line"
-        return self.refuse("scene-syntax", f"cannot read the scene here: {words}", Span(self.source, start, min(start + 1, len(text))), help)
+        return self.refuse(
+            "scene-syntax", f"cannot read the scene here: {words}", Span(self.source, start, min(start + 1, len(text))), help
+        )
 
     def consume(self, yaml: Any, events: Any) -> Node | None:
-        """Build the tree from the stream of events with a stack of our own, so that depth and number are known before they cost."""
+        """Build the tree from the stream of events with a stack of our own, so that depth and number are known before they
+        cost."""
         stack: list[_Open] = []
         root: Node | None = None
         count = documents = 0
@@ -175,12 +179,21 @@ class _Reader:
             if isinstance(event, yaml.DocumentStartEvent):
                 documents += 1
                 if event.version or event.tags:
-                    raise self.refuse("yaml-tag", "directives such as `%YAML` and `%TAG` are not supported", self.span(event), "delete the line")
+                    raise self.refuse(
+                        "yaml-tag", "directives such as `%YAML` and `%TAG` are not supported", self.span(event), "delete the line"
+                    )
                 if documents > 1:
-                    raise self.refuse("scene-syntax", "a second document in one scene", self.span(event), "delete `---` and what follows")
+                    raise self.refuse(
+                        "scene-syntax", "a second document in one scene", self.span(event), "delete `---` and what follows"
+                    )
                 continue
             if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
-                raise self.refuse("yaml-alias", "anchors and aliases are not supported", self.span(event), "write the value out where it is wanted")
+                raise self.refuse(
+                    "yaml-alias",
+                    "anchors and aliases are not supported",
+                    self.span(event),
+                    "write the value out where it is wanted",
+                )
             if getattr(event, "tag", None) not in (None, "!"):
                 raise self.refuse("yaml-tag", "tags such as `!name` are not supported", self.span(event), "write the value alone")
             if isinstance(event, yaml.NodeEvent):
@@ -192,7 +205,9 @@ class _Reader:
             elif isinstance(event, yaml.CollectionStartEvent):
                 stack.append(_Open(self.offset(event.start_mark), isinstance(event, yaml.MappingStartEvent)))
                 if len(stack) > limits.YAML_DEPTH:
-                    raise self.refuse("too-large", f"values lie more than {limits.YAML_DEPTH} deep in each other", self.span(event))
+                    raise self.refuse(
+                        "too-large", f"values lie more than {limits.YAML_DEPTH} deep in each other", self.span(event)
+                    )
             elif isinstance(event, yaml.CollectionEndEvent):
                 done = self.close(stack.pop(), self.offset(event.end_mark))
             if done is not None:
@@ -217,12 +232,16 @@ class _Reader:
                 self.report.error("wrong-value", "a key must be one word", key.span, "write `key: value`")
                 continue
             if key.text == "<<":
-                self.report.error("yaml-alias", "merges are not supported", key.span, "write the values out where they are wanted")
+                self.report.error(
+                    "yaml-alias", "merges are not supported", key.span, "write the values out where they are wanted"
+                )
                 continue
             other = folded.get(key.text.lower())
             if other is not None:
                 words = f"`{key.text}` is given twice" if other == key.text else f"`{key.text}` and `{other}` differ by case only"
-                self.report.error("duplicate-key", words, key.span, "keep one of them", labels=(Label(keys[other], "here first"),))
+                self.report.error(
+                    "duplicate-key", words, key.span, "keep one of them", labels=(Label(keys[other], "here first"),)
+                )
                 continue
             folded[key.text.lower()] = key.text
             entries[key.text] = value

@@ -1,4 +1,5 @@
-"""A scene against a program: each name bound to a thing of the right kind, each value of the right dimension and inside its range.
+"""A scene against a program: each name bound to a thing of the right kind, each value of the right dimension and inside its
+range.
 
 No mesh is read here; that the named files are there is looked at. `CHECKS` is the list of what is compared."""
 
@@ -69,31 +70,60 @@ def _world(scene: Scene, program: Program, report: Report) -> None:
         form, words, sample = _FORMS[thing.kind]
         if name not in given:
             place = scene.span("world", key=True) if "world" in scene.document.entries else scene.span("antdsl", key=True)
-            message = f"the program's {thing.kind} `{name}` has no {'place' if thing.kind == 'items' else 'geometry'} in the scene"
-            report.error("missing-thing", message, place, f"add `{name}: {sample}` to `world`", labels=(Label(thing.span, "declared here"),))
+            message = (
+                f"the program's {thing.kind} `{name}` has no {'place' if thing.kind == 'items' else 'geometry'} in the scene"
+            )
+            report.error(
+                "missing-thing",
+                message,
+                place,
+                f"add `{name}: {sample}` to `world`",
+                labels=(Label(thing.span, "declared here"),),
+            )
         elif not isinstance(given[name], form):
             message = f"`{name}` is {words} in the program, and something else here"
-            report.error("wrong-kind", message, scene.span("world", name), f"write `{name}: {sample}`", labels=(Label(thing.span, "declared here"),))
+            report.error(
+                "wrong-kind",
+                message,
+                scene.span("world", name),
+                f"write `{name}: {sample}`",
+                labels=(Label(thing.span, "declared here"),),
+            )
         else:
-            _thing(scene, report, name, thing)
+            _thing(scene, program, report, name, thing)
 
 
-def _thing(scene: Scene, report: Report, name: str, thing: WorldThing) -> None:
+def _surfaces(program: Program) -> list[str]:
+    return [name for name, thing in program.world.items() if thing.kind == "surface"]
+
+
+def _thing(scene: Scene, program: Program, report: Report, name: str, thing: WorldThing) -> None:
     value = scene.model.world[name]
     if isinstance(value, MeshThing):
         _file(scene, report, value.mesh, "world", name, "mesh")
         if value.scale == 0 or abs(value.scale) < 1e-6:
-            report.error("wrong-value", "a scale of nothing leaves no mesh", scene.span("world", name, "scale"), "write `scale: 1`")
+            report.error(
+                "wrong-value", "a scale of nothing leaves no mesh", scene.span("world", name, "scale"), "write `scale: 1`"
+            )
         elif value.scale < 0:
-            report.warning("mirrored", f"the mesh of `{name}` is mirrored", scene.span("world", name, "scale"), "its faces are turned so that outside stays outside")
+            report.warning(
+                "mirrored",
+                f"the mesh of `{name}` is mirrored",
+                scene.span("world", name, "scale"),
+                "its faces are turned so that outside stays outside",
+            )
     elif isinstance(value, CurveThing):
         _file(scene, report, value.curve, "world", name, "curve")
     else:
         declared = {a.name: a for a in thing.attributes}
         for item, placed in value.items():
+            if placed.on is not None and placed.on not in _surfaces(program):
+                _unknown(report, scene, ("world", name, item, "on"), "no surface is named", _surfaces(program), key=False)
             for key, quantity in (placed.model_extra or {}).items():
                 if key not in declared:
-                    _unknown(report, scene, ("world", name, item, key), f"`{name}` has no attribute", [*declared, "at", "radius"])
+                    _unknown(
+                        report, scene, ("world", name, item, key), f"`{name}` has no attribute", [*declared, "at", "on", "radius"]
+                    )
                 elif declared[key].type.kind is Kind.NUMBER:
                     _dimension(scene, report, quantity, declared[key].type.dim, key, "world", name, item, key)
 
@@ -103,9 +133,16 @@ def _dimension(scene: Scene, report: Report, value: Quantity, dim: Dim, name: st
         return True
     wanted = dimension_words(dim)
     if value.bare:
-        report.error("missing-unit", f"`{name}` is {wanted}, and `{value.text}` has no unit", scene.span(*path), f"write `{with_unit(value.number, dim)}`")
+        report.error(
+            "missing-unit",
+            f"`{name}` is {wanted}, and `{value.text}` has no unit",
+            scene.span(*path),
+            f"write `{with_unit(value.number, dim)}`",
+        )
     elif not unit_of(dim):
-        report.error("wrong-unit", f"`{name}` is {wanted}, not {dimension_words(value.dim)}", scene.span(*path), "write the number alone")
+        report.error(
+            "wrong-unit", f"`{name}` is {wanted}, not {dimension_words(value.dim)}", scene.span(*path), "write the number alone"
+        )
     else:
         message = f"`{name}` is {wanted}, not {dimension_words(value.dim)}"
         report.error("wrong-unit", message, scene.span(*path), f"write a value in `{unit_of(dim)}`")
@@ -139,19 +176,24 @@ def item_names(scene: Scene) -> dict[str, tuple[str, str]]:
 def _around(scene: Scene, report: Report, around: object, radius: object, *path: Key) -> None:
     if isinstance(around, str) and around not in item_names(scene):
         _unknown(report, scene, (*path, "around"), "no item is named", item_names(scene), key=False)
-    if (around is None) != (radius is None):
-        missing, other = ("around", "radius") if around is None else ("radius", "around")
-        report.error("missing-key", f"`{other}` says nothing without `{missing}`", scene.span(*path, other, key=True), f"add `{missing}: …`")
+    if around is not None and radius is None:
+        report.error(
+            "missing-key", "`around` says nothing without `radius`", scene.span(*path, "around", key=True), "add `radius: 50 mm`"
+        )
 
 
 def _placement(scene: Scene, program: Program, report: Report, place: Placement, *path: Key) -> None:
-    surfaces = [n for n, t in program.world.items() if t.kind == "surface"]
-    if place.on is not None and place.on not in surfaces:
-        _unknown(report, scene, (*path, "on"), "no surface is named", surfaces, key=False)
+    if place.on is not None and place.on not in _surfaces(program):
+        _unknown(report, scene, (*path, "on"), "no surface is named", _surfaces(program), key=False)
     if place.points is not None:
         _file(scene, report, place.points, *path, "points")
         if place.around is not None:
-            report.error("wrong-value", "agents are placed at points or around a place, not both", scene.span(*path, "around", key=True), "keep one of them")
+            report.error(
+                "wrong-value",
+                "agents are placed at points or around a place, not both",
+                scene.span(*path, "around", key=True),
+                "keep one of them",
+            )
     _around(scene, report, place.around, place.radius, *path)
 
 
@@ -179,7 +221,9 @@ def check_param(scene: Scene, program: Program, report: Report, name: str, value
         ends = [_bound(bound, name) for bound in (param.low, param.high)]
         message = f"`{name}` = {value.text} is outside {ends[0]} .. {ends[1]}"
         place = scene.span(*path) if path else None
-        report.error("out-of-range", message, place, "write a value inside the range", labels=(Label(param.span, "declared here"),))
+        report.error(
+            "out-of-range", message, place, "write a value inside the range", labels=(Label(param.span, "declared here"),)
+        )
 
 
 def _bound(bound: Const | None, name: str) -> str:
@@ -196,7 +240,8 @@ def _fields(scene: Scene, program: Program, report: Report) -> None:
 
 
 def layer_order(scene: Scene, program: Program, species: str) -> tuple[list[str] | None, list[int]]:
-    """The texts of a species' layers in the scene's order, or None and the numbers of the scene's lines that fit none or several."""
+    """The texts of a species' layers in the scene's order, or None and the numbers of the scene's lines that fit none or
+    several."""
     layers = list(program.species[species].layers.layers)
     order: list[str] = []
     wrong: list[int] = []
@@ -225,7 +270,9 @@ def _layers(scene: Scene, program: Program, report: Report) -> None:
         if order is None and not wrong:
             left = [text for text in texts if not any(text.startswith(line.strip()) for line in scene.model.layers[name])]
             help = "add " + ", ".join(f"`{text}`" for text in left) if left else None
-            report.error("missing-thing", f"the order of the layers of `{name}` is not complete", scene.span("layers", name), help)
+            report.error(
+                "missing-thing", f"the order of the layers of `{name}` is not complete", scene.span("layers", name), help
+            )
 
 
 def _output(scene: Scene, program: Program, report: Report) -> None:

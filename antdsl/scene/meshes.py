@@ -225,8 +225,11 @@ def rotated(points: Floats, angles: tuple[float, float, float]) -> Floats:
     return points
 
 
-def placed(mesh: RawMesh, *, factor: float, own_up: str, up: str, angles: tuple[float, float, float], at: tuple[float, float, float]) -> MeshData:
-    """A file's mesh in the scene: millimetres, the scene's axes. A mirrored mesh keeps its outside outside. MeshError when it lies too far out."""
+def placed(
+    mesh: RawMesh, *, factor: float, own_up: str, up: str, angles: tuple[float, float, float], at: tuple[float, float, float]
+) -> MeshData:
+    """A file's mesh in the scene: millimetres, the scene's axes. A mirrored mesh keeps its outside outside. MeshError when
+    it lies too far out."""
     vertices = rotated(turned_up(mesh.vertices * factor, own_up, up), angles) + np.array(at)
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > _FARTHEST:
         raise MeshError("lies more than a thousand kilometres out")

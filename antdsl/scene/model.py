@@ -38,11 +38,14 @@ DEFAULT_ATTRIBUTES = ("P", "v", "orient", "id", "pscale", "Cd", "state")
 class Part(BaseModel):
     """A mapping of the scene: keys that are not listed are refused."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=False, arbitrary_types_allowed=True, hide_input_in_errors=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, populate_by_name=False, arbitrary_types_allowed=True, hide_input_in_errors=True
+    )
 
 
 class MeshThing(Part):
-    """A mesh file, turned and moved into the scene: scaled, its `up` made the scene's, rotated about x, then y, then z, then put `at`."""
+    """A mesh file, turned and moved into the scene: scaled, its `up` made the scene's, rotated about x, then y, then z, then
+    put `at`."""
 
     mesh: FilePath
     units: Unit | None = None
@@ -63,12 +66,14 @@ class CurveThing(Part):
 
 
 class ItemThing(Part):
-    """One item: where it is, how large, and the values of its attributes (any further key)."""
+    """One item: where it is (with `on`, dropped along the scene's up onto a surface), how large, and the values of its attributes
+    (any further key)."""
 
     model_config = ConfigDict(extra="allow", frozen=True, arbitrary_types_allowed=True, hide_input_in_errors=True)
     __pydantic_extra__: dict[str, AnyQuantity] = Field(init=False)
 
     at: Point
+    on: Name | None = None
     radius: PositiveLength | None = None
 
 
@@ -83,7 +88,9 @@ def _kind_of_thing(value: Any) -> str:
 
 def _items(value: Any) -> Any:
     if not isinstance(value, dict):
-        raise refuse("a thing of the world is a mapping", "write `{mesh: ground.ply}`, `{curve: way.json}` or `{apple: {at: [0, 0, 0]}}`")
+        raise refuse(
+            "a thing of the world is a mapping", "write `{mesh: ground.ply}`, `{curve: way.json}` or `{apple: {at: [0, 0, 0]}}`"
+        )
     return value
 
 
@@ -100,7 +107,8 @@ def _point_or_name(value: Any) -> str:
 
 
 class Placement(Part):
-    """Where a crowd begins: scattered on a surface (all of it, or around a point or an item), or at given points."""
+    """Where a crowd begins: scattered on a surface (all of it, or within `radius` of a point or an item, by itself of
+    the scene's origin), or at given points."""
 
     on: Name | None = None
     around: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None
@@ -116,7 +124,8 @@ class CrowdLine(Part):
 
 
 class FieldStart(Part):
-    """Starting values of a field: `start` everywhere, or only within `radius` of a point or an item."""
+    """Starting values of a field: `start` everywhere, or only within `radius` of a point or an item (by itself: of the
+    origin)."""
 
     start: Annotated[float, BeforeValidator(number(0, 1e9))]
     around: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None

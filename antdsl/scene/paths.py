@@ -41,7 +41,9 @@ class Roots:
                 raise _refuse(text, "is an address, not a file", "copy the file beside the scene")
             if name not in self.granted:
                 known = ", ".join(f"`{n}:`" for n in sorted(self.granted)) or "none"
-                raise PathRefused("root-not-granted", f"no root `{name}:` is granted (granted: {known})", f"run with `--root {name}=FOLDER`")
+                raise PathRefused(
+                    "root-not-granted", f"no root `{name}:` is granted (granted: {known})", f"run with `--root {name}=FOLDER`"
+                )
             return self.granted[name], _parts(text, rest)
         return self.folder, _parts(text, text)
 
@@ -128,7 +130,8 @@ def _regular(handle: int, shown: str) -> int:
 
 
 def _open_below(root: Path, parts: tuple[str, ...], shown: str) -> int:
-    """Open a file below a root, no part of the way being a link. Without `dir_fd` (Windows) the resolved path is compared instead."""
+    """Open a file below a root, no part of the way being a link. Without `dir_fd` (Windows) the resolved path is compared
+    instead."""
     if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
         whole = root.joinpath(*parts)
         if not whole.resolve().is_relative_to(root.resolve()):
@@ -159,7 +162,9 @@ def _exact_name(folder: int, part: str, shown: str) -> None:
     if part not in names:
         alike = sorted(name for name in names if name.lower() == part.lower())
         if alike:
-            raise PathRefused("no-such-file", f"there is no file `{shown}`; `{alike[0]}` differs by case only", f"write `{alike[0]}`")
+            raise PathRefused(
+                "no-such-file", f"there is no file `{shown}`; `{alike[0]}` differs by case only", f"write `{alike[0]}`"
+            )
 
 
 def _why_not(problem: OSError, folder: int, shown: str) -> PathRefused:
@@ -171,5 +176,7 @@ def _why_not(problem: OSError, folder: int, shown: str) -> PathRefused:
         near = nearest_name(shown.rsplit("/", 1)[-1], sorted(os.listdir(folder))[:2000])
         return PathRefused("no-such-file", f"there is no file `{shown}`", f"did you mean `{near}`?" if near else None)
     if problem.errno in (errno.ELOOP, errno.ENOTDIR):
-        return PathRefused("bad-path", f"a part of `{shown}` is a link or no folder; links are not followed", "name the file itself")
+        return PathRefused(
+            "bad-path", f"a part of `{shown}` is a link or no folder; links are not followed", "name the file itself"
+        )
     return PathRefused("no-such-file", f"cannot open `{shown}`: {(problem.strerror or 'it is refused').lower()}")

@@ -12,13 +12,15 @@ from antdsl.program.units import measure
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
 
+
 class BadQuantity(ValueError):
     """Why a text is no quantity, in words that fit after the text in question."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """`number` in base units (mm, s, g, rad), still to be multiplied by (mm per scene unit) ** u and dt ** step. `unit` as written."""
+    """`number` in base units (mm, s, g, rad), still to be multiplied by (mm per scene unit) ** u and dt ** step. `unit` as
+    written."""
 
     number: float
     dim: Dim

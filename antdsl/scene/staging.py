@@ -1,11 +1,12 @@
 """A matched scene to a `Setting`: meshes and points are read, everything is turned to millimetres and the scene's axes.
 
-What binding would need in memory is computed first, so that a request for a billion cells is refused before anything is allocated."""
+What binding would need in memory is computed first, so that a request for a billion cells is refused before anything is
+allocated."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,7 +18,7 @@ from antdsl.program.model import Const, Program
 from antdsl.scene import setting as stage_of
 from antdsl.scene.document import Key
 from antdsl.scene.load import Scene
-from antdsl.scene.matching import const_base, item_names
+from antdsl.scene.matching import const_base
 from antdsl.scene.meshes import MeshError, placed, read_mesh, turned_up
 from antdsl.scene.model import UNIT_MM, CurveThing, ItemThing, MeshThing, Placement, Point, millimetres
 from antdsl.scene.paths import PathRefused
@@ -49,7 +50,9 @@ class Staging:
         return data
 
 
-def stage(scene: Scene, program: Program, overrides: Mapping[str, Quantity] | None = None) -> tuple[stage_of.Setting | None, Report, dict[str, str]]:
+def stage(
+    scene: Scene, program: Program, overrides: Mapping[str, Quantity] | None = None
+) -> tuple[stage_of.Setting | None, Report, dict[str, str]]:
     """The setting, what there is to complain about, and a hash for each file read. `overrides` are params given by the person."""
     staging = Staging(scene, program)
     model = scene.model
@@ -59,8 +62,14 @@ def stage(scene: Scene, program: Program, overrides: Mapping[str, Quantity] | No
     if staging.report.ok:
         _check_cells(staging, surfaces)
     curves = _curves(staging)
+    items = {
+        name: tuple(_items(staging, name, value, surfaces)) for name, value in model.world.items() if isinstance(value, dict)
+    }
+    places = {item.name: item.position for group in items.values() for item in group} | {
+        name: group[0].position for name, group in items.items() if group
+    }
     crowds = tuple(
-        stage_of.CrowdData(line.species, line.count, _place(staging, line.place, "crowd", number, "place"), number)
+        stage_of.CrowdData(line.species, line.count, _place(staging, places, line.place, "crowd", number, "place"), number)
         for number, line in enumerate(model.crowd)
     )
     if not staging.report.ok:
@@ -76,12 +85,15 @@ def stage(scene: Scene, program: Program, overrides: Mapping[str, Quantity] | No
         first_frame=model.frames.first - model.preroll,
         surfaces=surfaces,
         obstacles=obstacles,
-        items={name: tuple(_items(staging, name, value)) for name, value in model.world.items() if isinstance(value, dict)},
+        items=items,
         curves=curves,
         crowds=crowds,
         params=params,
         field_start={
-            name: stage_of.FieldStart(start.start, _point(scene, start.around), _length(scene, start.radius)) for name, start in model.fields.items()
+            name: stage_of.FieldStart(
+                start.start, _point(scene, places, start.around, start.radius), _length(scene, start.radius)
+            )
+            for name, start in model.fields.items()
         },
     )
     return made, staging.report, staging.hashes
@@ -91,15 +103,14 @@ def _length(scene: Scene, value: Quantity | None) -> float | None:
     return None if value is None else value.length(scene.model.unit_mm)
 
 
-def _point(scene: Scene, around: Point | str | None) -> stage_of.Point | None:
+Places = Mapping[str, stage_of.Point]
+
+
+def _point(scene: Scene, places: Places, around: Point | str | None, radius: Quantity | None) -> stage_of.Point | None:
+    """Where something lies about: a point, an item's place, the origin where only a radius is given."""
     if around is None:
-        return None
-    if isinstance(around, str):
-        items, name = item_names(scene)[around]
-        thing = scene.model.world[items]
-        assert isinstance(thing, dict)
-        around = thing[name].at
-    return millimetres(around, scene.model.unit_mm)
+        return None if radius is None else (0.0, 0.0, 0.0)
+    return places.get(around) if isinstance(around, str) else millimetres(around, scene.model.unit_mm)
 
 
 def _meshes(staging: Staging, kind: str) -> dict[str, stage_of.MeshData]:
@@ -135,9 +146,16 @@ def _mesh(staging: Staging, name: str, value: MeshThing) -> stage_of.MeshData | 
         return None
     if raw.dropped:
         faces = "face" if raw.dropped == 1 else "faces"
-        report.warning("degenerate-faces", f"{raw.dropped:,} {faces} of `{value.mesh}` without area or given twice left out", span)
+        report.warning(
+            "degenerate-faces", f"{raw.dropped:,} {faces} of `{value.mesh}` without area or given twice left out", span
+        )
     if np.abs(mesh.vertices).max() > _FAR:
-        report.warning("far-away", f"the mesh `{value.mesh}` lies more than 10 km from the origin", span, "move it with `at`, or check its `units`")
+        report.warning(
+            "far-away",
+            f"the mesh `{value.mesh}` lies more than 10 km from the origin",
+            span,
+            "move it with `at`, or check its `units`",
+        )
     return mesh
 
 
@@ -151,7 +169,9 @@ def _solids(staging: Staging) -> None:
         if mesh is not None:
             edge = value.voxel.length(scene.model.unit_mm)
             sides = [float(side) / edge + 1 for side in np.ptp(mesh.vertices, axis=0)]
-            _refuse_if_many(staging, sides[0] * sides[1] * sides[2], limits.VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel")
+            _refuse_if_many(
+                staging, sides[0] * sides[1] * sides[2], limits.VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel"
+            )
 
 
 def _check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
@@ -165,7 +185,9 @@ def _check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) ->
         place = declared.surfaces[0] if declared.surfaces else ""
         # a plane that lies aslant touches up to 1.7 times the voxels of its area; one each for the area is the least
         labels = (Label(declared.cell.span, "the cell's size"),)
-        _refuse_if_many(staging, area / (edge * edge), limits.FIELD_CELLS, f"the field `{name}`", "cells", edge, "world", place, labels=labels)
+        _refuse_if_many(
+            staging, area / (edge * edge), limits.FIELD_CELLS, f"the field `{name}`", "cells", edge, "world", place, labels=labels
+        )
 
 
 def _area(mesh: stage_of.MeshData) -> float:
@@ -173,7 +195,9 @@ def _area(mesh: stage_of.MeshData) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
-def _refuse_if_many(staging: Staging, count: float, cap: int, what: str, parts: str, edge: float, *path: Key, labels: tuple[Label, ...] = ()) -> None:
+def _refuse_if_many(
+    staging: Staging, count: float, cap: int, what: str, parts: str, edge: float, *path: Key, labels: tuple[Label, ...] = ()
+) -> None:
     if count > cap:
         size = f"{count * 8 / limits.GIB:,.0f} GiB" if count * 8 > limits.GIB else f"{count * 8 / limits.MIB:,.0f} MiB"
         message = f"{what} would need at least {count:,.0f} {parts} of {edge:g} mm (about {size}), more than {cap:,}"
@@ -205,18 +229,44 @@ def _points(staging: Staging, text: str, least: int, *path: Key) -> NDArray[np.f
         return None
 
 
-def _items(staging: Staging, name: str, value: Mapping[str, ItemThing]) -> list[stage_of.ItemData]:
+def _items(
+    staging: Staging, name: str, value: Mapping[str, ItemThing], surfaces: Mapping[str, stage_of.MeshData]
+) -> Iterator[stage_of.ItemData]:
     model = staging.scene.model
     dt = float(1 / model.fps)
-    made = []
-    for item, placed_item in value.items():
-        radius = _length(staging.scene, placed_item.radius)
-        attributes = {key: quantity.base(model.unit_mm, dt) for key, quantity in (placed_item.model_extra or {}).items()}
-        made.append(stage_of.ItemData(item, millimetres(placed_item.at, model.unit_mm), DEFAULT_ITEM_RADIUS if radius is None else radius, attributes))
-    return made
+    for item, thing in value.items():
+        position = millimetres(thing.at, model.unit_mm)
+        if thing.on is not None and thing.on in surfaces:
+            height = height_over(surfaces[thing.on], position, model.up)
+            if height is None:
+                span = staging.scene.span("world", name, item, "at")
+                staging.report.error(
+                    "off-surface", f"`{item}` is neither over nor under `{thing.on}`", span, "move it, or leave out `on`"
+                )
+                continue
+            position = (position[0], height, position[2]) if model.up == "y" else (position[0], position[1], height)
+        radius = _length(staging.scene, thing.radius)
+        attributes = {key: quantity.base(model.unit_mm, dt) for key, quantity in (thing.model_extra or {}).items()}
+        yield stage_of.ItemData(item, position, DEFAULT_ITEM_RADIUS if radius is None else radius, attributes)
 
 
-def _place(staging: Staging, place: Placement, *path: Key) -> stage_of.PlaceData:
+def height_over(mesh: stage_of.MeshData, point: stage_of.Point, up: str) -> float | None:
+    """The highest place of a mesh on the line through a point along the scene's up, or None where there is none."""
+    flat, tall = ([0, 2], 1) if up == "y" else ([0, 1], 2)
+    corners = mesh.vertices[mesh.faces]
+    plan = corners[:, :, flat] - np.array(point)[flat]
+    # twice the areas of the three triangles that the point makes with the edges, seen from above
+    across = [plan[:, i, 0] * plan[:, (i + 1) % 3, 1] - plan[:, i, 1] * plan[:, (i + 1) % 3, 0] for i in range(3)]
+    whole = across[0] + across[1] + across[2]
+    inside = (np.abs(whole) > 1e-12) & np.all([part * np.sign(whole) >= -1e-12 * np.abs(whole) for part in across], axis=0)
+    if not inside.any():
+        return None
+    heights = corners[inside, :, tall]
+    weights = np.stack([across[1][inside], across[2][inside], across[0][inside]], axis=1) / whole[inside, None]
+    return float((heights * weights).sum(axis=1).max())
+
+
+def _place(staging: Staging, places: Places, place: Placement, *path: Key) -> stage_of.PlaceData:
     scene = staging.scene
     points = None
     if place.points is not None:
@@ -225,7 +275,7 @@ def _place(staging: Staging, place: Placement, *path: Key) -> stage_of.PlaceData
             points = points * scene.model.unit_mm
     return stage_of.PlaceData(
         on=(place.on,) if place.on is not None else (),
-        around=_point(scene, place.around),
+        around=_point(scene, places, place.around, place.radius),
         radius=_length(scene, place.radius),
         points=points,
     )

@@ -59,7 +59,9 @@ def _quantity(value: Any) -> Quantity:
     try:
         return parse_quantity(text)
     except BadQuantity as why:
-        raise refuse(f"{_shown(text)} {why}", "write a number and a unit of mm cm m u s min step rad deg turn mg g kg N uN %") from None
+        raise refuse(
+            f"{_shown(text)} {why}", "write a number and a unit of mm cm m u s min step rad deg turn mg g kg N uN %"
+        ) from None
 
 
 def of_dim(dim: Dim) -> Callable[[Any], Quantity]:
