@@ -47,7 +47,7 @@ def _unknown(report: Report, scene: Scene, path: tuple[Key, ...], what: str, kno
     name = str(path[-1]) if key else scene.span(*path).text
     near = nearest_name(name, names)
     help = f"did you mean `{near}`?" if near else ("known: " + ", ".join(f"`{n}`" for n in names[:12]) if names else None)
-    report.error("unknown-name", f"{what} `{name}`", scene.span(*path, key=key), help)
+    report.error("unknown-thing", f"{what} `{name}`", scene.span(*path, key=key), help)
 
 
 def _file(scene: Scene, report: Report, text: str, *path: Key) -> None:
@@ -209,7 +209,7 @@ def check_param(scene: Scene, program: Program, report: Report, name: str, value
             _unknown(report, scene, path, "no program has a param", program.params)
         else:
             near = nearest_name(name, program.params)
-            report.error("unknown-name", f"no program has a param `{name}`", None, f"did you mean `{near}`?" if near else None)
+            report.error("unknown-thing", f"no program has a param `{name}`", None, f"did you mean `{near}`?" if near else None)
         return
     param = program.params[name]
     if not _dimension(scene, report, value, param.type.dim, name, *(path or ("antdsl",))):
@@ -266,7 +266,7 @@ def _layers(scene: Scene, program: Program, report: Report) -> None:
         for number in wrong:
             line = scene.model.layers[name][number]
             help = "write the beginning of one of: " + ", ".join(f"`{text}`" for text in texts)
-            report.error("unknown-name", f"`{line}` begins no single layer of `{name}`", scene.span("layers", name, number), help)
+            report.error("unknown-thing", f"`{line}` begins no single layer of `{name}`", scene.span("layers", name, number), help)
         if order is None and not wrong:
             left = [text for text in texts if not any(text.startswith(line.strip()) for line in scene.model.layers[name])]
             help = "add " + ", ".join(f"`{text}`" for text in left) if left else None
