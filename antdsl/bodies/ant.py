@@ -114,11 +114,11 @@ def _tube(path: list[Array], widths: list[float], sides: int) -> Mesh:
 
 def _trunk(fine: bool) -> tuple[Part, ...]:
     gaster = Part((-0.29, 0.165, 0), (0.21, 0.105, 0.115), 1.0, 5 if fine else 1, 9 if fine else 6)
-    thorax = Part((0.075, 0.165, 0), (0.155, 0.06, 0.058), 0.85, 4 if fine else 1, 7 if fine else 4)
-    head = Part((0.315, 0.175, 0), (0.105, 0.07, 0.092), 0.95, 4 if fine else 1, 8 if fine else 6)
+    thorax = Part((0.075, 0.165, 0), (0.155, 0.06, 0.058), 0.7, 4 if fine else 1, 7 if fine else 4)
+    head = Part((0.315, 0.175, 0), (0.105, 0.07, 0.092), 0.85, 4 if fine else 1, 8 if fine else 6)
     if not fine:
         return (gaster, thorax, head)
-    petiole = Part((-0.085, 0.155, 0), (0.04, 0.052, 0.03), 0.7, 2, 5)
+    petiole = Part((-0.085, 0.155, 0), (0.04, 0.052, 0.03), 0.45, 2, 5)
     eyes = tuple(Part((0.335, 0.195, side * 0.078), (0.026, 0.022, 0.016), 0.0, 2, 5) for side in (1, -1))
     return (gaster, petiole, thorax, head, *eyes)
 
@@ -130,18 +130,18 @@ def _limbs(phase: float, fine: bool) -> list[tuple[Mesh, float]]:
         knee = knee_of(hip, foot)
         if fine:
             ankle = knee + (foot - knee) * 0.72 + np.array([0.0, 0.012, 0.0])
-            made.append((_tube([hip, knee, ankle, foot], [0.021, 0.019, 0.013, 0.006], 4), 0.3))
+            made.append((_tube([hip, knee, ankle, foot], [0.021, 0.019, 0.013, 0.006], 4), 0.16))
         else:
-            made.append((_tube([hip, knee, foot], [0.022, 0.02, 0.012], 2), 0.3))
+            made.append((_tube([hip, knee, foot], [0.022, 0.02, 0.012], 2), 0.22))
     sway = 0.03 * np.sin(2 * np.pi * phase)
     for side in (1.0, -1.0):
         root = np.array([0.37, 0.205, side * 0.045])
         elbow = np.array([0.45 + side * sway, 0.30, side * 0.155])
         tip = np.array([0.63, 0.20 + side * sway, side * (0.20 + sway)])
         if fine:
-            made.append((_tube([root, elbow, (elbow + tip) / 2 + np.array([0.02, 0.012, 0]), tip], [0.012, 0.012, 0.011, 0.009], 4), 0.25))
+            made.append((_tube([root, elbow, (elbow + tip) / 2 + np.array([0.02, 0.012, 0]), tip], [0.012, 0.012, 0.011, 0.009], 4), 0.12))
             jaw = [np.array([0.385, 0.15, side * 0.05]), np.array([0.455, 0.14, side * 0.05]), np.array([0.5, 0.135, side * 0.008])]
-            made.append((_tube(jaw, [0.02, 0.018, 0.003], 4), 0.2))
+            made.append((_tube(jaw, [0.02, 0.018, 0.003], 4), 0.1))
         else:
             made.append((_tube([root, tip - np.array([0.05, 0.0, 0.0])], [0.016, 0.008], 2), 0.25))
     return made
@@ -156,9 +156,16 @@ def _assembled(phase: float, fine: bool) -> tuple[Array, NDArray[np.int32], NDAr
     for (points, triangles), tint in parts:
         vertices.append(points)
         faces.append(triangles + np.int32(start))
-        tints.append(np.full(len(points), tint, np.float32))
+        tints.append(np.full(len(points), tint, np.float32) if tint < 1 else _banded(points))
         start += len(points)
     return np.concatenate(vertices), np.concatenate(faces), np.concatenate(tints)
+
+
+def _banded(points: Array) -> NDArray[np.float32]:
+    """The gaster's tint: bright, with a darker band at every other ring."""
+    rings = np.unique(np.round(points[:, 0], 6))
+    place = np.searchsorted(rings, np.round(points[:, 0], 6))
+    return np.where((place % 2 == 0) & (len(rings) > 3), 0.62, 1.0).astype(np.float32)
 
 
 def ant(fine: bool = False) -> Body:

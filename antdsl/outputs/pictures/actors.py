@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 CLOSE = 16.0  # pixels of body length from which the close-up body is worth its triangles
+MOST_ENLARGED = 3.0
 _DARK = decoded((0.16, 0.11, 0.09))  # legs, feelers, eyes
 
 
@@ -41,13 +42,15 @@ class Actors:
     size: float
 
 
-def actors(picture: Picture, view: View) -> Actors:
-    """The moving part of `picture`, agents that are large in `view` with their close-up bodies, those out of sight left out."""
+def actors(picture: Picture, view: View, least: float = 0.0) -> Actors:
+    """The moving part of `picture`, agents that are large in `view` with their close-up bodies, those out of sight left out.
+
+    Bodies shorter than `least` pixels are drawn that long, though never more than MOST_ENLARGED times their size."""
     parts: list[Mesh] = []
     longest = 0.0
     for crowd in picture.crowds:
         if len(crowd.position):
-            parts += _crowd(crowd, view)
+            parts += _crowd(crowd, view, least)
             longest = max(longest, float(np.max(crowd.scale)))
     parts += [_item(item, picture.up) for item in picture.items if item.shape != "none" and item.left > 0 and item.radius > 0]
     widest = max((item.radius for item in picture.items), default=0.0)
@@ -65,7 +68,7 @@ def actors(picture: Picture, view: View) -> Actors:
     return Actors(RayScene(mesh.vertices, mesh.faces), mesh, max(20 * longest, 8 * widest), max(longest, 0.3 * widest))
 
 
-def _crowd(crowd: Crowd, view: View) -> list[Mesh]:
+def _crowd(crowd: Crowd, view: View, least: float) -> list[Mesh]:
     depth = view.project(crowd.position)[1]
     scale = np.asarray(crowd.scale, np.float64)
     near = np.linalg.norm(crowd.position - view.eye, axis=1)
@@ -73,7 +76,8 @@ def _crowd(crowd: Crowd, view: View) -> list[Mesh]:
     seen = finite & ((depth > -20 * scale) & _in_sight(crowd.position, depth, 20 * scale, view))
     close = seen & (scale / view.pixel_at(np.maximum(near, 1e-9)) >= CLOSE)
     made = [(body(crowd.body, True), np.flatnonzero(close)), (body(crowd.body, False), np.flatnonzero(seen & ~close))]
-    return [_posed(crowd, shape, rows) for shape, rows in made if len(rows)]
+    smallest = least * view.pixel_at(np.maximum(near, 0.0))
+    return [_posed(crowd, shape, rows, smallest) for shape, rows in made if len(rows)]
 
 
 def _in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray[np.bool_]:
@@ -85,9 +89,10 @@ def _in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray
     return inside
 
 
-def _posed(crowd: Crowd, shape: Body, rows: NDArray[np.int64]) -> Mesh:
+def _posed(crowd: Crowd, shape: Body, rows: NDArray[np.int64], smallest: NDArray[np.float64]) -> Mesh:
     scale = np.asarray(crowd.scale, np.float64)[rows]
     walked = np.zeros(len(rows)) if crowd.walked is None else np.asarray(crowd.walked, np.float64)[rows] / scale
+    scale = np.maximum(scale, np.minimum(smallest[rows], MOST_ENLARGED * scale))
     turn = rotation(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32)
     local = shape.posed(walked) * scale.astype(np.float32)[:, None, None]
     across = np.swapaxes(turn, 1, 2)
@@ -95,7 +100,7 @@ def _posed(crowd: Crowd, shape: Body, rows: NDArray[np.int64]) -> Mesh:
     normal = np.matmul(np.broadcast_to(shape.normals, (len(rows), *shape.normals.shape)), across)
     bright = decoded(np.asarray(crowd.colour, np.float32)[rows])[:, None, :]
     tint = shape.tint[None, :, None]
-    colour = bright * tint + (_DARK * 0.75 + bright * 0.25) * (1 - tint)
+    colour = bright * tint + (_DARK + bright * 0.07) * (1 - tint)
     count = len(shape.normals)
     faces = (shape.faces[None] + (np.arange(len(rows), dtype=np.int32) * count)[:, None, None]).reshape(-1, 3)
     gloss = np.full(len(rows) * count, 0.55, np.float32)

@@ -1,12 +1,12 @@
-"""A camera's rays and its projection, and two ways to put one: over a whole scene, or at an ant's eye level."""
+"""A camera's rays and its projection."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import radians, tan
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.model import Camera, Solid
+from antdsl.outputs.pictures.model import Camera
 
 Array = NDArray[np.float64]
 
@@ -30,8 +30,8 @@ class View:
         x = ((columns + 0.5) / (self.width * samples) * 2 - 1) * self.half[0]
         y = (1 - (rows + 0.5) / (self.height * samples) * 2) * self.half[1]
         towards = self.ahead + x[None, :, None] * self.right + y[:, None, None] * self.above
-        towards = towards / np.sqrt((towards * towards).sum(axis=2, keepdims=True))
-        return towards.reshape(-1, 3).astype(np.float32)
+        length = np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)
+        return (towards / length[:, :, None]).reshape(-1, 3).astype(np.float32)
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """Pixel places (n, 2) and distances ahead (n,) of world points; not ahead of the camera where the distance is ≤ 0."""
@@ -60,38 +60,8 @@ def view(camera: Camera, width: int, height: int, up: tuple[float, float, float]
     return View(eye, right, np.cross(right, ahead), ahead, (across, across * height / width), width, height)
 
 
-def camera_over(solids: tuple[Solid, ...], up: tuple[float, float, float], *, focal: float = 35.0, aspect: float = 16 / 9) -> Camera:
-    """A camera that sees all solids from above at a slant."""
-    points = np.concatenate([solid.vertices for solid in solids]) if solids else np.array([[-1.0, -1, -1], [1.0, 1, 1]])
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle, reach = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    upward = np.asarray(up, np.float64)
-    level = _unit(np.cross(upward, np.array([1.0, 0.0, 0.0])), np.array([0.0, 0.0, 1.0]))  # towards −z with y up, so +z faces the camera
-    direction = _unit(0.9 * upward - 0.95 * level + 0.28 * np.cross(level, upward), upward)
-    distance = 0.98 * reach * focal / 18.0 / max(1.0, 1.15 * 16 / 9 / aspect)
-    at = middle + direction * max(distance, 1e-6)
-    return Camera(_three(at), _three(middle - 0.06 * reach * upward), focal=focal, up=up)
-
-
-def camera_at_eye_level(
-    position: Array, heading: Array, up: Array, length: float, *, behind: float = 4.5, aside: float = 1.6, high: float = 1.15, focal: float = 28.0
-) -> Camera:
-    """A camera some body lengths behind an agent, at the height of its back, looking where it heads."""
-    upward = _unit(np.asarray(up, np.float64), np.array([0.0, 1.0, 0.0]))
-    ahead = np.asarray(heading, np.float64) - upward * float(np.dot(heading, upward))
-    ahead = _unit(ahead, np.roll(upward, 1))
-    side = np.cross(ahead, upward)
-    at = np.asarray(position, np.float64) + length * (-behind * ahead + aside * side + high * upward)
-    look = np.asarray(position, np.float64) + length * (2.5 * ahead + 0.35 * upward)
-    return Camera(_three(at), _three(look), focal=focal, up=_three(upward))
-
-
-def moved(camera: Camera, by: Array) -> Camera:
-    """The same camera elsewhere, looking the same way."""
-    return replace(camera, at=_three(np.asarray(camera.at) + by), look_at=_three(np.asarray(camera.look_at) + by))
-
-
-def _three(values: Array) -> tuple[float, float, float]:
+def three(values: Array) -> tuple[float, float, float]:
+    """A point as the plain numbers that a `Camera` holds."""
     x, y, z = (float(v) for v in values)
     return x, y, z
 

@@ -10,9 +10,9 @@ Floats = NDArray[np.float32]
 SUN = np.array([2.65, 2.36, 1.95], np.float32)
 SKY = np.array([0.50, 0.62, 0.84], np.float32)
 BOUNCE = np.array([0.34, 0.28, 0.21], np.float32)
-ZENITH = np.array([0.20, 0.40, 0.74], np.float32)
-HORIZON = np.array([0.74, 0.80, 0.84], np.float32)
-SUN_WIDTH = 0.045  # tangent of the half angle: wider than the real one, for soft edges
+ZENITH = np.array([0.30, 0.58, 1.05], np.float32)
+HORIZON = np.array([1.12, 1.20, 1.24], np.float32)
+SUN_WIDTH = 0.018  # tangent of the half angle: wider than the real one, for soft edges
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,14 +7,16 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.noise import value_noise
+from antdsl.outputs.pictures.vectors import dots, units
 
 Floats = NDArray[np.float32]
 
-KINDS = ("ground", "stone", "boulder", "hill", "table", "edge")
-GROUND, STONE, BOULDER, HILL, TABLE, EDGE = range(len(KINDS))
+KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain")
+GROUND, STONE, BOULDER, HILL, TABLE, EDGE, GRAIN = range(len(KINDS))
+TRAILED = (GROUND, BOULDER, HILL, GRAIN)  # where a field's colour may lie; stones in the way carry none
 
-_SOIL = decoded((0.73, 0.66, 0.54))
-_DRY = decoded((0.80, 0.755, 0.65))
+_SOIL = decoded((0.68, 0.60, 0.48))
+_DRY = decoded((0.755, 0.70, 0.59))
 _MOSS = decoded((0.56, 0.585, 0.42))
 _ROCK = decoded((0.50, 0.465, 0.42))
 _STONES = decoded(np.array([(0.57, 0.565, 0.56), (0.50, 0.515, 0.54), (0.64, 0.60, 0.55)]))
@@ -52,27 +54,26 @@ def surface(kind: NDArray[np.uint8], points: Floats, normal: Floats, up: Floats,
     for code in np.unique(kind):
         here = np.flatnonzero(kind == code)
         albedo[here] = _COLOURS[int(code)](points[here], upness[here], large[here], patch[here], up, scales)
-    own = painted[:, 3:]
-    albedo = albedo * (1 - own) + painted[:, :3] * own
+    own = np.flatnonzero(painted[:, 3] > 0)
+    albedo[own] += (painted[own, :3] - albedo[own]) * painted[own, 3:]
     return _grained(albedo, normal, kind, points, pixel, scales)
 
 
 def _grained(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: Scales) -> Surface:
     """Bumps and specks, each size only where a pixel is small enough to show it."""
-    rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9], np.float32)[kind]
-    for wavelength, height, speck, seed in ((3.2, 0.24, 0.10, 5), (0.9, 0.20, 0.13, 6), (0.27, 0.15, 0.15, 7)):
+    rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9, 0.5], np.float32)[kind]
+    for wavelength, height, speck, seed in ((2.4, 0.30, 0.10, 5), (0.6, 0.34, 0.14, 6), (0.14, 0.40, 0.22, 7), (0.04, 0.42, 0.34, 8)):
         length = wavelength * scales.grain
         seen = np.clip(length / pixel * 0.4 - 0.5, 0.0, 1.0) * rough
         here = np.flatnonzero(seen > 0.01)
         if not len(here):
             continue
         value, slope = value_noise(points[here], length, seed)
-        strength = seen[here, None]
-        slope -= normal[here] * (slope * normal[here]).sum(axis=1, keepdims=True)
-        normal[here] -= strength * slope * np.float32(height * length * 0.5)
-        albedo[here] *= 1 + strength * value[:, None] * np.float32(speck)
-    normal /= np.sqrt((normal * normal).sum(axis=1, keepdims=True))
-    return Surface(albedo, normal)
+        own = normal[here]
+        slope -= own * dots(slope, own)[:, None]
+        normal[here] = own - slope * (seen[here] * np.float32(height * length * 0.5))[:, None]
+        albedo[here] *= (1 + seen[here] * value * np.float32(speck))[:, None]
+    return Surface(albedo, units(normal))
 
 
 def _mixed(first: Floats, second: Floats, share: Floats) -> Floats:
@@ -110,4 +111,9 @@ def _edge(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floa
     return _EARTH * (1 + 0.16 * layers + 0.10 * patch)[:, None]
 
 
-_COLOURS = (_ground, _stone, _boulder, _hill, _table, _edge)
+def _grain(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+    tone, _ = value_noise(points, scales.grain * 0.9, 9)
+    return _mixed(_mixed(_SOIL, _ROCK, 0.45 - 1.4 * tone), _DRY * 1.1, 1.6 * tone)
+
+
+_COLOURS = (_ground, _stone, _boulder, _hill, _table, _edge, _grain)

@@ -5,6 +5,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.outputs.pictures.vectors import wrapped
+
 Floats = NDArray[np.float32]
 _EDGE = 32  # the pattern repeats after this many wavelengths
 
@@ -44,4 +46,4 @@ def value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, F
 def dither(rows: NDArray[np.int64], columns: NDArray[np.int64], turn: int = 0) -> Floats:
     """A screen pattern within 0..1 whose neighbours differ most (Jimenez, Next Generation Post Processing in Call of Duty, 2014)."""
     x, y = columns + 5.588238 * turn, rows + 5.588238 * turn
-    return np.mod(52.9829189 * np.mod(0.06711056 * x + 0.00583715 * y, 1.0), 1.0).astype(np.float32)
+    return wrapped(52.9829189 * wrapped(0.06711056 * x + 0.00583715 * y)).astype(np.float32)

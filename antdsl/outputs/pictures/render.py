@@ -19,8 +19,9 @@ from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.pictures.noise import dither
 from antdsl.outputs.pictures.overlay import draw_overlay
 from antdsl.outputs.pictures.setting import Setting, setting
-from antdsl.outputs.pictures.stage import Stage, open_share, screen_places, stage
+from antdsl.outputs.pictures.stage import Stage, each, open_share, screen_places, stage
 from antdsl.outputs.pictures.trails import TrailCloth, dyed
+from antdsl.outputs.pictures.vectors import blended, dots, units
 from antdsl.runtime.senses.rays import Hits
 
 Array = NDArray[np.float64]
@@ -43,12 +44,14 @@ class _Kept:
 class Renderer:
     """Draws pictures of one size; while solids and camera stay the same objects and values, their rays are not cast again.
 
-    `samples`: every pixel is the mean of samples × samples rays. `threads`: for the rays (the bits do not depend on it)."""
+    `samples`: every pixel is the mean of samples × samples rays. `threads`: for the rays (the bits do not depend on it).
+    `least`: bodies that would be shorter than so many pixels are drawn that long, up to three times their size."""
 
-    def __init__(self, width: int = 960, height: int = 540, *, samples: int = 2, threads: int = 1) -> None:
+    def __init__(self, width: int = 960, height: int = 540, *, samples: int = 2, threads: int = 1, least: float = 5.0) -> None:
         if not (1 <= width <= 8192 and 1 <= height <= 8192 and 1 <= samples <= 4):
             raise ValueError("a picture is 1 to 8192 pixels wide and high, with 1 to 4 samples along a pixel's edge")
-        self.width, self.height, self.samples, self.threads = width, height, samples, max(1, threads)
+        self.width, self.height, self.samples = width, height, samples
+        self.threads, self.least = max(1, threads), least
         self._settings: list[tuple[tuple[int, ...], Setting, tuple[object, ...]]] = []
         self._kept: dict[tuple[object, ...], _Kept] = {}
 
@@ -64,7 +67,7 @@ class Renderer:
         still = self._setting(picture, up)
         scales = Scales(still.extent, _grain(picture, still.extent))
         kept = self._stage(picture, camera, still, seen, sun, scales)
-        cast = actors(picture, seen)
+        cast = actors(picture, seen, self.least)
         image = self._light(picture, kept, cast, sun, scales, "trail" in wanted)
         return draw_overlay(image, picture, seen, kept.stage.far, self.samples, wanted)
 
@@ -82,7 +85,7 @@ class Renderer:
         key = (id(still), camera, picture.up, scales)
         if key not in self._kept:
             made = stage(still, seen, self.samples, sun, scales, self.threads)
-            ground = np.flatnonzero(np.isfinite(made.far) & (made.kind < looks.TABLE))
+            ground = np.flatnonzero(np.isfinite(made.far) & (np.isin(made.kind, looks.TRAILED)))
             # Two cameras in turn (from above, at eye level) keep what they saw.
             self._kept = dict([*self._kept.items()][-1:])
             self._kept[key] = _Kept(made, ground, {})
@@ -97,11 +100,16 @@ class Renderer:
         albedo = self._dyed(picture, kept) if trail else still.albedo
         wide = self.width * self.samples**2
         image = np.empty((self.height, self.width, 3), np.uint8)
-        for rows in still.strips():
+
+        def fill(rows: tuple[int, int]) -> None:
             own = slice(rows[0] * wide, rows[1] * wide)
             light = self._strip(still, albedo[own], shade, cast, sun, scales, rows, own)
             blocks = light.reshape(rows[1] - rows[0], self.samples, self.width, self.samples, 3)
-            image[rows[0] : rows[1]] = encoded(blocks.mean(axis=(1, 3)))
+            part = [(a, b) for a in range(self.samples) for b in range(self.samples)]
+            mean = sum((blocks[:, a, :, b] for a, b in part[1:]), blocks[:, 0, :, 0]) / np.float32(len(part))
+            image[rows[0] : rows[1]] = encoded(mean)
+
+        each(fill, still.strips(), self.threads)
         return image
 
     def _dyed(self, picture: Picture, kept: _Kept) -> Floats:
@@ -130,7 +138,9 @@ class Renderer:
         solid = np.isfinite(far)
         solid[front] = False
         back = np.flatnonzero(solid)
-        light = sky(direction, sun)
+        light = np.empty_like(direction)
+        empty = np.flatnonzero(~solid & (hits.t == np.inf))
+        light[empty] = sky(direction[empty], sun)
         direct = still.sun[own][back]
         if cast.size > 0:
             direct = self._shadowed(direct, still.view, far[back], direction[back], [p[back] for p in places], cast, sun, scales)
@@ -156,7 +166,7 @@ class Renderer:
     ) -> Floats:
         """Sunlight less what the moving things keep from it."""
         lit = np.flatnonzero(direct > 0)
-        start = seen.eye + far[lit, None].astype(np.float64) * direction[lit]
+        start = seen.eye.astype(np.float32) + far[lit, None] * direction[lit]
         rays = sun.directions(dither(*places)[lit], dither(*places, 1)[lit])
         met = cast.rays.occluded(start + rays * np.float32(1e-5 * scales.extent), rays, far=cast.tall, threads=self.threads)
         direct = direct.copy()
@@ -168,24 +178,21 @@ class Renderer:
     ) -> Floats:
         """Light from the samples that meet something that moves."""
         corners = cast.mesh.faces[hits.face[front]]
-        weight = np.stack([1 - hits.u[front] - hits.v[front], hits.u[front], hits.v[front]], axis=1)
-        normal = np.einsum("nk,nkc->nc", weight, cast.mesh.normal[corners])
-        flat = hits.normal[front]
-        normal *= np.where((normal * flat).sum(axis=1) < 0, -1, 1)[:, None]
-        normal /= np.sqrt((normal * normal).sum(axis=1, keepdims=True)) + np.float32(1e-12)
-        colour = np.einsum("nk,nkc->nc", weight, cast.mesh.colour[corners])
+        u, v, flat = hits.u[front], hits.v[front], hits.normal[front]
+        normal = units(blended(cast.mesh.normal, corners, u, v))
+        normal *= np.where(dots(normal, flat) < 0, np.float32(-1), np.float32(1))[:, None]
+        colour = blended(cast.mesh.colour, corners, u, v)
         gloss = cast.mesh.gloss[corners[:, 0]]
-        where = seen.eye + hits.t[front, None].astype(np.float64) * direction[front] + flat * (2e-5 * scales.extent)
+        where = seen.eye.astype(np.float32) + hits.t[front, None] * direction[front] + flat * np.float32(2e-5 * scales.extent)
         aim = np.broadcast_to(sun.towards, where.shape)
         facing = np.clip(normal @ sun.towards, 0, 1)
         lit = np.flatnonzero(facing > 0)
         hidden = cast.rays.occluded(where[lit], aim[lit], far=max(cast.tall, 1e-9), threads=self.threads)
         facing[lit[hidden]] = 0
         upness = normal @ sun.up
-        half = sun.towards - direction[front]
-        half /= np.sqrt((half * half).sum(axis=1, keepdims=True))
-        shine = gloss * np.clip((normal * half).sum(axis=1), 0, 1) ** 42 * (facing > 0)
-        rim = gloss * (1 - np.clip(-(normal * direction[front]).sum(axis=1), 0, 1)) ** 4 * 0.5
+        half = units(sun.towards - direction[front])
+        shine = gloss * np.clip(dots(normal, half), 0, 1) ** 42 * (facing > 0)
+        rim = gloss * (1 - np.clip(-dots(normal, direction[front]), 0, 1)) ** 4 * 0.5
         # Undersides see mostly the near ground, which the body keeps dark.
         near = 0.45 + 0.55 * np.clip(0.6 + 0.8 * upness, 0, 1)
         around = ambient(upness) * (near * 1.15)[:, None]

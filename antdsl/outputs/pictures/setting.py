@@ -7,12 +7,20 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.body import vertex_normals
 from antdsl.outputs.pictures import looks
+from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.litter import litter
+from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.model import Solid
 from antdsl.runtime.senses.rays import RayScene
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
+
+
+BELOW = 0.03  # how far the table lies below the lowest point, as a share of the extent
+
+Part = tuple[Array, NDArray[np.int32], Floats, int]  # vertices, faces, paint per vertex, kind
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,15 +37,16 @@ class Setting:
     extent: float
     base: float
     up: Floats
+    parts: tuple[Part, ...]
 
 
 def setting(solids: tuple[Solid, ...], up: Array) -> Setting:
     """The solids made ready for rays; without any there is only the table."""
-    parts: list[tuple[Array, NDArray[np.int32], Floats, int]] = []
+    parts: list[Part] = []
     everything = np.concatenate([solid.vertices for solid in solids if len(solid.vertices)] or [np.zeros((1, 3))])
     low, high = everything.min(axis=0), everything.max(axis=0)
     extent = float(np.linalg.norm(high - low)) or 1.0
-    base = float((everything @ up).min()) - 0.03 * extent
+    base = float((everything @ up).min()) - BELOW * extent
     for solid in solids:
         if not len(solid.faces):
             continue
@@ -50,16 +59,28 @@ def setting(solids: tuple[Solid, ...], up: Array) -> Setting:
             parts += _edges(np.asarray(solid.vertices, np.float64), solid.faces, up, base)
     middle = (low + high) / 2
     parts.append(_table(middle, up, base, 30 * extent))
+    return _assembled(tuple(parts), middle, extent, base, up)
+
+
+def with_litter(still: Setting, view: View, scales: Scales) -> Setting:
+    """The setting with pebbles on its grounds where `view` is near enough to see them, else the same."""
+    up = still.up.astype(np.float64)
+    made = [litter(part[0], part[1], up, view, scales) for part in still.parts if part[3] == looks.GROUND]
+    grains = [(points, faces, np.zeros((len(points), 4), np.float32), looks.GRAIN) for points, faces in filter(None, made)]
+    return _assembled(still.parts + tuple(grains), still.middle, still.extent, still.base, up) if grains else still
+
+
+def _assembled(parts: tuple[Part, ...], middle: Array, extent: float, base: float, up: Array) -> Setting:
     counts = np.cumsum([0] + [len(part[0]) for part in parts])
     vertices = np.concatenate([part[0] for part in parts])
     faces = np.concatenate([part[1] + start for part, start in zip(parts, counts[:-1], strict=True)]).astype(np.int32)
     normal = np.concatenate([vertex_normals(part[0], part[1]) for part in parts])
     kind = np.concatenate([np.full(len(part[1]), part[3], np.uint8) for part in parts])
     painted = np.concatenate([part[2] for part in parts])
-    return Setting(RayScene(vertices, faces), faces, normal, painted, kind, middle, extent, base, up.astype(np.float32))
+    return Setting(RayScene(vertices, faces), faces, normal, painted, kind, middle, extent, base, up.astype(np.float32), parts)
 
 
-def _edges(vertices: Array, faces: NDArray[np.int32], up: Array, base: float) -> list[tuple[Array, NDArray[np.int32], Floats, int]]:
+def _edges(vertices: Array, faces: NDArray[np.int32], up: Array, base: float) -> list[Part]:
     """Walls from the open border of a ground down to the table; none for closed meshes and for those that are no floor."""
     corners = vertices[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -80,7 +101,7 @@ def _edges(vertices: Array, faces: NDArray[np.int32], up: Array, base: float) ->
     return [(points, walls, np.zeros((len(points), 4), np.float32), looks.EDGE)]
 
 
-def _table(middle: Array, up: Array, base: float, reach: float) -> tuple[Array, NDArray[np.int32], Floats, int]:
+def _table(middle: Array, up: Array, base: float, reach: float) -> Part:
     centre = middle - up * (float(middle @ up) - base)
     first = np.roll(up, 1) - up * float(np.roll(up, 1) @ up)
     first = first / np.linalg.norm(first)

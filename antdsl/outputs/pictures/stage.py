@@ -1,6 +1,9 @@
 """What a camera sees of a setting, sample by sample, kept from frame to frame while neither moves."""
 
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +13,14 @@ from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import Sun
 from antdsl.outputs.pictures.looks import Scales, surface
 from antdsl.outputs.pictures.noise import dither
-from antdsl.outputs.pictures.setting import Setting
+from antdsl.outputs.pictures.setting import Setting, with_litter
+from antdsl.outputs.pictures.vectors import blended, dots, units
 from antdsl.runtime.senses.rays import Hits, RayScene
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-STRIP = 400_000  # samples worked on at once
+STRIP = 120_000  # samples worked on at once: what a core's cache holds
 SHADE_RAYS = 6  # a pixel; its neighbours' rays go other ways and are shared with it
 _TILE = 4  # edge of the block of pixels whose rays differ
 
@@ -48,6 +52,17 @@ def strips(view: View, samples: int) -> list[tuple[int, int]]:
     return [(first, min(first + rows, view.height)) for first in range(0, view.height, rows)]
 
 
+def each(work: Callable[[Any], None], pieces: Iterable[Any], threads: int) -> None:
+    """Does every piece of work, on several threads where there are; pieces write to places of their own."""
+    if threads == 1:
+        for piece in pieces:
+            work(piece)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for _ in pool.map(work, pieces):
+            pass
+
+
 def screen_places(view: View, samples: int, rows: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Row and column of each sample of a strip."""
     row, column = np.indices(((rows[1] - rows[0]) * samples, view.width * samples))
@@ -56,12 +71,14 @@ def screen_places(view: View, samples: int, rows: tuple[int, int]) -> tuple[NDAr
 
 def stage(setting: Setting, view: View, samples: int, sun: Sun, scales: Scales, threads: int) -> Stage:
     """Casts and colours everything that stands still."""
+    setting = with_litter(setting, view, scales)
     count = view.width * view.height
     total = count * samples * samples
     far, light, upness = (np.zeros(total, np.float32) for _ in range(3))
     albedo, kind = np.zeros((total, 3), np.float32), np.zeros(total, np.uint8)
     point, normal = np.zeros((count, 3), np.float32), np.zeros((count, 3), np.float32)
-    for rows in strips(view, samples):
+
+    def fill(rows: tuple[int, int]) -> None:
         direction = view.rays(*rows, samples)
         own = slice(rows[0] * view.width * samples**2, rows[1] * view.width * samples**2)
         hits = setting.rays.cast(np.broadcast_to(view.eye, direction.shape), direction, threads)
@@ -78,6 +95,8 @@ def stage(setting: Setting, view: View, samples: int, sun: Sun, scales: Scales, 
         taken = slot[middle]
         pixels = np.arange(rows[0] * view.width, rows[1] * view.width)[taken >= 0]
         point[pixels], normal[pixels] = where[taken[taken >= 0]], flat[taken[taken >= 0]]
+
+    each(fill, strips(view, samples), threads)
     made = Stage(view, samples, far, albedo, light, upness, kind, np.ones((view.height, view.width), np.float32), point, normal)
     open_share(made, setting.rays, 11 * scales.grain, SHADE_RAYS, made.shade, scales, threads)
     return made
@@ -96,16 +115,14 @@ def _surfaces(
 ) -> tuple[looks.Surface, Floats, Floats]:
     """The look of the samples that meet something, the smooth normal without grain, and the place."""
     corners = setting.faces[hits.face[seen]]
-    weight = np.stack([1 - hits.u[seen] - hits.v[seen], hits.u[seen], hits.v[seen]], axis=1)
-    smooth = np.einsum("nk,nkc->nc", weight, setting.normal[corners])
-    towards = direction[seen]
-    smooth *= np.where((setting.normal[corners[:, 0]] * hits.normal[seen]).sum(axis=1) < 0, -1, 1)[:, None]
-    smooth /= np.sqrt((smooth * smooth).sum(axis=1, keepdims=True)) + np.float32(1e-12)
-    where = (view.eye + hits.t[seen, None].astype(np.float64) * towards).astype(np.float32)
-    pixel = view.pixel_at(hits.t[seen].astype(np.float64)).astype(np.float32) / samples
-    painted = np.einsum("nk,nkc->nc", weight, setting.painted[corners])
+    flat, u, v, far = hits.normal[seen], hits.u[seen], hits.v[seen], hits.t[seen]
+    smooth = units(blended(setting.normal, corners, u, v))
+    smooth *= np.where(dots(smooth, flat) < 0, np.float32(-1), np.float32(1))[:, None]
+    where = view.eye.astype(np.float32) + far[:, None] * direction[seen]
+    pixel = far * np.float32(view.pixel_at(np.float64(1)) / samples)
+    painted = blended(setting.painted, corners, u, v)
     look = surface(setting.kind[hits.face[seen]], where, smooth.copy(), setting.up, pixel, scales, painted)
-    return look, np.where((smooth * hits.normal[seen]).sum(axis=1, keepdims=True) > 0.1, smooth, hits.normal[seen]), where
+    return look, np.where((dots(smooth, flat) > 0.1)[:, None], smooth, flat), where
 
 
 def _sunlight(
@@ -128,10 +145,11 @@ def open_share(stage: Stage, rays: RayScene, reach: float, count: int, into: Flo
     view = stage.view
     open_rays = np.ones((view.height, view.width), np.float32)
     pick = (np.arange(view.height)[:, None] % _TILE * _TILE + np.arange(view.width)[None, :] % _TILE).reshape(-1)
-    solid = np.flatnonzero((stage.normal * stage.normal).sum(axis=1) > 0.5)
+    solid = np.flatnonzero(dots(stage.normal, stage.normal) > 0.5)
     directions = _spread(count)
     flat_open = open_rays.reshape(-1)
-    for start in range(0, len(solid), STRIP):
+
+    def fill(start: int) -> None:
         here = solid[start : start + STRIP]
         normal, origin = stage.normal[here], stage.point[here] + stage.normal[here] * np.float32(3e-5 * scales.extent)
         side, other = _across(normal)
@@ -142,6 +160,8 @@ def open_share(stage: Stage, rays: RayScene, reach: float, count: int, into: Flo
             length = reach * ((ray + 0.6) / count) ** 1.5  # near things shade more than far ones
             met += rays.occluded(origin, towards, far=length, threads=threads)
         flat_open[here] = 1 - met / count
+
+    each(fill, range(0, len(solid), STRIP), threads)
     into *= _smoothed(open_rays, stage)
 
 
@@ -170,7 +190,7 @@ def _smoothed(values: Floats, stage: Stage) -> Floats:
     height, width = values.shape
     normal = stage.normal.reshape(height, width, 3)
     point = stage.point.reshape(height, width, 3)
-    level = (point * normal).sum(axis=2)
+    level = np.einsum("abc,abc->ab", point, normal)
     depth = ((point - stage.view.eye.astype(np.float32)) @ stage.view.ahead.astype(np.float32)).astype(np.float32)
     allowed = np.float32(8 * 2 * stage.view.half[0] / width) * depth
     total, weight = values.copy(), np.ones_like(values)
@@ -180,8 +200,8 @@ def _smoothed(values: Floats, stage: Stage) -> Floats:
                 continue
             a, b = _shifted(height, down), _shifted(width, right)
             here, there = (a[0], b[0]), (a[1], b[1])
-            alike = (normal[here] * normal[there]).sum(axis=2) > 0.8
-            alike &= np.abs((point[there] * normal[here]).sum(axis=2) - level[here]) < allowed[here]
+            alike = np.einsum("abc,abc->ab", normal[here], normal[there]) > 0.8
+            alike &= np.abs(np.einsum("abc,abc->ab", point[there], normal[here]) - level[here]) < allowed[here]
             total[here] += np.where(alike, values[there], 0)
             weight[here] += alike
     return total / weight

@@ -1,0 +1,139 @@
+"""Cameras for pictures that bring none: one over the whole scene, one at the eye level of an agent with company."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.body import turned
+from antdsl.outputs.pictures.camera import three, view
+from antdsl.outputs.pictures.model import Camera, Crowd, Picture, Solid
+from antdsl.outputs.pictures.setting import BELOW
+from antdsl.runtime.senses.rays import RayScene
+
+Array = NDArray[np.float64]
+
+_TRIED = 24  # agents looked at for an eye-level camera
+
+
+def camera_over(picture: Picture, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
+    """A camera that looks down by `slant` degrees and holds every solid, agent and item of the picture."""
+    up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
+    points = _all_points(picture, up)
+    first = np.roll(up, 1) - up * float(np.roll(up, 1) @ up)
+    first /= np.linalg.norm(first)
+    # With y up the picture's right is a little off +x; with z up likewise.
+    second = np.cross(up, first)
+    sideways, towards = (second, first) if abs(second[0]) > abs(first[0]) else (first, second)
+    sideways = sideways * (1.0 if sideways[0] >= 0 else -1.0)
+    towards = np.cross(sideways, up)
+    turn, high = np.radians(14.0), np.radians(slant)
+    direction = np.cos(high) * (np.cos(turn) * towards + np.sin(turn) * sideways) + np.sin(high) * up
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    reach = max(float(np.linalg.norm(points - middle, axis=1).max()), 1e-6)
+    near, far = 0.5 * reach, 12.0 * reach
+    for _ in range(40):
+        distance = (near + far) / 2
+        near, far = (near, distance) if _holds(middle + direction * distance, middle, points, up, focal, aspect) else (distance, far)
+    at, aim = _centred(middle + direction * far, middle, points, up, focal, aspect)
+    return Camera(three(at), three(aim), focal=focal, up=three(up))
+
+
+def _all_points(picture: Picture, up: Array) -> Array:
+    parts = [np.asarray(solid.vertices, np.float64) for solid in picture.solids]
+    parts += [np.asarray(crowd.position, np.float64) for crowd in picture.crowds]
+    parts += [np.asarray(item.position, np.float64)[None] for item in picture.items]
+    points = np.concatenate(parts) if parts else np.zeros((0, 3))
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) and picture.solids:
+        low = (points @ up).min() - BELOW * float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
+        points = np.concatenate([points, points - up * (points @ up - low)[:, None]])
+    return points if len(points) else np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
+
+
+def _shares(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
+    """Where the points lie across and along the picture, within 0..1 where it holds them, and how far ahead."""
+    seen = view(Camera(three(at), three(aim), focal=focal, up=three(up)), int(round(1000 * aspect)), 1000, three(up))
+    places, ahead = seen.project(points)
+    return places / np.array([seen.width, seen.height]), ahead
+
+
+def _holds(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> bool:
+    """Whether the points would fit into the picture once it is centred on them."""
+    shares, ahead = _shares(at, aim, points, up, focal, aspect)
+    wide = shares.max(axis=0) - shares.min(axis=0)
+    return bool((ahead > 0).all() and (wide <= 0.93).all())
+
+
+def _centred(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
+    """The camera moved across, so that the points lie in the picture's middle."""
+    for _ in range(4):
+        shares, _ = _shares(at, aim, points, up, focal, aspect)
+        off = (shares.max(axis=0) + shares.min(axis=0)) / 2 - 0.5
+        ready = view(Camera(three(at), three(aim), focal=focal, up=three(up)), 100, 100, three(up))
+        distance = float(np.linalg.norm(aim - at)) * 2 * 18.0 / focal
+        step = ready.right * off[0] * distance - ready.above * off[1] * distance / aspect
+        at, aim = at + step, aim + step
+    return at, aim
+
+
+def camera_at_eye_level(picture: Picture, agent: int | None = None, *, species: str | None = None, focal: float = 26.0) -> Camera | None:
+    """A camera a few body lengths from an agent, at the height of its back, with nothing in between and much to see behind it.
+
+    `agent`: an id of `species` (the first crowd where none is named); None takes one with company. None when there is no such agent."""
+    crowds = [crowd for crowd in picture.crowds if len(crowd.position) and species in (None, crowd.species)]
+    if not crowds:
+        return None
+    crowd = crowds[0]
+    if agent is not None:
+        rows = np.flatnonzero(np.asarray(crowd.ids) == agent) if crowd.ids is not None else np.zeros(0, np.int64)
+    else:
+        rows = _with_company(crowd)
+    solids = RayScene.of([(solid.vertices, solid.faces) for solid in picture.solids if len(solid.faces)])
+    best: tuple[float, Camera] | None = None
+    for row in rows.tolist():
+        for camera in _around(crowd, row, focal):
+            score = _score(crowd, row, camera, solids, picture.solids)
+            if best is None or score > best[0]:
+                best = (score, camera)
+    return best[1] if best else None
+
+
+def _with_company(crowd: Crowd) -> NDArray[np.int64]:
+    """Rows of agents with many others within twelve body lengths, not all from one spot."""
+    from scipy.spatial import cKDTree
+
+    points = np.where(np.isfinite(crowd.position), crowd.position, 1e12)
+    reach = 12 * float(np.median(crowd.scale))
+    asked = np.unique(np.linspace(0, len(points) - 1, min(len(points), 600)).astype(np.int64))
+    company = cKDTree(points).query_ball_point(points[asked], reach, return_length=True)
+    order = asked[np.argsort(-np.minimum(company, 60), kind="stable")]
+    return order[: _TRIED * 4 : 4] if len(order) >= _TRIED * 4 else order[:_TRIED]
+
+
+def _around(crowd: Crowd, row: int, focal: float) -> list[Camera]:
+    """Places round one agent, from behind its shoulder and before it first."""
+    scale = float(crowd.scale[row])
+    orient = np.asarray(crowd.orient, np.float64)[row : row + 1]
+    ahead, up, side = (turned(orient, np.array([axis]))[0] for axis in ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)))
+    position = np.asarray(crowd.position, np.float64)[row]
+    made = []
+    for angle in (150, -150, 35, -35, 115, -115, 75, -75):
+        turn = np.radians(angle)
+        level = np.cos(turn) * ahead + np.sin(turn) * side
+        at = position + scale * (3.1 * level + 0.95 * up)
+        made.append(Camera(three(at), three(position + scale * (0.22 * up - 0.9 * level)), focal=focal, up=three(up)))
+    return made
+
+
+def _score(crowd: Crowd, row: int, camera: Camera, rays: RayScene, solids: tuple[Solid, ...]) -> float:
+    """How much of the crowd a camera shows; far below zero where ground or stone is in the way."""
+    seen = view(camera, 160, 90, camera.up or (0.0, 1.0, 0.0))
+    scale = float(crowd.scale[row])
+    target = np.asarray(crowd.position, np.float64)[row] + scale * 0.2 * np.asarray(camera.up)
+    if solids:
+        between = np.stack([seen.eye - target, np.asarray(camera.up) * -0.45 * scale, seen.ahead * scale, seen.right * scale, -seen.right * scale])
+        starts = np.stack([target, *[seen.eye] * 4])
+        if rays.occluded(starts, between, far=1.0).any():
+            return -1.0
+    places, ahead = seen.project(np.asarray(crowd.position, np.float64))
+    inside = (ahead > 0.9 * scale) & (ahead < 60 * scale) & (places > 0).all(axis=1) & (places < [160, 90]).all(axis=1)
+    return float(np.minimum(1.0, 8 * scale / ahead[inside]).sum())
