@@ -1,0 +1,13 @@
+"""Plan and setting become a world that steps."""
+
+from antdsl.runtime.binding import bind, set_param
+from antdsl.runtime.faults import Fault, FaultStop
+from antdsl.runtime.hashing import state_hash
+from antdsl.runtime.stepping import step
+from antdsl.runtime.world import Items, Options, Population, World
+from antdsl.scene.setting import CrowdData, FieldStart, ItemData, MeshData, PlaceData, Setting
+
+__all__ = [
+    "CrowdData", "Fault", "FaultStop", "FieldStart", "ItemData", "Items", "MeshData", "Options", "PlaceData", "Population", "Setting", "World",
+    "bind", "set_param", "state_hash", "step",
+]  # fmt: skip

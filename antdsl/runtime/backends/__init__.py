@@ -1,0 +1,11 @@
+"""How a plan's blocks are run: BACKENDS by name. Both give the same bits."""
+
+from antdsl.runtime.backends.numpy_backend import NumpyBackend
+from antdsl.runtime.backends.reference import ReferenceBackend
+
+BACKENDS = {
+    "numpy": NumpyBackend,  # whole arrays: for work
+    "reference": ReferenceBackend,  # one agent at a time: the definition, and the one that explains
+}
+
+__all__ = ["BACKENDS", "NumpyBackend", "ReferenceBackend"]

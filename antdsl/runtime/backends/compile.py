@@ -1,0 +1,265 @@
+"""A block of the plan as flat lists of NumPy calls over slots. A region is a scope: the rows for which its condition holds, compacted.
+
+A value is computed in the first scope that asks for it and gathered from there into the scopes inside. Senses that the plan calls
+lazy are kept for the whole step, in arrays as long as the species, and computed for the rows that have none yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from antdsl.plan import ir
+from antdsl.runtime.reading import early_loads, kept_senses, reach, statement_nodes, walk, written
+from antdsl.runtime.elementwise import UFUNCS
+from antdsl.runtime.world import DTYPES
+
+Slots = list[Any]
+Run = Callable[[Slots], None]
+WORLD, POPULATION, EFFECTS, BUFFERS, LAZY, FIRST_SLOT = 0, 1, 2, 3, 4, 5
+
+
+@dataclass(slots=True, eq=False)
+class Instruction:
+    """`make(out, inputs, buffer)` gives the call. `dtype`: of the buffer it may write to (None: it makes its own array)."""
+
+    make: Callable[[int, tuple[int, ...], int | None], Run]
+    out: int
+    inputs: tuple[int, ...]
+    dtype: Any
+    scope: Scope
+    alias: bool = False  # the result may be its first input itself
+    inner: Scope | None = None
+    result: int = -1  # slot of the inner scope that is read after it
+
+
+@dataclass(slots=True, eq=False)
+class Scope:
+    """Rows of one region: `rows` (slice or array, of the species), `picked` (of the parent's rows; None holds all), `size`."""
+
+    parent: Scope | None
+    rows: int
+    picked: int
+    size: int
+    code: list[Instruction] = field(default_factory=list)
+    known: dict[ir.Node, int] = field(default_factory=dict)
+    pairs: dict[ir.Node, PairScope] = field(default_factory=dict)
+    draws: dict[tuple[str, int], int] = field(default_factory=dict)  # (site, block) -> slot of its four words
+    views: dict[tuple[Any, int], int] = field(default_factory=dict)  # (dtype, number of buffer) -> slot of its view
+    calls: list[Run] = field(default_factory=list)
+
+
+@dataclass(slots=True, eq=False)
+class PairScope:
+    """Values over the pairs of one set in one scope."""
+
+    slot: int
+    known: dict[ir.Node, int] = field(default_factory=dict)
+
+
+class BlockCompiler:
+    """Compiles one block. `calls` makes the closures: the module `numpy_calls`."""
+
+    def __init__(self, species: ir.SpeciesPlan, calls: Any, name: str, order: dict[ir.Statement, int]) -> None:
+        self.calls, self.name, self._order = calls, name, order
+        self.uniforms: dict[ir.Node, int] = {}
+        self.slots = FIRST_SLOT
+        self.lazy = frozenset(kept_senses(species)) if name != "born" else frozenset()
+        self.root = self._scope(None)
+        self.buffers: dict[Any, int] = {}  # how many of each dtype
+        self.changing: set[str] = set()  # registers that the block stores
+        self.everybody: set[str] = set()  # species that somebody is asked about as a whole
+
+    def place(self, statement: ir.Statement) -> int:
+        """Place of a statement in the text of the species."""
+        return self._order[statement]
+
+    def slot(self) -> int:
+        self.slots += 1
+        return self.slots - 1
+
+    def _scope(self, parent: Scope | None) -> Scope:
+        return Scope(parent, self.slot(), self.slot(), self.slot())
+
+    def compile(self, block: ir.Block) -> None:
+        self.early = early_loads(block)
+        self.changing.update(name for _, each in walk(block) if (name := written(each)) is not None)
+        self._block(self.root, block, ())
+        bind_calls(self)
+
+    # --- statements ----------------------------------------------------------------------------------------------------
+
+    def _block(self, scope: Scope, block: ir.Block, path: tuple[int, ...]) -> None:
+        for k, statement in enumerate(block.statements):
+            for node in self.early.get((*path, k), ()):
+                self.value(scope, node)
+            inputs = tuple(self.value(scope, node) for node in statement_nodes(statement))
+            if isinstance(statement, ir.If):
+                inner = self._scope(scope)
+                self._block(inner, statement.then, (*path, k))
+                if inner.code:
+                    self._emit_inner(scope, inner, inputs[0])
+                continue
+            make = self.calls.statement(statement, self, scope)
+            scope.code.append(Instruction(make, -1, inputs, None, scope))
+
+    def _emit_inner(self, scope: Scope, inner: Scope, condition: int) -> None:
+        scope.code.append(Instruction(self.calls.region(scope, inner), -1, (condition,), None, scope, inner=inner))
+
+    # --- values --------------------------------------------------------------------------------------------------------
+
+    def value(self, scope: Scope, node: ir.Node, afresh: bool = False) -> int:
+        """Slot of a node's value in a scope; emits what is missing. `afresh`: the node itself is not looked up among the kept ones."""
+        if node.rate <= ir.Rate.STEP:
+            return self._uniform(node)
+        missing: set[ir.Node] = set()
+        pending = [node]
+        while pending:
+            top = pending.pop()
+            if top in missing or top.rate <= ir.Rate.STEP or self._holder(scope, top) is not None:
+                continue
+            if top.rate == ir.Rate.AGENT and top.kind is not ir.Kind.SET:
+                missing.add(top)
+                if top in self.lazy and not (afresh and top is node):
+                    continue
+            pending.extend(top.args)
+        for each in sorted(missing, key=lambda n: n.number):
+            if each in self.lazy and not (afresh and each is node):
+                self._keep(scope, each)
+            else:
+                self._plain(scope, each)
+        return self._known(scope, node)
+
+    def _uniform(self, node: ir.Node) -> int:
+        if node not in self.uniforms:
+            self.uniforms[node] = self.slot()
+        return self.uniforms[node]
+
+    @staticmethod
+    def _holder(scope: Scope | None, node: ir.Node) -> Scope | None:
+        while scope is not None and node not in scope.known:
+            scope = scope.parent
+        return scope
+
+    def _known(self, scope: Scope, node: ir.Node) -> int:
+        """Slot of what is known here or further out, gathered inwards."""
+        if node.rate <= ir.Rate.STEP:
+            return self._uniform(node)
+        holders = [scope]
+        while node not in holders[-1].known:
+            outer = holders[-1].parent
+            assert outer is not None, f"{node!r} is not known"
+            holders.append(outer)
+        for inner in reversed(holders[:-1]):
+            assert inner.parent is not None
+            inner.known[node] = slot = self.slot()
+            make = self.calls.gather(inner, node.kind is ir.Kind.TUPLE)
+            inner.code.append(Instruction(make, slot, (inner.parent.known[node],), None, inner, alias=True))
+        return scope.known[node]
+
+    def _plain(self, scope: Scope, node: ir.Node) -> None:
+        """Emit one node whose operands are known."""
+        if node.op.startswith("reduce."):
+            inputs, make = self._reduction(scope, node)
+        else:
+            inputs = tuple(self._known(scope, a) for a in node.args)
+            make = self.calls.elementwise(node) or self.calls.leaf(node, self, scope)
+        slot = self.slot()
+        scope.code.append(Instruction(make, slot, inputs, DTYPES[node.kind] if node.op in UFUNCS else None, scope))
+        scope.known[node] = slot
+
+    def _keep(self, scope: Scope, node: ir.Node) -> None:
+        """Emit a lazy node: computed in a scope of the rows that lack it, kept for the step."""
+        inner = self._scope(scope)
+        result = self.value(inner, node, afresh=True)
+        slot = scope.known[node] = self.slot()
+        scope.code.append(Instruction(self.calls.keep(node, scope, inner, result), slot, (), None, scope, inner=inner, result=result))
+
+    # --- sets ----------------------------------------------------------------------------------------------------------
+
+    def _reduction(self, scope: Scope, node: ir.Node) -> tuple[tuple[int, ...], Any]:
+        pairs = self._pairs(scope, node.args[0])
+        bodies = node.args[1:]
+        for each in reach(bodies):
+            if each.rate == ir.Rate.PAIR and each not in pairs.known:
+                self._pair_value(scope, pairs, each)
+        inputs = (pairs.slot, *(self._in_pairs(scope, pairs, body) for body in bodies))
+        return inputs, self.calls.reduction(node)
+
+    def _pairs(self, scope: Scope, node: ir.Node) -> PairScope:
+        if node not in scope.pairs:
+            if node.op == "set.every":
+                self.everybody.add(node.attrs[0])
+            inputs = tuple(self._known(scope, a) for a in node.args)
+            pairs = scope.pairs[node] = PairScope(self.slot())
+            scope.code.append(Instruction(self.calls.pairs(node, scope), pairs.slot, inputs, None, scope))
+        return scope.pairs[node]
+
+    def _in_pairs(self, scope: Scope, pairs: PairScope, node: ir.Node) -> int:
+        """Slot of a value over pairs; an agent's own is repeated for its pairs."""
+        if node.rate <= ir.Rate.STEP:
+            return self._uniform(node)
+        if node in pairs.known:
+            return pairs.known[node]
+        slot = pairs.known[node] = self.slot()
+        scope.code.append(Instruction(self.calls.spread, slot, (self._known(scope, node), pairs.slot), None, scope))
+        return slot
+
+    def _pair_value(self, scope: Scope, pairs: PairScope, node: ir.Node) -> None:
+        make = self.calls.elementwise(node)
+        if make is not None:
+            inputs = tuple(self._in_pairs(scope, pairs, a) for a in node.args)
+        else:
+            inputs, make = (pairs.slot,), self.calls.pair_leaf(node)
+            if node.args:
+                inputs += tuple(self._in_pairs(scope, pairs, a) for a in node.args)
+        slot = pairs.known[node] = self.slot()
+        scope.code.append(Instruction(make, slot, inputs, None, scope))
+
+
+# --- buffers ---------------------------------------------------------------------------------------------------------
+
+
+def _linear(scope: Scope, found: list[tuple[Instruction, bool]]) -> None:
+    """Instructions in the order in which they run; one with an inner scope stands before it and, as True, after it."""
+    for instruction in scope.code:
+        found.append((instruction, False))
+        if instruction.inner is not None:
+            _linear(instruction.inner, found)
+            found.append((instruction, True))
+
+
+def bind_calls(compiler: BlockCompiler) -> None:
+    """Give each elementwise result an array to write to, used again once it is done with, and make the calls.
+
+    Linear scan over the order of execution (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895); no region runs twice."""
+    order: list[tuple[Instruction, bool]] = []
+    _linear(compiler.root, order)
+    last: dict[int, int] = {}
+    for position, (instruction, after) in enumerate(order):
+        for slot in (instruction.result,) if after else instruction.inputs:
+            last[slot] = position
+    for instruction, after in reversed(order):
+        if instruction.alias and not after:
+            (source,) = instruction.inputs
+            last[source] = max(last[source], last.get(instruction.out, -1))
+    free: dict[Any, list[int]] = {}
+    held: dict[int, tuple[Any, int]] = {}
+    for position, (instruction, after) in enumerate(order):
+        for slot in [s for s in held if last.get(s, -1) <= position]:
+            dtype, number = held.pop(slot)
+            free[dtype].append(number)
+        buffer = None
+        if instruction.dtype is not None and not after:
+            spare = free.setdefault(instruction.dtype, [])
+            if not spare:
+                spare.append(compiler.buffers.get(instruction.dtype, 0))
+                compiler.buffers[instruction.dtype] = spare[-1] + 1
+            number = spare.pop()
+            held[instruction.out] = (instruction.dtype, number)
+            buffer = instruction.scope.views.setdefault((instruction.dtype, number), -1)
+            if buffer == -1:
+                buffer = instruction.scope.views[instruction.dtype, number] = compiler.slot()
+        if not after:
+            instruction.scope.calls.append(instruction.make(instruction.out, instruction.inputs, buffer))

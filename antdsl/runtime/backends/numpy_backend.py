@@ -1,0 +1,122 @@
+"""The NumPy backend: structure of arrays, one pass over all agents per operation, in chunks of rows and perhaps in threads."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.plan import ir
+from antdsl.runtime.backends import numpy_calls
+from antdsl.runtime.backends.compile import BUFFERS, EFFECTS, LAZY, POPULATION, WORLD, BlockCompiler
+from antdsl.runtime.effects import Effects
+from antdsl.runtime.elementwise import ELEMENTWISE
+from antdsl.runtime.pairs import MOST_PAIRS
+from antdsl.runtime.reading import kept_senses, places, reach
+from antdsl.runtime.sensing import uniform_leaf
+from antdsl.runtime.world import DTYPES, Population, World
+
+BLOCKS = ("born", "decide", "act", "blend")
+Kept = dict[ir.Node, tuple[NDArray[np.bool_], list[NDArray[Any]]]]
+
+
+class NumpyBackend:
+    """Compiled once for a plan; `begin` is called at each step's start, `run` for each block of each species."""
+
+    def __init__(self, plan: ir.Plan) -> None:
+        self._blocks: dict[tuple[str, str], BlockCompiler] = {}
+        self._uniforms: dict[str, list[ir.Node]] = {}
+        for name, species in plan.species.items():
+            order = places(species)
+            for block in BLOCKS:
+                compiler = BlockCompiler(species, numpy_calls, block, order)
+                compiler.compile(getattr(species, block))
+                self._blocks[name, block] = compiler
+            roots = tuple(node for block in BLOCKS for node in self._blocks[name, block].uniforms)
+            self._uniforms[name] = reach(roots)
+        self._values: dict[str, dict[ir.Node, Any]] = {}
+        self._kept: dict[str, Kept] = {}
+        self._buffers: list[dict[Any, list[NDArray[Any]]]] = []
+        self._pool: ThreadPoolExecutor | None = None
+
+    def begin(self, world: World) -> None:
+        """Values of the step, and nothing sensed yet."""
+        for name, population in world.populations.items():
+            self._values[name] = uniform_values(world, self._uniforms[name])
+            n = len(population)
+            self._kept[name] = {
+                node: (np.zeros(n, np.bool_), [np.empty(n, DTYPES[kind]) for kind in ir.TUPLES.get(node.op, (node.kind,))])
+                for node in kept_senses(population.plan)
+            }
+
+    def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
+        """Run a block for some rows (None: all), and put what they ask for into the population's effects."""
+        compiler = self._blocks[population.name, block]
+        if not compiler.root.calls:
+            return
+        if block == "born":
+            self._values[population.name] = uniform_values(world, self._uniforms[population.name])
+        chunks = self._chunks(world, population, compiler, rows)
+        threads = min(world.options.threads, len(chunks))
+        effects = [Effects() for _ in chunks]
+        if threads <= 1:
+            for chunk, into in zip(chunks, effects, strict=True):
+                self._chunk(world, population, compiler, chunk, into, 0)
+        else:
+            self._pool = self._pool or ThreadPoolExecutor(world.options.threads)
+            lanes = [range(k, len(chunks), threads) for k in range(threads)]
+
+            def lane(number: int) -> None:
+                for k in lanes[number]:
+                    self._chunk(world, population, compiler, chunks[k], effects[k], number)
+
+            list(self._pool.map(lane, range(threads)))
+        for each in effects:
+            population.effects.take(each)
+
+    def _chunks(self, world: World, population: Population, compiler: BlockCompiler, rows: NDArray[np.intp] | None) -> list[Any]:
+        size = max(1, world.options.chunk)
+        for species in compiler.everybody:
+            size = max(1, min(size, MOST_PAIRS // max(1, len(world.populations[species]))))
+        if rows is None and population.quarantined.any():
+            rows = np.flatnonzero(~population.quarantined)
+        n = len(population) if rows is None else len(rows)
+        parts = [slice(a, min(a + size, n)) for a in range(0, n, size)]
+        return parts if rows is None else [rows[part] for part in parts]
+
+    def _chunk(self, world: World, population: Population, compiler: BlockCompiler, rows: Any, effects: Effects, lane: int) -> None:
+        v: list[Any] = [None] * compiler.slots
+        v[WORLD], v[POPULATION], v[EFFECTS], v[LAZY] = world, population, effects, self._kept.get(population.name)
+        values = self._values[population.name]
+        for node, slot in compiler.uniforms.items():
+            v[slot] = values[node]
+        size = rows.stop - rows.start if isinstance(rows, slice) else len(rows)
+        v[BUFFERS] = self._buffers_for(compiler, size, lane)
+        numpy_calls.enter(v, compiler.root, rows, size, None)
+        with np.errstate(all="ignore"):
+            for call in compiler.root.calls:
+                call(v)
+
+    def _buffers_for(self, compiler: BlockCompiler, size: int, lane: int) -> dict[Any, list[NDArray[Any]]]:
+        while len(self._buffers) <= lane:
+            self._buffers.append({})
+        pool = self._buffers[lane]
+        for dtype, count in compiler.buffers.items():
+            arrays = pool.setdefault(dtype, [])
+            if arrays and len(arrays[0]) < size:
+                arrays.clear()
+            length = len(arrays[0]) if arrays else size
+            arrays.extend(np.empty(length, dtype) for _ in range(count - len(arrays)))
+        return pool
+
+
+def uniform_values(world: World, nodes: list[ir.Node]) -> dict[ir.Node, Any]:
+    """Values that are the same for all agents, as NumPy scalars; operands stand first."""
+    values: dict[ir.Node, Any] = {}
+    with np.errstate(all="ignore"):
+        for node in nodes:
+            f = ELEMENTWISE.get(node.op)
+            values[node] = uniform_leaf(world, node) if f is None else f(*[values[a] for a in node.args])
+    return values

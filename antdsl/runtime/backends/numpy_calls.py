@@ -1,0 +1,389 @@
+"""The calls that compiled blocks are made of: each function gives a maker of closures over slots of one run.
+
+`v` is the list of slots; its first ones hold the world, the population, the effects, the buffers and the kept senses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.plan import ir
+from antdsl.runtime import pairs as sets
+from antdsl.runtime import randomness
+from antdsl.runtime.backends.compile import BUFFERS, EFFECTS, LAZY, POPULATION, WORLD, BlockCompiler, Run, Scope, Slots
+from antdsl.runtime.effects import ClaimEntry, DepositEntry, EmitEntry, FaultEntry, GiveEntry, SpawnEntry
+from antdsl.runtime.elementwise import ELEMENTWISE, UFUNCS
+from antdsl.runtime.sensing import SENSES
+
+Make = Callable[[int, tuple[int, ...], "int | None"], Run]
+ALL = slice(None)
+
+
+def row_numbers(rows: Any) -> NDArray[np.intp]:
+    return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else rows
+
+
+def enter(v: Slots, scope: Scope, rows: Any, size: int, picked: NDArray[np.intp] | None) -> None:
+    """Set up a scope's rows and the views of the buffers that it writes to."""
+    v[scope.rows], v[scope.size], v[scope.picked] = rows, size, picked
+    buffers = v[BUFFERS]
+    for (dtype, number), slot in scope.views.items():
+        v[slot] = buffers[dtype][number][:size]
+
+
+def descend(v: Slots, scope: Scope, inner: Scope, picked: NDArray[np.intp] | None) -> None:
+    """Run an inner scope for some of a scope's rows (None: all)."""
+    rows = v[scope.rows]
+    if picked is None:
+        enter(v, inner, rows, v[scope.size], None)
+    elif isinstance(rows, slice):
+        enter(v, inner, picked + rows.start if rows.start else picked, len(picked), picked)
+    else:
+        enter(v, inner, rows.take(picked), len(picked), picked)
+    for call in inner.calls:
+        call(v)
+
+
+def region(scope: Scope, inner: Scope) -> Make:
+    """`If`: the rows for which a condition holds."""
+
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        (a,) = inputs
+
+        def run(v: Slots) -> None:
+            condition = v[a]
+            if condition.ndim == 0:
+                if condition:
+                    descend(v, scope, inner, None)
+                return
+            picked = condition.nonzero()[0]
+            if len(picked):
+                descend(v, scope, inner, None if len(picked) == len(condition) else picked)
+
+        return run
+
+    return make
+
+
+def gather(scope: Scope, several: bool) -> Make:
+    """A value of the scope around, for the rows of this one."""
+    picked = scope.picked
+
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        (a,) = inputs
+
+        def run(v: Slots) -> None:
+            p = v[picked]
+            if p is None:
+                v[out] = v[a]
+            elif several:
+                v[out] = tuple(part.take(p) for part in v[a])
+            else:
+                v[out] = v[a].take(p)
+
+        return run
+
+    return make
+
+
+def keep(node: ir.Node, scope: Scope, inner: Scope, result: int) -> Make:
+    """A sense kept for the step: asked for the rows that have none yet."""
+
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        def run(v: Slots) -> None:
+            has, arrays = v[LAZY][node]
+            rows = v[scope.rows]
+            missing = (~has[rows]).nonzero()[0]
+            if len(missing):
+                descend(v, scope, inner, None if len(missing) == v[scope.size] else missing)
+                new = v[inner.rows]
+                has[new] = True
+                for array, part in zip(arrays, v[result] if node.kind is ir.Kind.TUPLE else (v[result],), strict=True):
+                    array[new] = part
+            v[out] = tuple(array[rows] for array in arrays) if node.kind is ir.Kind.TUPLE else arrays[0][rows]
+
+        return run
+
+    return make
+
+
+def elementwise(node: ir.Node) -> Make | None:
+    """A maker for an operation of the elementwise table, or None."""
+    f = ELEMENTWISE.get(node.op)
+    if f is None:
+        return None
+    buffered = node.op in UFUNCS
+
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        a = inputs[0]
+        b = inputs[1] if len(inputs) > 1 else -1
+        if len(inputs) == 3:
+            c = inputs[2]
+
+            def run(v: Slots) -> None:
+                v[out] = f(v[a], v[b], v[c])
+        elif len(inputs) == 2 and buffered and buffer is not None:
+
+            def run(v: Slots) -> None:
+                v[out] = f(v[a], v[b], v[buffer])
+        elif len(inputs) == 2:
+
+            def run(v: Slots) -> None:
+                v[out] = f(v[a], v[b])
+        elif buffered and buffer is not None:
+
+            def run(v: Slots) -> None:
+                v[out] = f(v[a], v[buffer])
+        else:
+
+            def run(v: Slots) -> None:
+                v[out] = f(v[a])
+
+        return run
+
+    return make
+
+
+def leaf(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
+    """Registers, draws, tuples and senses."""
+    rows = scope.rows
+    if node.op == "get":
+        index = node.attrs[0]
+        return lambda out, inputs, buffer: lambda v: v.__setitem__(out, v[inputs[0]][index])
+    if node.op in ("snap", "load"):
+        name, copied = node.attrs[0], node.op == "load" and node.attrs[0] in compiler.changing
+
+        def read(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+            def run(v: Slots) -> None:
+                population = v[POPULATION]
+                value = (population.now if node.op == "load" else population.start)[name][v[rows]]
+                v[out] = value.copy() if copied and isinstance(v[rows], slice) else value
+
+            return run
+
+        return read
+    if node.op == "draw":
+        return _draw(node, compiler, scope)
+    sense = SENSES[node.op]
+
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        def run(v: Slots) -> None:
+            v[out] = sense(v[WORLD], v[POPULATION], node, v[rows], *[v[a] for a in inputs])
+
+        return run
+
+    return make
+
+
+def _draw(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
+    """Four draws of one site come from one run of the generator."""
+    site, index = node.attrs
+    key = (site, index >> 2)
+    fresh = key not in scope.draws
+    words = scope.draws.setdefault(key, compiler.slot()) if fresh else scope.draws[key]
+
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        def run(v: Slots) -> None:
+            if fresh:
+                world, population = v[WORLD], v[POPULATION]
+                ids = population.ids[v[scope.rows]]
+                v[words] = randomness.words(world.setting.seed, world.frame, population.name, site, index >> 2, ids)
+            v[out] = randomness.unit_floats(v[words][index & 3])
+
+        return run
+
+    return make
+
+
+def pairs(node: ir.Node, scope: Scope) -> Make:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        def run(v: Slots) -> None:
+            v[out] = sets.find(v[WORLD], v[POPULATION], node, v[scope.rows], tuple(v[a] for a in inputs))
+
+        return run
+
+    return make
+
+
+def spread(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+    """An agent's own value for each of its pairs."""
+    value, pair = inputs
+
+    def run(v: Slots) -> None:
+        v[out] = v[value].take(v[pair].i)
+
+    return run
+
+
+def pair_leaf(node: ir.Node) -> Make:
+    """What is the other one's, or hangs on what is."""
+    sense = SENSES.get(node.op)
+
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        def run(v: Slots) -> None:
+            found = v[inputs[0]]
+            if sense is None:
+                v[out] = sets.pair_leaf(found, node)
+            else:
+                v[out] = sense(v[WORLD], v[POPULATION], node, slice(0, len(found.i)), *[v[a] for a in inputs[1:]])
+
+        return run
+
+    return make
+
+
+def reduction(node: ir.Node) -> Make:
+    f = sets.REDUCTIONS[node.op]
+
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        def run(v: Slots) -> None:
+            v[out] = f(v[inputs[0]], node, *[v[a] for a in inputs[1:]])
+
+        return run
+
+    return make
+
+
+# --- statements ------------------------------------------------------------------------------------------------------
+
+
+def _each(v: Slots, scope: Scope, value: Any) -> NDArray[Any]:
+    """One value for each row, in an array of its own: buffers are written again."""
+    return np.full(v[scope.size], value) if value.ndim == 0 else value.copy()
+
+
+def sound(value: NDArray[Any], infinite: bool) -> NDArray[np.bool_]:
+    """Which values may be kept."""
+    return np.isfinite(value) | (value == np.inf) if infinite else np.isfinite(value)
+
+
+def _refuse(v: Slots, block: str, register: str, span: Any, rows: NDArray[np.intp]) -> None:
+    v[EFFECTS].faults.append(FaultEntry(block, register, span, rows))
+
+
+def _store(statement: ir.Store, block: str, scope: Scope) -> Make:
+    name, infinite, span = statement.register, statement.infinite, statement.span
+    number = statement.value.kind is ir.Kind.F32
+
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        (a,) = inputs
+
+        def run(v: Slots) -> None:
+            value, rows = v[a], v[scope.rows]
+            target = v[POPULATION].now[name]
+            good = sound(value, infinite) if number else None
+            if good is None or good.all():
+                target[rows] = value
+                return
+            rows = row_numbers(rows)
+            if value.ndim == 0:
+                _refuse(v, block, name, span, rows)
+                return
+            target[rows[good]] = value[good]
+            _refuse(v, block, name, span, rows[~good])
+
+        return run
+
+    return make
+
+
+def _amounts(v: Slots, scope: Scope, block: str, what: str, span: Any, value: Any) -> tuple[NDArray[np.intp], NDArray[Any], Any]:
+    """Rows and values of those whose value is finite; the others are at fault. Last: which they are of the scope's rows."""
+    rows, value = row_numbers(v[scope.rows]), _each(v, scope, value)
+    good = np.isfinite(value)
+    if good.all():
+        return rows, value, ALL
+    _refuse(v, block, what, span, rows[~good])
+    return rows[good], value[good], good
+
+
+def _deposit(statement: ir.Deposit, block: str, scope: Scope) -> Make:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        def run(v: Slots) -> None:
+            rows, amount, _ = _amounts(v, scope, block, f"deposit {statement.field}", statement.span, v[inputs[0]])
+            v[EFFECTS].deposits.append(DepositEntry(statement.field, rows, amount))
+
+        return run
+
+    return make
+
+
+def _claim(statement: ir.Claim, block: str, scope: Scope, order: int) -> Make:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        def run(v: Slots) -> None:
+            rows, amount, good = _amounts(v, scope, block, f"take {statement.attribute}", statement.span, v[inputs[1]])
+            item = _each(v, scope, v[inputs[0]])[good]
+            v[EFFECTS].claims.append(ClaimEntry(statement, order, rows, item, amount))
+
+        return run
+
+    return make
+
+
+def _give(statement: ir.Give, block: str, scope: Scope) -> Make:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        def run(v: Slots) -> None:
+            own = v[POPULATION].now[statement.own]
+            item = _each(v, scope, v[inputs[0]])
+            if statement.amount is None:
+                rows = row_numbers(v[scope.rows])
+                amount = own[rows]
+            else:
+                rows, amount, good = _amounts(v, scope, block, f"give {statement.own}", statement.span, v[inputs[1]])
+                item = item[good]
+            there = (item >= 0) & (item < len(v[WORLD].items[statement.items]))
+            rows, amount, item = rows[there], amount[there], item[there]
+            had = own[rows]
+            left = had - np.clip(amount, np.float32(0), np.maximum(had, np.float32(0)))
+            own[rows] = left
+            v[EFFECTS].gives.append(GiveEntry(statement, item, had.astype(np.float64) - left.astype(np.float64)))
+
+        return run
+
+    return make
+
+
+def _emit(statement: ir.Emit, block: str, scope: Scope) -> Make:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        def run(v: Slots) -> None:
+            within = _each(v, scope, v[inputs[0]]) if inputs else None
+            v[EFFECTS].emits.append(EmitEntry(statement.event, row_numbers(v[scope.rows]).copy(), within))
+
+        return run
+
+    return make
+
+
+def _spawn(statement: ir.Spawn, order: int, scope: Scope) -> Make:
+    return lambda out, inputs, buffer: lambda v: v[EFFECTS].spawns.append(
+        SpawnEntry(statement.species, order, row_numbers(v[scope.rows]).copy())
+    )
+
+
+def _die(scope: Scope) -> Make:
+    return lambda out, inputs, buffer: lambda v: v[EFFECTS].deaths.append(row_numbers(v[scope.rows]).copy())
+
+
+def statement(what: ir.Statement, compiler: BlockCompiler, scope: Scope) -> Make:
+    """The maker of any statement but `If`."""
+    block = compiler.name
+    match what:
+        case ir.Store():
+            return _store(what, block, scope)
+        case ir.Deposit():
+            return _deposit(what, block, scope)
+        case ir.Claim():
+            return _claim(what, block, scope, compiler.place(what))
+        case ir.Give():
+            return _give(what, block, scope)
+        case ir.Emit():
+            return _emit(what, block, scope)
+        case ir.Spawn():
+            return _spawn(what, compiler.place(what), scope)
+        case ir.Die():
+            return _die(scope)
+    raise AssertionError(f"no call for {what!r}")

@@ -1,0 +1,345 @@
+"""The reference backend: one agent at a time in plain Python, one operation at a time. Slow; it defines what a plan means.
+
+Neighbours are found by measuring the distance to everybody. Only geometry (rays, fields, curves) is asked of the same engines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from antdsl import limits
+from antdsl.plan import ir
+from antdsl.runtime import exact
+from antdsl.runtime.effects import ClaimEntry, DepositEntry, Effects, EmitEntry, FaultEntry, GiveEntry, SpawnEntry
+from antdsl.runtime.elementwise import ELEMENTWISE
+from antdsl.runtime.reading import early_loads, places, reach
+from antdsl.runtime.sensing import SENSES, uniform_leaf
+from antdsl.runtime.world import AXES, Population, World
+from antdsl.source import Span
+
+Member = tuple[int, np.float32, np.float32, np.float32, np.float32]  # row, dx, dy, dz, distance
+BLOCKS = ("decide", "act", "blend")
+
+
+class ReferenceBackend:
+    """The same doors as the NumPy backend."""
+
+    def __init__(self, plan: ir.Plan) -> None:
+        self._orders = {name: places(species) for name, species in plan.species.items()}
+
+    def begin(self, world: World) -> None:
+        """Nothing is kept from step to step."""
+
+    def run(self, world: World, population: Population, block: str, rows: Any = None) -> None:
+        """Run a block for some rows (None: all), one after the other."""
+        rows = np.flatnonzero(~population.quarantined) if rows is None else rows
+        with np.errstate(all="ignore"):
+            for row in rows:
+                agent = Agent(world, population, int(row), population.now, int(row), population.effects, self._orders[population.name])
+                agent.run(block)
+
+
+class FaultMet(Exception):
+    """The value that is looked for has been met; holds the agent's run."""
+
+    def __init__(self, node: ir.Node) -> None:
+        super().__init__()
+        self.node = node
+
+
+class Agent:
+    """One agent during one block. `now[name][at]` is its register; the row stands for it in everything else."""
+
+    def __init__(
+        self, world: World, population: Population, row: int, now: dict[str, Any], at: int, effects: Effects, order: dict[ir.Statement, int]
+    ) -> None:
+        self.world, self.population, self.row = world, population, row
+        self.now, self.at, self.effects, self.order = now, at, effects, order
+        self.rows = np.array([row])
+        self.values: dict[ir.Node, Any] = {}
+        self.watch: Callable[[str, Span | None, ir.Node], None] | None = None
+
+    def run(self, block: str) -> None:
+        tree: ir.Block = getattr(self.population.plan, block)
+        self.block, self.values, self.early = block, {}, _early(tree)
+        self._block(tree, ())
+
+    # --- statements ----------------------------------------------------------------------------------------------------
+
+    def _block(self, block: ir.Block, path: tuple[int, ...]) -> None:
+        for k, statement in enumerate(block.statements):
+            for node in self.early.get((*path, k), ()):
+                self.value(node)
+            if isinstance(statement, ir.If):
+                if self.value(statement.condition):
+                    self._block(statement.then, (*path, k))
+            else:
+                getattr(self, "_" + type(statement).__name__.lower())(statement)
+
+    def _finite(self, node: ir.Node, what: str, span: Span | None, infinite: bool = False) -> Any:
+        """A value that may be kept, or None and a fault."""
+        value = self.value(node)
+        if node.kind is not ir.Kind.F32 or np.isfinite(value) or (infinite and value == np.inf):
+            return value
+        if self.watch is not None:
+            self.watch(what, span, node)
+        self.effects.faults.append(FaultEntry(self.block, what, span, self.rows))
+        return None
+
+    def _store(self, s: ir.Store) -> None:
+        value = self._finite(s.value, s.register, s.span, s.infinite)
+        if value is not None:
+            self.now[s.register][self.at] = value
+
+    def _deposit(self, s: ir.Deposit) -> None:
+        amount = self._finite(s.amount, f"deposit {s.field}", s.span)
+        if amount is not None:
+            self.effects.deposits.append(DepositEntry(s.field, self.rows, np.array([amount])))
+
+    def _claim(self, s: ir.Claim) -> None:
+        item, amount = self.value(s.item), self._finite(s.amount, f"take {s.attribute}", s.span)
+        if amount is not None:
+            self.effects.claims.append(ClaimEntry(s, self.order[s], self.rows, np.array([item]), np.array([amount])))
+
+    def _give(self, s: ir.Give) -> None:
+        item, had = self.value(s.item), self.now[s.own][self.at]
+        amount = had if s.amount is None else self._finite(s.amount, f"give {s.own}", s.span)
+        if amount is None or not 0 <= item < len(self.world.items[s.items]):
+            return
+        left = had - min(max(amount, np.float32(0)), max(had, np.float32(0)))
+        self.now[s.own][self.at] = left
+        self.effects.gives.append(GiveEntry(s, np.array([item]), np.array([float(had) - float(left)])))
+
+    def _emit(self, s: ir.Emit) -> None:
+        within = None if s.within is None else np.array([self.value(s.within)])
+        self.effects.emits.append(EmitEntry(s.event, self.rows, within))
+
+    def _spawn(self, s: ir.Spawn) -> None:
+        self.effects.spawns.append(SpawnEntry(s.species, self.order[s], self.rows))
+
+    def _die(self, s: ir.Die) -> None:
+        self.effects.deaths.append(self.rows)
+
+    # --- values --------------------------------------------------------------------------------------------------------
+
+    def value(self, node: ir.Node) -> Any:
+        """A node's value for this agent; each is computed once."""
+        pending = [node]
+        while pending:
+            top = pending[-1]
+            missing = [] if top in self.values else [n for n in _operands(top) if n not in self.values]
+            if missing:
+                pending.extend(missing)
+                continue
+            pending.pop()
+            if top not in self.values:
+                self.values[top] = self._compute(top)
+        return self.values[node]
+
+    def _compute(self, node: ir.Node) -> Any:
+        if node.op in ELEMENTWISE:
+            return ELEMENTWISE[node.op](*[self.values[a] for a in node.args])
+        if node.op == "get":
+            return self.values[node.args[0]][node.attrs[0]]
+        if node.op == "load":
+            return self.now[node.attrs[0]][self.at]
+        if node.op == "snap":
+            return self.population.start[node.attrs[0]][self.row]
+        if node.op.startswith("reduce."):
+            return self._reduce(node)
+        if node.rate <= ir.Rate.STEP:
+            return uniform_leaf(self.world, node)
+        return self._sense(node, [self.values[a] for a in node.args])
+
+    def _sense(self, node: ir.Node, args: list[Any]) -> Any:
+        found = SENSES[node.op](self.world, self.population, node, self.rows, *[np.array([a]) for a in args])
+        return tuple(part[0] for part in found) if isinstance(found, tuple) else found[0]
+
+    # --- sets ----------------------------------------------------------------------------------------------------------
+
+    def _reduce(self, node: ir.Node) -> Any:
+        chosen, *parts = node.args
+        members = self._members(chosen)
+        found: list[tuple[Member, Any]] = []
+        for member in members:
+            seen = self._pair(chosen, member, parts)
+            if seen[0]:
+                found.append((member, seen[1] if len(seen) > 1 else None))
+        return _REDUCE[node.op](self, node, chosen, found)
+
+    def _members(self, node: ir.Node) -> list[Member]:
+        own = [self.population.start[f"position.{axis}"][self.row] for axis in AXES]
+        args = [self.values[a] for a in node.args]
+        if node.op == "set.items":
+            items = self.world.items[node.attrs[0]]
+            measured = _measure([items.seen[axis] for axis in AXES], own)
+            return [m for m in measured if m[4] <= args[0]]
+        other = self.world.populations[node.attrs[0]]
+        measured = _measure([other.start[f"position.{axis}"] for axis in AXES], own)
+        if other is self.population:
+            measured = [m for m in measured if m[0] != self.row]
+        if node.op == "set.every":
+            return measured
+        measured = [m for m in measured if m[4] <= args[0]]
+        if len(measured) > limits.NEIGHBOURS:
+            measured = sorted(measured, key=lambda m: (m[4], other.ids[m[0]]))[: limits.NEIGHBOURS]
+        if node.attrs[1]:
+            return measured
+        hx, hy, hz = (self.population.start[f"heading.{axis}"][self.row] for axis in AXES)
+        return [m for m in measured if (m[1] * hx + m[2] * hy) + m[3] * hz >= args[1] * m[4]]
+
+    def _pair(self, chosen: ir.Node, member: Member, roots: list[ir.Node]) -> list[Any]:
+        """Values of some nodes for one other."""
+        seen: dict[ir.Node, Any] = {}
+        for node in _pair_nodes(tuple(roots)):
+            args = [seen[a] if a in seen else self.values[a] for a in node.args]
+            if node.op in ELEMENTWISE:
+                seen[node] = ELEMENTWISE[node.op](*args)
+            elif node.op in SENSES:
+                seen[node] = self._sense(node, args)
+            else:
+                seen[node] = self._of_other(chosen, member, node)
+        return [seen[n] if n in seen else self.values[n] for n in roots]
+
+    def _of_other(self, chosen: ir.Node, member: Member, node: ir.Node) -> Any:
+        row, dx, dy, dz, distance = member
+        named = {"pair.x": dx, "pair.y": dy, "pair.z": dz, "pair.distance": distance, "other.row": np.int32(row)}
+        if node.op in named:
+            return named[node.op]
+        if chosen.op == "set.items":
+            return self.world.items[chosen.attrs[0]].seen[node.attrs[0]][row]
+        other = self.world.populations[chosen.attrs[0]]
+        return other.ids[row] if node.op == "other.id" else other.start[node.attrs[0]][row]
+
+    def label(self, chosen: ir.Node, member: Member) -> int:
+        return member[0] if chosen.op == "set.items" else int(self.world.populations[chosen.attrs[0]].ids[member[0]])
+
+
+@cache
+def _early(block: ir.Block) -> dict[tuple[int, ...], list[ir.Node]]:
+    return early_loads(block)
+
+
+@cache
+def _pair_nodes(roots: tuple[ir.Node, ...]) -> tuple[ir.Node, ...]:
+    """Nodes at the rate of pairs under some, operands first."""
+    return tuple(n for n in reach(roots) if n.rate == ir.Rate.PAIR)
+
+
+@cache
+def _operands(node: ir.Node) -> tuple[ir.Node, ...]:
+    """What has to be known of the agent before a node: through sets and their bodies down to the agent's own values."""
+    found: list[ir.Node] = []
+    pending = list(node.args)
+    while pending:
+        top = pending.pop()
+        if top.rate == ir.Rate.PAIR or top.kind is ir.Kind.SET:
+            pending.extend(top.args)
+        else:
+            found.append(top)
+    return tuple(dict.fromkeys(found))
+
+
+def _measure(places: list[Any], own: list[Any]) -> list[Member]:
+    """Everybody's row, way and distance from one place."""
+    dx, dy, dz = (theirs - mine for theirs, mine in zip(places, own, strict=True))
+    distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
+    return [(k, dx[k], dy[k], dz[k], distance[k]) for k in range(len(distance))]
+
+
+Found = list[tuple[Member, Any]]
+_INF = np.float32(np.inf)
+
+
+def _sum(agent: Agent, node: ir.Node, chosen: ir.Node, found: Found) -> Any:
+    total = 0.0
+    for _, body in found:
+        total += float(exact.rounded(body, node.attrs[0]))
+    return np.float32(total)
+
+
+def _min(agent: Agent, node: ir.Node, chosen: ir.Node, found: Found) -> Any:
+    least = _INF
+    for _, body in found:
+        least = body if body < least else least
+    return least + np.float32(0)
+
+
+def _max(agent: Agent, node: ir.Node, chosen: ir.Node, found: Found) -> Any:
+    greatest = -_INF
+    for _, body in found:
+        greatest = body if body > greatest else greatest
+    return greatest + np.float32(0)
+
+
+def _best(agent: Agent, chosen: ir.Node, found: Found) -> int:
+    sound = [(body, agent.label(chosen, member)) for member, body in found if body == body]
+    return min(sound)[1] if sound else -1
+
+
+_REDUCE: dict[str, Callable[[Agent, ir.Node, ir.Node, Found], Any]] = {
+    "reduce.sum": _sum,
+    "reduce.min": _min,
+    "reduce.max": _max,
+    "reduce.count": lambda agent, node, chosen, found: np.float32(len(found)),
+    "reduce.any": lambda agent, node, chosen, found: np.bool_(bool(found)),
+    "reduce.agent": lambda agent, node, chosen, found: np.int64(_best(agent, chosen, found)),
+    "reduce.item": lambda agent, node, chosen, found: np.int32(_best(agent, chosen, found)),
+}
+
+
+# --- telling a fault -------------------------------------------------------------------------------------------------
+
+
+def operands_of(world: World, population: Population, row: int, block: str, what: str, span: Span | None) -> tuple[tuple[str, str], ...]:
+    """Run one agent's step again, without any effect, up to a refused value; text and value of what made it not finite."""
+    now = {name: population.start[name][row : row + 1].copy() for name in population.now}
+    for name, register in population.plan.registers.items():
+        if register.role == "temp":
+            now[name][0] = register.zero
+    agent = Agent(world, population, row, now, 0, Effects(), places(population.plan))
+
+    def watch(register: str, where: Span | None, node: ir.Node) -> None:
+        if agent.block == block and register == what and where == span:
+            raise FaultMet(node)
+
+    agent.watch = watch
+    with np.errstate(all="ignore"):
+        try:
+            for name in ("born",) if block == "born" else BLOCKS:
+                agent.run(name)
+                if name == "decide":
+                    _with_winnings(agent, population)
+        except FaultMet as met:
+            return _culprit(agent, met.node)
+    return ()
+
+
+def _with_winnings(agent: Agent, population: Population) -> None:
+    for claim in agent.effects.claims:
+        won = bool(population.now[claim.statement.won][agent.row])
+        agent.now[claim.statement.won][0] = won
+        if won and claim.statement.own is not None:
+            agent.now[claim.statement.own][0] += claim.amount[0]
+
+
+def _culprit(agent: Agent, node: ir.Node) -> tuple[tuple[str, str], ...]:
+    """The first operation on the way whose operands are finite and whose result is not."""
+
+    def sound(n: ir.Node) -> bool:
+        value = agent.values.get(n)
+        return n.kind is not ir.Kind.F32 or value is None or bool(np.isfinite(value))
+
+    while True:
+        worse = [a for a in node.args if not sound(a)]
+        if not worse:
+            break
+        node = worse[0]
+    shown = {(a.span.text if a.span else a.op): agent.values.get(a) for a in node.args if a.kind is not ir.Kind.SET}
+    place = node.span.text if node.span else node.op
+    told = [(place, agent.values.get(node))] + [(text, value) for text, value in shown.items() if text != place]
+    return tuple((text, f"{float(value):g}") for text, value in told if value is not None and not isinstance(value, tuple))

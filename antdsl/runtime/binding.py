@@ -1,0 +1,129 @@
+"""Binds a plan to a setting: meshes become ground and ray scenes, items and crowds become arrays. Gives the world at its first frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.plan import ir
+from antdsl.runtime.backends import BACKENDS
+from antdsl.runtime.backends.numpy_backend import uniform_values
+from antdsl.runtime.faults import FaultLog
+from antdsl.runtime.motion import Motion
+from antdsl.runtime.placing import populate
+from antdsl.runtime.plane import Plane
+from antdsl.runtime.reading import reach
+from antdsl.runtime.world import AXES, Items, Options, World, empty_population
+from antdsl.scene.setting import MeshData, Setting
+
+_FAR = 1e5  # mm: a scene that lies farther out than this is moved to its own middle, or float32 would see it in steps
+
+
+def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> World:
+    """The world at `setting.first_frame`, everybody born and nobody moved. `plan` has been optimised and verified."""
+    options = options or Options()
+    origin = _origin(setting)
+    up = np.asarray(setting.up, np.float64)
+    meshes = {name: _moved(mesh, origin) for name, mesh in {**setting.surfaces, **setting.obstacles}.items()}
+    ground = _ground({name: meshes[name] for name in setting.surfaces}, up)
+    world = World(
+        plan=plan,
+        setting=replace(setting, obstacles={name: meshes[name] for name in setting.obstacles}),
+        options=options,
+        up=up / np.sqrt(np.dot(up, up)),
+        origin=origin,
+        frame=setting.first_frame,
+        params={},
+        populations={name: empty_population(species, ground) for name, species in plan.species.items()},
+        items={name: _items(setting, items, origin) for name, items in plan.items.items()},
+        fields={},
+        field_rates={},
+        obstacles=_scenes(meshes),
+        curves={name: _curve(setting.curves[name] - origin) for name in plan.curves if name in setting.curves},
+        ground=ground,
+        surface_index={name: k for k, name in enumerate(setting.surfaces)},
+        backend=BACKENDS[options.backend](plan),
+        faults=FaultLog(),
+        motion=Motion(),
+    )
+    _params(world)
+    _fields(world)
+    with np.errstate(all="ignore"):
+        populate(world)
+    return world
+
+
+def set_param(world: World, name: str, value: float) -> None:
+    """Change a param (base units) from the next step on; nothing is compiled again."""
+    if name not in world.plan.params:
+        raise KeyError(name)
+    world.params[name] = np.float32(value)
+
+
+def _origin(setting: Setting) -> NDArray[np.float64]:
+    """What to take from all positions, whole metres; nothing where the scene lies about its zero."""
+    places = [m.vertices for m in (*setting.surfaces.values(), *setting.obstacles.values()) if len(m.vertices)]
+    places = places or [np.array([i.position for items in setting.items.values() for i in items], np.float64).reshape(-1, 3)]
+    points = np.concatenate(places)
+    if not len(points):
+        return np.zeros(3)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    return np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > _FAR else np.zeros(3)
+
+
+def _moved(mesh: MeshData, origin: NDArray[np.float64]) -> MeshData:
+    return MeshData(mesh.vertices - origin, mesh.faces) if origin.any() else mesh
+
+
+def _ground(meshes: dict[str, MeshData], up: NDArray[np.float64]) -> Any:
+    if not meshes:
+        return Plane(up)
+    from antdsl.runtime.senses.ground import Ground
+
+    return Ground({name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()})
+
+
+def _scenes(meshes: dict[str, MeshData]) -> dict[str, Any]:
+    if not meshes:
+        return {}
+    from antdsl.runtime.senses.rays import RayScene
+
+    return {name: RayScene(mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
+
+
+def _curve(points: NDArray[np.float64]) -> Any:
+    from antdsl.runtime.senses.curves import Curve
+
+    return Curve(points)
+
+
+def _items(setting: Setting, plan: ir.ItemsPlan, origin: NDArray[np.float64]) -> Items:
+    found = setting.items.get(plan.name, ())
+    position = np.array([item.position for item in found], np.float64).reshape(-1, 3) - origin
+    seen = {axis: position[:, k].astype(np.float32) for k, axis in enumerate(AXES)}
+    seen["radius"] = np.array([item.radius for item in found], np.float32)
+    amounts = {name: np.array([item.attributes.get(name, default) for item in found], np.float64) for name, default in plan.attributes.items()}
+    items = Items(plan.name, tuple(item.name for item in found), position, amounts, seen)
+    items.show()
+    return items
+
+
+def _params(world: World) -> None:
+    for name, param in world.plan.params.items():
+        given = world.setting.params.get(name)
+        world.params[name] = np.float32(_run_value(world, param.default) if given is None else given)
+
+
+def _run_value(world: World, node: ir.Node) -> float:
+    return float(uniform_values(world, reach((node,)))[node])
+
+
+def _fields(world: World) -> None:
+    if not world.plan.fields:
+        return
+    from antdsl.runtime.field_binding import bind_fields
+
+    bind_fields(world, _run_value)

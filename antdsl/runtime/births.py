@@ -1,0 +1,120 @@
+"""Events, deaths and births: what agents do to the number of agents and to each other's next step."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.plan import ir
+from antdsl.runtime.effects import EmitEntry
+from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows
+
+_BLOCK = 1 << 22  # pairs of emitter and receiver that are measured at once
+
+
+def raise_events(world: World) -> None:
+    """Flag those whom an event reaches; they see it in the next step."""
+    for population in world.populations.values():
+        for entry in population.effects.emits:
+            if entry.within is None:
+                if entry.event in population.raised:
+                    population.raised[entry.event][entry.rows] = True
+                continue
+            for other in world.populations.values():
+                if entry.event in other.raised and len(other):
+                    _reach(population, entry, other, other.raised[entry.event])
+        population.effects.emits = []
+
+
+def _reach(population: Population, entry: EmitEntry, other: Population, flags: NDArray[np.bool_]) -> None:
+    """Agents within the distance of some emitter, where both stood when the step began; the emitter hears itself."""
+    assert entry.within is not None
+    own = [population.start[f"position.{axis}"][entry.rows] for axis in AXES]
+    theirs = [other.start[f"position.{axis}"] for axis in AXES]
+    step = max(1, _BLOCK // len(other))
+    for a in range(0, len(entry.rows), step):
+        dx, dy, dz = (t[None, :] - o[a : a + step, None] for t, o in zip(theirs, own, strict=True))
+        flags |= (np.sqrt((dx * dx + dy * dy) + dz * dz) <= entry.within[a : a + step, None]).any(axis=0)
+
+
+def deaths_and_births(world: World) -> None:
+    """Take the dead out, then put the new ones in: ids by (parent's species, parent's id, place in the text)."""
+    coming = _coming(world)
+    for population in world.populations.values():
+        if population.effects.deaths:
+            dead = np.zeros(len(population), np.bool_)
+            for rows in population.effects.deaths:
+                dead[rows] = True
+            population.effects.deaths = []
+            select_rows(population, np.flatnonzero(~dead))
+    generation = 0
+    while coming and generation < limits.BIRTHS_IN_A_ROW:
+        for name, births in coming.items():
+            _bear(world, world.populations[name], births)
+        coming = _coming(world)
+        generation += 1
+    for population in world.populations.values():
+        _forget_the_dead(world, population)
+
+
+Births = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], object, dict[str, NDArray[np.float32]]]]
+
+
+def _coming(world: World) -> dict[str, Births]:
+    """Births asked for, by species of the child, in the order in which they get their ids; parents are read while they live."""
+    found: dict[str, Births] = {}
+    for population in world.populations.values():
+        entries = population.effects.spawns
+        population.effects.spawns = []
+        for species in sorted({e.species for e in entries}):
+            rows = np.concatenate([e.rows for e in entries if e.species == species])
+            order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.species == species])
+            rows = rows[np.lexsort((order, population.ids[rows]))]
+            footing = type(population.footing)(*(getattr(population.footing, f)[rows] for f in population.footing.__slots__))
+            carried = {f"{v}.{a}": population.now[f"{v}.{a}"][rows].copy() for v in ("up", "heading", "velocity") for a in AXES}
+            found.setdefault(species, []).append((population, rows, population.position[rows], footing, carried))
+    return found
+
+
+def _bear(world: World, population: Population, births: Births) -> None:
+    for _, rows, position, footing, carried in births:
+        room = limits.AGENTS - len(world)
+        count = min(len(rows), max(0, room))
+        if count < len(rows):
+            world.faults.refused_births += len(rows) - count
+        if not count:
+            continue
+        footing = type(footing)(*(getattr(footing, f)[:count] for f in footing.__slots__))  # type: ignore[attr-defined]
+        ids = np.arange(population.next_id, population.next_id + count)
+        population.next_id += count
+        new = add_rows(population, ids, world.frame + 1, position[:count], footing)
+        for name, value in carried.items():
+            population.now[name][new] = value[:count]
+        come_alive(world, population, np.arange(new.start, new.stop))
+
+
+def come_alive(world: World, population: Population, rows: NDArray[np.intp]) -> None:
+    """Fill the registers of new rows, whose place, up, heading and velocity are there already, and run the block `born`."""
+    for k, axis in enumerate(AXES):
+        population.now[f"position.{axis}"][rows] = population.position[rows, k]
+    for name in population.now:
+        _copy(population, name, rows)
+    world.backend.run(world, population, "born", rows)
+    for name in population.now:
+        _copy(population, name, rows)
+
+
+def _copy(population: Population, name: str, rows: NDArray[np.intp]) -> None:
+    if population.start[name] is not population.now[name]:
+        population.start[name][rows] = population.now[name][rows]
+
+
+def _forget_the_dead(world: World, population: Population) -> None:
+    """References to the dead become none, where the plan says whose ids a register holds."""
+    for register in population.plan.registers.values():
+        if register.kind is ir.Kind.I64 and register.of in world.populations and register.role != "temp":
+            held = population.now[register.name]
+            gone = (held >= 0) & (world.populations[register.of].rows_of(held) < 0)
+            if gone.any():
+                held[gone] = -1

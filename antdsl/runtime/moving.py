@@ -1,0 +1,127 @@
+"""From pushes to places: acceleration, limits of speed and turn, sliding along obstacles, walking on the ground, and where one faces.
+
+a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as there). An animal whose response is a step
+or less takes its whole change of velocity at once. The heading follows the velocity within a tenth of a second, whatever the fps.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime import kernels
+from antdsl.runtime import vectors as vec
+from antdsl.runtime.obstacles import slide
+from antdsl.runtime.vectors import Vector
+from antdsl.runtime.world import AXES, Population, World
+
+_HEADING_TIME = 0.1  # s, of the heading on its way to the direction of movement (T22)
+_SLOW = np.float32(0.1)  # of max_speed: below it the heading follows more and more slowly
+_BOUNCE = np.float32(0.3)  # of the speed into the border of an open surface that is turned back
+_F = np.float32
+
+
+def move(world: World, population: Population, substep: int) -> None:
+    """Move all agents of a species by one substep; changes position, velocity, heading, up and footing."""
+    if not len(population):
+        return
+    now = population.now
+    dt = _F(world.dt / world.setting.substeps)
+    up = _read(population, "up")
+    velocity = _velocity(world, population, up, dt, substep)
+    if population.quarantined.any():
+        velocity = vec.choose(population.quarantined, (_F(0),) * 3, velocity)  # type: ignore[arg-type]
+    wanted = vec.scale(velocity, dt)
+    step = slide(world, population, wanted, up, now["radius"])
+    stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
+    if stopped.any():
+        velocity = vec.choose(stopped, vec.scale(step, _F(1) / dt), velocity)
+    old = population.position
+    moved = world.ground.move(
+        population.footing,
+        vec.rows(step),
+        vec.rows(_read(population, "heading")),
+        vec.rows(up),
+        now["size"].astype(np.float64),
+        world.options.threads,
+    )
+    new_up = vec.columns(moved.up, np.float32)
+    speed = vec.length(velocity)
+    velocity = vec.scale(vec.columns(moved.direction, np.float32), speed)
+    if moved.blocked.any():
+        gone = vec.scale(vec.columns(moved.position - old, np.float32), _F(1) / dt)
+        lost = vec.sub(vec.scale(step, _F(1) / dt), gone)
+        velocity = vec.choose(moved.blocked, vec.sub(gone, vec.scale(lost, _BOUNCE)), velocity)
+    velocity = vec.flat(velocity, new_up)
+    heading = _face(population, vec.columns(moved.heading, np.float32), velocity, new_up, dt)
+    population.footing, population.position = moved.footing, moved.position
+    for name, value in (("velocity", velocity), ("heading", heading), ("up", new_up), ("position", vec.columns(moved.position, np.float32))):
+        for axis, component in zip(AXES, value, strict=True):
+            now[f"{name}.{axis}"][:] = component
+
+
+def _read(population: Population, name: str) -> Vector:
+    return tuple(population.now[f"{name}.{axis}"] for axis in AXES)  # type: ignore[return-value]
+
+
+def _velocity(world: World, population: Population, up: Vector, dt: np.float32, substep: int) -> Vector:
+    """Velocity after the push, along the ground, within the limits of speed and turn."""
+    now = population.now
+    push = vec.flat(_read(population, "push"), up)
+    size = vec.length(push)
+    push = vec.scale(push, _F(1) / np.maximum(size, _F(1)))
+    before = vec.flat(_read(population, "velocity"), up)
+    max_speed = np.maximum(now["max_speed"], _F(0))
+    velocity = vec.add(before, vec.scale(push, _gain(now, max_speed, _F(world.dt), dt, substep)))
+    speed = vec.length(velocity)
+    velocity = vec.scale(velocity, np.where(speed > max_speed, max_speed / np.where(speed > 0, speed, _F(1)), _F(1)))
+    velocity = tuple(np.where(np.isfinite(v), v, _F(0)) for v in velocity)  # type: ignore[assignment]
+    turning = np.flatnonzero(np.isfinite(now["max_turn"]))
+    if len(turning):
+        _limit_turn(velocity, before, up, now["max_turn"], dt, turning)
+    return velocity
+
+
+def _gain(now: dict[str, NDArray], max_speed: NDArray[np.float32], step: np.float32, dt: np.float32, substep: int) -> NDArray[np.float32]:
+    """Change of velocity by a push of 1 in this substep, mm/s."""
+    per_second = now["max_force"] / now["mass"]
+    per_second = np.where(np.isfinite(per_second), per_second, _F(0))
+    at_once = now["response"] <= step * _F(1.0001)
+    return per_second * np.where(at_once, step if substep == 0 else _F(0), dt)
+
+
+def _limit_turn(velocity: Vector, before: Vector, up: Vector, max_turn: NDArray[np.float32], dt: np.float32, rows: NDArray[np.intp]) -> None:
+    """Turn the velocity by at most max_turn * dt, at its new speed; changes it in place."""
+    v, b, u = vec.take(velocity, rows), vec.take(before, rows), vec.take(up, rows)
+    speed, ahead = vec.length(v), vec.unit(b, vec.unit(v, vec.across(u)))
+    direction = vec.unit(v, ahead)
+    side = vec.unit(vec.flat(direction, ahead), vec.cross(u, ahead))
+    angle = kernels.atan2(vec.length(vec.cross(ahead, direction)), vec.dot(ahead, direction))
+    most = np.maximum(max_turn[rows], _F(0)) * dt
+    most = np.where(vec.length(b) > 0, most, _F(4))  # who stands may set out in any direction
+    turned = vec.add(vec.scale(ahead, kernels.cos(most)), vec.scale(side, kernels.sin(most)))
+    limited = vec.choose(angle > most, vec.scale(turned, speed), v)
+    for component, value in zip(velocity, limited, strict=True):
+        component[rows] = value
+
+
+def _face(population: Population, heading: Vector, velocity: Vector, up: Vector, dt: np.float32) -> Vector:
+    """Turn the heading towards the movement: exponentially within _HEADING_TIME, and no faster than max_turn."""
+    now = population.now
+    heading = vec.unit(vec.flat(heading, up), vec.across(up))
+    speed = vec.length(velocity)
+    direction = vec.unit(velocity, heading)
+    behind = vec.dot(heading, direction) < 0
+    if behind.any():  # over a right angle it turns towards its side first, instead of through itself
+        left = vec.cross(up, heading)
+        side = vec.unit(vec.flat(direction, heading), left)
+        direction = vec.choose(behind, vec.unit(vec.flat(side, up), left), direction)
+    share = _F(1.0 - float(kernels.exp(_F(-float(dt) / _HEADING_TIME))))
+    eager = np.minimum(speed / np.maximum(now["max_speed"] * _SLOW, _F(1e-6)), _F(1))
+    change = vec.scale(vec.sub(direction, heading), share * eager)
+    turn = now["max_turn"]
+    if np.isfinite(turn).any():
+        size = vec.length(change)
+        most = np.where(np.isfinite(turn), np.maximum(turn, _F(0)) * dt, np.inf).astype(np.float32)
+        change = vec.scale(change, np.where(size > most, most / np.where(size > 0, size, _F(1)), _F(1)))
+    return vec.unit(vec.flat(vec.add(heading, change), up), heading)

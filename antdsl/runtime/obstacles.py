@@ -1,0 +1,60 @@
+"""Obstacles are hard: a step that would bring an agent's centre into one is shortened, and what is left of it slides along."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime import vectors as vec
+from antdsl.runtime.vectors import Vector
+from antdsl.runtime.world import AXES, Population, World
+
+_F = np.float32
+_MARGIN = _F(0.5)  # of the radius: how near the centre comes to a face that it walks into
+
+
+def slide(world: World, population: Population, step: Vector, up: Vector, radius: NDArray[np.float32]) -> Vector:
+    """The step (mm) of every agent, bent along the obstacles in its way; up is the ground's."""
+    place: Vector = tuple(population.now[f"position.{axis}"] for axis in AXES)  # type: ignore[assignment]
+    for name in world.plan.obstacles:
+        if name in world.obstacles:
+            step = _along(world.obstacles[name], place, step, up, radius, world.options.threads)
+    return step
+
+
+def _along(scene: Any, place: Vector, step: Vector, up: Vector, radius: NDArray[np.float32], threads: int) -> Vector:
+    met, free, normal = _ahead(scene, place, step, radius, threads)
+    if not len(met):
+        return step
+    u, wanted = vec.take(up, met), vec.take(step, met)
+    size = vec.length(wanted)
+    wall = vec.unit(vec.flat(normal, u), normal)
+    part = free / size
+    rest = vec.scale(wanted, _F(1) - part)
+    into = np.minimum(vec.dot(rest, wall), _F(0))
+    bent = vec.add(vec.scale(wanted, part), vec.sub(rest, vec.scale(wall, into)))
+    # In a corner the way along one wall leads into the next: then it goes only as far as is free.
+    again, free, _ = _ahead(scene, vec.take(place, met), bent, radius[met], threads)
+    if len(again):
+        short = vec.take(bent, again)
+        short = vec.scale(short, free / vec.length(short))
+        for component, value in zip(bent, short, strict=True):
+            component[again] = value
+    result = tuple(component.copy() for component in step)
+    for component, value in zip(result, bent, strict=True):
+        component[met] = value
+    return result  # type: ignore[return-value]
+
+
+def _ahead(scene: Any, place: Vector, step: Vector, radius: NDArray[np.float32], threads: int) -> tuple[NDArray[np.intp], NDArray[np.float32], Vector]:
+    """Who meets a face on its step, how much of the step (mm) is free, and the face's normal."""
+    size = vec.length(step)
+    going = np.flatnonzero(size > _F(1e-9))
+    size, margin = size[going], (np.maximum(radius, _F(0)) * _MARGIN)[going]
+    direction = vec.scale(vec.take(step, going), _F(1) / size)
+    hits = scene.feelers(*vec.take(place, going), *direction, size + margin, threads=threads)
+    met = np.flatnonzero(hits.hit)
+    free = np.clip(hits.t[met] - margin[met], _F(0), size[met])
+    return going[met], free, (hits.nx[met], hits.ny[met], hits.nz[met])

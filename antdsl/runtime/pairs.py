@@ -1,0 +1,217 @@
+"""Sets as lists of pairs: which others or items each asking row has, and what is reduced over them.
+
+Pairs are sorted by the asking row. Every reduction gives the same bits whatever the order within a row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.plan import ir
+from antdsl.runtime import exact
+from antdsl.runtime.senses.neighbours import CellGrid
+from antdsl.runtime.world import AXES, Items, Population, World
+
+Floats = NDArray[np.float32]
+Index = NDArray[np.integer[Any]]
+NO_AGENT = np.int64(-1)
+NO_ITEM = np.int32(-1)
+MOST_PAIRS = 1 << 22  # of one chunk, where everybody is asked about everybody
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairRows:
+    """`i` counts the asking rows from 0, `j` is a row of `of`; `dx dy dz` other minus own, float32 mm, and its length."""
+
+    of: Population | Items
+    count: int  # asking rows
+    i: Index
+    j: Index
+    dx: Floats
+    dy: Floats
+    dz: Floats
+    distance: Floats
+
+    def pick(self, keep: NDArray[np.intp]) -> PairRows:
+        arrays = (a.take(keep) for a in (self.i, self.j, self.dx, self.dy, self.dz, self.distance))
+        return PairRows(self.of, self.count, *arrays)
+
+
+def find(world: World, population: Population, node: ir.Node, rows: Any, args: tuple[Any, ...]) -> PairRows:
+    """The pairs of a set for some rows (a slice or an array); `args` are the values of the set's operands."""
+    own = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
+    if node.op == "set.items":
+        return _items(world.items[node.attrs[0]], own, args[0])
+    other = world.populations[node.attrs[0]]
+    ids = population.ids[rows] if other is population else None
+    if node.op == "set.every":
+        return _every(other, own, ids)
+    radius, cosine = args
+    found = _near(world, other, own, ids, radius)
+    if node.attrs[1]:
+        return found
+    i = found.i
+    hx, hy, hz = (population.start[f"heading.{axis}"][rows].take(i) for axis in AXES)
+    ahead = (found.dx * hx + found.dy * hy) + found.dz * hz
+    least = (cosine if np.ndim(cosine) == 0 else cosine.take(i)) * found.distance
+    return found.pick(np.flatnonzero(ahead >= least))
+
+
+def _near(world: World, other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any) -> PairRows:
+    widest = float(np.max(radius, initial=0.0)) if np.size(radius) else 0.0
+    widest = widest if np.isfinite(widest) and widest > 0 else 1.0
+    key = (other.name, float(np.ceil(np.log2(widest))))
+    grid = world.grids.get(key)
+    if grid is None:
+        grid = CellGrid(*(other.start[f"position.{axis}"] for axis in AXES), other.ids, widest)
+        world.grids[key] = grid
+    p = grid.pairs(None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids)
+    return PairRows(other, len(own[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
+
+
+def _every(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairRows:
+    n, m = len(own[0]), len(other)
+    i, j = np.repeat(np.arange(n), m), np.tile(np.arange(m), n)
+    if ids is not None:
+        keep = np.flatnonzero(other.ids.take(j) != ids.take(i))
+        i, j = i.take(keep), j.take(keep)
+    dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own[k].take(i) for k, axis in enumerate(AXES))
+    return PairRows(other, n, i, j, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
+
+
+def _items(items: Items, own: tuple[Floats, ...], radius: Any) -> PairRows:
+    n = len(own[0])
+    parts: list[tuple[NDArray[Any], ...]] = []
+    for k in range(len(items)):
+        dx, dy, dz = (items.seen[axis][k] - place for axis, place in zip(AXES, own, strict=True))
+        distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
+        near = np.flatnonzero(distance <= radius)
+        if len(near) == n:
+            parts.append((np.arange(n), np.full(n, k), dx, dy, dz, distance))
+        elif len(near):
+            parts.append((near, np.full(len(near), k), dx.take(near), dy.take(near), dz.take(near), distance.take(near)))
+    if not parts:
+        empty = np.empty(0, np.float32)
+        return PairRows(items, n, np.empty(0, np.intp), np.empty(0, np.intp), empty, empty, empty, empty)
+    if len(parts) == 1:
+        return PairRows(items, n, *parts[0])
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    order = np.argsort(columns[0], kind="stable")
+    return PairRows(items, n, *(column.take(order) for column in columns))
+
+
+# --- reductions ------------------------------------------------------------------------------------------------------
+
+
+def _held(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.intp] | None]:
+    """Asking rows of the pairs that count, and which they are (None: all)."""
+    if np.ndim(condition) == 0:
+        return (pairs.i, None) if condition else (pairs.i[:0], np.empty(0, np.intp))
+    keep = np.flatnonzero(condition)
+    return (pairs.i, None) if len(keep) == len(pairs.i) else (pairs.i.take(keep), keep)
+
+
+def _body(pairs: PairRows, body: Any, keep: NDArray[np.intp] | None) -> Floats:
+    body = np.full(len(pairs.i), body) if np.ndim(body) == 0 else body
+    return body if keep is None else body.take(keep)
+
+
+def _sum(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
+    i, keep = _held(pairs, condition)
+    return exact.sums(i, _body(pairs, body, keep), int(node.attrs[0]), pairs.count)
+
+
+def _count(pairs: PairRows, node: ir.Node, condition: Any) -> Any:
+    return np.bincount(_held(pairs, condition)[0], minlength=pairs.count).astype(np.float32)
+
+
+def _any(pairs: PairRows, node: ir.Node, condition: Any) -> Any:
+    found = np.zeros(pairs.count, np.bool_)
+    found[_held(pairs, condition)[0]] = True
+    return found
+
+
+def _starts(i: Index) -> NDArray[np.intp]:
+    return np.flatnonzero(np.concatenate(([True], i[1:] != i[:-1])))
+
+
+def _least(i: Index, body: Floats, count: int) -> Floats:
+    """The least body of each row, NaN left out; inf for none."""
+    result = np.full(count, np.inf, np.float32)
+    if len(i):
+        starts = _starts(i)
+        result[i[starts]] = np.minimum.reduceat(np.where(body == body, body, np.float32(np.inf)) + np.float32(0), starts)
+    return result
+
+
+def _min(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
+    i, keep = _held(pairs, condition)
+    return _least(i, _body(pairs, body, keep), pairs.count)
+
+
+def _max(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
+    i, keep = _held(pairs, condition)
+    return -_least(i, -_body(pairs, body, keep), pairs.count) + np.float32(0)
+
+
+def _first(pairs: PairRows, condition: Any, body: Any, label: NDArray[Any], none: Any) -> Any:
+    """Label of the pair with the least body, the lesser label at a tie."""
+    result = np.full(pairs.count, none)
+    i, keep = _held(pairs, condition)
+    if not len(i):
+        return result
+    body = _body(pairs, body, keep)
+    label = label if keep is None else label.take(keep)
+    best = np.flatnonzero(body == _least(i, body, pairs.count).take(i))
+    if len(best):
+        i, label = i.take(best), label.take(best)
+        starts = _starts(i)
+        result[i[starts]] = np.minimum.reduceat(label, starts)
+    return result
+
+
+def _agent(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
+    assert isinstance(pairs.of, Population)
+    return _first(pairs, condition, body, pairs.of.ids.take(pairs.j), NO_AGENT)
+
+
+def _item(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
+    return _first(pairs, condition, body, pairs.j.astype(np.int32), NO_ITEM)
+
+
+REDUCTIONS: Mapping[str, Callable[..., Any]] = {
+    "reduce.sum": _sum,
+    "reduce.count": _count,
+    "reduce.any": _any,
+    "reduce.min": _min,
+    "reduce.max": _max,
+    "reduce.agent": _agent,
+    "reduce.item": _item,
+}
+
+
+def pair_leaf(pairs: PairRows, node: ir.Node) -> NDArray[Any]:
+    """A value of the other one or of the pair."""
+    match node.op:
+        case "pair.x":
+            return pairs.dx
+        case "pair.y":
+            return pairs.dy
+        case "pair.z":
+            return pairs.dz
+        case "pair.distance":
+            return pairs.distance
+        case "other.row":
+            return pairs.j.astype(np.int32)
+        case "other.id":
+            assert isinstance(pairs.of, Population)
+            return pairs.of.ids.take(pairs.j)
+        case "other":
+            source = pairs.of.start if isinstance(pairs.of, Population) else pairs.of.seen
+            return source[node.attrs[0]].take(pairs.j)
+    raise AssertionError(f"{node.op} is not of a pair")

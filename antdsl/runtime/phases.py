@@ -1,0 +1,133 @@
+"""The phases of one step, in order. The tuple PHASES is the definition of the order; the language reference draws it.
+
+Others, items and fields are read as they were when the step began (`start`, `seen`); what is written shows in the next step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from antdsl.plan.ir import Kind
+from antdsl.runtime import births, claims, faults, moving
+from antdsl.runtime.world import Population, World
+
+
+def sense(world: World) -> None:
+    """Forget what was sensed, show the items' amounts, find each agent's cells. Senses themselves run when first needed."""
+    world.grids.clear()
+    for items in world.items.values():
+        items.show()
+    for population in world.populations.values():
+        _own_cells(world, population)
+        for name, register in population.plan.registers.items():
+            if register.role == "temp":
+                population.now[name].fill(register.zero)
+    world.backend.begin(world)
+
+
+def _own_cells(world: World, population: Population) -> None:
+    if world.fields and len(population):
+        normals = population.vector("up")
+        population.cells = {name: field.lookup(population.position, normals) for name, field in world.fields.items()}
+
+
+def decide(world: World) -> None:
+    """Handlers, latches and transitions: what each agent would do."""
+    _run(world, "decide")
+
+
+def claim(world: World) -> None:
+    """Who gets what they asked for."""
+    claims.settle(world)
+
+
+def act(world: World) -> None:
+    """Transitions' actions, and the body of the state that one is in now."""
+    _run(world, "act")
+
+
+def blend(world: World) -> None:
+    """Layers: the wishes become one push."""
+    _run(world, "blend")
+    world.motion.faulted = faults.gather(world)
+
+
+def _run(world: World, block: str) -> None:
+    for population in world.populations.values():
+        if len(population):
+            world.backend.run(world, population, block)
+
+
+def effects(world: World) -> None:
+    """Events for the next step, gifts, deposits."""
+    births.raise_events(world)
+    claims.give(world)
+    for population in world.populations.values():
+        for entry in population.effects.deposits:
+            cells = population.cells[entry.field][entry.rows]
+            world.fields[entry.field].deposit(cells, entry.amount)
+        population.effects.deposits = []
+
+
+def fields(world: World) -> None:
+    """Deposits land; fields fade and spread."""
+    for name, field in world.fields.items():
+        keep, diffusion = world.field_rates[name]
+        field.step(keep, diffusion, world.dt)
+
+
+def move(world: World) -> None:
+    """Everybody moves, once a substep."""
+    with np.errstate(all="ignore"):
+        for substep in range(world.setting.substeps):
+            for population in world.populations.values():
+                moving.move(world, population, substep)
+
+
+def bear(world: World) -> None:
+    """The dead go, the new come."""
+    world.motion.observe(world)
+    births.deaths_and_births(world)
+
+
+def commit(world: World) -> None:
+    """What was written becomes what everybody sees."""
+    for population in world.populations.values():
+        _count_transitions(world, population)
+        for name, array in population.now.items():
+            if population.start[name] is not array:
+                np.copyto(population.start[name], array)
+        for name in population.events:
+            population.events[name], population.raised[name] = population.raised[name], population.events[name]
+            population.raised[name].fill(False)
+    world.frame += 1
+
+
+def _count_transitions(world: World, population: Population) -> None:
+    for machine in population.plan.machines:
+        name = f"{machine.name}.state"
+        if population.plan.registers[name].kind is not Kind.I32 or not len(population):
+            continue
+        before, after = population.start[name], population.now[name]
+        changed = np.flatnonzero(before != after)
+        if len(changed):
+            count = len(machine.states)
+            for pair, number in zip(*np.unique(before[changed] * count + after[changed], return_counts=True), strict=True):
+                key = f"{population.name}.{machine.states[pair // count]}->{machine.states[pair % count]}"
+                world.transitions[key] = world.transitions.get(key, 0) + int(number)
+
+
+PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
+    ("sense", sense),  # first: nothing sensed in the last step holds any more
+    ("decide", decide),
+    ("claim", claim),  # before acting: only winners change state
+    ("act", act),
+    ("blend", blend),  # after acting: the new state steers at once
+    ("effects", effects),  # after every read of this step
+    ("fields", fields),  # deposits land, then fade: what is laid at t has faded once at t+1
+    ("move", move),
+    ("births", bear),  # after moving: a child starts where its parent is now
+    ("commit", commit),
+)

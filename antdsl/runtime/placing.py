@@ -1,0 +1,133 @@
+"""Where agents start: on the ground, outside of obstacles. A place is a function of (seed, species, id), so more agents move nobody."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime import kernels, randomness
+from antdsl.runtime import vectors as vec
+from antdsl.runtime.births import come_alive
+from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows
+from antdsl.scene.setting import MeshData, PlaceData
+
+_TRIES = 12  # a place beside the ground or in an obstacle is drawn again
+_FRAME = 0  # placement belongs to no frame
+_TURN = np.float32(2 * np.pi)
+
+
+def populate(world: World) -> None:
+    """Put all crowds into the world; ids in the order of the scene's lines."""
+    counted: dict[str, int] = {}
+    for crowd in world.setting.crowds:
+        population = world.populations[crowd.species]
+        ids = np.arange(counted.get(crowd.species, 0), counted.get(crowd.species, 0) + crowd.count)
+        counted[crowd.species] = population.next_id = int(crowd.count + (ids[0] if len(ids) else population.next_id))
+        if not len(ids):
+            continue
+        footing = _footing(world, crowd.species, crowd.place, ids)
+        rows = add_rows(population, ids, world.frame, world.ground.position(footing), footing)
+        population.now["group"][rows] = crowd.group
+    alive = [population for population in world.populations.values() if len(population)]
+    for population in alive:
+        _shuffle(world, population)
+        _stand(world, population)
+    for population in alive:
+        come_alive(world, population, np.arange(len(population)))
+        _set_out(world, population)
+
+
+def _draw(world: World, species: str, index: int, ids: NDArray[np.int64], site: str = "place") -> NDArray[np.float32]:
+    return randomness.uniform(world.setting.seed, _FRAME, species, site, index, ids)
+
+
+def _footing(world: World, species: str, place: PlaceData, ids: NDArray[np.int64]) -> Any:
+    """Footings for new agents, drawn until they are on the ground and in no obstacle."""
+    on = place.on or None
+    points = _points(world, species, place, ids, 0)
+    footing, found = world.ground.place(points, world.up, on)
+    for attempt in range(1, _TRIES):
+        poor = np.flatnonzero(~found | inside_obstacle(world, world.ground.position(footing)))
+        if place.points is not None or not len(poor):
+            break
+        again, good = world.ground.place(_points(world, species, place, ids[poor], attempt), world.up, on)
+        for name in type(footing).__dataclass_fields__:
+            getattr(footing, name)[poor] = getattr(again, name)
+        found = found.copy()
+        found[poor] = good
+    return footing
+
+
+def _points(world: World, species: str, place: PlaceData, ids: NDArray[np.int64], attempt: int) -> NDArray[np.float64]:
+    """Wanted places (n, 3), to be dropped onto the ground."""
+    if place.points is not None and len(place.points):
+        return np.asarray(place.points, np.float64)[ids % len(place.points)] - world.origin
+    u, v, w = (_draw(world, species, 4 * attempt + k, ids) for k in range(3))
+    if place.around is not None or not world.setting.surfaces:
+        middle = np.zeros(3) if place.around is None else np.asarray(place.around, np.float64) - world.origin
+        radius = 100.0 if place.radius is None else place.radius
+        away, angle = np.sqrt(u).astype(np.float64) * radius, v * _TURN
+        up = tuple(np.full(len(ids), c) for c in world.up)
+        side = vec.across(up)
+        ahead = vec.cross(up, side)
+        disc = vec.add(vec.scale(side, away * kernels.cos(angle)), vec.scale(ahead, away * kernels.sin(angle)))
+        return middle + vec.rows(disc)
+    meshes = [world.setting.surfaces[name] for name in (place.on or tuple(world.setting.surfaces))]
+    return _on_faces(meshes, u, v, w) - world.origin
+
+
+def _on_faces(meshes: list[MeshData], u: NDArray[np.float32], v: NDArray[np.float32], w: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Points spread evenly over the area of some meshes."""
+    corners = np.concatenate([m.vertices[m.faces] for m in meshes])
+    edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = vec.cross(vec.columns(edge, np.float64), vec.columns(other, np.float64))
+    area = np.cumsum(vec.length(normal))
+    face = np.minimum(np.searchsorted(area, u.astype(np.float64) * area[-1], side="right"), len(area) - 1)
+    fold = v + w > 1
+    a, b = np.where(fold, 1 - v, v), np.where(fold, 1 - w, w)
+    return corners[face, 0] + a[:, None] * edge[face] + b[:, None] * other[face]
+
+
+def inside_obstacle(world: World, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether points lie in an obstacle: the first face above them shows its back."""
+    found = np.zeros(len(points), np.bool_)
+    up = np.broadcast_to(world.up, points.shape)
+    for name in world.plan.obstacles:
+        mesh = world.setting.obstacles.get(name)
+        if mesh is None or not len(mesh.faces):
+            continue
+        hits = world.obstacles[name].cast(points, up)
+        corners = mesh.vertices[mesh.faces[np.maximum(hits.face, 0)]]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        found |= hits.hit & ((normal * up).sum(axis=1) > 0)
+    return found
+
+
+def _shuffle(world: World, population: Population) -> None:
+    if world.options.shuffle_rows is not None:
+        select_rows(population, np.random.default_rng(world.options.shuffle_rows).permutation(len(population)))
+
+
+def _stand(world: World, population: Population) -> None:
+    """Up from the ground, and a heading drawn around it; at rest."""
+    up = vec.columns(world.ground.upright(population.footing, world.up), np.float32)
+    angle = _draw(world, population.name, 0, population.ids, "heading") * _TURN
+    side = vec.across(up)
+    ahead = vec.cross(up, side)
+    heading = vec.add(vec.scale(side, kernels.cos(angle)), vec.scale(ahead, kernels.sin(angle)))
+    for k, axis in enumerate(AXES):
+        for name, value in (("position", population.position[:, k]), ("up", up[k]), ("heading", heading[k])):
+            population.now[f"{name}.{axis}"][:] = value
+            population.start[f"{name}.{axis}"][:] = value
+
+
+def _set_out(world: World, population: Population) -> None:
+    """A drawn share of full speed along the heading (T02), for those who were not given a velocity at birth."""
+    velocity = [population.now[f"velocity.{axis}"] for axis in AXES]
+    standing = (velocity[0] == 0) & (velocity[1] == 0) & (velocity[2] == 0)
+    speed = population.now["max_speed"] * _draw(world, population.name, 1, population.ids, "heading")
+    for axis, v in zip(AXES, velocity, strict=True):
+        v[standing] = (population.now[f"heading.{axis}"] * speed)[standing]
+        population.start[f"velocity.{axis}"][:] = v

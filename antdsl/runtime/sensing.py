@@ -1,0 +1,179 @@
+"""What an agent can sense of the world, one function an operation of the plan, for any number of rows at once.
+
+Both backends ask here for draws, rays, fields, curves, items and other agents; how sets are found and reduced is their own.
+Arguments are arrays of one length with the rows, or single values; results are arrays of that length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.plan import ir
+from antdsl.runtime import randomness
+from antdsl.runtime.world import AXES, DTYPES, Population, World
+
+Value = Any
+Rows = Any  # a slice, or an array of rows
+TINY = np.float32(1e-30)
+
+
+def uniform_leaf(world: World, node: ir.Node) -> Value:
+    """A constant, a param or a value of the run or step, as one NumPy scalar."""
+    match node.op:
+        case "const":
+            return np.float32(node.attrs[0])
+        case "const.bool":
+            return np.bool_(node.attrs[0])
+        case "const.i32":
+            return np.int32(node.attrs[0])
+        case "const.i64":
+            return np.int64(node.attrs[0])
+        case "param":
+            return world.params[node.attrs[0]]
+        case "step":
+            return np.float32(world.frame * world.dt if node.attrs[0] == "time" else world.frame)
+        case "run":
+            name = node.attrs[0]
+            if name.startswith("up_"):
+                return np.float32(world.up[AXES.index(name[-1])])
+            return np.float32(world.dt if name == "dt" else world.setting.unit_mm)
+    raise AssertionError(f"{node.op} is not a value of the run")
+
+
+def _size(rows: Rows) -> int:
+    return rows.stop - rows.start if isinstance(rows, slice) else len(rows)
+
+
+def _spread(value: Value, rows: Rows) -> NDArray[Any]:
+    """One value for each row."""
+    return np.full(_size(rows), value) if np.ndim(value) == 0 else value
+
+
+def _place(world: World, population: Population, rows: Rows) -> tuple[NDArray[np.float32], ...]:
+    return tuple(population.start[f"position.{axis}"][rows] for axis in AXES)
+
+
+def _id(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+    return population.ids[rows]
+
+
+def _age(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+    return ((world.frame - population.born[rows]) * world.dt).astype(np.float32)
+
+
+def _draw(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+    site, index = node.attrs
+    return randomness.uniform(world.setting.seed, world.frame, population.name, site, index, population.ids[rows])
+
+
+def _draw_agent(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+    site, species = node.attrs
+    word = randomness.words(world.setting.seed, world.frame, population.name, site, 0, population.ids[rows])[0]
+    return world.populations[species].nth_id(word)
+
+
+def _event(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+    flags = population.events.get(node.attrs[0])
+    return np.zeros(_size(rows), np.bool_) if flags is None else flags[rows]
+
+
+def _surface_touching(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+    return population.footing.mesh[rows] == world.surface_index.get(node.attrs[0], -1)
+
+
+def _agent_get(world: World, population: Population, node: ir.Node, rows: Rows, ids: Value) -> Value:
+    species, register = node.attrs
+    other = world.populations[species]
+    at = other.rows_of(_spread(ids, rows))
+    source = other.start[register]
+    found = at >= 0
+    return np.where(found, source[np.where(found, at, 0)], source.dtype.type(0)) if len(source) else np.zeros(len(at), source.dtype)
+
+
+def _agent_alive(world: World, population: Population, node: ir.Node, rows: Rows, ids: Value) -> Value:
+    return world.populations[node.attrs[0]].rows_of(_spread(ids, rows)) >= 0
+
+
+def _item_get(world: World, population: Population, node: ir.Node, rows: Rows, item: Value) -> Value:
+    items, attribute = node.attrs
+    source = world.items[items].seen[attribute]
+    item = _spread(item, rows)
+    found = (item >= 0) & (item < len(source))
+    return np.where(found, source[np.where(found, item, 0)], np.float32(0)) if len(source) else np.zeros(len(item), np.float32)
+
+
+def _item_alive(world: World, population: Population, node: ir.Node, rows: Rows, item: Value) -> Value:
+    item = _spread(item, rows)
+    return (item >= 0) & (item < len(world.items[node.attrs[0]]))
+
+
+def _ray(world: World, population: Population, node: ir.Node, rows: Rows, dx: Value, dy: Value, dz: Value, reach: Value) -> Value:
+    dx, dy, dz, reach = (_spread(v, rows) for v in (dx, dy, dz, reach))
+    n = len(dx)
+    size = np.sqrt((dx * dx + dy * dy) + dz * dz)
+    good = np.flatnonzero((size > TINY) & (size < np.inf) & (reach > 0) & (reach < np.inf))
+    hit, distance = np.zeros(n, np.bool_), np.full(n, np.inf, np.float32)
+    normal = np.zeros((3, n), np.float32)
+    if len(good):
+        x, y, z = (v[good] for v in _place(world, population, rows))
+        size = size[good]
+        met = world.obstacles[node.attrs[0]].feelers(
+            x, y, z, dx[good] / size, dy[good] / size, dz[good] / size, reach[good], threads=world.options.threads
+        )
+        hit[good], distance[good] = met.hit, met.t
+        normal[:, good] = met.nx, met.ny, met.nz
+    return hit, distance, *normal
+
+
+def _obstacle_near(world: World, population: Population, node: ir.Node, rows: Rows, reach: Value) -> Value:
+    reach = _spread(reach, rows)
+    x, y, z = _place(world, population, rows)
+    found = world.obstacles[node.attrs[0]].near(x, y, z, reach, threads=world.options.threads)
+    return found.hit, found.t, found.nx, found.ny, found.nz
+
+
+def _field_value(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+    return world.fields[node.attrs[0]].sample(population.cells[node.attrs[0]][rows])
+
+
+def _field_strongest(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+    field, count = node.attrs
+    value, *place = world.fields[field].strongest(population.cells[field][rows], int(count))
+    nothing = ~(value > 0)
+    return value, *(np.where(nothing, own, there) for own, there in zip(_place(world, population, rows), place, strict=True))
+
+
+def _field_gradient(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+    return tuple(world.fields[node.attrs[0]].gradient(population.cells[node.attrs[0]][rows]))
+
+
+def _curve_closest(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+    return tuple(world.curves[node.attrs[0]].closest(*_place(world, population, rows)))
+
+
+SENSES: Mapping[str, Callable[..., Value]] = {
+    "id": _id,
+    "age": _age,
+    "draw": _draw,
+    "draw.agent": _draw_agent,
+    "event": _event,
+    "surface.touching": _surface_touching,
+    "agent.get": _agent_get,
+    "agent.alive": _agent_alive,
+    "item.get": _item_get,
+    "item.alive": _item_alive,
+    "ray": _ray,
+    "obstacle.near": _obstacle_near,
+    "field.value": _field_value,
+    "field.strongest": _field_strongest,
+    "field.gradient": _field_gradient,
+    "curve.closest": _curve_closest,
+}
+
+
+def zero_of(kind: ir.Kind) -> Value:
+    return DTYPES[kind](0)

@@ -1,0 +1,21 @@
+"""One step: all phases in their order, each with its time."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+from antdsl.runtime.faults import FaultStop
+from antdsl.runtime.phases import PHASES
+from antdsl.runtime.world import World
+
+
+def step(world: World) -> None:
+    """Go on by one frame. Raises FaultStop after a whole step in which a value was at fault, if the options say `stop`."""
+    started = perf_counter()
+    for name, phase in PHASES:
+        phase(world)
+        ended = perf_counter()
+        world.timings[name] = world.timings.get(name, 0.0) + ended - started
+        started = ended
+    if world.motion.faulted and world.options.on_fault == "stop":
+        raise FaultStop(world.faults.told[-1])

@@ -1,0 +1,74 @@
+"""Vectors as three arrays. Sums of three products are added in one fixed order, so that every machine gives the same bits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Vector = tuple[Array, Array, Array]
+
+
+def dot(a: Vector, b: Vector) -> Array:
+    return (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def add(a: Vector, b: Vector) -> Vector:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def sub(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def scale(a: Vector, s: Any) -> Vector:
+    return a[0] * s, a[1] * s, a[2] * s
+
+
+def length(a: Vector) -> Array:
+    return np.sqrt(dot(a, a))
+
+
+def choose(condition: Array, a: Vector, b: Vector) -> Vector:
+    return np.where(condition, a[0], b[0]), np.where(condition, a[1], b[1]), np.where(condition, a[2], b[2])
+
+
+def take(a: Vector, rows: Any) -> Vector:
+    return a[0][rows], a[1][rows], a[2][rows]
+
+
+def flat(a: Vector, up: Vector) -> Vector:
+    """The part of a across the unit vector up."""
+    return sub(a, scale(up, dot(a, up)))
+
+
+def unit(a: Vector, otherwise: Vector) -> Vector:
+    """Length 1, or another vector where there is no direction."""
+    size = length(a)
+    good = (size > 1e-12) & np.isfinite(size)
+    return choose(good, scale(a, 1 / np.where(good, size, 1)), otherwise)
+
+
+def across(up: Vector) -> Vector:
+    """Some unit vector across a unit vector."""
+    steep = np.abs(up[0]) > 0.9
+    zero, one = np.zeros_like(up[0]), np.ones_like(up[0])
+    axis = choose(steep, (zero, one, zero), (one, zero, zero))
+    side = flat(axis, up)
+    return scale(side, 1 / length(side))
+
+
+def columns(a: NDArray[Any], dtype: Any) -> Vector:
+    """(n, 3) as three arrays."""
+    return tuple(np.ascontiguousarray(a[:, k], dtype) for k in range(3))  # type: ignore[return-value]
+
+
+def rows(a: Vector) -> NDArray[np.float64]:
+    """Three arrays as float64 (n, 3)."""
+    return np.stack(a, axis=1).astype(np.float64)

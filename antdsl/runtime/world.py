@@ -1,0 +1,238 @@
+"""The only thing that changes: agents, items and fields of a running simulation, as arrays.
+
+Registers are one array each, float32 unless the plan says otherwise; positions are kept in float64 as well.
+`start` holds what everybody sees of the step before, `now` what an agent has written in this one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.plan import ir
+from antdsl.runtime.effects import Effects
+from antdsl.scene.setting import Setting
+
+if TYPE_CHECKING:
+    from antdsl.runtime.faults import FaultLog
+    from antdsl.runtime.motion import Motion
+
+DTYPES: Mapping[ir.Kind, Any] = {ir.Kind.F32: np.float32, ir.Kind.BOOL: np.bool_, ir.Kind.I32: np.int32, ir.Kind.I64: np.int64}
+AXES = ("x", "y", "z")
+MOVED = tuple(f"{name}.{axis}" for name in ("position", "velocity", "heading", "up") for axis in AXES)
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to run; nothing here changes a result, only `on_fault` says what follows a fault.
+
+    `shuffle_rows` puts the agents into rows in a random order; `chunk` is the number of rows worked on at once."""
+
+    backend: Literal["numpy", "reference"] = "numpy"
+    chunk: int = 16_384
+    threads: int = 1
+    shuffle_rows: int | None = None
+    on_fault: Literal["stop", "quarantine"] = "stop"
+
+
+@dataclass(slots=True, eq=False)
+class Items:
+    """Items of one name. `amounts` float64 hold what is conserved; `seen` float32 is what agents read, as of the step's start."""
+
+    name: str
+    names: tuple[str, ...]
+    position: NDArray[np.float64]
+    amounts: dict[str, NDArray[np.float64]]
+    seen: dict[str, NDArray[np.float32]]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def show(self) -> None:
+        """Let the agents see the amounts as they are now."""
+        for name, amount in self.amounts.items():
+            self.seen[name] = amount.astype(np.float32)
+
+
+@dataclass(slots=True, eq=False)
+class Population:
+    """All living agents of one species, one row each; the row is not observable."""
+
+    plan: ir.SpeciesPlan
+    ids: NDArray[np.int64]
+    born: NDArray[np.int64]  # frame of birth
+    quarantined: NDArray[np.bool_]
+    start: dict[str, NDArray[Any]]
+    now: dict[str, NDArray[Any]]
+    position: NDArray[np.float64]  # (n, 3) mm
+    footing: Any
+    events: dict[str, NDArray[np.bool_]]
+    raised: dict[str, NDArray[np.bool_]]  # to be seen in the next step
+    cells: dict[str, NDArray[np.int32]] = field(default_factory=dict)  # field -> own cell
+    effects: Effects = field(default_factory=Effects)
+    version: int = 0  # changes whenever rows do
+    next_id: int = 0
+    _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
+
+    @property
+    def name(self) -> str:
+        return self.plan.name
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def _sorted_ids(self) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+        if self._rows is None or self._rows[0] != self.version:
+            order = np.argsort(self.ids, kind="stable")
+            self._rows = (self.version, self.ids[order], order)
+        return self._rows[1], self._rows[2]
+
+    def rows_of(self, ids: NDArray[np.int64]) -> NDArray[np.intp]:
+        """Rows of ids; -1 for none and for the dead."""
+        known, order = self._sorted_ids()
+        if not len(known):
+            return np.full(np.shape(ids), -1, np.intp)
+        at = np.minimum(np.searchsorted(known, ids), len(known) - 1)
+        return np.where(known[at] == ids, order[at], -1)
+
+    def in_id_order(self) -> NDArray[np.intp]:
+        """Rows sorted by id."""
+        return self._sorted_ids()[1]
+
+    def nth_id(self, share: NDArray[np.uint64]) -> NDArray[np.int64]:
+        """Of the living, evenly, for a 32-bit random word each; -1 when none lives."""
+        known, _ = self._sorted_ids()
+        if not len(known):
+            return np.full(np.shape(share), -1, np.int64)
+        return known[((share * np.uint64(len(known))) >> np.uint64(32)).astype(np.intp)]
+
+    def vector(self, name: str, *, now: bool = True) -> NDArray[np.float64]:
+        """Three registers as float64 (n, 3)."""
+        source = self.now if now else self.start
+        return np.stack([source[f"{name}.{axis}"] for axis in AXES], axis=1).astype(np.float64)
+
+    def set_vector(self, name: str, value: NDArray[np.float64]) -> None:
+        for k, axis in enumerate(AXES):
+            self.now[f"{name}.{axis}"][:] = value[:, k]
+
+
+@dataclass(slots=True, eq=False)
+class World:
+    """A bound plan under way. `frame` is the number of the step that comes next; `origin` (mm) was taken from all positions at
+    binding, so that float32 loses nothing far from the scene's zero."""
+
+    plan: ir.Plan
+    setting: Setting
+    options: Options
+    up: NDArray[np.float64]
+    origin: NDArray[np.float64]
+    frame: int
+    params: dict[str, np.float32]
+    populations: dict[str, Population]
+    items: dict[str, Items]
+    fields: dict[str, Any]
+    field_rates: dict[str, tuple[np.float32, float]]  # factor a step, diffusion in mm2/s
+    obstacles: dict[str, Any]  # RayScene by name, surfaces too
+    curves: dict[str, Any]
+    ground: Any
+    surface_index: dict[str, int]
+    backend: Any
+    faults: FaultLog
+    motion: Motion
+    timings: dict[str, float] = field(default_factory=dict)  # seconds by phase, all steps together
+    grids: dict[tuple[str, float], Any] = field(default_factory=dict)  # of this step
+    transitions: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def dt(self) -> float:
+        return self.setting.dt
+
+    def __len__(self) -> int:
+        return sum(len(p) for p in self.populations.values())
+
+
+def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
+    """Registers that some block or phase may change after birth."""
+    found = set(MOVED)
+    pending: list[ir.Block] = [plan.decide, plan.act, plan.blend]
+    while pending:
+        for statement in pending.pop().statements:
+            if isinstance(statement, ir.If):
+                pending.append(statement.then)
+            elif isinstance(statement, ir.Store):
+                found.add(statement.register)
+            elif isinstance(statement, ir.Claim):
+                found.update(name for name in (statement.won, statement.own) if name)
+            elif isinstance(statement, ir.Give):
+                found.add(statement.own)
+    return frozenset(found)
+
+
+def empty_population(plan: ir.SpeciesPlan, ground: Any) -> Population:
+    """A species without agents; `grow` adds rows."""
+    now = {name: np.empty(0, DTYPES[r.kind]) for name, r in plan.registers.items()}
+    stored = stored_registers(plan)
+    start = {
+        name: np.empty(0, array.dtype) if name in stored and plan.registers[name].role != "temp" else array
+        for name, array in now.items()
+    }
+    events = {name: np.empty(0, np.bool_) for name in plan.handles}
+    return Population(
+        plan=plan,
+        ids=np.empty(0, np.int64),
+        born=np.empty(0, np.int64),
+        quarantined=np.empty(0, np.bool_),
+        start=start,
+        now=now,
+        position=np.empty((0, 3)),
+        footing=ground.place(np.empty((0, 3)), None)[0],
+        events=events,
+        raised={name: array.copy() for name, array in events.items()},
+    )
+
+
+def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
+    """Keep these rows, in this order."""
+    for name in ("ids", "born", "quarantined", "position"):
+        setattr(population, name, getattr(population, name)[rows])
+    population.footing = _footing(lambda array: array[rows], population.footing)
+    for table in (population.events, population.raised, population.cells):
+        for name, array in table.items():
+            table[name] = array[rows]
+    _remake(population, lambda array, _: array[rows])
+
+
+def add_rows(population: Population, ids: NDArray[np.int64], frame: int, position: NDArray[np.float64], footing: Any) -> slice:
+    """Append agents with every register at its zero; gives their rows."""
+    old, count = len(population), len(ids)
+    population.ids = np.concatenate([population.ids, ids])
+    population.born = np.concatenate([population.born, np.full(count, frame, np.int64)])
+    population.quarantined = np.concatenate([population.quarantined, np.zeros(count, np.bool_)])
+    population.position = np.concatenate([population.position, position])
+    population.footing = _footing(lambda a, b: np.concatenate([a, b]), population.footing, footing)
+    for table in (population.events, population.raised):
+        for name, array in table.items():
+            table[name] = np.concatenate([array, np.zeros(count, np.bool_)])
+    population.cells.clear()
+    zeros = population.plan.registers
+    _remake(population, lambda array, name: np.concatenate([array, np.full(count, zeros[name].zero, array.dtype)]))
+    return slice(old, old + count)
+
+
+def _footing(change: Any, *footings: Any) -> Any:
+    """A footing made of others, array by array; whatever ground it is on."""
+    names = [f.name for f in fields(footings[0])]
+    return type(footings[0])(*(change(*(getattr(f, name) for f in footings)) for name in names))
+
+
+def _remake(population: Population, change: Any) -> None:
+    """Change every register array; those that share one array at start and now still do."""
+    for name, array in population.now.items():
+        shared = population.start[name] is array
+        population.now[name] = change(array, name)
+        population.start[name] = population.now[name] if shared else change(population.start[name], name)
+    population.version += 1
