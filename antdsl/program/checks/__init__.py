@@ -1,0 +1,27 @@
+"""Checks that look at a whole program once its types are known. A new check is one file and one entry here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from antdsl.diagnostics import Report
+from antdsl.program.checks.checked import Checked
+from antdsl.program.checks.empty import empty
+from antdsl.program.checks.events import events
+from antdsl.program.checks.layering import layering
+from antdsl.program.checks.reachability import reachability
+from antdsl.program.checks.shadowed import shadowed
+from antdsl.program.checks.unused import unused
+from antdsl.program.checks.writers import writers
+
+CHECKS: tuple[Callable[[Checked, Report], None], ...] = (
+    empty,  # a file that does nothing says so before anything else is looked for in it
+    reachability,  # states that nothing leads to, and that nothing leads out of
+    shadowed,  # changes that can never be looked at
+    writers,  # two machines that set the same attribute
+    layering,  # what the states steer must have its line
+    events,  # raised and never noticed, noticed and never raised
+    unused,  # last: it only makes sense of what is otherwise right
+)
+
+__all__ = ["CHECKS", "Checked"]

@@ -1,0 +1,22 @@
+"""Events that nobody notices, and handlers of events that nobody raises."""
+
+from __future__ import annotations
+
+from antdsl.diagnostics import Report
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.checks.checked import Checked
+
+
+def events(checked: Checked, report: Report) -> None:
+    declared = checked.declared
+    if any(species.node is None for species in declared.species.values()):
+        return  # a species of another file may raise or notice what this one does not
+    for event, span in declared.events.items():
+        raised = checked.uses("emit", event)
+        noticed = checked.uses("on", event) or checked.uses("event", event)
+        others = [name for name in declared.events if name != event]
+        near = nearest_name(event, others)
+        if raised and not noticed:
+            report.warning("unheard-event", f"nobody notices the event `{event}`", span, f"did you mean `{near}`?" if near else f"write `on {event} {{ … }}`, or ask for it: `when {event} -> …`")
+        elif noticed and not raised:
+            report.warning("silent-event", f"nobody raises the event `{event}`", span, f"did you mean `{near}`?" if near else f"write `emit {event}(within: 20 mm)` where it happens")

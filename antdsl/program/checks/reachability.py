@@ -1,0 +1,45 @@
+"""States that no change leads to, and states that no change leads out of."""
+
+from __future__ import annotations
+
+from antdsl.diagnostics import Report
+from antdsl.program.checks.checked import Checked
+from antdsl.program.model import Die, Machine, Program, State
+
+
+def reachability(checked: Checked, report: Report) -> None:
+    for species in checked.program.species.values():
+        for machine in species.machines:
+            reached = _reached(machine)
+            for state in machine.states:
+                if state.index not in reached:
+                    _unreachable(machine, state, report)
+                elif len(machine.states) > 1 and _stuck(checked.program, state):
+                    report.warning(
+                        "trap", f"nothing leads out of state `{state.name}`", state.span,
+                        f"write `when … -> {machine.states[machine.start].name}` in it, or `die` if the animal leaves",
+                    )  # fmt: skip
+
+
+def _reached(machine: Machine) -> set[int]:
+    """States that can be come to from the start. `previous` leads only to where one has been."""
+    reached: set[int] = set()
+    stack = [machine.start]
+    while stack:
+        index = stack.pop()
+        if index in reached or index >= len(machine.states):
+            continue
+        reached.add(index)
+        for change in machine.states[index].transitions:
+            stack += [change.target] if change.target is not None else [choice for choice, _ in change.choices]
+    return reached
+
+
+def _unreachable(machine: Machine, state: State, report: Report) -> None:
+    start = machine.states[machine.start].name
+    report.warning("unreachable-state", f"no change leads to state `{state.name}`", state.span, f"write `when … -> {state.name}` in state `{start}` or another, or delete it")
+
+
+def _stuck(program: Program, state: State) -> bool:
+    leaves = any(isinstance(line, Die) for line in (*state.body, *state.enter))
+    return not state.transitions and not leaves

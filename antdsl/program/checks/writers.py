@@ -1,0 +1,37 @@
+"""One attribute, one writer: two machines side by side may both add to an attribute, but not both set it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from antdsl.diagnostics import Label, Report
+from antdsl.program.checks.checked import Checked
+from antdsl.program.model import Assign, Machine
+from antdsl.source import Span
+
+
+def writers(checked: Checked, report: Report) -> None:
+    for species in checked.program.species.values():
+        first: dict[str, tuple[Machine, Span, bool]] = {}
+        for machine in species.machines:
+            for name, span, sets in _writes(machine):
+                known = first.get(name)
+                if known is None or known[0] is machine:
+                    first[name] = (machine, span, sets or (known is not None and known[2]))
+                    continue
+                if sets or known[2]:
+                    report.error(
+                        "two-writers", f"machines `{known[0].name}` and `{machine.name}` both write `{name}`, in the same step", span,
+                        f"let one machine write it, or only add in both: `{name} += …`", labels=(Label(known[1], "the other one"),),
+                    )  # fmt: skip
+                    break
+
+
+def _writes(machine: Machine) -> Iterator[tuple[str, Span, bool]]:
+    """Attributes that a machine writes, and whether it sets them or only adds."""
+    for state in machine.states:
+        blocks = [state.body, state.enter, state.exit, *(change.actions for change in state.transitions)]
+        for block in blocks:
+            for line in block:
+                if isinstance(line, Assign) and line.of is None:
+                    yield line.attribute, line.span, line.op == "="

@@ -1,0 +1,61 @@
+"""Arithmetic on constants before anything runs, so that `1.5 * 40 mm` is a plain value, with the slips that only constants can show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from antdsl.diagnostics import Report
+from antdsl.program.model import Const, Expr, Local, Op, Rate, Type
+
+_LIMIT = 3.0e38  # beyond this a float32 is endless
+
+_SAME: dict[str, Callable[[float, float], float]] = {"add": lambda a, b: a + b, "sub": lambda a, b: a - b}
+
+
+def fold(report: Report, op: Op) -> Expr:
+    """The operation, or the constant that it comes to. Complains about a division by 0 and a number too large to keep."""
+    values = [constant_behind(arg) if arg is not None else None for arg in op.args]
+    if op.name == "div" and len(values) == 2 and values[1] is not None and values[1].number == 0:
+        report.error("division-by-zero", "this divides by 0", op.span, "divide by something that is never 0")
+        return op
+    if op.name == "sqrt" and values[0] is not None and values[0].number < 0:
+        report.error("root-of-negative", "the root of a number below 0 does not exist", op.span, "take the root of `abs(…)`")
+        return op
+    folded = _folded(op, [v for v in values if v is not None]) if all(values) else None
+    if folded is None:
+        return op
+    if not math.isfinite(folded.number) or abs(folded.number) > _LIMIT:
+        report.error("number-too-large", "this comes to a number that is too large to keep", op.span, "write a smaller number")
+        return op
+    return folded
+
+
+def _folded(op: Op, values: list[Const]) -> Const | None:
+    try:
+        if op.name == "neg":
+            return _const(op, -values[0].number, values[0].u, values[0].step)
+        a, b = values
+        if op.name in _SAME and (a.u, a.step) == (b.u, b.step):
+            return _const(op, _SAME[op.name](a.number, b.number), a.u, a.step)
+        if op.name == "mul":
+            return _const(op, a.number * b.number, a.u + b.u, a.step + b.step)
+        if op.name == "div":
+            return _const(op, a.number / b.number, a.u - b.u, a.step - b.step)
+        if op.name == "pow" and not (b.u or b.step) and (a.number > 0 or b.number == int(b.number)):
+            return _const(op, a.number**b.number, a.u * b.number, a.step * b.number)
+    except (ValueError, OverflowError, ZeroDivisionError):
+        return _const(op, math.inf, 0, 0)
+    return None
+
+
+def _const(op: Op, value: float, u: float, step: float) -> Const:
+    type: Type = op.type
+    return Const(type, Rate.RUN if u or step else Rate.CONST, op.span, value, u, step)
+
+
+def constant_behind(expr: Expr) -> Const | None:
+    """The constant that an expression is, also through the argument of a behaviour; None where there is none."""
+    while isinstance(expr, Local) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
+        expr = expr.binding.value
+    return expr if isinstance(expr, Const) else None

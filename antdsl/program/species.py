@@ -1,0 +1,348 @@
+"""A species: params, attributes, lets and latches with their types, then handlers, machines and layers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from antdsl import limits
+from antdsl.diagnostics import Label
+from antdsl.program import model
+from antdsl.program.behaviours import declared_type
+from antdsl.program.collect import EVENTS, free_in_species
+from antdsl.program.defaults import node_of
+from antdsl.program.expressions import referable
+from antdsl.program.folding import constant_behind
+from antdsl.program.machines import machine
+from antdsl.program.model import Binding, Const, Dim, Expr, Kind, Rate, Type
+from antdsl.program.operators import condition, value, wanted
+from antdsl.program.ordering import ordered
+from antdsl.program.scope import BAD, BOOL, PUSH, TIME, Declared, FileNames, Keys, Scope, SpeciesNames, bad, did_you_mean, duplicate, type_from_words
+from antdsl.program.statements import ACTION, HANDLER, statements
+from antdsl.program.units import unit_spelling
+from antdsl.program.vocabulary import GIVEN
+from antdsl.program.wording import fits, mismatch, quoted, type_words
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+_STORED = (Kind.NUMBER, Kind.VECTOR, Kind.BOOL, Kind.ITEM, Kind.AGENT, Kind.BAD)
+_EARLY = "starting values are worked out before the animal has sensed anything"
+_PURE = "a `let` only names a value"
+
+
+@dataclass(slots=True)
+class Draft:
+    """A species on its way: its own names first, so that others may refer to them, the rest in `complete`."""
+
+    names: SpeciesNames
+    node: nodes.Species
+    scope: Scope
+    params: list[model.Param]
+    attributes: list[model.AttributeDecl]
+
+
+def draft(declared: Declared, file: FileNames, node: nodes.Species) -> Draft:
+    """Params and attributes of a species."""
+    names = declared.species[node.name.text]
+    scope = Scope(declared, file, Keys(names.name), declared.report, species=names, no_keep=_PURE)
+    _check_names(scope, node)
+    names.pending = {m.name.text for m in _members(node, nodes.Let, nodes.Latch)}
+    params = [p for m in node.members if isinstance(m, nodes.ParamDecl) and (p := _param(scope, m.declaration)) is not None]
+    return Draft(names, node, scope, params, _attributes(scope, node))
+
+
+def _members(node: nodes.Species, *kinds: type) -> list:
+    """Members of a species and of its machines, in text order."""
+    found: list[object] = []
+    for member in node.members:
+        found.append(member)
+        if isinstance(member, nodes.Machine):
+            found += member.members
+    return [m for m in found if isinstance(m, kinds)]
+
+
+def _check_names(scope: Scope, node: nodes.Species) -> None:
+    """One name, one thing; and none that the language has itself."""
+    seen: dict[str, Span] = {}
+    for member in _members(node, nodes.Declaration, nodes.ParamDecl, nodes.Let, nodes.Latch, nodes.Fuzzy):
+        each = member.declaration if isinstance(member, nodes.ParamDecl) else member
+        if isinstance(each, nodes.Fuzzy):
+            scope.report.error("not-yet", "`fuzzy` is a word of the language that does not work yet", each.name.span, "use `rising`, `falling` and `around` with `and` and `or`")
+            continue
+        value_span = each.on.span if isinstance(each, nodes.Latch) else each.value.span
+        if each.name.text in seen:
+            duplicate(scope.report, "name", each.name, seen[each.name.text])
+        else:
+            free_in_species(scope.report, each.name, value_span)
+        seen.setdefault(each.name.text, each.name.span)
+    if len(seen) > limits.ATTRIBUTES:
+        scope.report.error("too-many", f"species `{node.name.text}` declares more than {limits.ATTRIBUTES} names", node.name.span, "split it")
+
+
+# --- params ----------------------------------------------------------------------------------------------------------
+
+
+def _param(scope: Scope, node: nodes.Declaration) -> model.Param | None:
+    names, name = scope.species, node.name.text
+    assert names is not None
+    names.params[name] = BAD
+    for extra, word in ((node.relax, "relax"), (node.each, "for each")):
+        if extra is not None:
+            scope.report.error("wrong-kind", f"a param is one value for all agents, so it has no `{word}`", extra.span, f"leave `param` out to make `{name}` an attribute")
+    default = _fixed(scope, node.value, f"param `{name}`")
+    if default is None:
+        return None
+    if node.type is not None:
+        type = declared_type(scope, node.type)
+        if not fits(default.type, type):
+            mismatch(scope.report, node.value, default.type, type, f"param `{name}`")
+    names.params[name] = default.type
+    low, high = _param_range(scope, node, default)
+    help = node.help.text if node.help else ""
+    return model.Param(f"{names.name}.{name}", default.type, default, low, high, unit_spelling(node.value), help, node.name.span)
+
+
+def _fixed(scope: Scope, node: nodes.Expr, who: str, want: Type | None = None) -> Const | None:
+    """A constant."""
+    found = value(scope, node) if want is None else wanted(scope, node, want, who)
+    constant = constant_behind(found)
+    if constant is None and found.type.kind is not Kind.BAD:
+        scope.report.error("wrong-rate", f"{quoted(node.span)} is not a plain number, which {who} starts with", node.span, "write a number with its unit, such as `40 mm`")
+    return constant
+
+
+def _param_range(scope: Scope, node: nodes.Declaration, default: Const) -> tuple[Const | None, Const | None]:
+    if node.range is None:
+        return None, None
+    ends = [_fixed(scope, end, f"the range of `{node.name.text}`", default.type) for end in (node.range.low, node.range.high)]
+    low, high = ends
+    alike = [c for c in (low, default, high) if c is not None and (c.u, c.step) == (default.u, default.step)]
+    if low is not None and high is not None and len(alike) == 3:
+        if low.number > high.number:
+            scope.report.error("empty-range", f"the range {quoted(node.range.span)} ends before it begins", node.range.span, "write the lesser end first")
+        elif not low.number <= default.number <= high.number:
+            scope.report.error("out-of-range", f"{quoted(node.value.span)} lies outside of {quoted(node.range.span)}", node.value.span, "start inside the range, or widen it")
+    return low, high
+
+
+# --- attributes ------------------------------------------------------------------------------------------------------
+
+
+def _attributes(scope: Scope, node: nodes.Species) -> list[model.AttributeDecl]:
+    """Given and own attributes, those first that others start from."""
+    declared: dict[str, nodes.Declaration | nodes.Given] = {}
+    for name, row in GIVEN.items():
+        if row.settable and row.default is not None:
+            declared[name] = nodes.Given(nodes.Name(name, node.name.span), node_of(row.default, node.name.span), None, node.name.span)
+    written: dict[str, Span] = {}
+    for member in node.members:
+        if isinstance(member, nodes.Given):
+            if member.name.text in written:
+                duplicate(scope.report, "property", member.name, written[member.name.text])
+            if _settable(scope, member):
+                declared[member.name.text] = member
+            written.setdefault(member.name.text, member.name.span)
+        elif isinstance(member, nodes.Declaration) and member.name.text not in GIVEN:
+            declared.setdefault(member.name.text, member)
+    order, circular = ordered(scope.report, "starting values", declared, lambda d: [d.value], lambda d: d.name)
+    return [_attribute(scope, each, each.name.text in circular) for each in order]
+
+
+def _settable(scope: Scope, member: nodes.Given) -> bool:
+    row, name = GIVEN.get(member.name.text), member.name
+    if row is not None and row.settable:
+        return True
+    known = [n for n, g in GIVEN.items() if g.settable]
+    text = " ".join(member.value.span.text.split())
+    if row is not None:
+        better = f"`max_speed {text}` is the fastest it goes" if name.text == "speed" else "it follows from how the animal moves"
+        scope.report.error("not-settable", f"`{name.text}` cannot be set", name.span, better)
+    else:
+        scope.report.error("unknown-property", f"an animal has no property `{name.text}`", name.span, did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"))
+    value(scope.inside(once=True), member.value)
+    return False
+
+
+def _attribute(scope: Scope, node: nodes.Declaration | nodes.Given, circular: bool) -> model.AttributeDecl:
+    names, name = scope.species, node.name.text
+    assert names is not None
+    inner = scope.inside(keys=Keys(f"{names.name}.{name}"), no_let=_EARLY, once=True)
+    help = node.help.text if node.help else ""
+    if isinstance(node, nodes.Given):
+        type = type_from_words(GIVEN[name].type) or BAD
+        default = bad(node.value.span) if circular else wanted(inner, node.value, type, f"`{name}`")
+        _positive(scope, node, default)
+        return model.AttributeDecl(name, type, default, True, help, node.name.span)
+    type = declared_type(scope, node.type) if node.type is not None else None
+    type = None if type == BAD else type
+    default = bad(node.value.span) if circular else value(inner, node.value, type) if type is None else wanted(inner, node.value, type, f"`{name}`")
+    type = type or default.type
+    if type.kind not in _STORED:
+        scope.report.error("wrong-kind", f"{type_words(type)} cannot be an attribute", node.value.span, "an attribute is a number, a vector, a yes or no, an item or an agent")
+        type = BAD
+    names.attributes[name] = type
+    if node.each is not None:
+        names.each[name] = node.each.species.text
+    if node.range is not None:
+        scope.report.error("wrong-kind", f"only a param has a range, and `{name}` is an attribute", node.range.span, f"write `param {name} = …`, or leave the range out")
+    return model.AttributeDecl(name, type, default, False, help, node.name.span)
+
+
+def _positive(scope: Scope, node: nodes.Given, default: Expr) -> None:
+    constant = constant_behind(default)
+    if constant is not None and (constant.number < 0 or (constant.number == 0 and node.name.text not in ("radius", "clearance"))):
+        scope.report.error("out-of-range", f"`{node.name.text}` cannot be {quoted(node.value.span)}", node.value.span, "write more than 0")
+
+
+# --- the rest --------------------------------------------------------------------------------------------------------
+
+
+def complete(work: Draft) -> model.Species:
+    """Lets, latches, handlers, machines and layers, now that the attributes of all species are known."""
+    scope, node, names = work.scope, work.node, work.names
+    attributes = [_relaxing(scope, a, _declaration(node, a.name)) for a in work.attributes]
+    bindings = _bindings(scope, node)
+    machines = _machines(scope.inside(no_keep=None), node)
+    handlers = [_handler(scope.inside(no_keep=None), m) for m in node.members if isinstance(m, nodes.On)]
+    return model.Species(
+        names.name, node.help.text if node.help else "", tuple(attributes), tuple(work.params),
+        tuple(b for b in bindings if b.role == "let"), tuple(b for b in bindings if b.role == "latch"),
+        tuple(handlers), tuple(machines), _layers(scope.inside(no_keep=None), node), node.name.span,
+    )  # fmt: skip
+
+
+def _declaration(node: nodes.Species, name: str) -> nodes.Declaration | None:
+    return next((m for m in node.members if isinstance(m, nodes.Declaration) and m.name.text == name), None)
+
+
+def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declaration | None) -> model.AttributeDecl:
+    """The attribute with what it returns to of itself, and with whom it is kept about."""
+    if node is None or (node.relax is None and node.each is None):
+        return attribute
+    to = over = None
+    if node.relax is not None:
+        if attribute.type.kind not in (Kind.NUMBER, Kind.VECTOR, Kind.BAD):
+            scope.report.error("wrong-kind", f"`{attribute.name}` is {type_words(attribute.type)} and cannot relax", node.relax.span, "only numbers and vectors change little by little")
+        to = wanted(scope, node.relax.to, attribute.type, "`relax to`")
+        over = wanted(scope, node.relax.over, TIME, "`over`")
+    each, strongest = None, 0
+    if node.each is not None:
+        type = referable(scope, node.each.species)
+        if type is not None and type.kind is not Kind.AGENT:
+            scope.report.error("wrong-kind", f"`{node.each.species.text}` is no species", node.each.species.span, "`for each` keeps a value about other agents")
+        each = node.each.species.text
+        if node.each.strongest is None:
+            scope.report.error("missing-bound", f"`{attribute.name}` does not say about how many it is kept", node.each.span, f"write `for each {each}, strongest 8`")
+        else:
+            count = constant_behind(wanted(scope, node.each.strongest, Type(Kind.NUMBER), "`strongest`"))
+            strongest = int(count.number) if count is not None else 0
+            if not 1 <= strongest <= 64:
+                scope.report.error("wrong-count", f"`strongest` wants a whole number from 1 to 64, not {quoted(node.each.strongest.span)}", node.each.strongest.span, "write `strongest 8`")
+    return model.AttributeDecl(
+        attribute.name, attribute.type, attribute.default, False, attribute.help, attribute.span, to, over, each, strongest
+    )  # fmt: skip
+
+
+def _bindings(scope: Scope, node: nodes.Species) -> list[Binding]:
+    """Lets and latches, those used first before those that use them."""
+    names = scope.species
+    assert names is not None
+    declared: dict[str, nodes.Let | nodes.Latch] = {}
+    for member in _members(node, nodes.Let, nodes.Latch):
+        declared.setdefault(member.name.text, member)
+    uses: Callable[[nodes.Let | nodes.Latch], Iterable[object]] = lambda m: [m.value] if isinstance(m, nodes.Let) else [m.on, m.until]
+    order, circular = ordered(scope.report, "lets", declared, uses, lambda m: m.name)
+    made: list[Binding] = []
+    for each in order:
+        name = each.name.text
+        inner = scope.inside(keys=Keys(f"{names.name}.{name}"))
+        if name in circular:
+            binding = Binding(name, "let", BAD, Rate.CONST, each.name.span, bad(each.name.span), snapshot=True)
+        elif isinstance(each, nodes.Let):
+            found = inner.typed(each.value)
+            binding = Binding(name, "let", found.type, found.rate, each.name.span, found, snapshot=True)
+        else:
+            on, until = condition(inner, each.on, "`latch`"), condition(inner, each.until, "`until`")
+            binding = Binding(name, "latch", BOOL, Rate.AGENT, each.name.span, on, until, f"{names.name}.{name}")
+        names.bindings[name] = binding
+        names.pending.discard(name)
+        made.append(binding)
+    return made
+
+
+def _machines(scope: Scope, node: nodes.Species) -> list[model.Machine]:
+    names = scope.species
+    assert names is not None
+    made: list[model.Machine] = []
+    loose = [m for m in node.members if isinstance(m, (nodes.State, nodes.Start, nodes.Change))]
+    if "main" in names.machines and any(isinstance(m, nodes.State) for m in loose):
+        made.append(machine(scope, names.machines["main"], loose, node.name.span))
+    elif loose:
+        scope.report.error("unknown-state", "there are no states here", loose[0].span, "move this line into the `machine` that it belongs to")
+    seen = {m.name for m in made}
+    for member in node.members:
+        if isinstance(member, nodes.Machine) and member.name.text not in seen:
+            seen.add(member.name.text)
+            made.append(machine(scope, names.machines[member.name.text], member.members, member.name.span))
+    return made
+
+
+def _handler(scope: Scope, node: nodes.On) -> model.Handler:
+    names, event = scope.species, node.event.text
+    assert names is not None
+    scope = scope.inside(keys=Keys(f"{names.name}.on.{event}"), no_keep="an event happens now and then")
+    other = None
+    if event == "collision" and node.variable is not None:
+        other = Binding(node.variable.text, "element", Type(Kind.AGENT, Dim(), names.name), Rate.AGENT, node.variable.span)
+        scope = scope.inside(locals={node.variable.text: other})
+    elif node.variable is not None:
+        scope.report.error("wrong-argument", f"`on {event}` does not say who", node.variable.span, f"write `on {event} {{ … }}`")
+        scope = scope.inside(locals={node.variable.text: bad(node.variable.span)})
+    if event not in EVENTS:
+        scope.use("on", event)
+    return model.Handler(event, other, statements(scope, node.actions, ACTION if event == "spawn" else HANDLER), node.span)
+
+
+# --- layers ----------------------------------------------------------------------------------------------------------
+
+
+def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
+    names = scope.species
+    assert names is not None
+    written = [m for m in node.members if isinstance(m, nodes.Layers)]
+    for extra in written[1:]:
+        scope.report.error("duplicate-name", "a second `layers`", extra.span, "put all lines into one", labels=(Label(written[0].span, "first here"),))
+    if not written:
+        return model.Layers("budget", (model.Layer(None, None, "state", node.name.span, "state"),), node.name.span)
+    block = written[0]
+    mode = block.mode.text if block.mode else "budget"
+    if mode not in ("budget", "sum", "first"):
+        assert block.mode is not None
+        scope.report.error("unknown-setting", f"no way `{mode}` to put layers together", block.mode.span, did_you_mean(mode, ("sum", "first"), "write `layers`, `layers sum` or `layers first`"))
+    if len(block.layers) > limits.LAYERS:
+        scope.report.error("too-many", f"more than {limits.LAYERS} layers", block.layers[limits.LAYERS].span, "put some together in a behaviour")
+    scope = scope.inside(keys=Keys(f"{names.name}.layers"))
+    counts: dict[str, int] = {}
+    return model.Layers(mode, tuple(_layer(scope, each, counts) for each in block.layers), block.span)
+
+
+def _layer(scope: Scope, node: nodes.Layer, counts: dict[str, int]) -> model.Layer:
+    """A layer is known by the word it begins with: `separate`, and `separate#2` for a second one."""
+    text = " ".join(node.push.span.text.split())
+    steered = isinstance(node.push, nodes.NameRef) and node.push.name.text == "state"
+    word = _word(node.push)
+    counts[word] = counts.get(word, 0) + 1
+    key = word if counts[word] == 1 else f"{word}#{counts[word]}"
+    push = None
+    if not steered:
+        push = wanted(scope, node.push, PUSH, "a layer")
+    test = condition(scope, node.condition, "`when`") if node.condition is not None else None
+    return model.Layer(push, test, text, node.span, key)
+
+
+def _word(push: nodes.Expr) -> str:
+    while isinstance(push, (nodes.Binary, nodes.Unary, nodes.Call)):
+        push = push.left if isinstance(push, nodes.Binary) else push.operand if isinstance(push, nodes.Unary) else push.function
+    if isinstance(push, nodes.Member):
+        return push.name.text
+    return push.name.text if isinstance(push, nodes.NameRef) else "push"

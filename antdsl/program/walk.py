@@ -1,0 +1,58 @@
+"""Everything inside a typed expression, or inside a tree as written, each part once and without recursion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+
+from antdsl.program import model
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+
+def parts(root: object) -> Iterator[object]:
+    """Every value of the checked program below `root`, bindings behind names included."""
+    seen: set[int] = set()
+    stack: list[object] = [root]
+    while stack:
+        part = stack.pop()
+        if isinstance(part, (tuple, list)) and not hasattr(part, "_fields"):
+            stack += reversed(part)
+        elif isinstance(part, dict):
+            stack += reversed(list(part.values()))
+        elif is_dataclass(part) and not isinstance(part, (Span, nodes.File)) and id(part) not in seen:
+            seen.add(id(part))
+            yield part
+            stack += reversed([getattr(part, f.name) for f in fields(part)])
+
+
+def bindings_in(expr: model.Expr) -> set[model.Binding]:
+    """Every binding that an expression uses, however deep."""
+    return {part.binding for part in parts(expr) if isinstance(part, model.Local)}
+
+
+_FIELDS: dict[type, tuple[str, ...]] = {}
+
+
+def written(root: object) -> Iterator[tuple[object, int]]:
+    """Every node of a tree as written with its depth below `root`, in text order."""
+    stack: list[tuple[object, int]] = [(root, 0)]
+    while stack:
+        part, depth = stack.pop()
+        if isinstance(part, tuple):
+            stack += [(each, depth) for each in reversed(part)]
+            continue
+        names = _FIELDS.get(type(part))
+        if names is None:
+            if not is_dataclass(part) or isinstance(part, Span):
+                continue
+            names = _FIELDS[type(part)] = tuple(f.name for f in fields(part) if f.name not in ("span", "op_span", "unit_span", "source", "comments"))
+        yield part, depth
+        stack += [(getattr(part, name), depth + 1) for name in reversed(names)]
+
+
+def names_in(root: object) -> Iterator[nodes.Name]:
+    """Every bare name that is used as a value below `root`."""
+    for part, _ in written(root):
+        if isinstance(part, nodes.NameRef):
+            yield part.name
