@@ -75,7 +75,9 @@ def _rounded(part: Part) -> Mesh:
     angles = np.linspace(0, np.pi, part.rings + 2)[1:-1]
     turn = (np.arange(part.sides) + 0.5) * 2 * np.pi / part.sides
     ring = np.stack([np.zeros(part.sides), np.sin(turn), np.cos(turn)], axis=1)
-    points = [np.array([[1.0, 0, 0]])] + [ring * np.sin(a) + np.array([np.cos(a), 0, 0]) for a in angles] + [np.array([[-1.0, 0, 0]])]
+    points = (
+        [np.array([[1.0, 0, 0]])] + [ring * np.sin(a) + np.array([np.cos(a), 0, 0]) for a in angles] + [np.array([[-1.0, 0, 0]])]
+    )
     vertices = np.concatenate(points) * np.array(part.half) + np.array(part.centre)
     faces: list[tuple[int, int, int]] = []
     for side in range(part.sides):
@@ -139,8 +141,14 @@ def _limbs(phase: float, fine: bool) -> list[tuple[Mesh, float]]:
         elbow = np.array([0.45 + side * sway, 0.30, side * 0.155])
         tip = np.array([0.63, 0.20 + side * sway, side * (0.20 + sway)])
         if fine:
-            made.append((_tube([root, elbow, (elbow + tip) / 2 + np.array([0.02, 0.012, 0]), tip], [0.012, 0.012, 0.011, 0.009], 4), 0.12))
-            jaw = [np.array([0.385, 0.15, side * 0.05]), np.array([0.455, 0.14, side * 0.05]), np.array([0.5, 0.135, side * 0.008])]
+            made.append(
+                (_tube([root, elbow, (elbow + tip) / 2 + np.array([0.02, 0.012, 0]), tip], [0.012, 0.012, 0.011, 0.009], 4), 0.12)
+            )
+            jaw = [
+                np.array([0.385, 0.15, side * 0.05]),
+                np.array([0.455, 0.14, side * 0.05]),
+                np.array([0.5, 0.135, side * 0.008]),
+            ]
             made.append((_tube(jaw, [0.02, 0.018, 0.003], 4), 0.1))
         else:
             made.append((_tube([root, tip - np.array([0.05, 0.0, 0.0])], [0.016, 0.008], 2), 0.25))

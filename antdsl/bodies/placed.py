@@ -58,7 +58,14 @@ def _ring() -> Painted:
         turn, side, own = draw.uniform(0, 2 * np.pi), draw.uniform(0.35, np.pi - 0.35), draw.uniform(0, np.pi)
         grain, triangles = sphere(0)
         grain = grain * np.array([0.075, 0.022, 0.022])
-        grain = np.stack([grain[:, 0] * np.cos(own) - grain[:, 2] * np.sin(own), grain[:, 1], grain[:, 0] * np.sin(own) + grain[:, 2] * np.cos(own)], 1)
+        grain = np.stack(
+            [
+                grain[:, 0] * np.cos(own) - grain[:, 2] * np.sin(own),
+                grain[:, 1],
+                grain[:, 0] * np.sin(own) + grain[:, 2] * np.cos(own),
+            ],
+            1,
+        )
         reach = 0.62 + 0.40 * np.cos(side)
         parts.append((grain + np.array([reach * np.cos(turn), 0.385 * np.sin(side), reach * np.sin(turn)]), triangles))
         shades.append(np.tile(hues[k % len(hues)], (len(grain), 1)))

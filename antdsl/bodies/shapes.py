@@ -27,7 +27,9 @@ def sphere(detail: int = 2) -> Mesh:
     return vertices.copy(), faces.copy()
 
 
-def waves(points: NDArray[np.float64], seed: int, wavelength: float, octaves: int, *, fade: float = 0.5, count: int = 7) -> NDArray[np.float64]:
+def waves(
+    points: NDArray[np.float64], seed: int, wavelength: float, octaves: int, *, fade: float = 0.5, count: int = 7
+) -> NDArray[np.float64]:
     """Smooth noise of about unit size at `points` (n, d): sums of sines in random directions, each octave half as long and `fade` as high."""
     draw = np.random.Generator(np.random.Philox(seed))
     total = np.zeros(len(points))

@@ -52,7 +52,9 @@ def smooth(value: Array, start: float, end: float) -> Array:
 
 def relief(x: Array, z: Array) -> Array:
     """Height of hills, gully and noise, without the shelf."""
-    y = sum((height * np.exp(-((x - cx) ** 2 + (z - cz) ** 2) / (2 * width**2)) for cx, cz, height, width in HILLS), np.zeros_like(x))
+    y = sum(
+        (height * np.exp(-((x - cx) ** 2 + (z - cz) ** 2) / (2 * width**2)) for cx, cz, height, width in HILLS), np.zeros_like(x)
+    )
     gully = x + 165.0 + 28.0 * np.sin(z / 62.0) - 0.25 * z  # runs along z, west of the nest
     y -= 26.0 * np.exp(-((gully / 24.0) ** 2)) * smooth(z, -120.0, -20.0)
     flat = np.stack([x, z], axis=1)

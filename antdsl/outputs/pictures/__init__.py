@@ -1,0 +1,26 @@
+"""Pictures of a frame: what is on them (`Picture`), from where (`Camera`), drawn by rays (`Renderer`), put on sheets and films."""
+
+from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_over
+from antdsl.outputs.pictures.files import film, film_ready, still
+from antdsl.outputs.pictures.model import Camera, Crowd, Item, LegendRow, Picture, Solid, Trail
+from antdsl.outputs.pictures.render import SHOWN, Renderer, render_frame
+from antdsl.outputs.pictures.sheet import contact_sheet
+
+__all__ = [
+    "SHOWN",
+    "Camera",
+    "Crowd",
+    "Item",
+    "LegendRow",
+    "Picture",
+    "Renderer",
+    "Solid",
+    "Trail",
+    "camera_at_eye_level",
+    "camera_over",
+    "contact_sheet",
+    "film",
+    "film_ready",
+    "render_frame",
+    "still",
+]

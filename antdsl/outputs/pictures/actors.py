@@ -55,7 +55,9 @@ def actors(picture: Picture, view: View, least: float = 0.0) -> Actors:
     parts += [_item(item, picture.up) for item in picture.items if item.shape != "none" and item.left > 0 and item.radius > 0]
     widest = max((item.radius for item in picture.items), default=0.0)
     if not parts:
-        nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), *(np.zeros((0, 3), np.float32),) * 2, np.zeros(0, np.float32))
+        nothing = Mesh(
+            np.zeros((0, 3)), np.zeros((0, 3), np.int32), *(np.zeros((0, 3), np.float32),) * 2, np.zeros(0, np.float32)
+        )
         return Actors(RayScene(nothing.vertices, nothing.faces), nothing, 0.0, 0.0)
     starts = np.cumsum([0] + [len(part.vertices) for part in parts])
     mesh = Mesh(

@@ -32,7 +32,9 @@ def camera_over(picture: Picture, *, aspect: float = 16 / 9, focal: float = 35.0
     near, far = 0.5 * reach, 12.0 * reach
     for _ in range(40):
         distance = (near + far) / 2
-        near, far = (near, distance) if _holds(middle + direction * distance, middle, points, up, focal, aspect) else (distance, far)
+        near, far = (
+            (near, distance) if _holds(middle + direction * distance, middle, points, up, focal, aspect) else (distance, far)
+        )
     at, aim = _centred(middle + direction * far, middle, points, up, focal, aspect)
     return Camera(three(at), three(aim), focal=focal, up=three(up))
 
@@ -75,7 +77,9 @@ def _centred(at: Array, aim: Array, points: Array, up: Array, focal: float, aspe
     return at, aim
 
 
-def camera_at_eye_level(picture: Picture, agent: int | None = None, *, species: str | None = None, focal: float = 26.0) -> Camera | None:
+def camera_at_eye_level(
+    picture: Picture, agent: int | None = None, *, species: str | None = None, focal: float = 26.0
+) -> Camera | None:
     """A camera a few body lengths from an agent, at the height of its back, with nothing in between and much to see behind it.
 
     `agent`: an id of `species` (the first crowd where none is named); None takes one with company. None when there is no such agent."""
@@ -130,7 +134,15 @@ def _score(crowd: Crowd, row: int, camera: Camera, rays: RayScene, solids: tuple
     scale = float(crowd.scale[row])
     target = np.asarray(crowd.position, np.float64)[row] + scale * 0.2 * np.asarray(camera.up)
     if solids:
-        between = np.stack([seen.eye - target, np.asarray(camera.up) * -0.45 * scale, seen.ahead * scale, seen.right * scale, -seen.right * scale])
+        between = np.stack(
+            [
+                seen.eye - target,
+                np.asarray(camera.up) * -0.45 * scale,
+                seen.ahead * scale,
+                seen.right * scale,
+                -seen.right * scale,
+            ]
+        )
         starts = np.stack([target, *[seen.eye] * 4])
         if rays.occluded(starts, between, far=1.0).any():
             return -1.0

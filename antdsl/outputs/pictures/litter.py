@@ -25,7 +25,9 @@ def _shapes() -> tuple[Array, NDArray[np.int32]]:
     return np.stack([vertices for vertices, _ in made]), made[0][1]
 
 
-def litter(vertices: Array, faces: NDArray[np.int32], up: Array, view: View, scales: Scales) -> tuple[Array, NDArray[np.int32]] | None:
+def litter(
+    vertices: Array, faces: NDArray[np.int32], up: Array, view: View, scales: Scales
+) -> tuple[Array, NDArray[np.int32]] | None:
     """Pebbles lying on a ground near the camera, as one mesh; None where none would be seen as more than a speck.
 
     Each triangle has its own pebbles, wherever the camera is."""
@@ -60,7 +62,9 @@ def litter(vertices: Array, faces: NDArray[np.int32], up: Array, view: View, sca
 def _chances(face: NDArray[np.int64], rank: NDArray[np.int64]) -> Array:
     """Five numbers within 0..1 for each pebble, from its triangle and its rank there alone."""
     key = (face * _A_FACE + rank).astype(np.uint64)[:, None] * np.uint64(5) + np.arange(5, dtype=np.uint64)
-    key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)  # the finaliser of SplitMix64 (Steele et al., OOPSLA 2014, p. 459)
+    key = (key ^ (key >> np.uint64(30))) * np.uint64(
+        0xBF58476D1CE4E5B9
+    )  # the finaliser of SplitMix64 (Steele et al., OOPSLA 2014, p. 459)
     key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return ((key ^ (key >> np.uint64(31))) >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
@@ -73,7 +77,11 @@ def _laid(place: Array, normal: Array, size: Array, chance: Array) -> tuple[Arra
     turn = chance[:, 3:4] * 2 * np.pi
     first, second = np.cos(turn) * side + np.sin(turn) * other, np.cos(turn) * other - np.sin(turn) * side
     local = shapes[(chance[:, 4] * _SHAPES).astype(np.int64)] * size[:, None, None]
-    points = local[:, :, :1] * first[:, None] + (local[:, :, 1:2] + 0.22 * size[:, None, None]) * normal[:, None] + local[:, :, 2:] * second[:, None]
+    points = (
+        local[:, :, :1] * first[:, None]
+        + (local[:, :, 1:2] + 0.22 * size[:, None, None]) * normal[:, None]
+        + local[:, :, 2:] * second[:, None]
+    )
     points += place[:, None]
     triangles = faces[None] + (np.arange(len(place), dtype=np.int32) * shapes.shape[1])[:, None, None]
     return points.reshape(-1, 3), triangles.reshape(-1, 3).astype(np.int32)

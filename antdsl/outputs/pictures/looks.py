@@ -13,7 +13,7 @@ Floats = NDArray[np.float32]
 
 KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain")
 GROUND, STONE, BOULDER, HILL, TABLE, EDGE, GRAIN = range(len(KINDS))
-TRAILED = (GROUND, BOULDER, HILL, GRAIN)  # where a field's colour may lie; stones in the way carry none
+TRAILED = (GROUND, BOULDER, HILL)  # where a field's colour may lie
 
 _SOIL = decoded((0.68, 0.60, 0.48))
 _DRY = decoded((0.755, 0.70, 0.59))
@@ -43,7 +43,9 @@ class Surface:
     normal: Floats
 
 
-def surface(kind: NDArray[np.uint8], points: Floats, normal: Floats, up: Floats, pixel: Floats, scales: Scales, painted: Floats) -> Surface:
+def surface(
+    kind: NDArray[np.uint8], points: Floats, normal: Floats, up: Floats, pixel: Floats, scales: Scales, painted: Floats
+) -> Surface:
     """Look of samples: `kind` (n,) of KINDS, `points`, smooth `normal` (n, 3), `pixel` (n,) the width of a pixel there.
 
     `painted` (n, 4): a colour of the mesh's own and whether it holds (0 or 1)."""
@@ -62,7 +64,12 @@ def surface(kind: NDArray[np.uint8], points: Floats, normal: Floats, up: Floats,
 def _grained(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: Scales) -> Surface:
     """Bumps and specks, each size only where a pixel is small enough to show it."""
     rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9, 0.5], np.float32)[kind]
-    for wavelength, height, speck, seed in ((2.4, 0.30, 0.10, 5), (0.6, 0.34, 0.14, 6), (0.14, 0.40, 0.22, 7), (0.04, 0.42, 0.34, 8)):
+    for wavelength, height, speck, seed in (
+        (2.4, 0.30, 0.10, 5),
+        (0.6, 0.34, 0.14, 6),
+        (0.14, 0.40, 0.22, 7),
+        (0.04, 0.42, 0.34, 8),
+    ):
         length = wavelength * scales.grain
         seen = np.clip(length / pixel * 0.4 - 0.5, 0.0, 1.0) * rough
         here = np.flatnonzero(seen > 0.01)

@@ -24,7 +24,9 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 
 
-def draw_overlay(image: Image, picture: Picture, view: View, far: NDArray[np.float32], samples: int, show: tuple[str, ...]) -> Image:
+def draw_overlay(
+    image: Image, picture: Picture, view: View, far: NDArray[np.float32], samples: int, show: tuple[str, ...]
+) -> Image:
     """`image` with the lines, ids, legend and frame number that `show` and `picture` ask for; what stands behind ground is left out.
 
     `far`: distance of the still things per sample, rows first."""
@@ -87,7 +89,14 @@ def _draw_ids(draw: ImageDraw.ImageDraw, view: View, crowd: Crowd, rows: NDArray
     size = max(9, view.height // 54)
     places, _ = view.project(_lifted(crowd)[rows])
     for (x, y), name in zip(places.tolist(), np.asarray(crowd.ids)[rows].tolist(), strict=True):
-        draw.text((x + size * 0.3, y - size * 1.1), str(name), font=font(size), fill=(255, 255, 255, 235), stroke_width=1, stroke_fill=(0, 0, 0, 190))
+        draw.text(
+            (x + size * 0.3, y - size * 1.1),
+            str(name),
+            font=font(size),
+            fill=(255, 255, 255, 235),
+            stroke_width=1,
+            stroke_fill=(0, 0, 0, 190),
+        )
 
 
 def _draw_legend(draw: ImageDraw.ImageDraw, picture: Picture, view: View) -> None:
@@ -114,4 +123,9 @@ def _draw_states(draw: ImageDraw.ImageDraw, rows: tuple[LegendRow, ...], size: i
         draw.ellipse((2 * gap, top + size * 0.1, 2 * gap + size * 0.95, top + size * 1.05), fill=(*row.colour, 255))
         draw.text((3 * gap + size, top - size * 0.05), row.name, font=font(size), fill=(255, 255, 255, 240))
         count = f"{row.count:,}"
-        draw.text((right - gap - draw.textlength(count, font=font(size)), top - size * 0.05), count, font=font(size), fill=(255, 255, 255, 240))
+        draw.text(
+            (right - gap - draw.textlength(count, font=font(size)), top - size * 0.05),
+            count,
+            font=font(size),
+            fill=(255, 255, 255, 240),
+        )

@@ -127,7 +127,15 @@ class Renderer:
         return albedo
 
     def _strip(
-        self, still: Stage, albedo: Floats, shade: Floats, cast: Actors, sun: Sun, scales: Scales, rows: tuple[int, int], own: slice
+        self,
+        still: Stage,
+        albedo: Floats,
+        shade: Floats,
+        cast: Actors,
+        sun: Sun,
+        scales: Scales,
+        rows: tuple[int, int],
+        own: slice,
     ) -> Floats:
         """Display-linear light (n, 3) of the samples of some pixel rows."""
         direction = still.view.rays(*rows, self.samples)
@@ -158,11 +166,19 @@ class Renderer:
         colour = hazed(colour, far, direction, sun, 2.2 * scales.extent)
         table = np.flatnonzero(kind == looks.TABLE)
         fade = 1 - np.exp(-np.square(far[table] / np.float32(3.2 * scales.extent)))
-        colour[table] += (sky(direction[table] * (1 - sun.up) , sun) - colour[table]) * fade[:, None]
+        colour[table] += (sky(direction[table] * (1 - sun.up), sun) - colour[table]) * fade[:, None]
         return colour
 
     def _shadowed(
-        self, direct: Floats, seen: View, far: Floats, direction: Floats, places: list[NDArray[np.int64]], cast: Actors, sun: Sun, scales: Scales
+        self,
+        direct: Floats,
+        seen: View,
+        far: Floats,
+        direction: Floats,
+        places: list[NDArray[np.int64]],
+        cast: Actors,
+        sun: Sun,
+        scales: Scales,
     ) -> Floats:
         """Sunlight less what the moving things keep from it."""
         lit = np.flatnonzero(direct > 0)

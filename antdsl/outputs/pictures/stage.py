@@ -126,7 +126,14 @@ def _surfaces(
 
 
 def _sunlight(
-    setting: Setting, sun: Sun, normal: Floats, flat: Floats, where: Floats, places: list[NDArray[np.int64]], scales: Scales, threads: int
+    setting: Setting,
+    sun: Sun,
+    normal: Floats,
+    flat: Floats,
+    where: Floats,
+    places: list[NDArray[np.int64]],
+    scales: Scales,
+    threads: int,
 ) -> Floats:
     """Share of sunlight (n,): the cosine at the surface, 0 in shadow."""
     facing = np.clip(normal @ sun.towards, 0, 1)

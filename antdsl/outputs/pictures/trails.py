@@ -68,4 +68,4 @@ def full_strength(trail: Trail) -> float:
 def dyed(albedo: Floats, strength: Floats, trail: Trail) -> Floats:
     """Ground colours (n, 3) with the trail on them; its strongest covers most of the ground's own colour."""
     share = 1 - np.exp(-2.6 * np.clip(strength / full_strength(trail), 0, 1.5))
-    return albedo + (decoded(trail.colour) - albedo) * (0.88 * share)[:, None]
+    return albedo + (decoded(trail.colour) - albedo) * (0.80 * share)[:, None]

@@ -1,0 +1,80 @@
+"""Pictures into files: PNG stills, and films where the extra `[video]` is installed."""
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.diagnostics.model import Report
+
+Image = NDArray[np.uint8]
+
+
+def still(image: Image, path: Path) -> None:
+    """Writes a PNG, whole or not at all. Raises OSError where that cannot be done."""
+    from PIL import Image as PillowImage
+
+    part = path.with_name(f".{path.name}.part")
+    try:
+        PillowImage.fromarray(np.ascontiguousarray(image)).save(part, format="PNG")
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def film_ready() -> Report:
+    """Empty where films can be written; else one error that names the extra. To be asked before frames are drawn."""
+    report = Report()
+    try:
+        import imageio_ffmpeg
+
+        imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError, OSError):
+        report.error(
+            "missing-extra",
+            "a film needs the extra `[video]`, which is not installed",
+            None,
+            help='run `pip install "antdsl[video]"`, or render stills with `--sheet`',
+        )
+    return report
+
+
+def film(images: Iterable[Image], path: Path, fps: float) -> Report:
+    """Writes pictures (h, w, 3) of one size as an H.264 film; an odd last row or column is left out, as the format asks.
+
+    An error without the extra `[video]`, without pictures, and where the file cannot be written."""
+    report = film_ready()
+    if not report.ok:
+        return report
+    import imageio_ffmpeg
+
+    pictures = iter(images)
+    first = next(pictures, None)
+    if first is None:
+        report.error("no-pictures", "a film needs at least one frame", None, help="ask for frames that the cache holds")
+        return report
+    height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
+    part = path.with_name(f".{path.stem}.part{path.suffix or '.mp4'}")
+    try:
+        writer = imageio_ffmpeg.write_frames(
+            str(part), (width, height), fps=float(fps), quality=8, macro_block_size=2, ffmpeg_log_level="error"
+        )
+        writer.send(None)
+        try:
+            for image in _with(first, pictures):
+                writer.send(np.ascontiguousarray(image[:height, :width]))
+        finally:
+            writer.close()
+        os.replace(part, path)
+    except OSError as problem:
+        report.error("cannot-write", f"cannot write the film `{path.name}`: {problem.strerror or 'the encoder stopped'}", None)
+    finally:
+        part.unlink(missing_ok=True)
+    return report
+
+
+def _with(first: Image, others: Iterable[Image]) -> Iterable[Image]:
+    yield first
+    yield from others
