@@ -140,33 +140,50 @@ def test_scenes_read_as_the_documents_say(block: Block) -> None:
     assert codes == ([] if block.wanted_error is None else [block.wanted_error]), report.errors
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with `examples`, in which the documents' commands are run."""
+    made = tmp_path_factory.mktemp("documents")
+    (made / "examples").symlink_to(ROOT / "examples", target_is_directory=True)
+    return made
+
+
+def run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, cwd=folder, env=environment(), capture_output=True, text=True, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def cache(folder: Path) -> Path:
+    """`cache` in the folder: the minimal example, six frames."""
+    command = ["run", "examples/minimal/scene.yaml", "--frames", "1..6", "--out", "cache", "--quiet"]
+    done = run([sys.executable, "-m", "antdsl", *command], folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder / "cache"
+
+
 @pytest.mark.parametrize("block", of_kind("python"), ids=str)
-def test_python_runs(block: Block, tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, "-c", block.text], cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=60)
+def test_python_runs(block: Block, cache: Path) -> None:
+    done = run([sys.executable, "-c", block.text], cache.parent)
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("block", [b for b in of_kind("console") if "run" in b.words], ids=str)
-def test_commands_do_what_the_documents_say(block: Block) -> None:
-    """Each `$ antdsl …` line is run; a line of output that follows must occur in what it prints, `…` standing for anything."""
-    wanted: list[str] = []
-    printed = ""
-    for line in [*block.text.splitlines(), "$"]:
-        if not line.startswith("$"):
-            wanted.append(line)
-            continue
-        for words in wanted:
-            pattern = ".*".join(re.escape(part.strip()) for part in words.split("…"))
-            assert re.search(pattern, printed), f"{block}: {words!r} is not in\n{printed}"
-        wanted = []
-        command = shlex.split(line[1:])
-        if command:
+RUN = {block.document: [b for b in of_kind("console") if "run" in b.words and b.document == block.document] for block in of_kind("console")}
+
+
+@pytest.mark.parametrize("document", RUN, ids=lambda path: path.name)
+def test_commands_do_what_the_documents_say(document: Path, folder: Path) -> None:
+    """Each `$ antdsl …` line is run; a line of output that follows must occur in what it prints."""
+    for block in RUN[document]:
+        printed = ""
+        for line in block.text.splitlines():
+            if not line.startswith("$"):
+                assert line.strip() in printed, f"{block}: {line!r} is not in\n{printed}"
+                continue
+            command = shlex.split(line[1:])
             assert command[0] == "antdsl", line
-            done = subprocess.run(
-                [sys.executable, "-m", *command], cwd=ROOT, env=environment(), capture_output=True, text=True, timeout=60
-            )
+            done = run([sys.executable, "-m", *command], folder)
             printed = done.stdout + done.stderr
-            assert "Traceback" not in printed, printed
+            assert "Traceback" not in printed, f"{block}: {line}\n{printed}"
 
 
 def environment() -> dict[str, str]:
