@@ -45,9 +45,15 @@ class Report:
     """Everything one or more stages had to say. The same code at the same place is kept once."""
 
     diagnostics: list[Diagnostic] = field(default_factory=list)
+    _seen: set[tuple[str, Span | str]] = field(init=False, repr=False, compare=False, default_factory=set)
+
+    def __post_init__(self) -> None:
+        self._seen.update((d.code, d.span or d.message) for d in self.diagnostics)
 
     def add(self, diagnostic: Diagnostic) -> None:
-        if not any(d.code == diagnostic.code and d.span == diagnostic.span for d in self.diagnostics[-64:]):
+        key = (diagnostic.code, diagnostic.span or diagnostic.message)
+        if key not in self._seen:
+            self._seen.add(key)
             self.diagnostics.append(diagnostic)
 
     def error(self, code: str, message: str, span: Span | None, help: str | None = None, **more: object) -> None:

@@ -10,6 +10,7 @@ from antdsl.syntax.scan import Scan, Token
 from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS
 
 _CLOSING = {"(": ")", "[": "]", "{": "}"}
+_SEARCHED = 100  # after so many complaints, lost braces are no longer looked for: each search walks over the text
 _LINE_WORDS = frozenset(word for words in LINE_WORDS.values() for word in words)
 
 
@@ -184,9 +185,10 @@ class _Braces:
 
     def opened_late(self, token: Token) -> bool:
         """A block lost its `{`: find the line, as far in as the `}`, that begins one, and give it back."""
-        for place in range(len(self.out) - 1, -1, -1):
+        nothing_left = -1 if len(self.scan.report.diagnostics) < _SEARCHED else len(self.out)
+        for place in range(len(self.out) - 1, nothing_left, -1):
             candidate = self.out[place]
-            if candidate.indent < 0 or candidate.indent > token.indent:
+            if candidate.kind == "end" or candidate.indent < 0 or candidate.indent > token.indent:
                 continue
             if candidate.indent < token.indent or text_of(self.scan, candidate) not in BLOCK_WORDS:
                 break

@@ -5,6 +5,8 @@ Of a line that cannot be read, what is not understood is replaced by an unreadab
 
 from __future__ import annotations
 
+import re
+from bisect import insort
 from collections.abc import Iterator
 from functools import lru_cache
 from threading import Lock
@@ -21,7 +23,7 @@ from antdsl.syntax.builder import Builder, Header, Result
 from antdsl.syntax.depth import deep_places
 from antdsl.syntax.scan import UNREADABLE, Scan, scan
 from antdsl.syntax.tables import load_parser
-from antdsl.syntax.wording import Surprise, begins_line, better_first_word, complain
+from antdsl.syntax.wording import Surprise, begins_line, better_first_word, complain, plain_complaint
 from antdsl.syntax.words import BODIES, LINE_WORDS
 
 if TYPE_CHECKING:
@@ -44,8 +46,12 @@ def _tools() -> tuple[Lark, Builder]:
 def parse(source: Source) -> tuple[n.File, Report]:
     """Read a text. The file holds all that could be understood; the report says what could not, and where. Never raises."""
     report = Report()
+    other = _other_language(source.text)
+    if other is not None:
+        report.error("not-an-ant-file", f"text looks like {other}", Span(source, 0, 1), "a `.ant` file begins with `ant 1`")
+        return n.File(source, None, None, ()), report
     scanned = scan(source, report)
-    if not scanned.tokens:
+    if all(token.kind == "end" for token in scanned.tokens):
         if report.ok:
             report.error("empty-file", "file has nothing in it", Span(source, 0, 0), "begin with `ant 1`, then write a `species`")
         return n.File(source, None, None, (), tuple(scanned.comments)), report
@@ -56,6 +62,14 @@ def parse(source: Source) -> tuple[n.File, Report]:
     scanned.faults.sort()
     with _lock:
         return _Reading(scanned).file(lines), report
+
+
+def _other_language(text: str) -> str | None:
+    """JSON or YAML that carries the wrong ending: told by its first line."""
+    first = text.lstrip("\ufeff \t\r\n")[:200]
+    if re.match(r"""[\[{]\s*["{\[\]}]""", first):
+        return "JSON"
+    return "YAML" if re.match(r"(---|%YAML|[A-Za-z_][A-Za-z_0-9]*:)([ \t\r\n]|$)", first) else None
 
 
 class _Reading:
@@ -84,6 +98,10 @@ class _Reading:
 
     def header(self, lines: list[Line]) -> tuple[n.Number | None, list[Line]]:
         """The edition. Without one the current edition holds, with a warning."""
+        if lines and [token.kind for token in lines[0].tokens] == ["number"]:
+            span = Span(self.source, lines[0].start, lines[0].end)
+            self.report.error("unexpected-text", f"file begins with `{span.text}`", span, "write `ant 1` as the first line")
+            return None, lines[1:]
         if not lines or text_of(self.scan, lines[0].tokens[0]) != "ant":
             start = lines[0].start if lines else 0
             if not self.scan.has_fault(0, start):
@@ -107,7 +125,7 @@ class _Reading:
     def line(self, line: Line, rule: str) -> list[Any]:
         """The node of a line, none when it makes no sense, two when a line end is missing."""
         first = text_of(self.scan, line.tokens[0])
-        if line.groups and first not in LINE_WORDS[rule]:
+        if line.groups and first not in LINE_WORDS[rule] and not self.weary():
             first = nearest_name(first, LINE_WORDS[rule]) or first
         for group in line.groups:
             body = "weight" if group.chooses else BODIES.get((rule, first)) or BODIES.get((rule, "*"))
@@ -118,12 +136,16 @@ class _Reading:
         try:
             return self.checked(self.attempt(text, rule), line)
         except UnexpectedInput as error:
-            surprise = self.surprise(error, line, text, rule)
+            weary = self.weary()
+            surprise = self.surprise(error, line, text, rule, weary)
             if not self.damaged(line, text):
-                self.report.add(complain(surprise))
-            if len(self.report.diagnostics) > _MENDED:
-                return []
-            return self.mend(line, text, rule, surprise)
+                self.report.add(plain_complaint(surprise) if weary else complain(surprise))
+                insort(self.scan.faults, surprise.span.start)
+            return [] if weary else self.mend(line, text, rule, surprise)
+
+    def weary(self) -> bool:
+        """Whether there are so many complaints that nobody reads what more could be said."""
+        return len(self.report.diagnostics) > _MENDED
 
     def attempt(self, text: Lookup, rule: str) -> Any:
         self.builder.place = text
@@ -132,7 +154,7 @@ class _Reading:
     def damaged(self, line: Line, text: Lookup) -> bool:
         """Whether something has been said about this line already."""
         for _, offset, length in text.parts[:-1]:
-            if self.scan.has_fault(offset, offset + length):
+            if self.scan.has_fault(offset, offset + length - 1):
                 return True
         _, offset, length = text.parts[-1]
         stop = self.source.text.find("\n", offset + length)
@@ -152,7 +174,9 @@ class _Reading:
     def results(self, node: n.Behaviour, line: Line) -> None:
         lines = self.builder.bodies.get(line.groups[-1].open.start, ()) if line.groups else ()
         results = [each for each in lines if isinstance(each, Result)]
-        if not results and not any(self.scan.has_fault(group.open.start, group.close.end) for group in line.groups):
+        if any(self.scan.has_fault(group.open.start, group.close.end) for group in line.groups):
+            return  # a line that could not be read may have been the result, or been taken for it
+        if not results:
             help = "end it with a line that is only a value, such as `direction(target)`"
             self.report.error("missing-result", f"behaviour `{node.name.text}` has no result", node.name.span, help)
         for extra in results[:-1]:
@@ -161,20 +185,21 @@ class _Reading:
 
     # --- lines that cannot be read ---
 
-    def surprise(self, error: Any, line: Line, text: Lookup, rule: str) -> Surprise:
+    def surprise(self, error: Any, line: Line, text: Lookup, rule: str, weary: bool) -> Surprise:
         token = getattr(error, "token", None)
         ended = token is not None and token.type == "$END"
         position = len(text.text) if ended else error.pos_in_stream
         if token is not None and not ended:
             position = token.start_pos
         offset = text.offset(position)
-        before = [each for each in line.tokens if each.start < offset or (ended and each.start <= offset)]
-        after = [] if ended else [each for each in line.tokens if each.start >= offset]
+        # the parser may have taken `->` for a minus and stumbled over its second half
+        before = [each for each in line.tokens if ended or each.end <= offset]
+        after = line.tokens[len(before) :]
         last, found = (before[-1] if before else None), (after[0] if after else None)
         span = Span(self.source, found.start, found.end) if found else Span(self.source, line.end, line.end)
         first = line.tokens[0]
         interactive = getattr(error, "interactive_parser", None)
-        wanted = interactive.accepts() if interactive is not None else getattr(error, "allowed", None) or ()
+        wanted = interactive.accepts() if interactive is not None and not weary else ()
         return Surprise(
             rule,
             text_of(self.scan, first),
@@ -185,6 +210,8 @@ class _Reading:
             span,
             Span(self.source, first.start, first.end),
             frozenset(wanted),
+            text_of(self.scan, after[1]) if len(after) > 1 else "",
+            text_of(self.scan, before[-2]) if len(before) > 1 else "",
         )
 
     def mend(self, line: Line, text: Lookup, rule: str, surprise: Surprise) -> list[Any]:

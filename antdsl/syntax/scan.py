@@ -201,7 +201,7 @@ class _Scanner:
         self.last_end = end
         return end
 
-    def blank(self, start: int, end: int, piece: str) -> int:
+    def blank(self, start: int, end: int, piece: str) -> int:  # also for blanks that had to be put right
         if self.indent >= 0:
             self.indent += sum(4 if character == "\t" else 1 for character in piece if character != "\r")
         self.found.blank(start, end)
@@ -358,7 +358,7 @@ class _Scanner:
         if piece in _DOUBLE_QUOTES or piece in _SINGLE_QUOTES:
             return self.wrong_quotes(start, piece)
         if piece.isspace() or unicodedata.category(piece) in ("Zs", "Cf"):
-            if "blank" not in self.told:
+            if "blank" not in self.told and (start > 0 or piece != "\ufeff"):
                 self.told.add("blank")
                 name = unicodedata.name(piece, f"U+{ord(piece):04X}").lower()
                 self.found.error("odd-blank", f"{name} in place of a blank", start, end, "type a blank", " ")

@@ -25,6 +25,8 @@ class Surprise:
     span: Span
     first_span: Span
     wanted: frozenset[str]
+    next: str = ""  # the text after `found`
+    earlier: str = ""  # the text before `before`
 
 
 # After these words or signs, what comes next, in words.
@@ -52,7 +54,7 @@ _AFTER = {
     "until": "a condition",
     "state": "the name of the state",
     "start": "the name of a state",
-    "species": "the name of a species",
+    "species": "a name",
     "field": "the name of the field",
     "machine": "the name of the machine",
     "behaviour": "the name of the behaviour",
@@ -86,12 +88,13 @@ _NEEDED = (
     ("UNTIL", "`until`"),
     ("_OVER", "`over`"),
     ("FROM", "`from`"),
-    ("_DOTS", "`..`"),
-    ("_COLON", "`:`"),
     ("RPAR", "`)`"),
     ("RSQB", "`]`"),
+    ("_DOTS", "`..`"),
     ("LBRACE", "`{`"),
     ("EQUAL", "`=`"),
+    ("_COLON", "`:`"),
+    ("_STRONGEST", "`strongest`"),
     ("_TO", "`to`"),
     ("_IN", "`in`"),
     ("WHEN", "`when`"),
@@ -104,24 +107,38 @@ _NEEDED = (
     ("_COMMA", "`,`"),
 )
 _VALUE = frozenset({"NUMBER", "QUANTITY", "NAME", "LPAR"})
+_ASSIGNING = {"=", "+=", "-=", "[", "."}
 _COMPARISONS = {"==", "!=", "<", ">", "<=", ">=", "is"}
 
 
 def complain(surprise: Surprise) -> Diagnostic:
     """The complaint about a line that cannot be read; the first kind of mistake that fits."""
-    for kind in (_misspelt, _misplaced, _unit, _equals, _compared_twice, _second_line, _unfinished):
+    for kind in (_misspelt, _misplaced, _no_line, _label, _unit, _equals, _compared_twice, _second_line, _unfinished):
         found = kind(surprise)
         if found is not None:
             return found
     message = f"found {_shown(surprise.found)} after {_shown(surprise.before)}" if surprise.before else f"found {_shown(surprise.found)}"
     wanted = _wanted(surprise)
-    return Diagnostic("unexpected-text", f"{message}, expected {wanted}", surprise.span, help=_form(surprise))
+    help = f"to name an argument, write `{surprise.before}: {surprise.found}`" if _forgets_colon(surprise) else _form(surprise)
+    return Diagnostic("unexpected-text", f"{message}, expected {wanted}", surprise.span, help=help)
+
+
+def _forgets_colon(surprise: Surprise) -> bool:
+    between = {"RPAR", "_COMMA"} <= surprise.wanted and surprise.rule != "top" and surprise.earlier in ("(", ",")
+    return between and surprise.before_kind == "word" and surprise.found_kind in ("number", "word") and surprise.next in (",", ")")
+
+
+def plain_complaint(surprise: Surprise) -> Diagnostic:
+    """The same without a thought about what was meant: for a file with a great many mistakes."""
+    if not surprise.found:
+        return Diagnostic("unfinished-line", f"line ends after {_shown(surprise.before)}", surprise.span)
+    return Diagnostic("unexpected-text", f"found {_shown(surprise.found)} where the line cannot go on with it", surprise.span)
 
 
 def better_first_word(surprise: Surprise) -> str | None:
     """The word that the first word of a line is a slip of, when the line fits no other reading."""
     words = LINE_WORDS[surprise.rule]
-    if surprise.first in words or not surprise.first.isidentifier() or surprise.found in ("=", "+=", "-="):
+    if surprise.first in words or not surprise.first.isidentifier() or surprise.found in ("=", "+=", "-=", "("):
         return None
     return nearest_name(surprise.first, words)
 
@@ -141,15 +158,35 @@ def _misplaced(surprise: Surprise) -> Diagnostic | None:
     return Diagnostic("misplaced-line", f"`{surprise.first}` does not stand here", surprise.first_span, help=f"it belongs {belongs}")
 
 
+def _no_line(surprise: Surprise) -> Diagnostic | None:
+    words = LINE_WORDS[surprise.rule]
+    if surprise.before or not words or surprise.found in words or surprise.rule == "behaviour_line":
+        return None
+    begins = f"a line here begins with one of {' '.join(words)}"
+    help = begins if surprise.rule in ("top", "spec_line") else f"{begins}, or with a name"
+    return Diagnostic("unknown-line", f"{_shown(surprise.found)} does not begin a line here", surprise.span, help=help)
+
+
+def _label(surprise: Surprise) -> Diagnostic | None:
+    """`f(a b: 1)`, where the word before the colon was taken for something else."""
+    names = surprise.before_kind == "word" and surprise.found == ":" and surprise.earlier not in ("(", ",", "{", "")
+    if not names or surprise.rule in ("spec_line", "weight", "top"):
+        return None
+    message = f"found `{surprise.before}:` after {_shown(surprise.earlier)}, expected `,` or `)`"
+    return Diagnostic("unexpected-text", message, surprise.span, help=f"write a comma before `{surprise.before}:`")
+
+
 def _unit(surprise: Surprise) -> Diagnostic | None:
     number = surprise.before_kind == "number" and surprise.before[-1:].isdigit()
-    if not number or surprise.found_kind != "word" or surprise.found in _keywords():
+    if not number or surprise.found_kind != "word" or surprise.found in _keywords() or surprise.next == ":":
         return None
+    if surprise.next in _ASSIGNING and "$END" in surprise.wanted:
+        return _line_end(surprise)
     return Diagnostic("unknown-unit", f"`{surprise.found}` is not a unit", surprise.span, help=unit_help(surprise.found))
 
 
 def _keywords() -> frozenset[str]:
-    return frozenset(word for words in LINE_WORDS.values() for word in words) | set(_AFTER)
+    return frozenset(word for words in LINE_WORDS.values() for word in words) | set(_AFTER) | {"relax", "strongest"}
 
 
 def _equals(surprise: Surprise) -> Diagnostic | None:
@@ -165,15 +202,19 @@ def _compared_twice(surprise: Surprise) -> Diagnostic | None:
 
 
 def _second_line(surprise: Surprise) -> Diagnostic | None:
-    if not begins_line(surprise):
-        return None
+    return _line_end(surprise) if begins_line(surprise) else None
+
+
+def _line_end(surprise: Surprise) -> Diagnostic:
     message = f"`{surprise.found}` in the middle of a line"
     return Diagnostic("missing-line-end", message, surprise.span, help="begin a new line with it, or write `;` before it")
 
 
 def begins_line(surprise: Surprise) -> bool:
     """Whether the surprise is a word that begins a line, after something that could have been the end of one."""
-    return surprise.found in LINE_WORDS[surprise.rule] and "$END" in surprise.wanted
+    words = LINE_WORDS[surprise.rule]
+    assigns = bool(words) and surprise.found_kind == "word" and surprise.next in _ASSIGNING
+    return (surprise.found in words or assigns) and "$END" in surprise.wanted
 
 
 def _unfinished(surprise: Surprise) -> Diagnostic | None:
@@ -189,7 +230,10 @@ def _wanted(surprise: Surprise) -> str:
         return {"top": "the type of the result, such as `push`", "rule": "a value from 0 to 1"}.get(surprise.rule, "the name of a state")
     if _VALUE <= wanted:
         return _AFTER.get(surprise.before, "a value")
-    if surprise.before in _AFTER and not ("$END" in wanted and surprise.before in ("{", "to")):
+    if {"RPAR", "_COMMA"} <= wanted:
+        return "`,` or `)`"
+    begins = wanted & {"NAME", "STRING", "NUMBER", "NONE"} and "PLUS" not in wanted
+    if begins and surprise.before in _AFTER and surprise.before not in ("{", "("):
         return _AFTER[surprise.before]
     if surprise.rule == "world_item" and "NAME" in wanted:
         return f"a name after one of {' '.join(WORLD_KINDS)}" if not surprise.before else "a name"
@@ -208,6 +252,12 @@ def _wanted(surprise: Surprise) -> str:
 
 
 def _form(surprise: Surprise) -> str:
+    if {"RPAR", "_COMMA"} <= surprise.wanted and surprise.rule != "top":
+        return "arguments are written like `seek(meal)` or `wander(swing: 40 deg)`"
+    if surprise.wanted == {"FROM"}:
+        return "write it like `take 1 load from meal`"
+    if surprise.rule == "statement" and surprise.found == "(" and surprise.before == surprise.first not in LINE_WORDS["statement"]:
+        return f"write `steer {surprise.first}(…)` to move that way"
     form = FORMS.get(surprise.first) if surprise.first in LINE_WORDS[surprise.rule] else RULE_FORMS.get(surprise.rule)
     if form is None:
         return f"a line here begins with one of {' '.join(LINE_WORDS[surprise.rule])}"
