@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, dataclass_transform
 
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
 
+@dataclass_transform(eq_default=False, frozen_default=True)
 def value(cls: type) -> type:
     return dataclass(frozen=True, slots=True, eq=False)(cls)
 
