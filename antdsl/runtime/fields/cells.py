@@ -1,0 +1,233 @@
+"""Cells that scent lies in: the voxels that surfaces touch, one for each way that the surface faces there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.runtime.senses.rasterise import triangle_cells
+from antdsl.runtime.senses.rays import Mesh, nearest_on_triangle
+
+Floats = NDArray[np.float64]
+Cells = NDArray[np.int32]
+
+NEAREST = 16
+_DENSE = 8_000_000  # voxels of a box that may be listed one by one
+_ALONG = 1 << 19  # voxels along an axis; three packed with a side stay in 63 bits
+_BLOCK = tuple(product((-1, 0, 1), repeat=3))
+_CHUNK = 1 << 15
+
+
+class FieldTooFine(ValueError):
+    """A field would need more cells than `limits.FIELD_CELLS`; nothing was allocated for it."""
+
+    def __init__(self, needed: int, cap: int) -> None:
+        super().__init__(f"about {needed:,} cells are needed and {cap:,} are allowed; a larger `cell` needs fewer")
+        self.needed, self.cap = needed, cap
+
+
+@dataclass(frozen=True, slots=True)
+class Links:
+    """Pairs of touching cells of a compatible side as rows of a table: cell a's are `cell[start[a]:start[a+1]]`, ascending."""
+
+    start: NDArray[np.int64]
+    cell: Cells
+
+
+def facing(normals: Floats) -> NDArray[np.int64]:
+    """Which of six ways normals [n,3] face most: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; the first of equals."""
+    n = np.asarray(normals)
+    axis = np.abs(n).argmax(axis=1)
+    return 2 * axis + (n[np.arange(len(n)), axis] < 0)
+
+
+class SurfaceCells:
+    """Cells of size `cell` (mm) over surfaces, each (vertices float64[n,3], faces int32[m,3]).
+
+    A cell is a voxel, its middle on a lattice through the origin, and a side: the axis direction that the surface's normal is
+    nearest to. So a thin plate has two sides, and cells number by place, then side, whatever the order of the faces. Raises
+    FieldTooFine before anything large is made.
+    """
+
+    def __init__(self, surfaces: Sequence[Mesh], cell: float, cap: int = limits.FIELD_CELLS) -> None:
+        if not (np.isfinite(cell) and cell > 0):
+            raise ValueError("the size of a cell must be more than 0")
+        self.cell = float(cell)
+        arrays = [np.asarray(v, np.float64).reshape(-1, 3)[np.asarray(f, np.int64).reshape(-1, 3)] for v, f in surfaces]
+        corners = np.concatenate(arrays) if arrays else np.empty((0, 3, 3))
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = np.sqrt((across * across).sum(axis=1))
+        corners, across, area = (a[area > 0] for a in (corners, across, area))
+        needed = float(area.sum() / 2 / self.cell**2)
+        extent = corners.max(axis=(0, 1)) - corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
+        if needed > cap or float(extent.max()) / self.cell > _ALONG:
+            raise FieldTooFine(int(max(needed, float(extent.max()) / self.cell)), cap)
+        scaled = corners / self.cell + 0.5
+        self._low = np.floor(scaled.min(axis=(0, 1))).astype(np.int64) if len(corners) else np.zeros(3, np.int64)
+        self._size = np.floor(scaled.max(axis=(0, 1))).astype(np.int64) - self._low + 1 if len(corners) else np.ones(3, np.int64)
+        self._gather(corners, scaled, across / np.maximum(area, 1e-300)[:, None], cap)
+        self._voxels = self._keys // 6
+        self._start_table = self._starts()
+
+    def _gather(self, corners: Floats, scaled: Floats, normal: Floats, cap: int) -> None:
+        """Keys, positions and normals of all cells, from the part of each triangle in each voxel that it touches."""
+        side = facing(normal)
+        keys, sums = np.empty(0, np.int64), np.empty((0, 7))
+        waiting: list[tuple[NDArray[np.int64], Floats]] = []
+        for voxel, face in triangle_cells(scaled):
+            middle = voxel.astype(np.float64) * self.cell
+            point = nearest_on_triangle(middle, corners[face])
+            part = np.column_stack([point, normal[face], np.ones(len(face))])
+            waiting.append(_summed(self._key(voxel - self._low, side[face]), part))
+            if sum(len(k) for k, _ in waiting) > max(1 << 20, len(keys)):
+                keys, sums = _summed(*(np.concatenate(c) for c in zip((keys, sums), *waiting, strict=True)))
+                waiting.clear()
+                if len(keys) > cap:
+                    raise FieldTooFine(len(keys), cap)
+        keys, sums = _summed(*(np.concatenate(c) for c in zip((keys, sums), *waiting, strict=True)))
+        if len(keys) > cap:
+            raise FieldTooFine(len(keys), cap)
+        self._keys = keys
+        self.position: Floats = sums[:, :3] / sums[:, 6:]
+        length = np.sqrt((sums[:, 3:6] ** 2).sum(axis=1))
+        self.normal: Floats = sums[:, 3:6] / np.maximum(length, 1e-300)[:, None]
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    @property
+    def side(self) -> NDArray[np.int64]:
+        """Which way each cell faces, as `facing` counts."""
+        return self._keys % 6
+
+    def _key(self, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
+        return ((voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2]) * 6 + side
+
+    def _starts(self) -> NDArray[np.int32] | None:
+        """First cell of every voxel of the box, where the box is small enough to list."""
+        count = int(self._size[0]) * int(self._size[1]) * int(self._size[2])
+        if count > _DENSE:
+            return None
+        table = np.zeros(count + 1, np.int32)
+        np.cumsum(np.bincount(self._voxels, minlength=count), out=table[1:])
+        return table
+
+    @cached_property
+    def _most(self) -> int:
+        """Cells in the fullest voxel."""
+        fresh = np.flatnonzero(np.concatenate(([True], self._voxels[1:] != self._voxels[:-1]))) if len(self) else []
+        return int(np.diff(np.append(fresh, len(self))).max(initial=0))
+
+    def _in_voxel(self, voxel: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """First cell and number of cells in voxels [n,3] counted from the box's corner; none outside the box."""
+        within = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
+        flat = np.where(within, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0)
+        if self._start_table is not None:
+            first, last = self._start_table.take(flat), self._start_table.take(flat + 1)
+        else:
+            first, last = self._voxels.searchsorted(flat), self._voxels.searchsorted(flat + 1)
+        return first.astype(np.int64), np.where(within, last - first, 0)
+
+    def lookup(self, points: Floats, normals: Floats) -> Cells:
+        """The cell of each point [n,3] on a face with a normal [n,3] (the face's own, not the agent's side).
+
+        Where there is none, the nearest of the 27 voxels around whose side is not the opposite one; else -1.
+        """
+        points = np.asarray(points, np.float64).reshape(-1, 3)
+        if not len(self):
+            return np.full(len(points), -1, np.int32)
+        finite = np.isfinite(points).all(axis=1)
+        bounded = np.clip(np.where(finite[:, None], points, np.inf) / self.cell + 0.5, -1e15, 1e15)
+        voxel = np.floor(bounded).astype(np.int64) - self._low
+        side = facing(np.asarray(normals).reshape(-1, 3))
+        first, count = self._in_voxel(voxel)
+        cell = np.full(len(points), -1, np.int64)
+        for step in range(self._most):
+            at = np.minimum(first + step, len(self) - 1)
+            cell = np.where((step < count) & (self.side_of(at) == side), at, cell)
+        missed = np.flatnonzero((cell < 0) & finite)
+        if missed.size:
+            cell[missed] = self._nearby(points[missed], voxel[missed], side[missed])
+        return cell.astype(np.int32)
+
+    def side_of(self, cell: NDArray[np.integer]) -> NDArray[np.int64]:
+        return self._keys.take(cell) % 6
+
+    def _nearby(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
+        best, distance = np.full(len(points), -1, np.int64), np.full(len(points), np.inf)
+        for offset in _BLOCK:
+            first, count = self._in_voxel(voxel + np.array(offset))
+            for step in range(self._most):
+                at = np.minimum(first + step, len(self) - 1)
+                gap = ((self.position[at] - points) ** 2).sum(axis=1)
+                closer = (step < count) & compatible(self.side_of(at), side) & (gap < distance)
+                best, distance = np.where(closer, at, best), np.where(closer, gap, distance)
+        return best
+
+    def _around(self, cells: NDArray[np.int64], block: Sequence[tuple[int, int, int]]) -> NDArray[np.int64]:
+        """Compatible cells in a block of voxels around cells, int64[k, n], -1 where there is none."""
+        voxels = self._voxels[cells]
+        voxel = np.column_stack(
+            [voxels // (self._size[1] * self._size[2]), voxels // self._size[2] % self._size[1], voxels % self._size[2]]
+        )
+        side, rows = self.side_of(cells), []
+        for offset in block:
+            first, count = self._in_voxel(voxel + np.array(offset))
+            for step in range(self._most):
+                at = np.minimum(first + step, len(self) - 1)
+                rows.append(np.where((step < count) & compatible(self.side_of(at), side), at, -1))
+        return np.stack(rows)
+
+    @cached_property
+    def links(self) -> Links:
+        """Which cells share a face of their voxels, or a voxel, and do not face opposite ways."""
+        block = [o for o in _BLOCK if sum(map(abs, o)) <= 1]
+        counts, cells = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
+        for a in range(0, len(self), _CHUNK):
+            own = np.arange(a, min(a + _CHUNK, len(self)))
+            around = np.sort(self._around(own, block), axis=0).T
+            here = (around >= 0) & (around != own[:, None])
+            counts.append(here.sum(axis=1))
+            cells.append(around[here].astype(np.int32))
+        return Links(np.cumsum(np.concatenate(counts)), np.concatenate(cells))
+
+    @cached_property
+    def block(self) -> Cells:
+        """For each cell the nearest 16 of its 3³ block with itself, int32[n,16], ascending; `len(self)` where there are fewer."""
+        return self.nearest(NEAREST)
+
+    def nearest(self, k: int) -> Cells:
+        """For each cell the nearest `k` of its 3³ block, itself included, by (distance, cell)."""
+        table = np.full((len(self), k), len(self), np.int32)
+        for a in range(0, len(self), _CHUNK):
+            own = np.arange(a, min(a + _CHUNK, len(self)))
+            around = self._around(own, _BLOCK)
+            gap = np.zeros(around.shape)
+            for axis in range(3):
+                gap += (self.position[around, axis] - self.position[own, axis]) ** 2
+            gap[around < 0] = np.inf
+            order = np.lexsort((around, gap), axis=0)[:k]
+            chosen = np.take_along_axis(np.where(around < 0, len(self), around), order, axis=0)
+            table[a : a + own.size, : len(chosen)] = np.sort(chosen, axis=0).T
+        return table
+
+
+def compatible(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether sides are not opposite: what an agent can walk from one to the other of in one cell."""
+    return (a ^ 1) != b
+
+
+def _summed(keys: NDArray[np.int64], parts: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Distinct keys, ascending, with the sums of their parts."""
+    order = np.argsort(keys, kind="stable")
+    keys, parts = keys[order], parts[order]
+    if not len(keys):
+        return keys, parts
+    first = np.flatnonzero(np.concatenate(([True], keys[1:] != keys[:-1])))
+    return keys[first], np.add.reduceat(parts, first, axis=0)

@@ -1,0 +1,192 @@
+"""Scent on surfaces: it is laid in cells, fades, spreads and is smelled. Deposits add exactly, in whatever order they come."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.fields.cells import NEAREST, Cells, SurfaceCells
+
+Floats = NDArray[np.float32]
+
+UNIT = 2.0**-24  # deposits are whole numbers of this
+LARGEST_DEPOSIT = 2.0**16  # so that five million of them in one cell stay within 63 bits
+FLUSH = 1e-12
+_SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+def largest_stable_diffusion(cell: float, dt: float) -> float:
+    """The most diffusion (mm²/s) at which scent in cells of `cell` mm never swings or goes below 0 in steps of `dt` s."""
+    return cell * cell / (4.0 * dt)
+
+
+class PheromoneField:
+    """Amounts of one scent in the cells of surfaces.
+
+    `combine` says what several deposits in one cell and step do: `add` up, or leave the greatest (`max`). `limit` is the most
+    that a cell holds. `values` float64[cells] is what was there at the start of a step; deposits land at its end.
+    """
+
+    def __init__(self, cells: SurfaceCells, combine: Literal["add", "max"] = "add", limit: float = np.inf) -> None:
+        self.cells, self.combine, self.limit = cells, combine, float(limit)
+        self._padded = np.zeros(len(cells) + 1)  # one past the end: what a cell that is not there holds
+        self._pending = np.zeros(len(cells), np.int64)
+        self._touched = False
+        self._blocks: dict[int, Cells] = {}
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """What each cell holds; write into it to restore a state."""
+        return self._padded[:-1]
+
+    def state_bytes(self) -> bytes:
+        """What a hash of the state has to cover, the same on every machine."""
+        return self.values.astype("<f8").tobytes()
+
+    def deposit(self, cells: Cells, amounts: Floats) -> int:
+        """Lay amounts in cells (-1 = nowhere), to be there after `step`. Returns how many were refused or cut.
+
+        What is not a number is not laid; more than LARGEST_DEPOSIT is cut to it. With `combine` max only what is above 0 counts.
+        """
+        cells, amounts = np.asarray(cells), np.asarray(amounts, np.float64)
+        good = np.isfinite(amounts)
+        wrong = int(np.count_nonzero(~good | (np.abs(amounts) > LARGEST_DEPOSIT)))
+        laid = np.flatnonzero(good & (cells >= 0) & (amounts != 0))
+        if laid.size:
+            whole = np.rint(np.clip(amounts[laid], -LARGEST_DEPOSIT, LARGEST_DEPOSIT) / UNIT).astype(np.int64)
+            (np.add if self.combine == "add" else np.maximum).at(self._pending, cells[laid], whole)
+            self._touched = True
+        return wrong
+
+    def step(self, keep: float, diffusion: float, dt: float) -> None:
+        """One step of `dt` s: spread by `diffusion` (mm²/s), keep the share `keep`, then let the deposits land.
+
+        Raises ValueError, with the largest stable value, when `diffusion` is more than the cell allows.
+        """
+        values = self.values
+        if diffusion > 0:
+            most = largest_stable_diffusion(self.cells.cell, dt)
+            if diffusion > most * (1 + 1e-9):
+                raise ValueError(
+                    f"a diffusion of {diffusion:g} mm²/s is unstable here, the largest that is stable is {most:g} mm²/s"
+                )
+            if values.any():
+                values += (diffusion * dt / self.cells.cell**2) * (self._laplacian @ values)
+        if keep != 1:
+            values *= float(np.float32(keep))
+        if self._touched:
+            landed = self._pending * UNIT
+            if self.combine == "add":
+                values += landed
+            else:
+                np.maximum(values, landed, out=values)
+            self._pending[:] = 0
+            self._touched = False
+        if np.isfinite(self.limit):
+            np.minimum(values, self.limit, out=values)
+        values[values < FLUSH] = 0.0
+
+    @cached_property
+    def _laplacian(self) -> _Flow:
+        """Flow into each cell for a unit of diffusion, as a sparse matrix whose columns sum to 0.
+
+        Between two cells flows 4 / max(4, links of either) of their difference: the five-point stencil on a plane, and
+        nowhere more than four links' worth in all, so what is stable depends on the size of a cell alone.
+        """
+        from scipy.sparse import csr_array
+
+        links = self.cells.links
+        count = np.diff(links.start)
+        own = np.repeat(np.arange(len(self.cells)), count)
+        weight = 4.0 / np.maximum(np.maximum(count[own], count[links.cell]), 4)
+        inward = csr_array((weight, links.cell, links.start), shape=(len(self.cells), len(self.cells)))
+        return _Flow(inward, np.bincount(own, weight, len(self.cells)))
+
+    def sample(self, cells: Cells) -> Floats:
+        """What cells hold, float32[n]; 0 for -1."""
+        return self._padded.take(np.where(np.asarray(cells) < 0, len(self.cells), cells)).astype(np.float32)
+
+    def strongest(self, cells: Cells, k: int = NEAREST) -> tuple[Floats, Floats, Floats, Floats]:
+        """The most that one of the nearest `k` cells of the 3³ block holds, and that cell's place (x, y, z in mm), float32[n].
+
+        Of equal cells the first. Where none holds anything the value is 0 and the place is the own cell's; (0, 0, 0) for -1.
+        """
+        own = np.asarray(cells, np.int64)
+        known = own >= 0
+        block = self._block(k).take(np.where(known, own, 0), axis=0) if len(self.cells) else np.empty((own.size, 0), np.int32)
+        best, value = own, np.zeros(own.size)
+        for column in np.ascontiguousarray(block.T).astype(np.int64):
+            held = self._padded.take(column)
+            more = held > value
+            best, value = np.where(more, column, best), np.where(more, held, value)
+        x, y, z = self._places.take(np.where(known, best, len(self.cells)), axis=1).astype(np.float32)
+        return np.where(known, value, 0.0).astype(np.float32), x, y, z
+
+    def gradient(self, cells: Cells, k: int = NEAREST) -> tuple[Floats, Floats, Floats]:
+        """Direction and strength in which scent grows along the surface, per mm: least squares over the nearest `k` cells."""
+        own = np.asarray(cells, np.int64)
+        known = (own >= 0) & (len(self.cells) > 0)
+        own = np.where(known, own, 0)
+        if not len(self.cells):
+            nothing = np.zeros(own.size, np.float32)
+            return nothing, nothing.copy(), nothing.copy()
+        places = self._places
+        here, normal = places.take(own, axis=1), np.ascontiguousarray(self.cells.normal.take(own, axis=0).T)
+        held = self._padded.take(own)
+        moments = np.zeros((6, own.size))
+        slope = np.zeros((3, own.size))
+        for column in np.ascontiguousarray(self._block(k).take(own, axis=0).T).astype(np.int64):
+            real = column < len(self.cells)
+            # A cell that is not there counts as the own one, which adds nothing.
+            column = np.where(real, column, own)
+            d = places.take(column, axis=1) - here
+            rise = self._padded.take(column) - held
+            for m, (a, b) in enumerate(_SYMMETRIC):
+                moments[m] += d[a] * d[b]
+            slope += d * rise
+        # Cells say nothing across the surface: the normal's own direction is made stiff, so that the answer lies in it.
+        stiff = moments[0] + moments[1] + moments[2] + 1e-30
+        for m, (a, b) in enumerate(_SYMMETRIC):
+            moments[m] += stiff * normal[a] * normal[b] * 1e3 + (1e-9 * stiff if m < 3 else 0.0)
+        return tuple(np.where(known, g, 0.0).astype(np.float32) for g in _solved(moments, slope))  # type: ignore[return-value]
+
+    def _block(self, k: int) -> Cells:
+        if k == NEAREST:
+            return self.cells.block
+        if k not in self._blocks:
+            self._blocks[k] = self.cells.nearest(k)
+        return self._blocks[k]
+
+    @cached_property
+    def _places(self) -> NDArray[np.float64]:
+        """Positions of cells, float64[3, cells + 1], the last one for no cell."""
+        return np.concatenate([self.cells.position.T, np.zeros((3, 1))], axis=1)
+
+
+class _Flow:
+    """A symmetric flow between cells: what comes in from the linked cells less what goes out."""
+
+    def __init__(self, inward: Any, out: NDArray[np.float64]) -> None:
+        self._inward, self._out = inward, out
+
+    def __matmul__(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        flow: NDArray[np.float64] = self._inward @ values
+        flow -= self._out * values
+        return flow
+
+
+def _solved(m: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """x of M x = v for symmetric 3×3 M given as (xx, yy, zz, xy, xz, yz), by cofactors."""
+    xx, yy, zz, xy, xz, yz = m
+    c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    c11, c12, c22 = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    size = xx * c00 + xy * c01 + xz * c02
+    size = np.where(size > 0, size, 1.0)
+    return (
+        (c00 * v[0] + c01 * v[1] + c02 * v[2]) / size,
+        (c01 * v[0] + c11 * v[1] + c12 * v[2]) / size,
+        (c02 * v[0] + c12 * v[1] + c22 * v[2]) / size,
+    )
