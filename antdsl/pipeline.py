@@ -59,14 +59,14 @@ def compile_files(paths: Iterable[Path]) -> tuple[Program | None, Report]:
     return _checked(loaded)
 
 
-def _checked(loaded: Loaded) -> tuple[Program | None, Report]:
-    from antdsl.program import check_all
+def _checked(loaded: Loaded, strict: bool = False) -> tuple[Program | None, Report]:
+    from antdsl.program import check
 
     report = Report()
     if not loaded.files:
         report.extend(loaded.report)
         return None, report
-    program, findings = check_all(loaded.files, library=loaded.library, modules=loaded.modules)
+    program, findings = check(loaded.files, loaded.library, loaded.modules, strict=strict)
     report.extend(loaded.report)
     report.extend(findings)
     return program, report

@@ -21,6 +21,7 @@ from antdsl.outputs.manifest import (
 )
 from antdsl.program.model import Dim, Kind, Program
 from antdsl.runtime.world import Population, World
+from antdsl.scene.setting import Setting
 
 Arrays = dict[str, NDArray[Any]]
 _PLAIN = {"P", "v", "orient", "id", "pscale", "Cd", "state", "species", "age", "group"}
@@ -61,7 +62,7 @@ class FrameMaker:
     def _attribute(self, world: World, attribute: str, number: int, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
         population = world.populations[name]
         if attribute == "P":
-            return (population.position[rows] * self.scale).astype(np.float32)
+            return ((population.position[rows] + world.origin) * self.scale).astype(np.float32)
         if attribute == "v":
             return _vector(population, "velocity", rows) * np.float32(self.scale)
         if attribute == "orient":
@@ -106,15 +107,15 @@ def orientation(heading: NDArray[np.float32], up: NDArray[np.float32]) -> NDArra
     return chosen.astype(np.float32)
 
 
-def static_arrays(world: World) -> Arrays:
+def static_arrays(world: World, setting: Setting) -> Arrays:
     """What stands still: meshes and the places of field cells, in scene units."""
-    scale = 1.0 / world.setting.unit_mm
+    scale = 1.0 / setting.unit_mm
     arrays: Arrays = {}
-    for name, mesh in {**world.setting.surfaces, **world.setting.obstacles}.items():
+    for name, mesh in {**setting.surfaces, **setting.obstacles}.items():
         arrays[f"mesh.{name}.vertices"] = mesh.vertices * scale
         arrays[f"mesh.{name}.faces"] = mesh.faces
     for name, field in world.fields.items():
-        arrays[f"field.{name}.P"] = (np.asarray(field.cells.position) * scale).astype(np.float32)
+        arrays[f"field.{name}.P"] = ((np.asarray(field.cells.position) + world.origin) * scale).astype(np.float32)
     return arrays
 
 
@@ -124,7 +125,7 @@ def describe(
     checkpoint: int, attributes: tuple[str, ...], camera: CameraEntry | None,
 ) -> Manifest:  # fmt: skip
     """The manifest of a run that begins with this world."""
-    setting, scale = world.setting, 1.0 / world.setting.unit_mm
+    scale = 1.0 / setting.unit_mm
     return Manifest(
         antdsl=version,
         scene=scene,

@@ -93,6 +93,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
     maker = FrameMaker(world, shot.program, model.output.attributes)
     manifest = describe(
         world,
+        shot.setting,
         version=shot.inputs["antdsl"],
         scene=Path(shot.scene.source.path).name,
         inputs=shot.inputs,
@@ -106,7 +107,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         camera=_camera(shot),
     )
     with CacheWriter(recording.folder, manifest) as writer:
-        writer.begin(static_arrays(world), recording.resumed_from)
+        writer.begin(static_arrays(world, shot.setting), recording.resumed_from)
         if recording.resumed_from is None:
             for _ in range(model.preroll):
                 if recording.stop:
@@ -115,6 +116,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
                 step(world)
                 recording.spend("step", began)
                 watch("preroll", world.frame)
+            world.motion.reset()
             _write(recording, writer, maker, last=recording.stop)
             yield recording
         while recording.frame is not None and recording.frame < shot.frames.last and not recording.stop:

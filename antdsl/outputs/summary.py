@@ -30,7 +30,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "carried": carried(recording),
         "faults": world.faults.count,
         "max_surface_error": recording.surface_error,
-        "motion": world.motion.summary(),
+        "motion": world.motion.measures(),
         "state_hash": recording.hash,
         "peak_memory": peak_memory(),
     }

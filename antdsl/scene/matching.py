@@ -266,7 +266,9 @@ def _layers(scene: Scene, program: Program, report: Report) -> None:
         for number in wrong:
             line = scene.model.layers[name][number]
             help = "write the beginning of one of: " + ", ".join(f"`{text}`" for text in texts)
-            report.error("unknown-thing", f"`{line}` begins no single layer of `{name}`", scene.span("layers", name, number), help)
+            report.error(
+                "unknown-thing", f"`{line}` begins no single layer of `{name}`", scene.span("layers", name, number), help
+            )
         if order is None and not wrong:
             left = [text for text in texts if not any(text.startswith(line.strip()) for line in scene.model.layers[name])]
             help = "add " + ", ".join(f"`{text}`" for text in left) if left else None

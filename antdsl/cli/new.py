@@ -1,0 +1,95 @@
+"""`antdsl new DIR`: a project to start from: a program, a scene and a ground, ready to run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from antdsl.cli.exits import Exit, Stop
+
+PROGRAM = """\
+ant 1
+"Walkers that stroll, and rest now and then."
+use steering
+
+world { surface ground }
+
+species walker {
+  param pace = 30 mm/s in 5 mm/s .. 100 mm/s  "How fast a walker strolls"
+
+  size      4 mm
+  max_speed pace
+
+  start stroll
+  state stroll "Taking a walk" amber {
+    steer wander(swing: 40 deg)
+    when chance 10 %/s -> rest
+  }
+  state rest "Having a rest" blue {
+    when after 1 s -> stroll
+  }
+
+  layers {
+    separate(radius: 2 * size)
+    state
+  }
+}
+"""
+
+SCENE = """\
+antdsl: 1
+units: mm
+up: y
+fps: 24
+frames: 1..240
+seed: 1
+world:
+  ground: {mesh: ground.ply}
+crowd:
+  - {species: walker, from: walker.ant, count: 200, place: {on: ground, radius: 60 mm}}
+set: {walker.pace: 25 mm/s}
+camera: {at: [0, 130, 190], look_at: [0, 0, 0], focal: 35 mm}
+"""
+
+
+def new(
+    folder: Path = typer.Argument(..., metavar="DIR", help="A folder that is not there yet, or is empty."),
+) -> None:
+    """Write a small project to start from."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise Stop(Exit.INPUT_OUTPUT, f"error: `{folder}` is there already and not empty", "name another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "walker.ant").write_text(PROGRAM, encoding="utf-8")
+    (folder / "scene.yaml").write_text(SCENE, encoding="utf-8")
+    (folder / "ground.ply").write_bytes(ground())
+    typer.echo(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
+    typer.echo(f"  antdsl run {folder / 'scene.yaml'}")
+    typer.echo(f"  antdsl render {folder / 'out' / 'scene'} --sheet")
+
+
+def ground(side: int = 49, width: float = 200.0) -> bytes:
+    """A gently rolling square as a binary .ply file: `side` × `side` vertices, `width` mm wide, y up."""
+    import numpy as np
+
+    line = np.linspace(-width / 2, width / 2, side)
+    x, z = np.meshgrid(line, line, indexing="ij")
+    y = 6 * np.sin(x / 23) * np.cos(z / 31) + 3 * np.sin((x + 2 * z) / 41) + 1.2 * np.cos((x - z) / 11)
+    vertices = np.stack([x, y, z], axis=-1).reshape(-1, 3).astype("<f4")
+    corner = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)[None, :]).ravel()
+    first = np.stack([corner, corner + 1, corner + side], axis=1)
+    second = np.stack([corner + 1, corner + side + 1, corner + side], axis=1)
+    faces = np.concatenate([first, second])
+    rows: Any = np.empty(len(faces), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
+    rows["count"], rows["corners"] = 3, faces
+    lines = (
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(vertices)}",
+        *(f"property float {axis}" for axis in "xyz"),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    )
+    return "\n".join(lines).encode() + b"\n" + vertices.tobytes() + rows.tobytes()

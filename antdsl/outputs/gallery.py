@@ -1,0 +1,169 @@
+"""Frames of a cache to pictures: meshes, agents in the colours of their states, items by what is left of them, scent on the
+ground."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.catalogue import body_of
+from antdsl.outputs.cache import Arrays, Cache
+from antdsl.outputs.pictures.model import Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
+
+_SHAPES: tuple[tuple[str, Shape], ...] = (
+    ("apple", "apple"),
+    ("donut", "ring"),
+    ("ring", "ring"),
+    ("nest", "mound"),
+    ("home", "mound"),
+)
+_KINDS: tuple[tuple[str, Kind], ...] = (("boulder", "boulder"), ("rock", "boulder"), ("hill", "hill"), ("stone", "stone"))
+_UPS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+WANTED = ("P", "orient", "pscale")
+
+
+class NoPicture(Exception):
+    """Why a cache cannot be drawn, in words that stand alone."""
+
+
+class Gallery:
+    """Makes pictures of one cache. Frames asked for in order let the legs of agents move on between them."""
+
+    def __init__(self, cache: Cache) -> None:
+        self.cache, self.manifest = cache, cache.manifest
+        missing = [name for name in WANTED if name not in self.manifest.attributes]
+        if missing:
+            raise NoPicture(f"the cache has no attribute `{missing[0]}`, which pictures need")
+        above, below = self.manifest.fps.split("/")
+        self.dt = int(below) / int(above)
+        self.static = cache.static()
+        self.solids = tuple(self._solid(mesh.name, mesh.kind) for mesh in self.manifest.meshes)
+        self.full: dict[str, float] = {}
+        self._walked: dict[str, tuple[int, NDArray[np.int64], NDArray[np.float64]]] = {}
+        self._first: Arrays | None = None
+
+    def picture(self, frame: int, *, agents: frozenset[int] = frozenset()) -> Picture:
+        """One frame. With `agents` only those ids have what `ids` and `velocity` show."""
+        arrays = self.cache.frame(frame)
+        crowds, legend = self._crowds(frame, arrays, agents)
+        return Picture(
+            solids=self.solids,
+            crowds=crowds,
+            items=self._items(arrays),
+            trails=self._trails(arrays),
+            up=_UPS[self.manifest.up],
+            legend=legend,
+            frame=frame,
+        )
+
+    def camera(self) -> Camera | None:
+        """The scene's own camera, if it has one."""
+        own = self.manifest.camera
+        return None if own is None else Camera(own.at, own.look_at, focal=own.focal or 35.0)
+
+    def _solid(self, name: str, kind: str) -> Solid:
+        look: Kind = next((k for word, k in _KINDS if word in name.lower()), "stone" if kind == "obstacle" else "ground")
+        vertices = np.asarray(self.static[f"mesh.{name}.vertices"], np.float64)
+        return Solid(name, vertices, np.asarray(self.static[f"mesh.{name}.faces"], np.int32), look)
+
+    def _crowds(self, frame: int, arrays: Arrays, agents: frozenset[int]) -> tuple[tuple[Crowd, ...], tuple[LegendRow, ...]]:
+        made: list[Crowd] = []
+        legend: list[LegendRow] = []
+        count = len(arrays["P"])
+        which = np.asarray(arrays["species"]) if "species" in arrays else np.zeros(count, np.int16)
+        ids = np.asarray(arrays["id"]) if "id" in arrays else np.arange(count)
+        for number, species in enumerate(self.manifest.species):
+            rows = np.flatnonzero(which == number)
+            crowd = Crowd(
+                species=species.name,
+                position=np.asarray(arrays["P"], np.float64)[rows],
+                orient=np.asarray(arrays["orient"], np.float64)[rows],
+                scale=np.asarray(arrays["pscale"], np.float64)[rows],
+                colour=np.asarray(arrays["Cd"], np.float64)[rows] if "Cd" in arrays else np.full((len(rows), 3), 0.35),
+                walked=self._walk(species.name, frame, ids[rows], arrays, rows),
+                body=body_of(species.name),
+                ids=ids[rows],
+                velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
+            )
+            made += _parted(crowd, agents)
+            if species.machines and "state" in arrays:
+                counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
+                legend += [
+                    LegendRow(state.label or state.name, _bytes(state.colour), int(n))
+                    for state, n in zip(species.machines[0].states, counts, strict=False)
+                ]
+        return tuple(made), tuple(legend)
+
+    def _walk(self, species: str, frame: int, ids: NDArray[Any], arrays: Arrays, rows: NDArray[np.intp]) -> NDArray[np.float64]:
+        """How far each has walked, for its legs: from a start of its own, moved on by the speed of each frame drawn since."""
+        scale = np.asarray(arrays["pscale"], np.float64)[rows]
+        walked = (ids * 0.618034 % 1.0) * scale
+        before = self._walked.get(species)
+        if before is not None and "v" in arrays:
+            speed = np.linalg.norm(np.asarray(arrays["v"], np.float64)[rows], axis=1)
+            at = np.searchsorted(before[1], ids)
+            at = np.minimum(at, max(len(before[1]) - 1, 0))
+            known = before[1][at] == ids if len(before[1]) else np.zeros(len(ids), bool)
+            walked[known] = before[2][at[known]] + speed[known] * self.dt * (frame - before[0])
+        self._walked[species] = (frame, ids, walked)
+        return walked
+
+    def _items(self, arrays: Arrays) -> tuple[Item, ...]:
+        if self._first is None:
+            frames = self.cache.frames()
+            self._first = self.cache.frame(frames[0]) if frames else arrays
+        made = []
+        for group in self.manifest.items:
+            for number, (name, position, radius) in enumerate(zip(group.names, group.position, group.radius, strict=True)):
+                shape = next((s for word, s in _SHAPES if word in name.lower() or word in group.name.lower()), "sphere")
+                made.append(Item(name, position, radius, self._left(group.name, group.attributes, number, arrays), shape))
+        return tuple(made)
+
+    def _left(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:
+        """The share of its first amount that an item still has; what had nothing at first is always whole."""
+        for attribute in attributes:
+            key = f"items.{group}.{attribute}"
+            if self._first is not None and key in self._first and key in arrays:
+                first = float(self._first[key][number])
+                if first > 0:
+                    return float(np.clip(arrays[key][number] / first, 0.0, 1.0))
+        return 1.0
+
+    def _trails(self, arrays: Arrays) -> tuple[Trail, ...]:
+        made = []
+        for field in self.manifest.fields:
+            cells, values = arrays.get(f"field.{field.name}.cells"), arrays.get(f"field.{field.name}.values")
+            if cells is not None and values is not None and len(cells):
+                places = np.asarray(self.static[f"field.{field.name}.P"], np.float64)
+                made.append(Trail(field.name, places[cells], np.asarray(values, np.float64), field.cell))
+        return tuple(made)
+
+
+def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
+    """The crowd, or those agents and the others, of which only the first have ids and velocities to show."""
+    if not agents or crowd.ids is None:
+        return [crowd]
+    chosen = np.isin(crowd.ids, sorted(agents))
+    parts = []
+    for rows, named in ((chosen, True), (~chosen, False)):
+        parts.append(
+            replace(
+                crowd,
+                position=crowd.position[rows],
+                orient=crowd.orient[rows],
+                scale=crowd.scale[rows],
+                colour=crowd.colour[rows],
+                walked=None if crowd.walked is None else crowd.walked[rows],
+                ids=crowd.ids[rows] if named else None,
+                velocity=crowd.velocity[rows] if named and crowd.velocity is not None else None,
+            )
+        )
+    return parts
+
+
+def _bytes(colour: tuple[float, float, float]) -> tuple[int, int, int]:
+    r, g, b = (round(255 * min(max(part, 0.0), 1.0)) for part in colour)
+    return r, g, b
