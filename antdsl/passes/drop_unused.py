@@ -12,7 +12,7 @@ KEPT = frozenset(("push.x", "push.y", "push.z"))  # the runtime reads the result
 
 
 def drop_unused(plan: Plan) -> Plan:
-    """Same effects: attributes and memories are part of the state and stay; a temp that is never read goes with all that made it."""
+    """Same effects: attributes and memories are the state and stay; a temp that is never read goes, with all that made it."""
     return rebuilt(replace(plan, species={name: _species(s) for name, s in plan.species.items()}))
 
 

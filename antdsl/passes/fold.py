@@ -8,7 +8,7 @@ from antdsl.plan.simplify import value
 
 
 def fold(plan: Plan) -> Plan:
-    """Same effects; constant subexpressions are constants, regions of nobody are gone and regions of everybody have no condition."""
+    """Same effects: what is constant is a constant, regions of nobody are gone, regions of everybody have no condition."""
     return with_blocks(rebuilt(plan), lambda species, block: _block(species, block))
 
 

@@ -1,7 +1,7 @@
 """Take out of the pairs what is the same for all pairs of an agent.
 
-(pair * a) * b becomes pair * (a * b), and pair / a becomes pair * (1 / a): the right side is computed once an agent. This may move the last
-bit of a result; every backend runs the plan that comes out, so all still agree.
+(pair * a) * b becomes pair * (a * b), and pair / a becomes pair * (1 / a): the right side is computed once an agent. This may
+move the last bit of a result; every backend runs the plan that comes out, so all still agree.
 """
 
 from __future__ import annotations

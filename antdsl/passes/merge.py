@@ -9,7 +9,7 @@ from antdsl.plan.walk import needed, registers_read, statements
 
 
 def merge(plan: Plan) -> Plan:
-    """Same effects. The same node is the same condition, unless the first region writes what it reads: then it is another load."""
+    """Same effects. The same node is the same condition, unless the first region writes what it reads."""
     return with_blocks(plan, lambda species, block: _block(species, block))
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from antdsl.plan import ir, values
 from antdsl.plan.builder import PlanError
@@ -99,7 +100,7 @@ def _play(w: Writer, s: model.Play, site: str) -> None:
     raise NotYet("`play`", s.span, "leave the line out")
 
 
-_WRITE = {
+_WRITE: dict[type, Callable[[Writer, Any, str], None]] = {
     model.Steer: _steer, model.Assign: _assign, model.Deposit: _deposit, model.Give: _give, model.Emit: _emit,
     model.SpawnAgent: _spawn, model.Die: _die, model.Carve: _carve, model.Play: _play,
 }  # fmt: skip

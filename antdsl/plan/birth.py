@@ -1,4 +1,4 @@
-"""What happens to an agent at birth: its attributes in the order they need each other, `on spawn`, and entering its start states."""
+"""What happens to an agent at birth: its attributes in the order they need each other, `on spawn`, entering its start states."""
 
 from __future__ import annotations
 
@@ -101,7 +101,10 @@ def _order(w: Writer) -> list[str]:
     return order
 
 
-def _visit(root: str, needs: dict[str, list[str]], state: dict[str, int], order: list[str], circle: Callable[[str], None]) -> None:
+def _visit(
+    root: str, needs: dict[str, list[str]], state: dict[str, int], order: list[str], circle: Callable[[str], None]
+) -> None:
+    """Depth first, without recursion: `state` is 1 for what is being made and 2 for what is made."""
     stack = [(root, False)]
     while stack:
         name, ready = stack.pop()
@@ -118,7 +121,8 @@ def _visit(root: str, needs: dict[str, list[str]], state: dict[str, int], order:
 
 def _circle(w: Writer, attribute: model.AttributeDecl | None) -> None:
     if attribute is not None:
-        w.report.error("circular-default", f"the first value of `{attribute.name}` needs itself", attribute.span, "give one of them a number")
+        message = f"the first value of `{attribute.name}` needs itself"
+        w.report.error("circular-default", message, attribute.span, "give one of them a number")
 
 
 def attributes_read(expr: model.Expr) -> list[str]:

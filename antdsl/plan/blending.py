@@ -1,4 +1,4 @@
-"""Layers into one push of at most 1: a budget spent from the top line down, or a sum, or the first that wants anything. Decision 14."""
+"""Layers into one push of at most 1: a budget spent from the top line down, a sum, or the first that is any. Decision 14."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def ordered(w: Writer, order: Sequence[str] | None) -> tuple[model.Layer, ...]:
     for name in order:
         fitting = [layer for layer in layers if layer not in result and _named(layer, name)]
         exact = [layer for layer in fitting if _plain(layer.text) == _plain(name)]
-        if len(exact) != 1 and len(fitting) != 1:
+        if not exact and len(fitting) != 1:
             known = ", ".join(f"`{layer.text}`" for layer in layers)
             what = "no layer" if not fitting else "more than one layer"
             w.report.error("layer-order", f"{what} of `{w.species.name}` is `{name}`", span, f"the layers are {known}")
@@ -99,7 +99,8 @@ def ordered(w: Writer, order: Sequence[str] | None) -> tuple[model.Layer, ...]:
     missing = [layer for layer in layers if layer not in result]
     if missing:
         names = ", ".join(f"`{layer.text}`" for layer in missing)
-        w.report.error("layer-order", f"the order of the layers of `{w.species.name}` leaves out {names}", span, "name every layer once")
+        message = f"the order of the layers of `{w.species.name}` leaves out {names}"
+        w.report.error("layer-order", message, span, "name every layer once")
         return tuple(layers)
     return tuple(result)
 

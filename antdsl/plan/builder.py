@@ -1,6 +1,8 @@
-"""Makes nodes of the plan: checks them against the table, folds what is known, and returns the same object for the same operation."""
+"""Makes nodes of the plan: checks them against the table, folds what is known, gives the same object for the same operation."""
 
 from __future__ import annotations
+
+from typing import Any
 
 from antdsl.plan import simplify
 from antdsl.plan.floats import f32
@@ -15,7 +17,7 @@ class PlanError(AssertionError):
     """A plan that breaks its own rules: our mistake, never the author's."""
 
 
-def fitting(op: str, args: tuple[Node, ...], attrs: tuple) -> str | None:
+def fitting(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | None:
     """What is wrong with operands and attributes of an operation, or None."""
     row = OPS.get(op)
     if row is None:
@@ -37,14 +39,15 @@ def fitting(op: str, args: tuple[Node, ...], attrs: tuple) -> str | None:
     return None
 
 
-def result_kind(op: str, args: tuple[Node, ...], attrs: tuple, kind: Kind | None) -> Kind:
+def result_kind(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...], kind: Kind | None) -> Kind:
     """Kind of a result; `kind` says it for those operations that read a register."""
     if op in _OF_REGISTER:
         return kind or Kind.F32
     if op == "where":
         return args[1].kind
     if op == "get":
-        return TUPLES[args[0].op][attrs[0]]
+        index: int = attrs[0]
+        return TUPLES[args[0].op][index]
     return OPS[op].kind
 
 
@@ -52,9 +55,7 @@ def result_rate(op: str, args: tuple[Node, ...]) -> Rate:
     """The greatest rate of the parts; a reduction is back at the agent's."""
     if op.startswith("reduce."):
         return Rate.AGENT
-    return max((a.rate for a in args), default=OPS[op].rate) if OPS[op].rate == Rate.CONST else max(
-        [OPS[op].rate, *(a.rate for a in args)]
-    )
+    return max([OPS[op].rate, *(a.rate for a in args)])
 
 
 class Builder:
@@ -63,11 +64,11 @@ class Builder:
     def __init__(self) -> None:
         self.nodes: list[Node] = []
         self.span: Span | None = None
-        self._known: dict[tuple, Node] = {}
+        self._known: dict[tuple[Any, ...], Node] = {}
         self.true = self("const.bool", attrs=(True,))
         self.false = self("const.bool", attrs=(False,))
 
-    def __call__(self, op: str, *args: Node, attrs: tuple = (), kind: Kind | None = None) -> Node:
+    def __call__(self, op: str, *args: Node, attrs: tuple[Any, ...] = (), kind: Kind | None = None) -> Node:
         """The node of an operation, simplified where its operands allow it."""
         wrong = fitting(op, args, attrs)
         if wrong:
@@ -75,7 +76,7 @@ class Builder:
         simple = simplify.simplify(self, op, args, attrs)
         return simple if simple is not None else self.intern(op, args, attrs, result_kind(op, args, attrs, kind))
 
-    def intern(self, op: str, args: tuple[Node, ...], attrs: tuple, kind: Kind, span: Span | None = None) -> Node:
+    def intern(self, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...], kind: Kind, span: Span | None = None) -> Node:
         """The node as asked for, made only if there is none like it."""
         key = (op, tuple(a.number for a in args), repr(attrs), kind)
         node = self._known.get(key)

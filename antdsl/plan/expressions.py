@@ -1,8 +1,9 @@
-"""Typed expressions into nodes: names, attributes, memories, behaviours put in place; operations go to their rule in `plan.rules`."""
+"""Typed expressions into nodes: names, attributes, memories, behaviours in place; operations have their rule in `plan.rules`."""
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Callable, Container
+from typing import Any
 
 from antdsl.plan import values
 from antdsl.plan.builder import PlanError
@@ -83,7 +84,7 @@ def _const(w: Writer, e: model.Const) -> Value:
     node = w.b.number(e.number)
     for name, exponent in (("u", e.u), ("dt", e.step)):
         if exponent:
-            node = w.b("mul", node, _power(w, w.run(name), exponent)) if exponent > 0 else w.b("div", node, _power(w, w.run(name), -exponent))
+            node = w.b("mul" if exponent > 0 else "div", node, _power(w, w.run(name), abs(exponent)))
     return node
 
 
@@ -206,10 +207,12 @@ def _keep(w: Writer, binding: model.Binding) -> Value:
     w.environment[binding] = _before(w, binding)
     following = lower(w, binding.then)
     now = select(w, w.before(on), following, first)
-    stores = [(f"{binding.key}.{a}", n, binding.span) for a, n in zip(AXES, now, strict=True)] if isinstance(now, Vec) else [
-        (binding.key, now.node if isinstance(now, Ref) else now, binding.span)
-    ]
-    w.memories[binding] = (*stores, (on, w.b.true, binding.span))  # type: ignore[assignment]
+    stores = (
+        [(f"{binding.key}.{a}", n, binding.span) for a, n in zip(AXES, now, strict=True)]
+        if isinstance(now, Vec)
+        else [(binding.key, now.node if isinstance(now, Ref) else now, binding.span)]
+    )
+    w.memories[binding] = (*stores, (on, w.b.true, binding.span))
     w.remember(binding)
     return now
 
@@ -336,7 +339,8 @@ def _reduce(w: Writer, e: model.Reduce) -> Value:
     return reduce(w, e)
 
 
-_LOWER = {
+_LOWER: dict[type, Callable[[Writer, Any], Value]] = {
     model.Const: _const, model.NoneRef: _none, model.StateConst: _state, model.ParamRef: _param, model.Thing: _thing,
-    model.Local: _local, model.Inline: _inline, model.Attribute: _attribute, model.Op: _op, model.SetOf: _set, model.Reduce: _reduce,
+    model.Local: _local, model.Inline: _inline, model.Attribute: _attribute, model.Op: _op,
+    model.SetOf: _set, model.Reduce: _reduce,
 }  # fmt: skip

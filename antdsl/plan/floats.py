@@ -1,6 +1,7 @@
 """Float32 arithmetic of constants, to the bit as the backends do it: a float64 result rounded once more.
 
-Double rounding is harmless for + - * / and the square root, since 53 >= 2 * 24 + 2 (Figueroa, "When is double rounding innocuous?", 1995).
+Double rounding is harmless for + - * / and the square root, since 53 >= 2 * 24 + 2
+(Figueroa, "When is double rounding innocuous?", 1995).
 """
 
 from __future__ import annotations

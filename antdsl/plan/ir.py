@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
+from typing import Any
 
 from antdsl.source import Span
 
@@ -34,7 +35,7 @@ class Rate(IntEnum):
 class Node:
     op: str
     args: tuple[Node, ...]
-    attrs: tuple
+    attrs: tuple[Any, ...]
     kind: Kind
     rate: Rate
     span: Span | None

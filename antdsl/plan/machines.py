@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 
 from antdsl.plan import ir
 from antdsl.plan.actions import complain, write
@@ -78,8 +80,14 @@ class MachineWriter:
     def decide(self) -> None:
         """In each state its transitions in order; the first that is true wins. Claims ask for what the winners take."""
         by_state = [(s, [c for c in self.changes if c.state is s]) for s in self.machine.states]
-        self.w.alternatives([(self._in(s), s.span, lambda cs=cs: self._weigh(cs)) for s, cs in by_state if cs])  # type: ignore[misc]
-        self.w.alternatives([(self._is(c), c.transition.span, lambda c=c: self._claim(c)) for c in self.changes if c.transition.take])  # type: ignore[misc]
+        self.w.alternatives([(self._in(s), s.span, partial(self._weigh, cs)) for s, cs in by_state if cs])
+        self._per_change([c for c in self.changes if c.transition.take], self._claim)
+
+    def _per_state(self, states: Iterable[model.State], write: Callable[[model.State], None]) -> None:
+        self.w.alternatives([(self._in(s), s.span, partial(write, s)) for s in states])
+
+    def _per_change(self, changes: Iterable[_Change], write: Callable[[_Change], None]) -> None:
+        self.w.alternatives([(self._is(c), c.transition.span, partial(write, c)) for c in changes])
 
     def _is(self, change: _Change) -> Node:
         return self.w.b("eq", self.w.read(self.pending), self.w.b.row(change.number))
@@ -122,9 +130,8 @@ class MachineWriter:
         source = lower(w, take.source)
         assert isinstance(source, Ref)
         own = take.attribute if take.attribute in w.registers else None
-        w.add(ir.Claim(
-            source.of, take.attribute, source.node, scalar(w, take.amount), self.won, own, change.transition.key, take.span
-        ))  # fmt: skip
+        amount, site = scalar(w, take.amount), change.transition.key
+        w.add(ir.Claim(source.of, take.attribute, source.node, amount, self.won, own, site, take.span))
         w.wrote(self.won)
         if own:
             w.wrote(own)
@@ -137,7 +144,7 @@ class MachineWriter:
         if self.changes:
             with w.region(self._changing(), self.machine.span):
                 self._change()
-        w.alternatives([(self._in(s), s.span, lambda s=s: write(w, s.body, f"{self.site}.{s.name}")) for s in self.machine.states])  # type: ignore[misc]
+        self._per_state(self.machine.states, lambda s: write(w, s.body, f"{self.site}.{s.name}"))
 
     def _changing(self) -> Node:
         b = self.w.b
@@ -157,12 +164,13 @@ class MachineWriter:
         for change in reversed(self.changes):
             target = b("where", self._is(change), self._target(change), target)
         w.store(f"{name}.next", target, self.machine.span)
-        w.alternatives([(self._in(s), s.span, lambda s=s: write(w, s.exit, f"{self.site}.{s.name}.exit")) for s in self.machine.states if s.exit])  # type: ignore[misc]
-        w.alternatives([(self._is(c), c.transition.span, lambda c=c: write(w, c.transition.actions, c.transition.key)) for c in self.changes if c.transition.actions])  # type: ignore[misc]
+        self._per_state((s for s in self.machine.states if s.exit), lambda s: write(w, s.exit, f"{self.site}.{s.name}.exit"))
+        acting = (c for c in self.changes if c.transition.actions)
+        self._per_change(acting, lambda c: write(w, c.transition.actions, c.transition.key))
         w.store(f"{name}.previous", old, self.machine.span)
         w.store(f"{name}.state", w.read(f"{name}.next"), self.machine.span)
         w.store(f"{name}.time_in_state", b.number(0), self.machine.span)
-        w.alternatives([(self._in(s), s.span, lambda s=s: self._enter(s)) for s in self.machine.states])  # type: ignore[misc]
+        self._per_state(self.machine.states, self._enter)
 
     def _target(self, change: _Change) -> Node:
         w, t, b = self.w, change.transition, self.w.b
@@ -181,7 +189,7 @@ class MachineWriter:
         return target
 
     def _enter(self, state: model.State) -> None:
-        """Counters of `held` begin anew: a state's own where it is entered, a shared one's where a state without it is entered."""
+        """Counters of `held` begin anew: a state's own where it is entered, a shared one where a state without it is entered."""
         here = {t.key for t in state.transitions}
         for key in dict.fromkeys(c.transition.key for c in self.changes if c.transition.held is not None):
             counter = f"{key}.held"

@@ -24,8 +24,8 @@ FULL_TURN = 2 * pi - 1e-5
 def quantum(dim: Dim) -> int:
     """Terms of a sum are rounded to a multiple of 2**quantum of their base unit, so that the sum is exact in any order.
 
-    A float64 carries 53 bits: with -24 a plain number up to 2**26 in a set of 8 million terms; lengths, speeds and forces give up four
-    bits of fineness (6e-8 mm is still far under a float32's own step at 1 mm) for range, areas fourteen, volumes all."""
+    A float64 carries 53 bits: with -24 the sum may reach 2**28. Lengths, speeds and forces give up four bits of fineness for
+    range (1e-6 mm, and sums up to 4 million metres), areas fourteen, volumes all; densities get six more."""
     if dim.length <= 0:
         return -30 if dim.length < 0 else -24
     return -20 if dim.length <= 1 else -10 if dim.length <= 2 else 0
@@ -150,7 +150,7 @@ def _element_with_least(w: Writer, over: Group, body: Node) -> Ref:
 
 
 def feel(w: Writer, e: model.SetOf) -> tuple[Hit, ...]:
-    """Rays from the agent along its heading, turned about up evenly from one side's `spread` to the other's (Reynolds 1999, p. 12)."""
+    """Rays along the heading, turned about up evenly from one side's `spread` to the other's (Reynolds 1999, p. 12)."""
     b = w.b
     count_expr, spread_expr, reach_expr = e.args
     count = value(scalar_of_agent(w, count_expr, e))
@@ -164,8 +164,10 @@ def feel(w: Writer, e: model.SetOf) -> tuple[Hit, ...]:
     for k in range(n):
         share = 0.0 if n == 1 else 2 * k / (n - 1) - 1
         angle = b("mul", spread, b.number(share))
-        ahead = heading if share == 0 else values.add(
-            b, values.scale(b, heading, b("cos", angle)), values.scale(b, across, b("sin", angle))
+        ahead = (
+            heading
+            if share == 0
+            else values.add(b, values.scale(b, heading, b("cos", angle)), values.scale(b, across, b("sin", angle)))
         )
         hits.append(cast(w, ahead, reach, e.of))
     return tuple(hits)

@@ -4,19 +4,38 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from antdsl.plan.ir import SENSES, Block, Claim, Deposit, Die, Emit, Give, If, Kind, Node, Plan, Rate, Spawn, SpeciesPlan, Statement, Store
+
+from antdsl.plan.ir import (
+    OPS,
+    SENSES,
+    Block,
+    Claim,
+    Deposit,
+    Die,
+    Emit,
+    Give,
+    If,
+    Kind,
+    Node,
+    Plan,
+    Rate,
+    Spawn,
+    SpeciesPlan,
+    Statement,
+    Store,
+)
 from antdsl.plan.walk import blocks, needed, operands, statements
 
 _INFIX = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=",
     "and": "and", "or": "or",
 }  # fmt: skip
-_LEAVES = frozenset(("const", "const.bool", "const.i32", "const.i64", "param", "run", "step", "snap", "load", "id", "age", "other", "other.id", "other.row", "event"))
+_LEAVES = frozenset(name for name, row in OPS.items() if not row.args and name not in SENSES)
 _WIDE = 100  # characters of an expression before its parts get names
 
 
 def show(plan: Plan) -> str:
-    """Readable text, the same for the same plan. A value that is used again is named once, `a1 = …`, where it is first needed."""
+    """Readable text, the same for the same plan. A value that is used again has a name, `a1 = …`, from its first use on."""
     parts = [_head(plan)]
     for species in plan.species.values():
         parts.append("\n".join(_species(species)))
@@ -44,7 +63,8 @@ def _head(plan: Plan) -> str:
 def _species(species: SpeciesPlan) -> list[str]:
     lines = [f"species {species.name}"]
     for role in ("attribute", "memory", "temp"):
-        names = [r.name + ("" if r.kind is Kind.F32 else f":{r.kind.value}") for r in species.registers.values() if r.role == role]
+        mine = [r for r in species.registers.values() if r.role == role]
+        names = [r.name if r.kind is Kind.F32 else f"{r.name}:{r.kind.value}" for r in mine]
         if names:
             lines.append(f"  {role}: {' '.join(_vectors(names))}")
     for machine in species.machines:
@@ -74,7 +94,8 @@ def _vectors(names: list[str]) -> list[str]:
 def _cost(nodes: list[Node]) -> str:
     """How much there is to compute: operations once a step, per agent, per pair; senses."""
     work = [n for n in nodes if n.op not in _LEAVES]
-    count = Counter("pair" if n.rate is Rate.PAIR else "agent" if n.rate is Rate.AGENT else "step" for n in work if n.op not in SENSES and n.op != "get")
+    plain = [n.rate for n in work if n.op not in SENSES and n.op != "get"]
+    count = Counter("pair" if rate is Rate.PAIR else "agent" if rate is Rate.AGENT else "step" for rate in plain)
     senses = Counter(n.op for n in work if n.op in SENSES)
     parts = [f"{count[rate]} per {rate}" for rate in ("step", "agent", "pair") if count[rate]]
     parts += [f"{number} {name}" for name, number in sorted(senses.items())]
@@ -102,7 +123,7 @@ class _Names:
         inner = [self.text(a) for a in node.args]
         op, attrs = node.op, node.attrs
         if op in _INFIX:
-            left, right = (f"({t})" if " " in t and not t.endswith(")") or _open(t) else t for t in inner)
+            left, right = (f"({text})" if _open(text) else text for text in inner)
             return f"{left} {_INFIX[op]} {right}"
         match op:
             case "const":
@@ -151,7 +172,7 @@ class _Text(_Names):
         for node in needed(roots):
             users.update(node.args)
         users.update(roots)
-        self.shared = {n for n, count in users.items() if count > 1 and n.op not in _LEAVES and not (n.op == "get")}
+        self.shared = {n for n, count in users.items() if count > 1 and n.op not in _LEAVES and n.op != "get"}
         self.shared |= {n for n in users if n.op in SENSES}
         self.shared |= self._long(needed(roots))
 

@@ -5,7 +5,7 @@ Only rewrites that give the same value for every operand, NaN and infinity inclu
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from antdsl.plan.floats import ARITHMETIC, COMPARISONS, f32, greatest, least
 from antdsl.plan.ir import Kind, Node
@@ -13,15 +13,16 @@ from antdsl.plan.ir import Kind, Node
 if TYPE_CHECKING:
     from antdsl.plan.builder import Builder
 
+Value = float | int | bool | None
 _CONSTS = frozenset(("const", "const.bool", "const.i32", "const.i64"))
 
 
-def value(node: Node) -> float | int | bool | None:
-    """The value of a constant node, None of any other."""
+def value(node: Node) -> Any:
+    """The value of a constant node (float, int or bool), None of any other."""
     return node.attrs[0] if node.op in _CONSTS else None
 
 
-def simplify(b: Builder, op: str, args: tuple[Node, ...], attrs: tuple) -> Node | None:
+def simplify(b: Builder, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> Node | None:
     """A node that stands for the operation, or None if nothing simpler is known."""
     if not args:
         return None
@@ -34,7 +35,7 @@ def simplify(b: Builder, op: str, args: tuple[Node, ...], attrs: tuple) -> Node 
     return rule(b, args, values) if rule else None
 
 
-def _computed(b: Builder, op: str, values: list) -> Node | None:
+def _computed(b: Builder, op: str, values: list[Any]) -> Node | None:
     if op in ARITHMETIC:
         return b.number(f32(ARITHMETIC[op](*values)))
     if op in COMPARISONS:
@@ -47,15 +48,15 @@ def _computed(b: Builder, op: str, values: list) -> Node | None:
     return None
 
 
-def _add(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
+def _add(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return args[0] if v[1] == 0 else args[1] if v[0] == 0 else None
 
 
-def _sub(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
+def _sub(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return args[0] if v[1] == 0 else b("neg", args[1]) if v[0] == 0 else None
 
 
-def _mul(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
+def _mul(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     if v[1] == 1:
         return args[0]
     if v[0] == 1:
@@ -65,19 +66,19 @@ def _mul(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
     return b("neg", args[1]) if v[0] == -1 else None
 
 
-def _div(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
+def _div(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return args[0] if v[1] == 1 else None
 
 
-def _neg(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
+def _neg(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return args[0].args[0] if args[0].op == "neg" else None
 
 
-def _same(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
+def _same(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return args[0] if args[0] is args[1] else None
 
 
-def _and(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
+def _and(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     if v[0] is False or v[1] is False:
         return b.false
     if v[0] is True or args[0] is args[1]:
@@ -85,7 +86,7 @@ def _and(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
     return args[0] if v[1] is True else None
 
 
-def _or(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
+def _or(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     if v[0] is True or v[1] is True:
         return b.true
     if v[0] is False or args[0] is args[1]:
@@ -93,7 +94,7 @@ def _or(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
     return args[0] if v[1] is False else None
 
 
-def _not(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
+def _not(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     if v[0] is not None:
         return b.truth(not v[0])
     inner = args[0]
@@ -104,7 +105,7 @@ def _not(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
     return None
 
 
-def _where(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
+def _where(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     condition, then, other = args
     if v[0] is not None:
         return then if v[0] else other
@@ -119,15 +120,15 @@ def _where(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
     return None
 
 
-def _eq(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
+def _eq(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return b.true if args[0] is args[1] and args[0].kind is not Kind.F32 else None
 
 
-def _ne(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
+def _ne(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return b.false if args[0] is args[1] and args[0].kind is not Kind.F32 else None
 
 
-def _alive(b: Builder, args: tuple[Node, ...], v: list) -> Node | None:
+def _alive(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return b.false if v[0] == -1 else None
 
 

@@ -158,5 +158,5 @@ def rotate(b: Builder, v: Vec, axis: Vec, angle: Node) -> Vec:
 
 
 def angle_between(b: Builder, u: Vec, v: Vec) -> Node:
-    """0 to half a turn; well conditioned at both ends, unlike the arc cosine (Kahan, "How futile are mindless assessments …", 2006)."""
+    """0 to half a turn; well conditioned at both ends, unlike the arc cosine (Kahan 2006, "How futile …")."""
     return b("atan2", length(b, cross(b, u, v)), dot(b, u, v))

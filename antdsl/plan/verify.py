@@ -5,7 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from antdsl.plan.builder import PlanError, fitting, result_kind, result_rate
-from antdsl.plan.ir import Block, Claim, Deposit, Give, If, Kind, Node, Plan, Rate, SpeciesPlan, Spawn, Statement, Store
+from antdsl.plan.ir import (
+    Block,
+    Claim,
+    Deposit,
+    Give,
+    If,
+    ItemsPlan,
+    Kind,
+    Node,
+    Plan,
+    Rate,
+    Spawn,
+    SpeciesPlan,
+    Statement,
+    Store,
+)
 from antdsl.plan.walk import blocks, field_nodes, needed, operands, roots, statements
 
 _READS = ("snap", "load")
@@ -62,9 +77,8 @@ def _names(plan: Plan) -> Iterator[str]:
     for node in plan.nodes:
         if node.op in known and node.attrs[0] not in known[node.op]:  # type: ignore[operator]
             yield f"{node!r} names {node.attrs[0]!r}, which is not there"
-        if node.op == "item.get" and node.attrs[1] not in ("x", "y", "z", "radius") and node.attrs[0] in plan.items:
-            if node.attrs[1] not in plan.items[node.attrs[0]].attributes:
-                yield f"{node!r}: {node.attrs[0]} have no {node.attrs[1]}"
+        if node.op == "item.get" and node.attrs[0] in plan.items:
+            yield from _of_items(plan.items[node.attrs[0]], node, node.attrs[1])
         if node.op == "agent.get" and node.attrs[0] in plan.species:
             yield from _register(plan.species[node.attrs[0]], node, node.attrs[1])
         if node.op.startswith("reduce."):
@@ -84,8 +98,8 @@ def _elements(plan: Plan, reduce: Node) -> Iterator[str]:
             continue
         if of_items:
             items = plan.items.get(source.attrs[0])
-            if items and node.attrs[0] not in ("x", "y", "z", "radius", *items.attributes):
-                yield f"{reduce!r} reads {node.attrs[0]} of {source.attrs[0]}"
+            if items is not None:
+                yield from _of_items(items, node, node.attrs[0])
         elif source.attrs[0] in plan.species:
             yield from _register(plan.species[source.attrs[0]], node, node.attrs[0])
 
@@ -100,6 +114,11 @@ def _per_pair(nodes: tuple[Node, ...]) -> Iterator[Node]:
         seen.add(node)
         yield node
         stack += node.args
+
+
+def _of_items(items: ItemsPlan, node: Node, attribute: str) -> Iterator[str]:
+    if attribute not in ("x", "y", "z", "radius", *items.attributes):
+        yield f"{node!r}: {items.name} have no {attribute}"
 
 
 def _register(species: SpeciesPlan, node: Node, name: str) -> Iterator[str]:

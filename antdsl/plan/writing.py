@@ -1,7 +1,7 @@
 """Where lowering writes: the current block of one species, what has been written on the way there, and what reads see.
 
-An own attribute reads as `snap` while nothing on the way to this place can have written it, so that what depends on it is shared with
-every other place; after a possible write it reads as `load`, counted by the stores before it in the text.
+An own attribute reads as `snap` while nothing on the way to this place can have written it, so that what depends on it is shared
+with every other place; after a possible write it reads as `load`, counted by the stores before it in the text.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Writer:
         if known is None:
             self.registers[name] = Register(name, kind, role, zero, of)
         elif known.kind is not kind or known.role != role:
-            raise PlanError(f"register {name} of {self.species.name} is a {known.kind.value} {known.role} and a {kind.value} {role}")
+            raise PlanError(f"register {name} is a {known.kind.value} {known.role} and a {kind.value} {role}")
 
     def declare_typed(self, name: str, type: model.Type, role: str) -> None:
         """Registers for a value of the language: three for a vector."""

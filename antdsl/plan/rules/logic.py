@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from antdsl.plan.expressions import as_truth, lower, present, select, truth
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.values import Value
 from antdsl.plan.writing import Writer
 from antdsl.program import model
 
+Rule = Callable[[Writer, model.Op], Value]
 
-def _joined(sharp: str, shaded: str):  # type: ignore[no-untyped-def]
+
+def _joined(sharp: str, shaded: str) -> Rule:
     """`and`, `or`: of truths, or of shades from 0 to 1 as their least or greatest (Zadeh 1965, section 2)."""
 
     def rule(w: Writer, e: model.Op) -> Value:

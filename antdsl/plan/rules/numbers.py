@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from antdsl.plan import values
 from antdsl.plan.builder import PlanError
 from antdsl.plan.expressions import lower, scalar
@@ -11,13 +13,15 @@ from antdsl.plan.values import Value, Vec
 from antdsl.plan.writing import Writer
 from antdsl.program import model
 
+Rule = Callable[[Writer, model.Op], Value]
+
 
 def args(w: Writer, e: model.Op) -> list[Node]:
     """All operands as scalars; none may be absent."""
     return [scalar(w, a) for a in e.args if a is not None]
 
 
-def _both(op: str):  # type: ignore[no-untyped-def]
+def _both(op: str) -> Rule:
     def rule(w: Writer, e: model.Op) -> Value:
         left, right = (lower(w, a) for a in e.args if a is not None)
         if isinstance(left, Vec) and isinstance(right, Vec):
@@ -66,7 +70,7 @@ def _pow(w: Writer, e: model.Op) -> Value:
     return w.b("div", w.b.number(1), result) if known < 0 else result
 
 
-def _plain(op: str):  # type: ignore[no-untyped-def]
+def _plain(op: str) -> Rule:
     return lambda w, e: w.b(op, *args(w, e))
 
 
@@ -119,7 +123,7 @@ def _around(w: Writer, e: model.Op) -> Value:
     return b("max", b("sub", b.number(1), b("div", b("abs", b("sub", x, middle)), half)), b.number(0))
 
 
-def _compared(op: str):  # type: ignore[no-untyped-def]
+def _compared(op: str) -> Rule:
     def rule(w: Writer, e: model.Op) -> Value:
         left, right = (lower(w, a) for a in e.args if a is not None)
         if isinstance(left, Vec) and isinstance(right, Vec):

@@ -1,4 +1,4 @@
-"""Rules for places: how far, which way, touching. A place is an item, an agent, an element, a hit, a curve, a thing or a position."""
+"""Rules for places: how far, which way, touching. A place is an item, agent, element, hit, curve, thing or position."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def _position(w: Writer, e: model.Op) -> Value:
 
 
 def _velocity(w: Writer, e: model.Op) -> Value:
-    value, expr = _place(w, e)
+    value = _place(w, e)[0]
     if isinstance(value, Own):
         return w.read_vector("velocity")
     value = _single(w, value)

@@ -80,8 +80,10 @@ def _all_of(w: Writer, e: model.Op) -> Group:
         nodes = b("set.items", b.number(float("inf")) if radius is None else radius, attrs=(thing.name,))
     else:
         element = Element(model.Kind.AGENT, thing.name)
-        nodes = b("set.every", attrs=(thing.name,)) if radius is None else b(
-            "set.agents", radius, b.number(BACKWARD), attrs=(thing.name, True)
+        nodes = (
+            b("set.every", attrs=(thing.name,))
+            if radius is None
+            else b("set.agents", radius, b.number(BACKWARD), attrs=(thing.name, True))
         )
     if condition is None:
         return Group(nodes, b.true, element)
@@ -126,7 +128,7 @@ def _event(w: Writer, e: model.Op) -> Value:
 
 
 def _match(w: Writer, e: model.Op) -> Value:
-    """The push that reaches a velocity within this step: (wanted - own) mass / (max_force dt), at most 1 long (Reynolds 1999, p. 6)."""
+    """The push that reaches a velocity within this step, (wanted - own) mass / (max_force dt), at most 1 (Reynolds 1999, 6)."""
     assert e.args[0] is not None
     b = w.b
     change = values.sub(b, vector(w, e.args[0]), w.read_vector("velocity"))

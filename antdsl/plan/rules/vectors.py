@@ -33,15 +33,20 @@ def _angle(w: Writer, e: model.Op) -> Value:
     return values.angle_between(w.b, *_pair(w, e))
 
 
+def _way(w: Writer, e: model.Expr) -> Vec:
+    """A direction of length 1; `up` and `heading` are so already."""
+    if isinstance(e, model.Attribute) and e.of is None and e.name in ("up", "heading"):
+        return vector(w, e)
+    return values.unit(w.b, vector(w, e))
+
+
 def _rotate(w: Writer, e: model.Op) -> Value:
-    v, axis = _pair(w, e)
-    return values.rotate(w.b, v, values.unit(w.b, axis), scalar(w, e.args[2]))  # type: ignore[arg-type]
+    return values.rotate(w.b, vector(w, e.args[0]), _way(w, e.args[1]), scalar(w, e.args[2]))  # type: ignore[arg-type]
 
 
 def _project(w: Writer, e: model.Op) -> Value:
-    v, onto = _pair(w, e)
-    way = values.unit(w.b, onto)
-    return values.scale(w.b, way, values.dot(w.b, v, way))
+    way = _way(w, e.args[1])  # type: ignore[arg-type]
+    return values.scale(w.b, way, values.dot(w.b, vector(w, e.args[0]), way))  # type: ignore[arg-type]
 
 
 def _limit(w: Writer, e: model.Op) -> Value:
