@@ -32,6 +32,7 @@ world {
 """
 TRAIL = "field trail on ground { cell 4 mm; half_life 8 s }\n"
 ATTRIBUTES = "  load = 0\n  source = none of food\n"
+WALKER = "species walker { start stroll; state stroll { steer wander() }; layers { state } }\n"
 RESTING = "  state rest { when after 1 s -> search }\n"
 
 
@@ -84,7 +85,7 @@ def whole(block: Block) -> str:
     text = block.text
     if part == "file":
         words = WORLD + TRAIL if "world {" not in text else "ant 1\nuse steering\n"
-        return words + text
+        return words + text + ("" if re.search(r"^(species|behaviour) ", text, re.M) else WALKER)
     if part == "species":
         rest = "" if "start " in text else "  start search\n  state search { steer wander(); when chance 1 %/s -> rest }\n" + RESTING
         layers = "" if "layers " in text else "  layers { state }\n"
@@ -101,14 +102,14 @@ def whole(block: Block) -> str:
 
 def check(text: str, name: str) -> Report:
     from antdsl.program import check as check_program
-    from antdsl.resources import behaviour_text
+    from antdsl.resources import library_file
     from antdsl.syntax import parse
 
     file, report = parse(Source(name, text))
 
     def library(wanted: str) -> object:
-        found = behaviour_text(wanted)
-        return None if found is None else parse(Source(f"{wanted}.ant", found))[0]
+        found = library_file(wanted)
+        return None if found is None else parse(Source(found.name, found.read_text(encoding="utf-8")))[0]
 
     _, findings = check_program(file, library=library, modules={})
     report.extend(findings)
@@ -129,6 +130,17 @@ def test_programs_check_as_the_documents_say(block: Block) -> None:
         assert not errors, "\n".join([*errors, text])
     else:
         assert [d.code for d in report.errors] == [block.wanted_error], "\n".join([*errors, text])
+
+
+def test_complaints_look_as_the_documents_show_them() -> None:
+    """A block ```text complaint shows what the program before it is told."""
+    from antdsl.diagnostics.render import render
+
+    shown = [(ALL[n - 1], block) for n, block in enumerate(ALL) if block.info == "text complaint"]
+    assert shown
+    for program, block in shown:
+        name = next(word.removeprefix("file=") for word in program.words if word.startswith("file="))
+        assert render(check(whole(program), name), "full").strip() == block.text.strip(), str(block)
 
 
 @pytest.mark.parametrize("block", of_kind("yaml"), ids=str)
