@@ -1,13 +1,13 @@
 """The colours an artist may write after a state's label.
 
-Takes a word, gives display (sRGB) values; the checker asks it whether a word is a colour, pictures and caches ask it for the numbers."""
+Takes a word, gives display (sRGB) values; the checker asks whether a word is a colour, caches and pictures for the numbers."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
 
 RGB = tuple[int, int, int]
 
-# Chosen to stay apart from each other on sunlit soil: a shade darker and a little less pure than the web's names of the same word.
+# Chosen to stay apart from each other on sunlit soil: a shade darker and less pure than the web's colours of the same name.
 COLOURS: Mapping[str, RGB] = MappingProxyType(
     {
         "amber": (242, 163, 31),

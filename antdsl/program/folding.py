@@ -10,6 +10,7 @@ from antdsl.program.model import Const, Expr, Local, Op, Rate, Type
 
 _LIMIT = 3.0e38  # beyond this a float32 is endless
 
+_FOLDED = ("neg", "add", "sub", "mul", "div", "pow")
 _SAME: dict[str, Callable[[float, float], float]] = {"add": lambda a, b: a + b, "sub": lambda a, b: a - b}
 
 
@@ -22,7 +23,7 @@ def fold(report: Report, op: Op) -> Expr:
     if op.name == "sqrt" and values[0] is not None and values[0].number < 0:
         report.error("root-of-negative", "the root of a number below 0 does not exist", op.span, "take the root of `abs(…)`")
         return op
-    folded = _folded(op, [v for v in values if v is not None]) if all(values) else None
+    folded = _folded(op, [v for v in values if v is not None]) if op.name in _FOLDED and all(values) else None
     if folded is None:
         return op
     if not math.isfinite(folded.number) or abs(folded.number) > _LIMIT:
