@@ -147,8 +147,8 @@ def _digest(text: str) -> str:
 
 def _result_relevant(scene: Scene) -> object:
     """The scene less what changes no result: camera, output, and the last frame, so that a cache can be continued past it."""
-    values = scene.model.model_dump(exclude={"camera", "output", "frames"})
-    return values | {"first": scene.model.frames.first}
+    kept = sorted(set(type(scene.model).model_fields) - {"camera", "output", "frames"})
+    return [(name, getattr(scene.model, name)) for name in kept] + [("first", scene.model.frames.first)]
 
 
 def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:

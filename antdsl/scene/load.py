@@ -90,6 +90,9 @@ def _complain(report: Report, document: MappingNode, error: Any) -> None:
         return
     if kind == "missing":
         span, walked = find(document, path[:-1], key=bool(path[:-1]))
+        if isinstance(path[-1], int):
+            report.error("wrong-value", "this list has too few values", span, "a point is `[x, y, z]`")
+            return
         whole = f"`{walked[-1]}`" if walked and isinstance(walked[-1], str) else "the scene" if not walked else "this line"
         if not walked:
             span = Span(span.source, span.start, min(span.start + 1, span.end))

@@ -56,14 +56,7 @@ class Roots:
         """The bytes of a regular file of at most `cap` bytes; PathRefused says why not."""
         root, parts = self.locate(text)
         handle = _open_below(root, parts, text)
-        with os.fdopen(handle, "rb") as file:
-            size = _regular(handle, text)
-            if size > cap:
-                raise PathRefused("too-large", f"`{text}` has {size:,} bytes, more than {cap:,} are not read")
-            data = file.read(cap + 1)
-        if len(data) > cap:
-            raise PathRefused("too-large", f"`{text}` grew while it was read")
-        return data
+        return _bytes(handle, text, cap)
 
     def exists(self, text: str) -> int:
         """The size of a regular file in bytes, without reading it; PathRefused says why not."""
@@ -84,12 +77,23 @@ def read_named(path: Path, cap: int) -> bytes:
         raise PathRefused("no-such-file", f"there is no file `{shown}`") from None
     except OSError as problem:
         raise PathRefused("no-such-file", f"cannot open `{shown}`: {(problem.strerror or 'it is refused').lower()}") from None
-    with os.fdopen(handle, "rb") as file:
+    return _bytes(handle, shown, cap)
+
+
+def _bytes(handle: int, shown: str, cap: int) -> bytes:
+    """All of an open regular file of at most `cap` bytes, one that grows meanwhile included; the handle is closed."""
+    try:
         size = _regular(handle, shown)
-        data = file.read(cap + 1) if size <= cap else b""
-    if size > cap or len(data) > cap:
-        raise PathRefused("too-large", f"`{shown}` is larger than {cap:,} bytes")
-    return data
+        parts: list[bytes] = []
+        left = cap + 1 if size <= cap else 0
+        while left > 0 and (part := os.read(handle, min(left, 1 << 24))):
+            parts.append(part)
+            left -= len(part)
+    finally:
+        os.close(handle)
+    if left <= 0:
+        raise PathRefused("too-large", f"`{shown}` has {size:,} bytes, and more than {cap:,} are not read")
+    return b"".join(parts)
 
 
 def _refuse(text: str, why: str, help: str | None) -> PathRefused:
