@@ -219,3 +219,18 @@ def setting(ants: int = 40, flies: int = 3, **more: object) -> Setting:
     )
     given = dict(fps=Fraction(24), seed=11, items=items, crowds=crowds)
     return Setting(**{**given, **more})  # type: ignore[arg-type]
+
+
+def bare(act: ir.Block, *numbers: str, decide: ir.Block | None = None, blend: ir.Block | None = None, born: ir.Block | None = None, more: tuple[ir.Register, ...] = (), **plan: object) -> ir.Plan:
+    """One species with some number registers and nothing else to do."""
+    found = registers(*(ir.Register(name, ir.Kind.F32, "attribute") for name in numbers), *more)
+    empty = block()
+    ant = ir.SpeciesPlan("ant", found, (), born or empty, decide or empty, act, blend or empty, (), ())
+    given: dict = dict(fields={}, items={}, params={}, surfaces=(), obstacles=(), curves=())
+    return ir.Plan(species={"ant": ant}, **{**given, **plan})
+
+
+def crowd(count: int, radius: float = 40.0, **more: object) -> Setting:
+    """So many ants about the origin."""
+    crowds = (CrowdData("ant", count, PlaceData(around=(0.0, 0.0, 0.0), radius=radius)),)
+    return Setting(**{**dict(seed=3, crowds=crowds), **more})  # type: ignore[arg-type]

@@ -68,4 +68,8 @@ CODES: dict[str, str] = {
     "wrong-value": "a value of the scene is not of the kind that its key wants",
     "yaml-alias": "the scene has anchors, aliases or merges, which are not supported",
     "yaml-tag": "the scene has tags or directives, which are not supported",
+    # --- binding a program to a scene ---
+    "field-setting": "a setting of a field has a value that no field can have",
+    "field-too-fine": "a field would need more cells than are allowed",
+    "unstable-field": "a field spreads faster than its cells can follow at the scene's frame rate",
 }

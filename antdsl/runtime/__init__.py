@@ -1,6 +1,7 @@
 """Plan and setting become a world that steps."""
 
-from antdsl.runtime.binding import bind, set_param
+from antdsl.runtime.binding import BindError, bind, set_param
+from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore
 from antdsl.runtime.faults import Fault, FaultStop
 from antdsl.runtime.hashing import state_hash
 from antdsl.runtime.stepping import step
@@ -8,6 +9,6 @@ from antdsl.runtime.world import Items, Options, Population, World
 from antdsl.scene.setting import CrowdData, FieldStart, ItemData, MeshData, PlaceData, Setting
 
 __all__ = [
-    "CrowdData", "Fault", "FaultStop", "FieldStart", "ItemData", "Items", "MeshData", "Options", "PlaceData", "Population", "Setting", "World",
-    "bind", "set_param", "state_hash", "step",
+    "BindError", "CheckpointError", "CrowdData", "Fault", "FaultStop", "FieldStart", "ItemData", "Items", "MeshData", "Options", "PlaceData", "Population", "Setting", "World",
+    "bind", "checkpoint", "restore", "set_param", "state_hash", "step",
 ]  # fmt: skip

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.diagnostics import Report
 from antdsl.plan import ir
 from antdsl.runtime.backends import BACKENDS
 from antdsl.runtime.backends.numpy_backend import uniform_values
@@ -20,10 +20,21 @@ from antdsl.runtime.world import AXES, Items, Options, World, empty_population
 from antdsl.scene.setting import MeshData, Setting
 
 _FAR = 1e5  # mm: a scene that lies farther out than this is moved to its own middle, or float32 would see it in steps
+_CURVE_PIECE = 1.0  # mm: a curve is asked for its nearest point and way in pieces of this length
+
+
+class BindError(ValueError):
+    """Plan and setting do not go together; `report` says where and why."""
+
+    def __init__(self, report: Report) -> None:
+        super().__init__("; ".join(d.message for d in report.errors))
+        self.report = report
 
 
 def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> World:
-    """The world at `setting.first_frame`, everybody born and nobody moved. `plan` has been optimised and verified."""
+    """The world at `setting.first_frame`, everybody born and nobody moved. `plan` has been optimised and verified.
+
+    Raises BindError with a report when plan and setting do not go together."""
     options = options or Options()
     origin = _origin(setting)
     up = np.asarray(setting.up, np.float64)
@@ -31,7 +42,7 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> Wor
     ground = _ground({name: meshes[name] for name in setting.surfaces}, up)
     world = World(
         plan=plan,
-        setting=replace(setting, obstacles={name: meshes[name] for name in setting.obstacles}),
+        setting=setting,
         options=options,
         up=up / np.sqrt(np.dot(up, up)),
         origin=origin,
@@ -50,7 +61,7 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> Wor
         motion=Motion(),
     )
     _params(world)
-    _fields(world)
+    _fields(world, meshes)
     with np.errstate(all="ignore"):
         populate(world)
     return world
@@ -97,7 +108,7 @@ def _scenes(meshes: dict[str, MeshData]) -> dict[str, Any]:
 def _curve(points: NDArray[np.float64]) -> Any:
     from antdsl.runtime.senses.curves import Curve
 
-    return Curve(points)
+    return Curve(points, _CURVE_PIECE)
 
 
 def _items(setting: Setting, plan: ir.ItemsPlan, origin: NDArray[np.float64]) -> Items:
@@ -121,9 +132,12 @@ def _run_value(world: World, node: ir.Node) -> float:
     return float(uniform_values(world, reach((node,)))[node])
 
 
-def _fields(world: World) -> None:
+def _fields(world: World, meshes: dict[str, MeshData]) -> None:
     if not world.plan.fields:
         return
     from antdsl.runtime.field_binding import bind_fields
 
-    bind_fields(world, _run_value)
+    report = Report()
+    bind_fields(world, meshes, _run_value, report)
+    if not report.ok:
+        raise BindError(report)

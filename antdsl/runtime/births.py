@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,42 @@ from antdsl.runtime.effects import EmitEntry
 from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows
 
 _BLOCK = 1 << 22  # pairs of emitter and receiver that are measured at once
+
+
+def find_cells(world: World, population: Population) -> None:
+    """Each agent's own cell of every field."""
+    if world.fields and len(population):
+        normals = world.ground.normal(population.footing)
+        found: dict[int, Any] = {}  # fields may share their cells
+        for name, field in world.fields.items():
+            if id(field.cells) not in found:
+                found[id(field.cells)] = field.cells.lookup(population.position, normals)
+            population.cells[name] = found[id(field.cells)]
+
+
+def deposit(world: World) -> None:
+    """Lay what the agents deposit into their own cells; it lands when the fields step."""
+    for population in world.populations.values():
+        for entry in population.effects.deposits:
+            world.fields[entry.field].deposit(population.cells[entry.field][entry.rows], entry.amount)
+        population.effects.deposits = []
+
+
+def settle_newborn(world: World) -> None:
+    """What agents ask for at their birth happens before the next step: nothing is left over between two steps."""
+    from antdsl.runtime.claims import give
+
+    raise_events(world)
+    give(world)
+    laying = [p for p in world.populations.values() if p.effects.deposits]
+    for population in laying:
+        find_cells(world, population)
+    fields = {entry.field for p in laying for entry in p.effects.deposits}
+    deposit(world)
+    for name in fields:
+        world.fields[name].step(1.0, 0.0, world.dt)
+    for population in world.populations.values():
+        population.effects.claims = []  # nobody claims at birth: there is no decision to win
 
 
 def raise_events(world: World) -> None:

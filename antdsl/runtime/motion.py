@@ -23,6 +23,8 @@ _CIRCLING = 0.15  # net way of a whole window at most this share of the way walk
 _MOVED = 3.0  # body lengths walked in a window, to have a way at all
 _WISH = 0.2  # a push that is meant
 _STILL = 0.03  # of max_speed: standing
+_COUNTS = ("turns", "overlaps", "standing", "wishing", "ways", "circling", "straightness", "steps")
+_WAYS = ("ids", "start", "path", "age")
 
 
 @dataclass(slots=True, eq=False)
@@ -53,6 +55,25 @@ class Motion:
     def reset(self) -> None:
         """Begin anew, say after a preroll."""
         self.__init__()  # type: ignore[misc]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All counts by name, for a checkpoint."""
+        found = {name: np.array(getattr(self, name)) for name in _COUNTS}
+        for species, window in self.windows.items():
+            found |= {f"window.{species}.{name}": np.array(getattr(window, name)) for name in _WAYS}
+        return found
+
+    @classmethod
+    def of(cls, arrays: dict[str, NDArray[Any]]) -> Motion:
+        """From the arrays of a checkpoint; what is missing begins anew."""
+        motion = cls()
+        for name in _COUNTS:
+            if name in arrays:
+                value = arrays[name]
+                setattr(motion, name, value.copy() if value.ndim else value.item())
+        for species in sorted({name.split(".", 1)[1].rsplit(".", 1)[0] for name in arrays if name.startswith("window.")}):
+            motion.windows[species] = Window(*(arrays[f"window.{species}.{name}"].copy() for name in _WAYS))
+        return motion
 
     def observe(self, world: World) -> None:
         """Count one step; called after the move, before it is committed."""
@@ -117,7 +138,7 @@ class Motion:
         np.maximum.at(worst, found.i, np.clip(1 - found.distance / room, 0, 1))
         self.overlaps += np.bincount((worst * _BINS).astype(np.int64), minlength=_BINS + 1)
 
-    def measures(self) -> dict[str, float]:
+    def summary(self) -> dict[str, float]:
         """turn_p99 (degrees a step), circling, standing (shares), overlap_p99 (0 apart .. 1 in one place), straightness (0 .. 1)."""
         return {
             "turn_p99": _percentile(self.turns) * 180.0,

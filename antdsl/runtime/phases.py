@@ -20,17 +20,11 @@ def sense(world: World) -> None:
     for items in world.items.values():
         items.show()
     for population in world.populations.values():
-        _own_cells(world, population)
+        births.find_cells(world, population)
         for name, register in population.plan.registers.items():
             if register.role == "temp":
                 population.now[name].fill(register.zero)
     world.backend.begin(world)
-
-
-def _own_cells(world: World, population: Population) -> None:
-    if world.fields and len(population):
-        normals = population.vector("up")
-        population.cells = {name: field.lookup(population.position, normals) for name, field in world.fields.items()}
 
 
 def decide(world: World) -> None:
@@ -64,11 +58,7 @@ def effects(world: World) -> None:
     """Events for the next step, gifts, deposits."""
     births.raise_events(world)
     claims.give(world)
-    for population in world.populations.values():
-        for entry in population.effects.deposits:
-            cells = population.cells[entry.field][entry.rows]
-            world.fields[entry.field].deposit(cells, entry.amount)
-        population.effects.deposits = []
+    births.deposit(world)
 
 
 def fields(world: World) -> None:
@@ -90,6 +80,7 @@ def bear(world: World) -> None:
     """The dead go, the new come."""
     world.motion.observe(world)
     births.deaths_and_births(world)
+    births.settle_newborn(world)
 
 
 def commit(world: World) -> None:

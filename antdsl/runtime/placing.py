@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from antdsl.runtime import kernels, randomness
 from antdsl.runtime import vectors as vec
-from antdsl.runtime.births import come_alive
+from antdsl.runtime.births import come_alive, deaths_and_births, settle_newborn
 from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows
 from antdsl.scene.setting import MeshData, PlaceData
 
@@ -37,6 +37,12 @@ def populate(world: World) -> None:
     for population in alive:
         come_alive(world, population, np.arange(len(population)))
         _set_out(world, population)
+    if any(p.effects.spawns or p.effects.deaths for p in alive):
+        deaths_and_births(world)
+    settle_newborn(world)
+    for population in world.populations.values():
+        for name in population.events:  # raised at birth: seen in the first step
+            population.events[name], population.raised[name] = population.raised[name], population.events[name]
 
 
 def _draw(world: World, species: str, index: int, ids: NDArray[np.int64], site: str = "place") -> NDArray[np.float32]:
@@ -100,7 +106,7 @@ def inside_obstacle(world: World, points: NDArray[np.float64]) -> NDArray[np.boo
             continue
         hits = world.obstacles[name].cast(points, up)
         corners = mesh.vertices[mesh.faces[np.maximum(hits.face, 0)]]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # edges: the origin does not matter
         found |= hits.hit & ((normal * up).sum(axis=1) > 0)
     return found
 

@@ -152,7 +152,8 @@ def _field_gradient(world: World, population: Population, node: ir.Node, rows: R
 
 
 def _curve_closest(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
-    return tuple(world.curves[node.attrs[0]].closest(*_place(world, population, rows)))
+    found = world.curves[node.attrs[0]].closest(*_place(world, population, rows))
+    return found.distance, found.px, found.py, found.pz, found.tx, found.ty, found.tz
 
 
 SENSES: Mapping[str, Callable[..., Value]] = {
