@@ -69,8 +69,15 @@ def born(w: Writer, machines: list[MachineWriter]) -> None:
         machine.enter_start()
 
 
+def _written(w: Writer) -> dict[str, model.AttributeDecl]:
+    """Attributes that the author wrote. A given one that stands at the species' own name comes from the card and is made here:
+    only here is it known what a step is."""
+    mine = [a for a in w.species.attributes if not a.each and a.name != "push"]
+    return {a.name: a for a in mine if not (a.given and a.span == w.species.span)}
+
+
 def _attribute(w: Writer, name: str) -> None:
-    declared = {a.name: a for a in w.species.attributes if not a.each}
+    declared = _written(w)
     if name not in declared:
         w.store(name, given_default(w, name), None, infinite=name == "max_turn")
         return
@@ -87,7 +94,7 @@ def _attribute(w: Writer, name: str) -> None:
 
 def _order(w: Writer) -> list[str]:
     """Names of all attributes, each after those that its default reads; else in text order, the given ones first."""
-    declared = {a.name: a for a in w.species.attributes if not a.each and a.name != "push"}
+    declared = _written(w)
     needs: dict[str, list[str]] = {name: [] for name in (*GIVEN, *declared)}
     for name in needs:
         if name in declared:

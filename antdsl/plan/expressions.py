@@ -130,12 +130,13 @@ def _thing(w: Writer, e: model.Thing) -> Value:
 
 def _local(w: Writer, e: model.Local) -> Value:
     binding = e.binding
-    if binding.role == "element" and binding not in w.elements[-1:]:
-        raise NotYet(f"`{binding.name}` inside a second set", e.span, "let each set look at its own elements only")
     if binding in w.environment:
-        return w.environment[binding]
+        value = w.environment[binding]
+        if isinstance(value, Element) and binding is not w.elements[-1]:
+            raise NotYet(f"`{binding.name}` inside a second set", e.span, "let each set look at its own elements only")
+        return value
     if binding.role == "latch":
-        return w.read(binding.key or binding.name)
+        return w.read_now(binding.key or binding.name)
     if binding.role == "let":
         return _let(w, binding)
     raise PlanError(f"{binding.role} `{binding.name}` is used outside of its place")

@@ -14,10 +14,12 @@ from antdsl.plan import values
 from antdsl.plan.builder import Builder, PlanError
 from antdsl.plan.ir import Block, If, Kind, Node, Register, Statement, Store
 from antdsl.plan.values import Vec
+from antdsl.plan.walk import needed
 from antdsl.program import model
 from antdsl.source import Span
 
 AXES = ("x", "y", "z")
+HELD = "~held"  # a vector on its way into its registers
 KINDS = {
     model.Kind.NUMBER: Kind.F32, model.Kind.BOOL: Kind.BOOL, model.Kind.STATE: Kind.I32, model.Kind.ITEM: Kind.I32,
     model.Kind.AGENT: Kind.I64,
@@ -78,11 +80,18 @@ class Writer:
 
     def read(self, name: str) -> Node:
         """The register as this place sees it."""
+        return self._read(name, self.snapshot)
+
+    def read_now(self, name: str) -> Node:
+        """The register as it is by now, also for a snapshot: latches, which are all set before anything asks."""
+        return self._read(name, False)
+
+    def _read(self, name: str, snapshot: bool) -> Node:
         register = self.registers[name]
         seen = self._stores.get(name, 0)
         if self.born:
             return self.b("load", attrs=(name, seen), kind=register.kind)
-        if self.snapshot or name not in self._written:
+        if snapshot or name not in self._written:
             if register.role == "temp":
                 return self.b.zero(register.kind, register.zero)
             return self.b("snap", attrs=(name,), kind=register.kind)
@@ -127,8 +136,20 @@ class Writer:
         self.wrote(name)
 
     def store_vector(self, name: str, value: Vec, span: Span | None) -> None:
-        for axis, component in zip(AXES, value, strict=True):
-            self.store(f"{name}.{axis}", component, span)
+        """Set three registers as one: a component that needs the old value of another must not see the new one."""
+        names = [f"{name}.{axis}" for axis in AXES]
+        parts = list(value)
+        if any(self._loads(part, set(names[:place])) for place, part in enumerate(parts)):
+            for axis, part in zip(AXES, parts, strict=True):
+                self.declare(f"{HELD}.{axis}", Kind.F32, "temp")
+                self.store(f"{HELD}.{axis}", part, span)
+            parts = list(self.read_vector(HELD))
+        for register, part in zip(names, parts, strict=True):
+            self.store(register, part, span)
+
+    @staticmethod
+    def _loads(node: Node, names: set[str]) -> bool:
+        return any(n.op == "load" and n.attrs[0] in names for n in needed([node]))
 
     def store_value(self, name: str, value: values.Value, span: Span | None, infinite: bool = False) -> None:
         """Set the registers of a value of the language."""

@@ -94,6 +94,8 @@ def _ramp(w: Writer, e: model.Op) -> Value:
 
 
 def _mixed(w: Writer, a: Node, z: Node, t: Node) -> Node:
+    if value(a) == 0:
+        return w.b("mul", z, t)
     return w.b("add", w.b("mul", a, w.b("sub", w.b.number(1), t)), w.b("mul", z, t))
 
 

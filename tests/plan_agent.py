@@ -1,0 +1,126 @@
+"""One agent of a plan, stepped by hand in plain Python: what lowering means, without a runtime. Senses and draws are given by the test."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from antdsl.plan import ir
+from antdsl.plan.floats import ARITHMETIC, COMPARISONS, f32
+from antdsl.plan.ir import Block, Node
+
+KERNELS: dict[str, Callable[..., float]] = {
+    "sin": math.sin, "cos": math.cos, "exp": math.exp, "atan2": math.atan2, "pow": math.pow,
+    "log": lambda x: math.log(x) if x > 0 else -math.inf,
+    "min": min, "max": max,
+}  # fmt: skip
+
+
+class Agent:
+    """`senses` maps an operation's name, or (name, attributes…), to a value or a function of the operands' values."""
+
+    def __init__(self, plan: ir.Plan, species: str, *, dt: float = 1 / 24, **senses: Any) -> None:
+        self.plan, self.species, self.dt = plan, plan.species[species], dt
+        self.senses: dict[Any, Any] = dict(senses)
+        self.params: dict[str, float] = {}
+        self.done: list[tuple[Any, ...]] = []
+        self.win = True
+        self.frame = 0
+        self.now: dict[str, Any] = {name: r.zero for name, r in self.species.registers.items()}
+        self.now |= {"heading.x": 1.0, "up.y": 1.0}
+        self.start = dict(self.now)
+        self._run(self.species.born)
+
+    def __getitem__(self, register: str) -> Any:
+        return self.now[register]
+
+    @property
+    def state(self) -> str:
+        machine = self.species.machines[0]
+        return machine.states[self.now[f"{machine.name}.state"]]
+
+    @property
+    def push(self) -> tuple[float, float, float]:
+        return self.now["push.x"], self.now["push.y"], self.now["push.z"]
+
+    def step(self, times: int = 1) -> Agent:
+        for _ in range(times):
+            self.done = []
+            for name, register in self.species.registers.items():
+                if register.role == "temp":
+                    self.now[name] = register.zero
+            self.start = dict(self.now)
+            for phase in (self.species.decide, self.species.act, self.species.blend):
+                self._run(phase)
+            self.frame += 1
+        return self
+
+    def _run(self, block: Block) -> None:
+        for s in block.statements:
+            match s:
+                case ir.If():
+                    if self.value(s.condition):
+                        self._run(s.then)
+                case ir.Store():
+                    value = self.value(s.value)
+                    assert s.infinite or not isinstance(value, float) or math.isfinite(value), s
+                    self.now[s.register] = value
+                case ir.Claim():
+                    self.done.append(("claim", s.items, s.attribute, self.value(s.item), self.value(s.amount)))
+                    self.now[s.won] = self.win
+                    if s.own and self.win:
+                        self.now[s.own] += self.value(s.amount)
+                case ir.Give():
+                    amount = self.now[s.own] if s.amount is None else min(self.now[s.own], self.value(s.amount))
+                    self.now[s.own] -= amount
+                    self.done.append(("give", s.items, self.value(s.item), amount))
+                case ir.Deposit():
+                    self.done.append(("deposit", s.field, self.value(s.amount)))
+                case ir.Emit():
+                    self.done.append(("emit", s.event, None if s.within is None else self.value(s.within)))
+                case ir.Spawn():
+                    self.done.append(("spawn", s.species))
+                case ir.Die():
+                    self.done.append(("die",))
+
+    def value(self, node: Node) -> Any:
+        """Recomputed at each asking: sharing must not be what makes a plan right."""
+        op, attrs = node.op, node.attrs
+        if op.startswith("const"):
+            return attrs[0]
+        if op == "snap":
+            return self.start[attrs[0]]
+        if op == "load":
+            return self.now[attrs[0]]
+        if op == "run":
+            return {"dt": f32(self.dt), "u": 1.0, "up_x": 0.0, "up_y": 1.0, "up_z": 0.0}[attrs[0]]
+        if op == "step":
+            return float(self.frame) if attrs[0] == "frame" else f32(self.frame * self.dt)
+        if op == "param":
+            return self.params.get(attrs[0], self.value(self.plan.params[attrs[0]].default))
+        if op == "where":
+            return self.value(node.args[1] if self.value(node.args[0]) else node.args[2])
+        if op == "get":
+            return self.value(node.args[0])[attrs[0]]
+        values = [self.value(a) for a in node.args if a.rate is not ir.Rate.PAIR and a.kind is not ir.Kind.SET]
+        return self._computed(op, attrs, values)
+
+    def _computed(self, op: str, attrs: tuple, values: list[Any]) -> Any:
+        if op in ARITHMETIC:
+            return f32(ARITHMETIC[op](*values))
+        if op in COMPARISONS:
+            return COMPARISONS[op](*values)
+        if op in KERNELS:
+            return f32(KERNELS[op](*values))
+        if op in ("and", "or"):
+            return all(values) if op == "and" else any(values)
+        if op == "not":
+            return not values[0]
+        if op == "number":
+            return float(values[0])
+        if op in ("item.alive", "agent.alive") and op not in self.senses:
+            return values[0] >= 0
+        found = self.senses.get((op, *attrs), self.senses.get(op))
+        assert found is not None, f"no sense for {op} {attrs}"
+        return found(*values) if callable(found) else found

@@ -1,0 +1,52 @@
+"""Small programs from text to a verified plan, for tests of lowering and of the passes."""
+
+from __future__ import annotations
+
+from antdsl.diagnostics import Report
+from antdsl.plan import ir, lower, verify
+from antdsl.program import check
+from antdsl.program.model import Program
+from antdsl.resources import library_file
+from antdsl.source import Source
+from antdsl.syntax import nodes, parse
+
+WORLD = """ant 1
+world {
+  surface ground
+  obstacle stones
+  curve way_in
+  items food { load = 10 }
+  items nest { load = 0 }
+}
+"""
+
+
+def _library(name: str) -> nodes.File | None:
+    path = library_file(name)
+    return None if path is None else parse(Source(f"<{name}>", path.read_text()))[0]
+
+
+def program_of(text: str, world: str = WORLD) -> Program:
+    """A checked program; `text` stands below a world with ground, stones, food and a nest."""
+    file, report = parse(Source("test.ant", world + text))
+    program, findings = check(file, _library)
+    report.extend(findings)
+    assert report.ok, [f"{d.span}: {d.code}: {d.message}" for d in report.errors]
+    return program
+
+
+def lowered(text: str, world: str = WORLD, **options: object) -> tuple[ir.Plan, Report]:
+    plan, report = lower(program_of(text, world), **options)  # type: ignore[arg-type]
+    verify(plan)
+    return plan, report
+
+
+def plan_of(text: str, world: str = WORLD, **options: object) -> ir.Plan:
+    """The plan of a text that has nothing to complain about."""
+    plan, report = lowered(text, world, **options)
+    assert not report.diagnostics, report.diagnostics
+    return plan
+
+
+def codes(report: Report) -> list[str]:
+    return [d.code for d in report.sorted()]
