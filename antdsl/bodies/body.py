@@ -15,7 +15,8 @@ class Body:
     """Length 1 along +x (where it heads), up +y, feet on y = 0, the origin between the feet.
 
     `poses` float32 (k, n, 3): the vertices at k equally spaced moments of one walking cycle; k = 1 when nothing moves.
-    `faces` int32 (m, 3); `normals` float32 (n, 3), smooth within a part; `tint` float32 (n,): 1 takes the agent's colour, 0 stays dark.
+    `faces` int32 (m, 3); `normals` float32 (n, 3), smooth within a part; `tint` float32 (n,): 1 takes the agent's colour,
+    0 stays dark.
     `stride`: body lengths walked in one cycle."""
 
     name: str
@@ -33,7 +34,7 @@ class Body:
         at = (np.asarray(walked, np.float64) / self.stride % 1.0) * count
         first = np.minimum(at.astype(np.int64), count - 1)
         part = (at - first).astype(np.float32)[:, None, None]
-        return self.poses[first] * (1 - part) + self.poses[(first + 1) % count] * part
+        return np.asarray(self.poses[first] * (1 - part) + self.poses[(first + 1) % count] * part)
 
 
 def vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.float32]:
@@ -58,7 +59,8 @@ def rigid(name: str, mesh: Mesh, tint: NDArray[np.float32] | None = None) -> Bod
 def orientation(heading: Array, up: Array) -> Array:
     """Quaternions (n, 4) as x, y, z, w that turn +x to `heading` (n, 3) and +y to `up` (n, 3).
 
-    `up` wins: the heading is first laid flat against it. Where the two give no frame (zero or parallel) any level heading is taken."""
+    `up` wins: the heading is first laid flat against it. Where the two give no frame (zero or parallel)
+    any level heading is taken."""
     up = _unit(up, np.array([0.0, 1.0, 0.0]))
     ahead = heading - up * (heading * up).sum(axis=1, keepdims=True)
     level = np.cross(up, np.where(np.abs(up[:, :1]) < 0.9, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]])))
@@ -71,7 +73,7 @@ def orientation(heading: Array, up: Array) -> Array:
 def turned(orient: Array, vectors: Array) -> Array:
     """`vectors` (n, …, 3) turned by the quaternions `orient` (n, 4) of the same row."""
     matrix = rotation(orient).astype(vectors.dtype)
-    return np.einsum("nij,n...j->n...i", matrix, vectors, optimize=True)
+    return np.asarray(np.einsum("nij,n...j->n...i", matrix, vectors, optimize=True))
 
 
 def rotation(orient: Array) -> Array:
@@ -91,7 +93,7 @@ def _unit(vectors: Array, otherwise: Array) -> Array:
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     other = np.broadcast_to(otherwise, vectors.shape)
     other = other / np.linalg.norm(other, axis=1, keepdims=True)
-    return np.where(length > 1e-9, vectors / np.maximum(length, 1e-9), other)
+    return np.asarray(np.where(length > 1e-9, vectors / np.maximum(length, 1e-9), other))
 
 
 def _quaternion(m: Array) -> Array:
@@ -111,4 +113,4 @@ def _quaternion(m: Array) -> Array:
     )
     best = np.take_along_axis(rows, squares.argmax(axis=1)[:, None, None], axis=1)[:, 0]
     best = best / np.linalg.norm(best, axis=1, keepdims=True)
-    return np.where(best[:, 3:] < 0, -best, best)
+    return np.asarray(np.where(best[:, 3:] < 0, -best, best))

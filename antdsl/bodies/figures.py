@@ -12,7 +12,7 @@ def _ellipsoid(centre: tuple[float, float, float], half: tuple[float, float, flo
 
 
 def person(fine: bool = False) -> Body:
-    """Somebody who stands: head, trunk, arms, two legs; about 1.9 high for a length (shoulder to shoulder, and front to back) of 1."""
+    """Somebody who stands: head, trunk, arms, two legs; 1.9 high where shoulder to shoulder is 0.85."""
     detail = 2 if fine else 0
     parts = [
         (_ellipsoid((0.05, 1.72, 0.0), (0.15, 0.19, 0.14), detail), 0.4),

@@ -1,4 +1,6 @@
-"""Bodies of what is placed: an apple, a ring (a donut), a nest mound, a plain ball. Radius 1, y up, resting at y = 0 or sunk a little."""
+"""Bodies of what is placed: an apple, a ring (a donut), a nest mound, a plain ball.
+
+Radius 1, y up, resting at y = 0 or sunk a little."""
 
 from collections.abc import Callable
 from functools import cache

@@ -30,7 +30,7 @@ def sphere(detail: int = 2) -> Mesh:
 def waves(
     points: NDArray[np.float64], seed: int, wavelength: float, octaves: int, *, fade: float = 0.5, count: int = 7
 ) -> NDArray[np.float64]:
-    """Smooth noise of about unit size at `points` (n, d): sums of sines in random directions, each octave half as long and `fade` as high."""
+    """Smooth noise of about unit size at `points` (n, d): sines in random directions, an octave half as long, `fade` as high."""
     draw = np.random.Generator(np.random.Philox(seed))
     total = np.zeros(len(points))
     for octave in range(octaves):
@@ -44,7 +44,7 @@ def waves(
 
 
 def stone(seed: int, radii: tuple[float, float, float], *, detail: int = 2, roughness: float = 0.16) -> Mesh:
-    """An irregular stone around the origin with about these half axes: a sphere cut flat by a few planes, then dented by noise."""
+    """An irregular stone around the origin with about these half axes: a sphere cut flat by planes, then dented by noise."""
     vertices, faces = sphere(detail)
     draw = np.random.Generator(np.random.Philox(seed))
     cuts = draw.normal(size=(9, 3))

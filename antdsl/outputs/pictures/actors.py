@@ -11,12 +11,13 @@ from antdsl.bodies.placed import placed
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd, Item, Picture
+from antdsl.outputs.pictures.vectors import Floats
 from antdsl.runtime.senses.rays import RayScene
 
 Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
-CLOSE = 16.0  # pixels of body length from which the close-up body is worth its triangles
+CLOSE = 28.0  # pixels of body length from which the close-up body is worth its triangles
+MOST_CLOSE = 1200  # bodies at most that are drawn so, the largest first
 MOST_ENLARGED = 3.0
 _DARK = decoded((0.16, 0.11, 0.09))  # legs, feelers, eyes
 
@@ -34,7 +35,8 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Actors:
-    """`rays` over one mesh of everything that moves; `tall`: the longest way its shadow needs to be looked for."""
+    """`rays` over one mesh of everything that moves; `tall`: the longest way its shadow needs to be looked
+    for; `size`: how far around a body the ground lies in its shade."""
 
     rays: RayScene
     mesh: Mesh
@@ -52,12 +54,11 @@ def actors(picture: Picture, view: View, least: float = 0.0) -> Actors:
         if len(crowd.position):
             parts += _crowd(crowd, view, least)
             longest = max(longest, float(np.max(crowd.scale)))
-    parts += [_item(item, picture.up) for item in picture.items if item.shape != "none" and item.left > 0 and item.radius > 0]
+    parts += [item_mesh(item, picture.up) for item in picture.items if item.shape != "none" and item.left > 0 and item.radius > 0]
     widest = max((item.radius for item in picture.items), default=0.0)
     if not parts:
-        nothing = Mesh(
-            np.zeros((0, 3)), np.zeros((0, 3), np.int32), *(np.zeros((0, 3), np.float32),) * 2, np.zeros(0, np.float32)
-        )
+        none = np.zeros((0, 3), np.float32)
+        nothing = Mesh(none.astype(np.float64), np.zeros((0, 3), np.int32), none, none, none[:, 0])
         return Actors(RayScene(nothing.vertices, nothing.faces), nothing, 0.0, 0.0)
     starts = np.cumsum([0] + [len(part.vertices) for part in parts])
     mesh = Mesh(
@@ -71,15 +72,23 @@ def actors(picture: Picture, view: View, least: float = 0.0) -> Actors:
 
 
 def _crowd(crowd: Crowd, view: View, least: float) -> list[Mesh]:
-    depth = view.project(crowd.position)[1]
     scale = np.asarray(crowd.scale, np.float64)
-    near = np.linalg.norm(crowd.position - view.eye, axis=1)
-    finite = np.isfinite(crowd.position).all(axis=1) & np.isfinite(scale) & (scale > 0)
-    seen = finite & ((depth > -20 * scale) & _in_sight(crowd.position, depth, 20 * scale, view))
-    close = seen & (scale / view.pixel_at(np.maximum(near, 1e-9)) >= CLOSE)
-    made = [(body(crowd.body, True), np.flatnonzero(close)), (body(crowd.body, False), np.flatnonzero(seen & ~close))]
-    smallest = least * view.pixel_at(np.maximum(near, 0.0))
-    return [_posed(crowd, shape, rows, smallest) for shape, rows in made if len(rows)]
+    finite = np.isfinite(crowd.position).all(axis=1) & np.isfinite(crowd.orient).all(axis=1) & np.isfinite(scale) & (scale > 0)
+    position = np.where(finite[:, None], crowd.position, 0.0)
+    scale = np.where(finite, scale, 1.0)
+    depth = view.project(position)[1]
+    # What is a little outside still throws its shadow into the picture.
+    seen = finite & (depth > -20 * scale) & _in_sight(position, depth, 20 * scale, view)
+    near = np.maximum(np.linalg.norm(position - view.eye, axis=1), 1e-9)
+    pixels = scale / view.pixel_at(near)
+    large = np.flatnonzero(seen & (pixels >= CLOSE))
+    close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:MOST_CLOSE]])
+    far = np.setdiff1d(np.flatnonzero(seen), close)
+    made = [_posed(crowd, body(crowd.body, True), close, scale[close], np.zeros(len(close)))]
+    shown = np.minimum(np.maximum(scale, least * view.pixel_at(near)), MOST_ENLARGED * scale)[far]
+    # Of a body a few pixels long the dark legs would hide the state's colour.
+    made.append(_posed(crowd, body(crowd.body, False), far, shown, np.clip(1 - pixels[far] / CLOSE, 0.0, 1.0) ** 2))
+    return [mesh for mesh in made if len(mesh.vertices)]
 
 
 def _in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray[np.bool_]:
@@ -91,17 +100,17 @@ def _in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray
     return inside
 
 
-def _posed(crowd: Crowd, shape: Body, rows: NDArray[np.int64], smallest: NDArray[np.float64]) -> Mesh:
+def _posed(crowd: Crowd, shape: Body, rows: NDArray[np.int64], size: Array, plain: Array) -> Mesh:
+    """The bodies of some agents, `size` (a,) long; `plain` (a,): how much their dark parts take the agent's colour too."""
     scale = np.asarray(crowd.scale, np.float64)[rows]
     walked = np.zeros(len(rows)) if crowd.walked is None else np.asarray(crowd.walked, np.float64)[rows] / scale
-    scale = np.maximum(scale, np.minimum(smallest[rows], MOST_ENLARGED * scale))
-    turn = rotation(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32)
-    local = shape.posed(walked) * scale.astype(np.float32)[:, None, None]
-    across = np.swapaxes(turn, 1, 2)
+    across = np.swapaxes(rotation(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32), 1, 2)
+    local = shape.posed(np.nan_to_num(walked)) * size.astype(np.float32)[:, None, None]
     vertices = np.matmul(local, across).astype(np.float64) + np.asarray(crowd.position, np.float64)[rows, None, :]
     normal = np.matmul(np.broadcast_to(shape.normals, (len(rows), *shape.normals.shape)), across)
-    bright = decoded(np.asarray(crowd.colour, np.float32)[rows])[:, None, :]
+    bright = decoded(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
     tint = shape.tint[None, :, None]
+    tint = tint + (1 - tint) * (0.8 * plain.astype(np.float32))[:, None, None]
     colour = bright * tint + (_DARK + bright * 0.07) * (1 - tint)
     count = len(shape.normals)
     faces = (shape.faces[None] + (np.arange(len(rows), dtype=np.int32) * count)[:, None, None]).reshape(-1, 3)
@@ -109,7 +118,7 @@ def _posed(crowd: Crowd, shape: Body, rows: NDArray[np.int64], smallest: NDArray
     return Mesh(vertices.reshape(-1, 3), faces, normal.reshape(-1, 3), colour.reshape(-1, 3), gloss)
 
 
-def _item(item: Item, up: tuple[float, float, float]) -> Mesh:
+def item_mesh(item: Item, up: tuple[float, float, float]) -> Mesh:
     vertices, faces, colour = placed(item.shape)
     size = item.radius * min(max(item.left, 0.0), 1.0) ** (1 / 3)
     upward = np.array([up])

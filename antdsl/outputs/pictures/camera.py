@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import radians, tan
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ class View:
     height: int
 
     def rays(self, first: int, last: int, samples: int) -> NDArray[np.float32]:
-        """Unit directions (rows · samples · width · samples, 3) of the pixel rows `first` to `last`, samples on a regular grid."""
+        """Unit directions (rows · samples · width · samples, 3) of the pixel rows `first` to `last`, on a regular grid."""
         rows = np.arange(first * samples, last * samples)
         columns = np.arange(self.width * samples)
         x = ((columns + 0.5) / (self.width * samples) * 2 - 1) * self.half[0]
@@ -42,13 +43,13 @@ class View:
         y = (seen @ self.above) / safe / self.half[1]
         return np.stack([(x + 1) * 0.5 * self.width, (1 - y) * 0.5 * self.height], axis=1), depth
 
-    def pixel_at(self, depth: Array) -> Array:
-        """How long a pixel's edge is in world units at these distances ahead."""
+    def pixel_at(self, depth: Any) -> Any:
+        """How long a pixel's edge is in world units at distances ahead, one or an array."""
         return depth * (2 * self.half[0] / self.width)
 
 
 def view(camera: Camera, width: int, height: int, up: tuple[float, float, float]) -> View:
-    """`camera` for a picture of `width` × `height` pixels. A camera that looks at its own place looks along the first level axis."""
+    """`camera` for a picture of `width` × `height` pixels. One that looks at its own place looks along x."""
     eye = np.asarray(camera.at, np.float64)
     ahead = _unit(np.asarray(camera.look_at, np.float64) - eye, np.array([1.0, 0.0, 0.0]))
     upward = _unit(np.asarray(camera.up or up, np.float64), np.array([0.0, 1.0, 0.0]))

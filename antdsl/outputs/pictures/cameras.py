@@ -4,8 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.body import turned
+from antdsl.outputs.pictures.actors import item_mesh
 from antdsl.outputs.pictures.camera import three, view
-from antdsl.outputs.pictures.model import Camera, Crowd, Picture, Solid
+from antdsl.outputs.pictures.model import Camera, Crowd, Picture
 from antdsl.outputs.pictures.setting import BELOW
 from antdsl.runtime.senses.rays import RayScene
 
@@ -53,7 +54,7 @@ def _all_points(picture: Picture, up: Array) -> Array:
 
 def _shares(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
     """Where the points lie across and along the picture, within 0..1 where it holds them, and how far ahead."""
-    seen = view(Camera(three(at), three(aim), focal=focal, up=three(up)), int(round(1000 * aspect)), 1000, three(up))
+    seen = view(Camera(three(at), three(aim), focal=focal, up=three(up)), round(1000 * aspect), 1000, three(up))
     places, ahead = seen.project(points)
     return places / np.array([seen.width, seen.height]), ahead
 
@@ -82,7 +83,8 @@ def camera_at_eye_level(
 ) -> Camera | None:
     """A camera a few body lengths from an agent, at the height of its back, with nothing in between and much to see behind it.
 
-    `agent`: an id of `species` (the first crowd where none is named); None takes one with company. None when there is no such agent."""
+    `agent`: an id of `species` (the first crowd where none is named); None takes one with company.
+    Gives None when there is no such agent."""
     crowds = [crowd for crowd in picture.crowds if len(crowd.position) and species in (None, crowd.species)]
     if not crowds:
         return None
@@ -91,11 +93,13 @@ def camera_at_eye_level(
         rows = np.flatnonzero(np.asarray(crowd.ids) == agent) if crowd.ids is not None else np.zeros(0, np.int64)
     else:
         rows = _with_company(crowd)
-    solids = RayScene.of([(solid.vertices, solid.faces) for solid in picture.solids if len(solid.faces)])
+    placed = [item_mesh(item, picture.up) for item in picture.items if item.shape != "none" and item.left > 0 and item.radius > 0]
+    around = [(solid.vertices, solid.faces) for solid in picture.solids if len(solid.faces)]
+    solids = RayScene.of(around + [(mesh.vertices, mesh.faces) for mesh in placed])
     best: tuple[float, Camera] | None = None
     for row in rows.tolist():
         for camera in _around(crowd, row, focal):
-            score = _score(crowd, row, camera, solids, picture.solids)
+            score = _score(crowd, row, camera, solids)
             if best is None or score > best[0]:
                 best = (score, camera)
     return best[1] if best else None
@@ -128,24 +132,22 @@ def _around(crowd: Crowd, row: int, focal: float) -> list[Camera]:
     return made
 
 
-def _score(crowd: Crowd, row: int, camera: Camera, rays: RayScene, solids: tuple[Solid, ...]) -> float:
+def _score(crowd: Crowd, row: int, camera: Camera, rays: RayScene) -> float:
     """How much of the crowd a camera shows; far below zero where ground or stone is in the way."""
     seen = view(camera, 160, 90, camera.up or (0.0, 1.0, 0.0))
     scale = float(crowd.scale[row])
     target = np.asarray(crowd.position, np.float64)[row] + scale * 0.2 * np.asarray(camera.up)
-    if solids:
-        between = np.stack(
-            [
-                seen.eye - target,
-                np.asarray(camera.up) * -0.45 * scale,
-                seen.ahead * scale,
-                seen.right * scale,
-                -seen.right * scale,
-            ]
-        )
-        starts = np.stack([target, *[seen.eye] * 4])
-        if rays.occluded(starts, between, far=1.0).any():
-            return -1.0
-    places, ahead = seen.project(np.asarray(crowd.position, np.float64))
-    inside = (ahead > 0.9 * scale) & (ahead < 60 * scale) & (places > 0).all(axis=1) & (places < [160, 90]).all(axis=1)
-    return float(np.minimum(1.0, 8 * scale / ahead[inside]).sum())
+    directions = np.stack(
+        [
+            seen.eye - target,
+            -0.45 * scale * seen.above,
+            *(scale * axis for axis in (seen.ahead, seen.right, -seen.right, seen.above)),
+        ]
+    )
+    if rays.occluded(np.stack([target, *[seen.eye] * 5]), directions, far=1.0).any():
+        return -1e6
+    places, ahead = seen.project(np.where(np.isfinite(crowd.position), crowd.position, 0.0))
+    inside = (ahead < 60 * scale) & (places > 0).all(axis=1) & (places < [160, 90]).all(axis=1)
+    before, away = inside & (ahead > 0) & (ahead < 1.7 * scale), inside & (ahead >= 1.7 * scale)
+    clear = rays.cast(seen.eye[None], seen.ahead[None]).t[0] > 14 * scale
+    return float(np.minimum(1.0, 10 * scale / ahead[away]).sum()) * (1.0 if clear else 0.3) - 4.0 * float(before.sum())

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float32]
+from antdsl.outputs.pictures.vectors import Floats
 
 SUN = np.array([2.65, 2.36, 1.95], np.float32)
 SKY = np.array([0.50, 0.62, 0.84], np.float32)
@@ -55,14 +55,16 @@ def sky(direction: Floats, sun: Sun) -> Floats:
     high = direction @ sun.up
     share = np.sqrt(np.clip(high, 0.0, 1.0))[:, None]
     glow = np.clip(direction @ sun.towards, 0.0, 1.0)[:, None]
-    return HORIZON * (1 - share) + ZENITH * share + np.array([0.22, 0.17, 0.10], np.float32) * glow**8
+    light: Floats = HORIZON * (1 - share) + ZENITH * share + np.array([0.22, 0.17, 0.10], np.float32) * glow**8
+    return light
 
 
 def hazed(colour: Floats, far: Floats, direction: Floats, sun: Sun, reach: float) -> Floats:
     """`colour` seen through `far` of air that hides half at about 0.7 `reach`; looking down there is little of it."""
     level = 1 - np.clip(-(direction @ sun.up), 0.0, 1.0)
     amount = (1 - np.exp(-far / np.float32(reach))) * level * level * level
-    return colour + (HORIZON - colour) * amount[:, None]
+    through: Floats = colour + (HORIZON - colour) * amount[:, None]
+    return through
 
 
 def displayed(light: Floats) -> Floats:

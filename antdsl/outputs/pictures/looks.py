@@ -7,9 +7,7 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.noise import value_noise
-from antdsl.outputs.pictures.vectors import dots, units
-
-Floats = NDArray[np.float32]
+from antdsl.outputs.pictures.vectors import Floats, dots, units
 
 KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain")
 GROUND, STONE, BOULDER, HILL, TABLE, EDGE, GRAIN = range(len(KINDS))
@@ -84,7 +82,8 @@ def _grained(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Fl
 
 
 def _mixed(first: Floats, second: Floats, share: Floats) -> Floats:
-    return first + (second - first) * np.clip(share, 0.0, 1.0)[:, None]
+    mixed: Floats = first + (second - first) * np.clip(share, 0.0, 1.0)[:, None]
+    return mixed
 
 
 def _ground(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
@@ -115,7 +114,8 @@ def _table(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Flo
 
 def _edge(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
     layers = np.sin((points @ up) * np.float32(2 * np.pi / (scales.extent / 70)) + 2.2 * patch + 3 * large)
-    return _EARTH * (1 + 0.16 * layers + 0.10 * patch)[:, None]
+    colour: Floats = _EARTH * (1 + 0.16 * layers + 0.10 * patch)[:, None]
+    return colour
 
 
 def _grain(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:

@@ -27,7 +27,8 @@ class Solid:
 @dataclass(frozen=True, slots=True, eq=False)
 class Crowd:
     """Agents of one species. `position` (n, 3), `orient` (n, 4) quaternions x, y, z, w that turn +x to the heading and +y to up,
-    `scale` (n,) body lengths in world units, `colour` (n, 3) display values 0..1, `walked` (n,) distance in world units (drives the legs).
+    `scale` (n,) body lengths in world units, `colour` (n, 3) display values 0..1, `walked` (n,) distance in world units,
+    which drives the legs.
 
     `ids`, `velocity` (n, 3) and `feelers` (k, 2, 3: starts and ends) are needed only where they are to be shown."""
 
@@ -56,8 +57,8 @@ class Item:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trail:
-    """A field on the ground: cells at `position` (n, 3) of edge `cell` with `strength` (n,); `full` is the strength drawn strongest
-    (None: that of the strongest hundredth of the cells that hold any)."""
+    """A field on the ground: cells at `position` (n, 3) of edge `cell` with `strength` (n,); `full` is the strength drawn
+    strongest (None: that of the strongest hundredth of the cells that hold any)."""
 
     name: str
     position: Array
@@ -69,7 +70,7 @@ class Trail:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole on a 36 mm wide sensor: `focal` in millimetres, or `fov` (degrees, across the picture's width) where that is given."""
+    """A pinhole on a 36 mm wide sensor: `focal` in millimetres, or `fov` (degrees across the width) where that is given."""
 
     at: tuple[float, float, float]
     look_at: tuple[float, float, float]

@@ -5,9 +5,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.vectors import wrapped
+from antdsl.outputs.pictures.vectors import Floats, wrapped
 
-Floats = NDArray[np.float32]
 _EDGE = 32  # the pattern repeats after this many wavelengths
 
 
@@ -19,7 +18,7 @@ def _table(seed: int) -> Floats:
 
 
 def value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, Floats]:
-    """Value (n,) within −1..1 and gradient (n, 3), per world unit, at `points` (n, 3); smooth, of about one bump a `wavelength`."""
+    """Value (n,) within −1..1 and gradient (n, 3), per world unit, at `points` (n, 3); smooth, about one bump a `wavelength`."""
     table = _table(seed)
     scaled = points * np.float32(1.0 / wavelength)
     whole = np.floor(scaled)
@@ -44,6 +43,6 @@ def value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, F
 
 
 def dither(rows: NDArray[np.int64], columns: NDArray[np.int64], turn: int = 0) -> Floats:
-    """A screen pattern within 0..1 whose neighbours differ most (Jimenez, Next Generation Post Processing in Call of Duty, 2014)."""
+    """A screen pattern within 0..1 whose neighbours differ most (Jimenez, SIGGRAPH course on real-time rendering, 2014)."""
     x, y = columns + 5.588238 * turn, rows + 5.588238 * turn
     return wrapped(52.9829189 * wrapped(0.06711056 * x + 0.00583715 * y)).astype(np.float32)

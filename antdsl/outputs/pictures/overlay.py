@@ -27,7 +27,7 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 def draw_overlay(
     image: Image, picture: Picture, view: View, far: NDArray[np.float32], samples: int, show: tuple[str, ...]
 ) -> Image:
-    """`image` with the lines, ids, legend and frame number that `show` and `picture` ask for; what stands behind ground is left out.
+    """`image` with the lines, ids, legend and frame number that `show` and `picture` ask for, less what is behind ground.
 
     `far`: distance of the still things per sample, rows first."""
     lines = [word for word in ("velocity", "feelers", "ids") if word in show]
@@ -68,7 +68,8 @@ def _unhidden(points: Array, view: View, depth: NDArray[np.float32]) -> NDArray[
     inside = (ahead > 0) & (places >= 0).all(axis=1) & (places[:, 0] < view.width) & (places[:, 1] < view.height)
     column, row = np.where(inside[:, None], places, 0).astype(np.int64).T
     distance = np.linalg.norm(points - view.eye, axis=1)
-    return inside & (distance <= depth[row, column] * 1.005 + view.pixel_at(np.maximum(ahead, 0)) * 2)
+    near = distance <= depth[row, column] * 1.005 + view.pixel_at(np.maximum(ahead, 0)) * 2
+    return np.asarray(inside & near)
 
 
 def _draw_lines(draw: ImageDraw.ImageDraw, view: View, ends: Array, colour: tuple[int, int, int]) -> None:

@@ -13,19 +13,17 @@ from numpy.typing import NDArray
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.actors import Actors, actors
 from antdsl.outputs.pictures.camera import View, view
-from antdsl.outputs.pictures.light import SUN, Sun, ambient, displayed, encoded, hazed, sky, sun_over
+from antdsl.outputs.pictures.light import Sun, encoded, sun_over
 from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.model import Camera, Picture
-from antdsl.outputs.pictures.noise import dither
 from antdsl.outputs.pictures.overlay import draw_overlay
 from antdsl.outputs.pictures.setting import Setting, setting
-from antdsl.outputs.pictures.stage import Stage, each, open_share, screen_places, stage
+from antdsl.outputs.pictures.shading import Frame, lit_strip
+from antdsl.outputs.pictures.stage import Stage, each, open_share, stage
 from antdsl.outputs.pictures.trails import TrailCloth, dyed
-from antdsl.outputs.pictures.vectors import blended, dots, units
-from antdsl.runtime.senses.rays import Hits
+from antdsl.outputs.pictures.vectors import Floats
 
 Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 Image = NDArray[np.uint8]
 
 SHOWN = ("trail", "feelers", "velocity", "ids")
@@ -47,7 +45,7 @@ class Renderer:
     `samples`: every pixel is the mean of samples × samples rays. `threads`: for the rays (the bits do not depend on it).
     `least`: bodies that would be shorter than so many pixels are drawn that long, up to three times their size."""
 
-    def __init__(self, width: int = 960, height: int = 540, *, samples: int = 2, threads: int = 1, least: float = 5.0) -> None:
+    def __init__(self, width: int = 960, height: int = 540, *, samples: int = 2, threads: int = 1, least: float = 7.0) -> None:
         if not (1 <= width <= 8192 and 1 <= height <= 8192 and 1 <= samples <= 4):
             raise ValueError("a picture is 1 to 8192 pixels wide and high, with 1 to 4 samples along a pixel's edge")
         self.width, self.height, self.samples = width, height, samples
@@ -97,16 +95,13 @@ class Renderer:
         if cast.size > 0:
             shade = shade.copy()
             open_share(still, cast.rays, 1.1 * cast.size, _CONTACT_RAYS, shade, scales, self.threads)
-        albedo = self._dyed(picture, kept) if trail else still.albedo
-        wide = self.width * self.samples**2
+        frame = Frame(still, self._dyed(picture, kept) if trail else still.albedo, shade, cast, sun, scales, self.threads)
         image = np.empty((self.height, self.width, 3), np.uint8)
+        parts = [(a, b) for a in range(self.samples) for b in range(self.samples)]
 
         def fill(rows: tuple[int, int]) -> None:
-            own = slice(rows[0] * wide, rows[1] * wide)
-            light = self._strip(still, albedo[own], shade, cast, sun, scales, rows, own)
-            blocks = light.reshape(rows[1] - rows[0], self.samples, self.width, self.samples, 3)
-            part = [(a, b) for a in range(self.samples) for b in range(self.samples)]
-            mean = sum((blocks[:, a, :, b] for a, b in part[1:]), blocks[:, 0, :, 0]) / np.float32(len(part))
+            blocks = lit_strip(frame, rows).reshape(rows[1] - rows[0], self.samples, self.width, self.samples, 3)
+            mean = sum((blocks[:, a, :, b] for a, b in parts[1:]), blocks[:, 0, :, 0]) / np.float32(len(parts))
             image[rows[0] : rows[1]] = encoded(mean)
 
         each(fill, still.strips(), self.threads)
@@ -125,94 +120,6 @@ class Renderer:
         albedo = albedo.copy()
         albedo[kept.ground] = colours
         return albedo
-
-    def _strip(
-        self,
-        still: Stage,
-        albedo: Floats,
-        shade: Floats,
-        cast: Actors,
-        sun: Sun,
-        scales: Scales,
-        rows: tuple[int, int],
-        own: slice,
-    ) -> Floats:
-        """Display-linear light (n, 3) of the samples of some pixel rows."""
-        direction = still.view.rays(*rows, self.samples)
-        places = screen_places(still.view, self.samples, rows)
-        far = still.far[own]
-        hits = cast.rays.cast(np.broadcast_to(still.view.eye, direction.shape), direction, self.threads)
-        front = np.flatnonzero(hits.t < far)
-        solid = np.isfinite(far)
-        solid[front] = False
-        back = np.flatnonzero(solid)
-        light = np.empty_like(direction)
-        empty = np.flatnonzero(~solid & (hits.t == np.inf))
-        light[empty] = sky(direction[empty], sun)
-        direct = still.sun[own][back]
-        if cast.size > 0:
-            direct = self._shadowed(direct, still.view, far[back], direction[back], [p[back] for p in places], cast, sun, scales)
-        opened = shade[places[0][back] // self.samples, places[1][back] // self.samples]
-        around = ambient(still.upness[own][back]) * opened[:, None]
-        colour = albedo[back] * (direct[:, None] * SUN + around)
-        light[back] = self._airy(colour, still.kind[own][back], far[back], direction[back], sun, scales)
-        if len(front):
-            colour = self._actors(cast, still.view, hits, direction, front, sun, scales)
-            light[front] = hazed(colour, hits.t[front], direction[front], sun, 2.2 * scales.extent)
-        return displayed(light)
-
-    def _airy(self, colour: Floats, kind: NDArray[np.uint8], far: Floats, direction: Floats, sun: Sun, scales: Scales) -> Floats:
-        """Haze; the table is lost in it sooner, so that its end is never seen."""
-        colour = hazed(colour, far, direction, sun, 2.2 * scales.extent)
-        table = np.flatnonzero(kind == looks.TABLE)
-        fade = 1 - np.exp(-np.square(far[table] / np.float32(3.2 * scales.extent)))
-        colour[table] += (sky(direction[table] * (1 - sun.up), sun) - colour[table]) * fade[:, None]
-        return colour
-
-    def _shadowed(
-        self,
-        direct: Floats,
-        seen: View,
-        far: Floats,
-        direction: Floats,
-        places: list[NDArray[np.int64]],
-        cast: Actors,
-        sun: Sun,
-        scales: Scales,
-    ) -> Floats:
-        """Sunlight less what the moving things keep from it."""
-        lit = np.flatnonzero(direct > 0)
-        start = seen.eye.astype(np.float32) + far[lit, None] * direction[lit]
-        rays = sun.directions(dither(*places)[lit], dither(*places, 1)[lit])
-        met = cast.rays.occluded(start + rays * np.float32(1e-5 * scales.extent), rays, far=cast.tall, threads=self.threads)
-        direct = direct.copy()
-        direct[lit[met]] = 0
-        return direct
-
-    def _actors(
-        self, cast: Actors, seen: View, hits: Hits, direction: Floats, front: NDArray[np.int64], sun: Sun, scales: Scales
-    ) -> Floats:
-        """Light from the samples that meet something that moves."""
-        corners = cast.mesh.faces[hits.face[front]]
-        u, v, flat = hits.u[front], hits.v[front], hits.normal[front]
-        normal = units(blended(cast.mesh.normal, corners, u, v))
-        normal *= np.where(dots(normal, flat) < 0, np.float32(-1), np.float32(1))[:, None]
-        colour = blended(cast.mesh.colour, corners, u, v)
-        gloss = cast.mesh.gloss[corners[:, 0]]
-        where = seen.eye.astype(np.float32) + hits.t[front, None] * direction[front] + flat * np.float32(2e-5 * scales.extent)
-        aim = np.broadcast_to(sun.towards, where.shape)
-        facing = np.clip(normal @ sun.towards, 0, 1)
-        lit = np.flatnonzero(facing > 0)
-        hidden = cast.rays.occluded(where[lit], aim[lit], far=max(cast.tall, 1e-9), threads=self.threads)
-        facing[lit[hidden]] = 0
-        upness = normal @ sun.up
-        half = units(sun.towards - direction[front])
-        shine = gloss * np.clip(dots(normal, half), 0, 1) ** 42 * (facing > 0)
-        rim = gloss * (1 - np.clip(-dots(normal, direction[front]), 0, 1)) ** 4 * 0.5
-        # Undersides see mostly the near ground, which the body keeps dark.
-        near = 0.45 + 0.55 * np.clip(0.6 + 0.8 * upness, 0, 1)
-        around = ambient(upness) * (near * 1.15)[:, None]
-        return colour * (facing[:, None] * SUN + around) + shine[:, None] * SUN * 0.7 + rim[:, None] * ambient(upness) * 0.5
 
 
 def render_frame(

@@ -12,10 +12,10 @@ from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.litter import litter
 from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.model import Solid
+from antdsl.outputs.pictures.vectors import Floats
 from antdsl.runtime.senses.rays import RayScene
 
 Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 
 BELOW = 0.03  # how far the table lies below the lowest point, as a share of the extent

@@ -14,11 +14,10 @@ from antdsl.outputs.pictures.light import Sun
 from antdsl.outputs.pictures.looks import Scales, surface
 from antdsl.outputs.pictures.noise import dither
 from antdsl.outputs.pictures.setting import Setting, with_litter
-from antdsl.outputs.pictures.vectors import blended, dots, units
+from antdsl.outputs.pictures.vectors import Floats, blended, dots, units
 from antdsl.runtime.senses.rays import Hits, RayScene
 
 Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 STRIP = 120_000  # samples worked on at once: what a core's cache holds
 SHADE_RAYS = 6  # a pixel; its neighbours' rays go other ways and are shared with it
@@ -86,7 +85,7 @@ def stage(setting: Setting, view: View, samples: int, sun: Sun, scales: Scales, 
         seen = np.flatnonzero(hits.face >= 0)
         look, flat, where = _surfaces(setting, view, hits, direction, seen, samples, scales)
         places = screen_places(view, samples, rows)
-        lit = _sunlight(setting, sun, look.normal, flat, where, [p[seen] for p in places], scales, threads)
+        lit = _sunlight(setting, sun, look.normal, flat, where, (places[0][seen], places[1][seen]), scales, threads)
         albedo[own][seen], light[own][seen], upness[own][seen] = look.albedo, lit, look.normal @ sun.up
         kind[own][seen] = setting.kind[hits.face[seen]]
         middle = _middles(view, samples, rows)
@@ -115,11 +114,12 @@ def _surfaces(
 ) -> tuple[looks.Surface, Floats, Floats]:
     """The look of the samples that meet something, the smooth normal without grain, and the place."""
     corners = setting.faces[hits.face[seen]]
-    flat, u, v, far = hits.normal[seen], hits.u[seen], hits.v[seen], hits.t[seen]
+    flat, u, v = hits.normal[seen], hits.u[seen], hits.v[seen]
+    far: Floats = hits.t[seen]
     smooth = units(blended(setting.normal, corners, u, v))
     smooth *= np.where(dots(smooth, flat) < 0, np.float32(-1), np.float32(1))[:, None]
     where = view.eye.astype(np.float32) + far[:, None] * direction[seen]
-    pixel = far * np.float32(view.pixel_at(np.float64(1)) / samples)
+    pixel = far * np.float32(view.pixel_at(1.0) / samples)
     painted = blended(setting.painted, corners, u, v)
     look = surface(setting.kind[hits.face[seen]], where, smooth.copy(), setting.up, pixel, scales, painted)
     return look, np.where((dots(smooth, flat) > 0.1)[:, None], smooth, flat), where
@@ -131,7 +131,7 @@ def _sunlight(
     normal: Floats,
     flat: Floats,
     where: Floats,
-    places: list[NDArray[np.int64]],
+    places: tuple[NDArray[np.int64], NDArray[np.int64]],
     scales: Scales,
     threads: int,
 ) -> Floats:
@@ -143,7 +143,7 @@ def _sunlight(
     turn, reach = dither(*places), dither(*places, 1)
     start = where[lit] + flat[lit] * np.float32(2e-5 * scales.extent)
     facing[lit[setting.rays.occluded(start, sun.directions(turn[lit], reach[lit]), threads=threads)]] = 0
-    return facing
+    return np.asarray(facing)
 
 
 def open_share(stage: Stage, rays: RayScene, reach: float, count: int, into: Floats, scales: Scales, threads: int) -> None:
@@ -173,7 +173,7 @@ def open_share(stage: Stage, rays: RayScene, reach: float, count: int, into: Flo
 
 
 def _spread(count: int) -> Floats:
-    """Directions (count · 16, 3) over the upper half sphere, denser towards its pole as light is; every 16 in a row differ most."""
+    """Directions (count · 16, 3) over the upper half sphere, denser towards its pole; every 16 in a row differ most."""
     k = np.arange(count * _TILE * _TILE)
     order = (k % 16) * count + k // 16
     turn = 2 * np.pi * np.mod(k * 0.6180339887498949, 1.0)
@@ -183,7 +183,7 @@ def _spread(count: int) -> Floats:
 
 
 def _across(normal: Floats) -> tuple[Floats, Floats]:
-    """Two unit axes across each normal (Duff et al., Building an Orthonormal Basis, Revisited, JCGT 2017, p. 2)."""
+    """Two unit axes across each normal (Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017)."""
     x, y, z = normal.T
     sign = np.where(z >= 0, np.float32(1), np.float32(-1))
     a = -1 / (sign + z)

@@ -5,9 +5,9 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Trail
+from antdsl.outputs.pictures.vectors import Floats
 
 Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 _MOST_VOXELS = 40_000_000
 
@@ -44,7 +44,8 @@ class TrailCloth:
         for step in (0, c, b * c, b * c + c):
             low = voxels.take(self.first + np.int32(step))
             rows.append(low + (voxels.take(self.first + np.int32(step + 1)) - low) * z)
-        return (rows[0] + (rows[1] - rows[0]) * y) * (1 - x) + (rows[2] + (rows[3] - rows[2]) * y) * x
+        between: Floats = (rows[0] + (rows[1] - rows[0]) * y) * (1 - x) + (rows[2] + (rows[3] - rows[2]) * y) * x
+        return between
 
     def strength(self, trail: Trail) -> Floats:
         """The trail's strength (n,) at the samples: cells where no sample lies do not thin out those beside them."""

@@ -1,9 +1,12 @@
 """Rows of float32 vectors: the few operations that shading does by the million."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float32]
+# float32 throughout; NumPy's own types lose that wherever a Python number is mixed in.
+Floats = NDArray[Any]
 
 
 def dots(a: Floats, b: Floats) -> Floats:
@@ -18,7 +21,8 @@ def units(a: Floats) -> Floats:
 
 
 def blended(table: Floats, corners: NDArray[np.int32], u: Floats, v: Floats) -> Floats:
-    """Values (n, c) of a `table` of vertices within faces of these `corners` (n, 3): weights `u`, `v` for the second and third."""
+    """Values (n, c) of a `table` of vertices within faces of these `corners` (n, 3), of weights `u`, `v` for the second
+    and third corner."""
     total = table.take(corners[:, 0], axis=0)
     total *= (1 - u - v)[:, None]
     total += table.take(corners[:, 1], axis=0) * u[:, None]
