@@ -120,10 +120,21 @@ def static_arrays(world: World, setting: Setting) -> Arrays:
 
 
 def describe(
-    world: World, *, version: str, scene: str, inputs: Mapping[str, str], units: str, up: str, first: int, last: int,
+    world: World,
+    setting: Setting,
+    *,
+    version: str,
+    scene: str,
+    inputs: Mapping[str, str],
+    units: str,
+    up: str,
+    first: int,
+    last: int,
     preroll: int,
-    checkpoint: int, attributes: tuple[str, ...], camera: CameraEntry | None,
-) -> Manifest:  # fmt: skip
+    checkpoint: int,
+    attributes: tuple[str, ...],
+    camera: CameraEntry | None,
+) -> Manifest:
     """The manifest of a run that begins with this world."""
     scale = 1.0 / setting.unit_mm
     return Manifest(

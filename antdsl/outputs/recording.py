@@ -15,7 +15,7 @@ from antdsl.outputs.cache_writer import CacheWriter, prepare_folder, read_checkp
 from antdsl.outputs.frames import FrameMaker, describe, static_arrays
 from antdsl.outputs.manifest import CameraEntry
 from antdsl.pipeline import Shot
-from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
+from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, state_hash, step
 from antdsl.scene.model import millimetres
 
 
@@ -72,7 +72,10 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
             arrays = read_checkpoint(cache, frame)
             if arrays is None:
                 continue
-            restore(world, dict(arrays))
+            try:
+                restore(world, arrays)
+            except CheckpointError:
+                continue
             if state_hash(world) == hashes.get(frame):
                 recording.resumed_from = recording.frame = frame
                 recording.hash = hashes[frame]
