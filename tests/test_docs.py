@@ -227,6 +227,63 @@ def anchors(file: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
 
 
+def test_the_card_has_all_the_words() -> None:
+    """Units, given names, built-in operations, sets, colours, field settings and the library: whatever the tables have."""
+    from antdsl.program.colours import COLOURS
+    from antdsl.program.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
+    from antdsl.syntax.words import FIELD_SETTINGS, LINE_WORDS, WORLD_KINDS
+
+    text = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
+    words = set(re.findall(r"[A-Za-z_]+|%", " ".join(re.findall(r"`([^`]+)`", text))))
+    tables = (UNITS, GIVEN, RUN_NAMES, SENSED_NAMES, BUILTINS, REDUCERS, COLOURS, FIELD_SETTINGS, WORLD_KINDS, *LINE_WORDS.values())
+    missing = {word for table in tables for word in table} - words
+    assert not missing, f"the card lacks {sorted(missing)}"
+    assert {"noise", "flow", "map", "play", "fuzzy"} <= {*RESERVED, *WORLD_KINDS} & words
+
+
+def test_the_library_is_in_the_reference_as_it_is() -> None:
+    """Signature and help of each behaviour; on the card the names alone."""
+    library = (ROOT / "behaviours" / "steering.ant").read_text(encoding="utf-8")
+    heads = re.findall(r'^behaviour (\w+)(\(.*?\)) -> push \{\n  "(.*?)"', library, flags=re.MULTILINE)
+    assert len(heads) == len(re.findall(r"^behaviour ", library, flags=re.MULTILINE))
+    reference = (ROOT / "grammar" / "README.md").read_text(encoding="utf-8")
+    assert [row for row in heads if f"| `{row[0]}{row[1]}` | {row[2]} |" not in reference] == []
+    card = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
+    assert "`" + " ".join(name for name, _, _ in heads) + "`" in card
+
+
+def test_the_scene_page_has_all_the_keys() -> None:
+    from antdsl.scene import model
+
+    text = (ROOT / "docs" / "scene.md").read_text(encoding="utf-8")
+    parts = [part for part in vars(model).values() if isinstance(part, type) and issubclass(part, model.Part) and part is not model.Part]
+    keys = {field.alias or name for part in parts for name, field in part.model_fields.items()}
+    assert len(parts) > 8
+    assert sorted(key for key in keys if f"`{key}`" not in text and f"`{key}:" not in text) == []
+
+
+def test_the_page_of_commands_has_all_commands_and_flags() -> None:
+    import typer.main
+
+    from antdsl.cli import app
+
+    text = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("commands.md", "pictures.md"))
+    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+        assert f"`antdsl {name}" in text
+        flags = [flag for part in command.params for flag in part.opts if flag.startswith("--")]
+        assert [flag for flag in flags if flag not in text and flag != "--help"] == [], name
+
+
+def test_the_page_of_commands_has_all_keys_of_a_summary(cache: Path) -> None:
+    import json
+
+    done = run([sys.executable, "-m", "antdsl", "run", "examples/minimal/scene.yaml", "--frames", "1..2", "--out", "two", "--summary", "s.json"], cache.parent)
+    assert done.returncode == 0, done.stdout + done.stderr
+    found = json.loads((cache.parent / "s.json").read_text(encoding="utf-8"))
+    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    assert [key for key in (*found, *found["motion"]) if f"`{key}`" not in text] == []
+
+
 def test_the_reference_is_short() -> None:
     assert len((ROOT / "grammar" / "README.md").read_text(encoding="utf-8").splitlines()) <= 700
 
