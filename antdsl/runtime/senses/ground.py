@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from antdsl.runtime.senses.rays import Mesh, RayScene
 from antdsl.runtime.senses.surroundings import Around, Nearness
 from antdsl.runtime.senses.topology import Topology, build
-from antdsl.runtime.senses.walk import Walkers, dot, in_frame, in_space, inside, turned, walk
+from antdsl.runtime.senses.walk import Walkers, dot, in_frame, inside, turned, walk
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -177,45 +177,38 @@ class Ground:
         t = self._table
         side = np.where(dot(up_t, t.normal.take(face, axis=1)) < 0, -1.0, 1.0)
         b1, b2 = inside(np.where(known, footing.b1, 0.0), np.where(known, footing.b2, 0.0))
-        c, s, way = self._laid_down(face, wish)
+        axes = t.axis1.take(face, axis=1), t.axis2.take(face, axis=1)
+        c, s, way = _laid_down(axes, wish, 1.0, 0.0)
         way[~known] = 0.0
-        heading_c, heading_s, _ = self._laid_down(face, heading_t, c, s)
+        heading_c, heading_s, _ = _laid_down(axes, heading_t, c, s)
         w = Walkers(face, b1, b2, side, c, s, heading_c, heading_s, way, np.zeros(n), np.zeros(n, bool))
         around = Around(t, self._cast, self._weights, self.extent, body, threads)
         near = self._nearness.of(w, t, float(way.max(initial=0.0) + body.max(initial=0.0)))
         walk(t, w, near, around)
         smooth = self._smooth(w.face, w.b1, w.b2) * w.side
-        ahead = in_space(t, w.face, w.heading_c, w.heading_s)
+        axis1, axis2 = t.axis1.take(w.face, axis=1), t.axis2.take(w.face, axis=1)
+        ahead = axis1 * w.heading_c + axis2 * w.heading_s
         ahead = turned(ahead, w.up(t), smooth, ahead)
         ahead -= dot(ahead, smooth) * smooth
         ahead /= np.sqrt(dot(ahead, ahead))
         rows = np.where(known, w.face, -1)
         moved = self._footing(rows, w.b1, w.b2)
-        result = [np.ascontiguousarray(v.T) for v in (w.place(t), smooth, ahead, w.direction(t))]
+        result = [np.ascontiguousarray(v.T) for v in (w.place(t), smooth, ahead, axis1 * w.c + axis2 * w.s)]
         if not known.all():
             for vectors, kept in zip(result, (np.zeros((n, 3)), up, heading, heading), strict=True):
                 vectors[~known] = kept[~known]
         return MoveResult(moved, *result, w.gone, w.blocked, ~known)
 
-    def _laid_down(
-        self, face: Index, v: Floats, c0: Floats | float = 1.0, s0: Floats | float = 0.0
-    ) -> tuple[Floats, Floats, Floats]:
-        """Vectors (3, n) laid into their face: unit (c, s) in its frame, (c0, s0) where nothing is left, and a length."""
-        c, s = in_frame(self._table, face, v)
-        flat = np.sqrt(c * c + s * s)
-        usable = flat > 1e-150
-        size = np.where(usable, flat, 1.0)
-        # Up to 60 degrees off the surface the length is kept; beyond, it falls steadily to nothing.
-        length = np.minimum(np.sqrt(dot(v, v)), 2 * flat)
-        return np.where(usable, c / size, c0), np.where(usable, s / size, s0), np.where(usable, length, 0.0)
-
     # ---- parts
 
-    def _cast(self, origin: Floats, direction: Floats, threads: int) -> tuple[Floats, Index]:
-        """t and face over all meshes (-1 = none) of rays (3, k) at all surfaces."""
+    def _cast(self, origin: Floats, step: Floats, threads: int) -> tuple[Floats, Index]:
+        """Where rays (3, k) hit within their step, as a part of it (inf = nowhere), and the face over all meshes (-1)."""
         scene, live = self._scene(None)
-        hits = scene.cast(origin.T, direction.T, threads)
-        return hits.t.astype(np.float64), self._face_of(hits.mesh, hits.face, live)
+        which, t, mesh, local = scene.cast_within(origin.T, step.T, threads)
+        part, face = np.full(origin.shape[1], np.inf), np.full(origin.shape[1], -1, np.int64)
+        part[which] = t
+        face[which] = self._face_of(mesh, local, live)
+        return part, face
 
     def _scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
         """Rays against some surfaces, and the face that each face of that scene is."""
@@ -263,6 +256,17 @@ class Ground:
         n = self._table.smooth.take(face, axis=1)
         v = n[:3] * (1.0 - b1 - b2) + n[3:6] * b1 + n[6:] * b2
         return v / np.sqrt(np.maximum(dot(v, v), 1e-300))
+
+
+def _laid_down(axes: tuple[Floats, Floats], v: Floats, c0: Floats | float, s0: Floats | float) -> tuple[Floats, Floats, Floats]:
+    """Vectors (3, n) laid into their face: unit (c, s) in its frame, (c0, s0) where nothing is left, and a length."""
+    c, s = dot(axes[0], v), dot(axes[1], v)
+    flat = np.sqrt(c * c + s * s)
+    usable = flat > 1e-150
+    size = np.where(usable, flat, 1.0)
+    # Up to 60 degrees off the surface the length is kept; beyond, it falls steadily to nothing.
+    length = np.minimum(np.sqrt(dot(v, v)), 2 * flat)
+    return np.where(usable, c / size, c0), np.where(usable, s / size, s0), np.where(usable, length, 0.0)
 
 
 def _unmoved(footing: Footing, up: Floats, heading: Floats) -> MoveResult:

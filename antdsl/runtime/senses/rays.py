@@ -196,14 +196,48 @@ class RayScene:
             for axis, (place, step) in enumerate(((x, dx), (y, dy), (z, dz))):
                 rays[:, axis] = place[near] - self.origin[axis]
                 rays[:, 3 + axis] = step[near] * length
-            # A ray that hits nothing costs the whole scene's length unless it has an end, which only occlusions know.
-            met = np.flatnonzero(self._occluded(rays, 1.0 + 1e-4, threads))
-            near, rays, length = near[met], rays[met], length[met]
-            part, face, _ = self._cast(rays, threads)
-            met = np.flatnonzero((face >= 0) & (part <= 1.0))
+            met, part, face = self._limited(rays, threads)
             near = near[met]
-            t[near] = part[met] * length[met]
-            normal[:, near] = self._towards(face[met], rays[met, 3:]).T
+            t[near] = part * length[met]
+            normal[:, near] = self._towards(face, rays[met, 3:]).T
+        return FeelerHits(np.isfinite(t), t, *normal)
+
+    def _limited(
+        self, rays: NDArray[np.float32], threads: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.int32]]:
+        """Which rays hit within one length of their direction, with t and face over all meshes of these.
+
+        A ray that hits nothing costs the whole scene's length unless it has an end, which only occlusions know.
+        """
+        maybe = np.flatnonzero(self._occluded(rays, 1.0 + 1e-4, threads))
+        t, face, _ = self._cast(rays[maybe], threads)
+        met = np.flatnonzero((face >= 0) & (t <= 1.0))
+        return maybe[met], t[met], face[met]
+
+    def cast_within(
+        self, origin: Vectors, step: Vectors, threads: int = 1
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+        """Which rays hit something between `origin` [n,3] and `origin + step`: their numbers, ascending, and t, mesh, face."""
+        which, t, face = self._limited(self._rays(origin, step), threads)
+        mesh = self._mesh_of_face[face]
+        return which, t, mesh, (face - self._first_face[mesh]).astype(np.int32)
+
+    def near(self, x: NDArray, y: NDArray, z: NDArray, reach: NDArray | float, threads: int = 1) -> FeelerHits:
+        """The nearest face within `reach` (mm, one or float[n]) of places, 1-D arrays: distance, and unit way to the asker."""
+        n = len(x)
+        reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
+        t = np.full(n, np.inf, np.float32)
+        normal = np.zeros((3, n), np.float32)
+        if self._scene is not None and n:
+            if self._grid is None:
+                self._grid = DistanceGrid(self._vertices, self._faces)
+            asked = np.flatnonzero(self._grid.at_least(x, y, z) <= reach)
+            points = np.stack([x[asked], y[asked], z[asked]], axis=1).astype(np.float64)
+            _, _, place, distance = self.closest(points, threads)
+            met = np.flatnonzero(distance.astype(np.float32) <= reach[asked])
+            away = (points[met] - place[met]) / np.maximum(distance[met], 1e-12)[:, None]
+            t[asked[met]] = distance[met]
+            normal[:, asked[met]] = away.T
         return FeelerHits(np.isfinite(t), t, *normal)
 
     def _reachable(

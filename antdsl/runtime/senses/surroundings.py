@@ -79,13 +79,13 @@ class Around:
         place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
         lift = np.maximum(_LIFT * self._body[rows], self._noise)
         piece = t.piece[walkers.face[rows]]
-        ceiling, face = self._cast(place, up, self._threads)
-        low = (face >= 0) & (ceiling <= lift) & (t.piece[face] != piece)
-        lift = np.where(low, ceiling / 2, lift)
-        gone, face = self._cast(place + up * lift, way, self._threads)
-        who = np.flatnonzero((face >= 0) & (gone <= length) & (t.piece[face] != piece))
-        hit = (place + up * lift)[:, who] + way[:, who] * gone[who]
-        return self._landing(who, face[who], hit, way[:, who], gone[who])
+        part, face = self._cast(place, up * lift, self._threads)
+        low = (face >= 0) & (t.piece[face] != piece)
+        eye = place + up * np.where(low, lift * np.where(low, part, 0.0) / 2, lift)
+        part, face = self._cast(eye, way * length, self._threads)
+        who = np.flatnonzero((face >= 0) & (t.piece[face] != piece) & (length > 0))
+        gone = part[who] * length[who]
+        return self._landing(who, face[who], eye[:, who] + way[:, who] * gone, way[:, who], gone)
 
     def beyond(self, walkers: Walkers, rows: Index) -> Landing:
         """Past an open border: what a ray down just beyond it meets, else what a ray back from below it meets."""
@@ -96,11 +96,11 @@ class Around:
         down = -up * body
         part, face = self._cast(place + way * gap + up * (0.5 * body), down, self._threads)
         hit = place + way * gap + up * (0.5 * body) + down * np.where(np.isfinite(part), part, 0.0)
-        met = (face >= 0) & (part <= 1.0) & (face != walkers.face[rows])
+        met = (face >= 0) & (face != walkers.face[rows])
         back = -way * (gap + 0.5 * body)
         start = place + way * gap - up * (0.25 * body)
         part2, face2 = self._cast(start, back, self._threads)
-        below = ~met & (face2 >= 0) & (part2 <= 1.0) & (face2 != walkers.face[rows])
+        below = ~met & (face2 >= 0) & (face2 != walkers.face[rows])
         hit = np.where(below, start + back * np.where(np.isfinite(part2), part2, 0.0), hit)
         face, towards = np.where(below, face2, face), np.where(below, back, down)
         who = np.flatnonzero(met | below)

@@ -25,7 +25,8 @@ class Topology:
     A point of face f is `corner + b1 * edge1 + b2 * edge2`. `axis1 axis2 normal` is the face's frame; a direction (c, s) in it
     changes b1 by `c * rate1 - s * shear` and b2 by `s * rate2`. Half-edge 3f+k lies opposite corner k; `edge_c edge_s` is its
     direction in the frame, from corner k+1 to k+2. `link[side, 3f+k]` is what lies beyond for someone on the side of the
-    normal (0) or the other (1): twice the half-edge there, plus one when that face is wound the other way; or NO_LINK.
+    normal (0) or the other (1): 8 times the face, plus twice the corner that its half-edge lies opposite, plus one when that face
+    is wound the other way; or NO_LINK.
     """
 
     live: NDArray[np.bool_]
@@ -43,6 +44,7 @@ class Topology:
     link: Ints
     piece: Ints
     pieces: int
+    forked: bool  # whether any edge leads on differently on its two sides, being of more than two faces
     smooth: Floats  # (9, m): unit normal at corner 0, 1, 2
 
 
@@ -62,9 +64,10 @@ def build(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
     direction = _edge_directions(length1, x2, y2)
     link = _links(vertices, faces, weld, live)
     piece, pieces = _pieces(link, live)
+    forked = bool((link[0] != link[1]).any())
     columns = (np.ascontiguousarray(v.T) for v in (a, edge1, edge2, normal, axis1, axis2))
     smooth = _smooth_normals(vertices, faces, weld, live, normal)
-    return Topology(live, *columns, 1 / length1, 1 / y2, x2 / (y2 * length1), *direction, link, piece, pieces, smooth)
+    return Topology(live, *columns, 1 / length1, 1 / y2, x2 / (y2 * length1), *direction, link, piece, pieces, forked, smooth)
 
 
 def _length(v: Floats) -> Floats:
@@ -145,7 +148,7 @@ def _links(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -
         step = np.where(upward == (side == 0), 1, -1)
         beyond = order[begin[group] + (place + step) % count[group]]
         flip = (along[beyond] == along).astype(np.int64)  # two faces wound alike run along their edge in opposite ways
-        link[side, half[many]] = (2 * half[beyond] + flip)[many]
+        link[side, half[many]] = (8 * face[beyond] + 2 * k[beyond] + flip)[many]
     return link
 
 
@@ -156,7 +159,7 @@ def _pieces(link: Ints, live: NDArray[np.bool_]) -> tuple[Ints, int]:
 
     m = len(live)
     half = np.flatnonzero(link[0] != NO_LINK)
-    here, there = half // 3, link[0, half] // 6
+    here, there = half // 3, link[0, half] >> 3
     graph = coo_array((np.ones(half.size, np.int8), (here, there)), shape=(m, m))
     _, piece = connected_components(graph, directed=False)
     named, numbers = np.unique(piece[live], return_inverse=True)

@@ -17,7 +17,6 @@ Index = NDArray[np.int64]
 _CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
 _HOPS = 6  # from surface to surface, or turns along a border, in one step
 _STUCK = 24  # crossings after which a walker is moved off the corner that it may be circling
-_CORNERS = (np.array([1, 2, 0]), np.array([2, 0, 1]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +112,7 @@ def _stretch(
 ) -> Index:
     """Walk `rows` to the end of their way or the edge of their face and across; returns those with way left."""
     everyone = rows.size == w.face.size
-    f, b1, b2, c, s, left = (v if everyone else v[rows] for v in (w.face, w.b1, w.b2, w.c, w.s, w.left))
+    f, b1, b2, c, s, left = (v if everyone else v.take(rows) for v in (w.face, w.b1, w.b2, w.c, w.s, w.left))
     rate1 = c * table.rate1.take(f) - s * table.shear.take(f)
     rate2 = s * table.rate2.take(f)
     b, rate = np.stack([1.0 - b1 - b2, b1, b2]), np.stack([-(rate1 + rate2), rate1, rate2])
@@ -133,7 +132,7 @@ def _stretch(
     w.left[on] = np.where(until >= left, 0.0, left - length)
     w.gone[on] += length
     if across.size:
-        _cross(table, w, on[across], 3 * f[across] + edge[across], hops, around)
+        _cross(table, w, on[across], edge[across], hops, around)
     return rows[w.left[rows] > 0]
 
 
@@ -208,32 +207,34 @@ def _spend_hop(w: Walkers, rows: Index, hops: NDArray[np.int8]) -> None:
     w.blocked[spent] = True
 
 
-def _cross(table: Topology, w: Walkers, rows: Index, half: Index, hops: NDArray[np.int8], around: Surroundings) -> None:
-    """Unfold walkers who stand on half-edges into the faces beyond."""
-    link = table.link[(w.side[rows] < 0).astype(np.intp), half]
+def _cross(table: Topology, w: Walkers, rows: Index, edge: Index, hops: NDArray[np.int8], around: Surroundings) -> None:
+    """Unfold walkers who stand on the edge opposite a corner of their face into the faces beyond."""
+    half = 3 * w.face.take(rows) + edge
+    side = w.side.take(rows)
+    link = table.link[0].take(half)
+    if table.forked:
+        link = np.where(side < 0, table.link[1].take(half), link)
     shut = link == NO_LINK
     if shut.any():
         _border(table, w, rows[shut], half[shut], hops, around)
-        rows, half, link = rows[~shut], half[~shut], link[~shut]
-    there, flip = (link >> 1).astype(np.int64), (link & 1).astype(bool)
-    k, k2 = half % 3, there % 3
-    first, second = _weight(w, rows, _CORNERS[0][k]), _weight(w, rows, _CORNERS[1][k])
+        rows, half, link, edge, side = (v[~shut] for v in (rows, half, link, edge, side))
+    there, k2, flip = (link >> 3).astype(np.int64), (link >> 1) & 3, (link & 1).astype(bool)
+    half2 = 3 * there + k2
+    b1, b2 = w.b1.take(rows), w.b2.take(rows)
+    b0 = 1.0 - b1 - b2
+    # The corners after the opposite one carry the point; the face beyond counts them the other way round, unless flipped.
+    first, second = np.where(edge == 0, b1, np.where(edge == 1, b2, b0)), np.where(edge == 0, b2, np.where(edge == 1, b0, b1))
     first, second = np.where(flip, first, second), np.where(flip, second, first)
-    c1, s1, c2, s2 = table.edge_c[half], table.edge_s[half], table.edge_c[there], table.edge_s[there]
-    for c, s in ((w.c, w.s), (w.heading_c, w.heading_s)):
-        along = np.where(flip, 1.0, -1.0) * (c[rows] * c1 + s[rows] * s1)
-        out = c[rows] * s1 - s[rows] * c1
-        c[rows], s[rows] = along * c2 - out * s2, along * s2 + out * c2
-    # Corner k2 lies off the edge; the two after it carry the weights of this side's corners.
-    w.b1[rows] = np.where(k2 == 0, first, np.where(k2 == 1, 0.0, second))
-    w.b2[rows] = np.where(k2 == 0, second, np.where(k2 == 1, first, 0.0))
-    w.side[rows] = np.where(flip, -w.side[rows], w.side[rows])
-    w.face[rows] = there // 3
-
-
-def _weight(w: Walkers, rows: Index, corner: Index) -> Floats:
-    b1, b2 = w.b1[rows], w.b2[rows]
-    return np.where(corner == 0, np.maximum(1.0 - b1 - b2, 0.0), np.where(corner == 1, b1, b2))
+    c1, s1, c2, s2 = table.edge_c.take(half), table.edge_s.take(half), table.edge_c.take(half2), table.edge_s.take(half2)
+    turn = np.where(flip, 1.0, -1.0)
+    for to_c, to_s in ((w.c, w.s), (w.heading_c, w.heading_s)):
+        c, s = to_c.take(rows), to_s.take(rows)
+        along, out = turn * (c * c1 + s * s1), c * s1 - s * c1
+        to_c[rows], to_s[rows] = along * c2 - out * s2, along * s2 + out * c2
+    w.b1[rows] = np.maximum(np.where(k2 == 0, first, np.where(k2 == 1, 0.0, second)), 0.0)
+    w.b2[rows] = np.maximum(np.where(k2 == 0, second, np.where(k2 == 1, first, 0.0)), 0.0)
+    w.side[rows] = np.where(flip, -side, side)
+    w.face[rows] = there
 
 
 def _border(table: Topology, w: Walkers, rows: Index, half: Index, hops: NDArray[np.int8], around: Surroundings) -> None:
