@@ -37,7 +37,9 @@ def test_cases(chunk: str) -> None:
     wanted = [line.removeprefix("# error: ").split(", ", 2) for line in lines if line.startswith("# error: ")]
     text = "\n".join(line for line in lines if not line.startswith("# error: ")) + "\n"
     scene, report = read(text)
-    got = [(d.code, "{}:{}".format(*d.span.source.line_column(d.span.start)), d.message, d.help) for d in report.sorted() if d.span]
+    got = [
+        (d.code, "{}:{}".format(*d.span.source.line_column(d.span.start)), d.message, d.help) for d in report.sorted() if d.span
+    ]
     assert [entry[:2] for entry in got] == [(code, place) for code, place, _ in wanted], got
     for (_, _, words), (_, _, message, help) in zip(wanted, got, strict=True):
         assert words in f"{message} | {help}"
@@ -134,6 +136,11 @@ def test_a_folder_a_pipe_and_a_large_file_are_no_scene(tmp_path: Path) -> None:
     os.mkfifo(pipe)
     large = tmp_path / "large.yaml"
     large.write_bytes(b"#" * (1024 * 1024 + 1))
-    for path, code in ((tmp_path, "not-a-file"), (pipe, "not-a-file"), (large, "too-large"), (tmp_path / "none.yaml", "no-such-file")):
+    for path, code in (
+        (tmp_path, "not-a-file"),
+        (pipe, "not-a-file"),
+        (large, "too-large"),
+        (tmp_path / "none.yaml", "no-such-file"),
+    ):
         scene, report = load(path)
         assert scene is None and [d.code for d in report.errors] == [code]

@@ -87,11 +87,17 @@ def _again(scene: Path, out: Path | None) -> str:
 
 
 def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume: bool, force: bool) -> Recording:
+    from antdsl.cli.reports import demand
     from antdsl.outputs.cache_writer import DifferentInputs, ForeignFolder
     from antdsl.outputs.recording import NothingToResume, begin
+    from antdsl.outputs.starting import StartError
+    from antdsl.runtime import BindError
 
     try:
         return begin(shot, folder, options, resume=resume, force=force)
+    except (BindError, StartError) as why:
+        demand(why.report)
+        raise Stop(Exit.FINDINGS) from None
     except ForeignFolder as why:
         raise Stop(
             Exit.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`, or write into it anyway with `--force`"

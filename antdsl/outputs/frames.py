@@ -133,6 +133,7 @@ def describe(
     preroll: int,
     checkpoint: int,
     attributes: tuple[str, ...],
+    bodies: Mapping[str, str],
     camera: CameraEntry | None,
 ) -> Manifest:
     """The manifest of a run that begins with this world."""
@@ -151,7 +152,7 @@ def describe(
         seed=setting.seed,
         checkpoint=checkpoint,
         attributes=attributes,
-        species=tuple(_species(world.populations[name]) for name in sorted(world.populations)),
+        species=tuple(_species(world.populations[name], bodies.get(name)) for name in sorted(world.populations)),
         meshes=(
             *(MeshEntry(name=name, kind="surface") for name in setting.surfaces),
             *(MeshEntry(name=name, kind="obstacle") for name in setting.obstacles),
@@ -171,7 +172,7 @@ def describe(
     )
 
 
-def _species(population: Population) -> SpeciesEntry:
+def _species(population: Population, body: str | None) -> SpeciesEntry:
     machines = tuple(
         MachineEntry(
             name=machine.name,
@@ -182,7 +183,7 @@ def _species(population: Population) -> SpeciesEntry:
         )
         for machine in population.plan.machines
     )
-    return SpeciesEntry(name=population.name, machines=machines)
+    return SpeciesEntry(name=population.name, body=body, machines=machines)
 
 
 def _colours(population: Population) -> NDArray[np.float32]:

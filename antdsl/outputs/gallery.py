@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.catalogue import body_of
+from antdsl.bodies.catalogue import BODIES, body_of
 from antdsl.outputs.cache import Arrays, Cache
 from antdsl.outputs.pictures.model import Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
 
@@ -84,7 +84,7 @@ class Gallery:
                 scale=np.asarray(arrays["pscale"], np.float64)[rows],
                 colour=np.asarray(arrays["Cd"], np.float64)[rows] if "Cd" in arrays else np.full((len(rows), 3), 0.35),
                 walked=self._walk(species.name, frame, ids[rows], arrays, rows),
-                body=body_of(species.name),
+                body=species.body if species.body in BODIES else body_of(species.name),
                 ids=ids[rows],
                 velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
             )

@@ -39,7 +39,10 @@ class MachineEntry(Part):
 
 
 class SpeciesEntry(Part):
+    """`body`: what pictures draw for it; None goes by its name."""
+
     name: Word
+    body: Word | None = None
     machines: tuple[MachineEntry, ...]
 
 

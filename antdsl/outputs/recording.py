@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from antdsl.outputs.cache import Cache
 from antdsl.outputs.cache_writer import CacheWriter, prepare_folder, read_checkpoint, resume_points
 from antdsl.outputs.frames import FrameMaker, describe, static_arrays
 from antdsl.outputs.manifest import CameraEntry
+from antdsl.outputs.starting import start_hash
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, state_hash, step
 from antdsl.scene.model import millimetres
@@ -26,6 +27,7 @@ class Recording:
     shot: Shot
     folder: Path
     world: World
+    inputs: Mapping[str, str]
     resumed_from: int | None = None
     frame: int | None = None  # the last that was written
     stop: bool = False
@@ -55,15 +57,16 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
 
     A checkpoint is good when all frames up to it are there and the world made from it has the hash that the cache has for
     that frame."""
+    inputs = {**shot.inputs, **start_hash(shot)}
     points: tuple[Cache, list[int]] | None = None
     if resume:
-        points = resume_points(folder, shot.inputs, shot.frames.first)
+        points = resume_points(folder, inputs, shot.frames.first)
         if points is None and any((folder / "frames").glob("frame.*.npz")):
             raise NothingToResume(f"`{folder}` has frames and no readable manifest")
     prepare_folder(folder, force=force)
     began = time.perf_counter()
     world = bind(shot.plan, shot.setting, options)
-    recording = Recording(shot, folder, world)
+    recording = Recording(shot, folder, world, inputs)
     recording.spend("bind", began)
     if points is not None:
         cache, frames = points
@@ -99,7 +102,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         shot.setting,
         version=shot.inputs["antdsl"],
         scene=Path(shot.scene.source.path).name,
-        inputs=shot.inputs,
+        inputs=recording.inputs,
         units=model.units,
         up=model.up,
         first=shot.frames.first,
@@ -107,6 +110,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         preroll=model.preroll,
         checkpoint=model.output.checkpoint,
         attributes=maker.attributes,
+        bodies={line.species: line.body for line in model.crowd if line.body is not None},
         camera=_camera(shot),
     )
     with CacheWriter(recording.folder, manifest) as writer:

@@ -30,7 +30,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "carried": carried(recording),
         "faults": world.faults.count,
         "max_surface_error": recording.surface_error,
-        "motion": world.motion.measures(),
+        "motion": world.motion.summary(),
         "state_hash": recording.hash,
         "peak_memory": peak_memory(),
     }

@@ -28,6 +28,7 @@ from antdsl.scene.values import (
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
 Unit = Annotated[str, BeforeValidator(one_of(*UNIT_MM))]
+Body = Annotated[str, BeforeValidator(one_of("ant", "person", "arrow", "ball"))]
 Axis = Annotated[str, BeforeValidator(one_of("y", "z"))]
 Factor = Annotated[float, BeforeValidator(number(1e-9, 1e9))]
 Point = tuple[Length, Length, Length]
@@ -117,10 +118,13 @@ class Placement(Part):
 
 
 class CrowdLine(Part):
+    """Agents of one species. `body` is what pictures draw; by itself it goes by the species' name."""
+
     species: Name
     source: FilePath = Field(alias="from")
     count: Annotated[int, BeforeValidator(whole(0, limits.AGENTS))]
     place: Placement = Placement()
+    body: Body | None = None
 
 
 class FieldStart(Part):

@@ -1,0 +1,99 @@
+"""Begins a run with the agents, items and fields of a frame of another cache."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+
+from antdsl.diagnostics import Report
+from antdsl.outputs.cache import CacheError, checkpoint_path, open_cache
+from antdsl.outputs.manifest import ManifestError
+from antdsl.pipeline import Shot
+from antdsl.runtime import CheckpointError, World, restore
+from antdsl.scene.paths import PathRefused
+
+_SAME_PLACE = 1e-6  # mm
+
+
+class StartError(Exception):
+    """The other cache cannot be begun with; `report` says why, at its place in the scene."""
+
+    def __init__(self, report: Report) -> None:
+        super().__init__("; ".join(d.message for d in report.errors))
+        self.report = report
+
+
+def source_of(shot: Shot) -> Path | None:
+    """The folder of the cache that the scene begins with, or None. StartError when its path is refused."""
+    start = shot.scene.model.start
+    if start is None:
+        return None
+    try:
+        return shot.scene.roots.path(start.cache)
+    except PathRefused as refused:
+        raise _error(shot, refused.code, str(refused), "cache", refused.help) from None
+
+
+def start_hash(shot: Shot) -> dict[str, str]:
+    """A hash of what the scene begins with, for the inputs of its own cache; empty when it begins with its crowd."""
+    folder, start = source_of(shot), shot.scene.model.start
+    if folder is None or start is None:
+        return {}
+    path = checkpoint_path(folder, start.frame)
+    try:
+        return {"from": hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()}
+    except OSError:
+        raise _missing(shot, folder) from None
+
+
+def start_from_cache(shot: Shot, world: World) -> None:
+    """Put the world where the other cache was, at this scene's own first frame. StartError when that is not possible."""
+    folder, start = source_of(shot), shot.scene.model.start
+    if folder is None or start is None:
+        return
+    try:
+        cache = open_cache(folder)
+        arrays = cache.checkpoint(start.frame)
+    except ManifestError as why:
+        raise _error(shot, "no-such-file", str(why), "cache", "name the folder of a cache below the scene's own") from None
+    except CacheError:
+        raise _missing(shot, folder) from None
+    kept = {name.removeprefix("world."): array for name, array in arrays.items() if name.startswith("world.")}
+    first, params = world.frame, dict(world.params)
+    try:
+        restore(world, kept)
+    except CheckpointError as why:
+        words = f"frame {start.frame} of `{start.cache}` is not of these programs: {why}"
+        raise _error(shot, "wrong-value", words, "cache", "begin with a cache of the same programs") from None
+    shift = first - world.frame
+    world.frame = first
+    world.params = params
+    world.transitions.clear()
+    world.motion.reset()
+    world.faults.count = 0
+    for population in world.populations.values():
+        population.born = population.born + shift
+        footed = world.ground.position(population.footing)
+        if len(footed) and np.abs(footed - population.position).max() > _SAME_PLACE:
+            words = f"the agents of `{start.cache}` stand on other meshes than this scene's"
+            raise _error(shot, "wrong-value", words, "cache", "give the surfaces the same meshes, in the same order")
+
+
+def _missing(shot: Shot, folder: Path) -> StartError:
+    start = shot.scene.model.start
+    assert start is not None
+    try:
+        there = open_cache(folder).checkpoints()
+    except ManifestError as why:
+        return _error(shot, "no-such-file", str(why), "cache", "name the folder of a cache below the scene's own")
+    near = sorted(there, key=lambda frame: abs(frame - start.frame))[:3]
+    help = "write one of " + ", ".join(map(str, sorted(near))) if near else "run the other scene first"
+    return _error(shot, "no-such-file", f"`{start.cache}` has no whole checkpoint at frame {start.frame}", "frame", help)
+
+
+def _error(shot: Shot, code: str, message: str, key: str, help: str | None) -> StartError:
+    report = Report()
+    report.error(code, message, shot.scene.span("from", key), help)
+    return StartError(report)
