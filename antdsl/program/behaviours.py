@@ -230,7 +230,7 @@ def _called(scope: Scope, function: nodes.Expr) -> BehaviourInfo | None:
         scope.report.error("unknown-module", f"no file is used as {quoted(function.owner.span)}", function.owner.span, did_you_mean(alias or "", scope.file.aliases, advice))
         return None
     info = module.own.get(function.name.text)
-    if info is None:
+    if info is None and not module.missing:
         scope.report.error("unknown-behaviour", f"no behaviour `{function.name.text}` in `{alias}`", function.name.span, did_you_mean(function.name.text, module.own))
     return info
 

@@ -29,7 +29,7 @@ def check(
     files = [files] if isinstance(files, nodes.File) else list(files)
     report = Report()
     declared = Declared(RULES, report, strict)
-    loader = Loader(report, library, modules or {})
+    loader = Loader(report, library, modules)
     names = [loader.file(file) for file in files]
     for each in names:
         declare(declared, each)

@@ -27,10 +27,11 @@ def module_key(using: nodes.File, written: str) -> str:
 class Loader:
     """Finds the behaviours that files use; each library and module is looked at once."""
 
-    def __init__(self, report: Report, library: Library, modules: Mapping[str, nodes.File]) -> None:
+    def __init__(self, report: Report, library: Library, modules: Mapping[str, nodes.File] | None) -> None:
         self.report = report
         self.library = library
-        self.modules = modules
+        self.modules = modules or {}
+        self.told = modules is not None  # whoever looked for the files has complained about those that are not there
         self.known: dict[int, FileNames] = {}
         self.libraries: dict[str, FileNames | None] = {}
 
@@ -76,7 +77,9 @@ class Loader:
     def _use_module(self, names: FileNames, path: nodes.Text, alias: nodes.Name, above: tuple[nodes.File, ...]) -> None:
         node = self.modules.get(module_key(names.node, path.text)) or self.modules.get(path.text)
         if node is None:
-            self.report.error("unknown-module", f"no file `{path.text}` could be read", path.span, "write the path from this file's folder: `use \"./mine.ant\" as mine`")
+            names.aliases[alias.text] = FileNames(names.node, missing=True)
+            if not self.told:
+                self.report.error("unknown-module", f"no file `{path.text}` could be read", path.span, "write the path from this file's folder: `use \"./mine.ant\" as mine`")
         elif any(node is each for each in above):
             circle = " → ".join(f"`{each.source.path}`" for each in [*above[[id(e) for e in above].index(id(node)) :], node])
             self.report.error("circle", f"files use each other in a circle: {circle}", path.span, "put what both need into a third file")

@@ -16,6 +16,7 @@ from antdsl.program.model import (
     Op,
     ParamRef,
     Rate,
+    SetOf,
     StateConst,
     Thing,
     Type,
@@ -104,6 +105,8 @@ def read(scope: Scope, binding: Binding, span: Span) -> Expr:
     """A use of a named value."""
     if binding.role == "let" and binding.snapshot and scope.no_let:
         scope.report.error("let-too-early", f"`{binding.name}` cannot be read here: {scope.no_let}", span, "set it in `on spawn { … }`")
+    if binding.type.kind is Kind.SET and isinstance(binding.value, SetOf):
+        return binding.value
     return Local(binding.type, binding.rate, span, binding)
 
 
@@ -112,6 +115,8 @@ def _of_element(scope: Scope, name: str, span: Span) -> Expr | None:
         return None
     element = scope.element
     owner = Local(element.type, Rate.ELEMENT, span, element)
+    if name == "it":
+        return owner
     if name in STATE_WORDS and element.type.kind is Kind.AGENT:
         return state_word(scope, owner, name, span, None)
     type = attributes_of(scope.declared, element.type).get(name)
@@ -187,7 +192,7 @@ def visible(scope: Scope) -> set[str]:
         names |= set(own.params) | set(own.attributes) | set(own.bindings) | own.pending
         names |= set(STATE_WORDS) if own.machines else set()
     if scope.element is not None:
-        names |= set(attributes_of(scope.declared, scope.element.type))
+        names |= {"it", *attributes_of(scope.declared, scope.element.type)}
     return names
 
 

@@ -69,6 +69,7 @@ class FileNames:
     library: dict[str, BehaviourInfo] = field(default_factory=dict)
     aliases: dict[str, FileNames] = field(default_factory=dict)
     libraries: list[str] = field(default_factory=list)
+    missing: bool = False  # stands for a file that could not be read
 
     def behaviour(self, name: str) -> BehaviourInfo | None:
         return self.own.get(name) or self.library.get(name)

@@ -9,7 +9,7 @@ from antdsl.program.defaults import default_of
 from antdsl.program.folding import constant_behind
 from antdsl.program.model import Binding, Const, Dim, Expr, Kind, Rate, Reduce, SetOf, Type
 from antdsl.program.operators import condition, count, value, wanted
-from antdsl.program.places import one_of
+from antdsl.program.places import nearest_of, one_of
 from antdsl.program.scope import BOOL, LENGTH, NUMBER, Scope, bad, type_from_words
 from antdsl.program.vocabulary import Arg, Builtin
 from antdsl.program.walk import bindings_in
@@ -96,13 +96,15 @@ def _within_set(scope: Scope, element: Binding) -> Scope:
 
 def nearest(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     """`nearest(X, within:, with:)`, or `nearest(SET)`."""
-    first = node.arguments[0] if node.arguments else None
-    if isinstance(first, nodes.Argument) and isinstance(first.value, nodes.Call) and len(node.arguments) == 1:
-        found = scope.typed(first.value)
+    first = node.arguments[0].value if len(node.arguments) == 1 and isinstance(node.arguments[0], nodes.Argument) else None
+    if isinstance(first, (nodes.Call, nodes.NameRef)):
+        found = scope.typed(first)
         if isinstance(found, SetOf):
             return _nearest_of_set(found, node)
+        if found.type.kind in _THINGS:
+            return nearest_of(found, node.span)
         if found.type.kind is not Kind.BAD:
-            scope.report.error("wrong-kind", f"`nearest` looks for items, a species or a set, and {quoted(first.value.span)} is {type_words(found.type)}", first.value.span, "write `nearest(food)` or `nearest(neighbours(20 mm))`")
+            scope.report.error("wrong-kind", f"`nearest` looks for items, a species or a set, and {quoted(first.span)} is {type_words(found.type)}", first.span, "write `nearest(food)` or `nearest(neighbours(20 mm))`")
         return bad(node.span)
     over = every(scope, node, name, row)
     return _nearest_of_set(over, node) if isinstance(over, SetOf) else over

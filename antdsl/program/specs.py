@@ -94,6 +94,7 @@ def _known(declared: Declared, name: str, species: str | None) -> bool:
     if own is not None and (name in own.attributes or name in attributes_of(declared, Type(Kind.AGENT, of=own.name))):
         declared.used.add(("attribute", f"{own.name}.{name}"))
         return True
-    states = any(name in machine.states for each in declared.species.values() for machine in each.machines.values())
+    machines = [machine for each in declared.species.values() for machine in each.machines.values()]
+    states = any(name in machine.states or name == machine.name for machine in machines)
     events = name in declared.events or name in EVENTS
     return states or events or name in _WORDS or name in declared.species or name in declared.things or name in declared.fields

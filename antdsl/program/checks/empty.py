@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from antdsl.diagnostics import Report
 from antdsl.program.checks.checked import Checked
 from antdsl.source import Span
@@ -10,6 +12,8 @@ from antdsl.syntax import nodes
 
 def empty(checked: Checked, report: Report) -> None:
     for file in checked.files:
-        if not any(isinstance(item, (nodes.Species, nodes.Behaviour)) for item in file.node.items) and report.ok:
-            source = file.node.source
+        source, items = file.node.source, file.node.items
+        if not items or any(isinstance(item, (nodes.Species, nodes.Behaviour)) for item in items):
+            continue
+        if not re.search(r"\b(species|behaviour)\b", source.text):  # else there is one that could not be read, which was told
             report.error("empty-program", "no species and no behaviour is declared", Span(source, 0, min(1, len(source.text))), "write `species ant { … }`")
