@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.model import Camera
+from antdsl.outputs.pictures.vectors import Floats
 
 Array = NDArray[np.float64]
 
@@ -24,7 +25,7 @@ class View:
     width: int
     height: int
 
-    def rays(self, first: int, last: int, samples: int) -> NDArray[np.float32]:
+    def rays(self, first: int, last: int, samples: int) -> Floats:
         """Unit directions (rows · samples · width · samples, 3) of the pixel rows `first` to `last`, on a regular grid."""
         rows = np.arange(first * samples, last * samples)
         columns = np.arange(self.width * samples)

@@ -98,7 +98,7 @@ def camera_at_eye_level(
     solids = RayScene.of(around + [(mesh.vertices, mesh.faces) for mesh in placed])
     best: tuple[float, Camera] | None = None
     for row in rows.tolist():
-        for camera in _around(crowd, row, focal):
+        for camera in _around(crowd, row, focal, np.asarray(picture.up, np.float64)):
             score = _score(crowd, row, camera, solids)
             if best is None or score > best[0]:
                 best = (score, camera)
@@ -117,18 +117,20 @@ def _with_company(crowd: Crowd) -> NDArray[np.int64]:
     return order[: _TRIED * 4 : 4] if len(order) >= _TRIED * 4 else order[:_TRIED]
 
 
-def _around(crowd: Crowd, row: int, focal: float) -> list[Camera]:
+def _around(crowd: Crowd, row: int, focal: float, upright: Array) -> list[Camera]:
     """Places round one agent, from behind its shoulder and before it first."""
     scale = float(crowd.scale[row])
     orient = np.asarray(crowd.orient, np.float64)[row : row + 1]
     ahead, up, side = (turned(orient, np.array([axis]))[0] for axis in ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)))
     position = np.asarray(crowd.position, np.float64)[row]
+    # The horizon stays level wherever the agent does not walk on a wall or overhead.
+    top = upright if float(up @ upright) > 0.5 else up
     made = []
     for angle in (150, -150, 35, -35, 115, -115, 75, -75):
         turn = np.radians(angle)
         level = np.cos(turn) * ahead + np.sin(turn) * side
         at = position + scale * (3.1 * level + 0.95 * up)
-        made.append(Camera(three(at), three(position + scale * (0.22 * up - 0.9 * level)), focal=focal, up=three(up)))
+        made.append(Camera(three(at), three(position + scale * (0.22 * up - 0.9 * level)), focal=focal, up=three(top)))
     return made
 
 

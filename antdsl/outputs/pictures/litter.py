@@ -61,7 +61,8 @@ def litter(
 
 def _chances(face: NDArray[np.int64], rank: NDArray[np.int64]) -> Array:
     """Five numbers within 0..1 for each pebble, from its triangle and its rank there alone."""
-    key: NDArray[np.uint64] = (face * _A_FACE + rank).astype(np.uint64)[:, None] * np.uint64(5) + np.arange(5, dtype=np.uint64)
+    own = (face * _A_FACE + rank).astype(np.uint64)[:, None]
+    key: NDArray[np.uint64] = np.add(own * np.uint64(5), np.arange(5, dtype=np.uint64), dtype=np.uint64)
     # The finaliser of SplitMix64 (Steele et al., Fast Splittable Pseudorandom Number Generators, OOPSLA 2014).
     key = (key ^ np.right_shift(key, np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     key = (key ^ np.right_shift(key, np.uint64(27))) * np.uint64(0x94D049BB133111EB)

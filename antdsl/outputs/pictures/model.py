@@ -90,7 +90,9 @@ class LegendRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """One frame, ready to be drawn. `up` is the world's up; `legend` and `frame` are written over the picture where given."""
+    """One frame, ready to be drawn. `up` is the world's up; `legend` and `frame` are written over the picture where given.
+
+    `grain`: the length that the ground's grain and pebbles go by; None takes the body length of the first crowd."""
 
     solids: tuple[Solid, ...] = ()
     crowds: tuple[Crowd, ...] = ()
@@ -99,3 +101,4 @@ class Picture:
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
     legend: tuple[LegendRow, ...] = field(default=())
     frame: int | None = None
+    grain: float | None = None

@@ -138,6 +138,8 @@ def render_frame(
 
 def _grain(picture: Picture, extent: float) -> float:
     """The length that grain and shade go by: the body length of the first crowd, rounded so that growth keeps the stage."""
+    if picture.grain is not None and picture.grain > 0:
+        return picture.grain
     lengths = [float(np.median(crowd.scale)) for crowd in picture.crowds if len(crowd.scale)]
     length = next((v for v in lengths if v > 0), extent / 250)
     return float(2.0 ** (round(2 * np.log2(min(max(length, extent / 2000), extent / 20))) / 2))

@@ -77,7 +77,7 @@ def _shadowed(frame: Frame, direct: Floats, far: Floats, direction: Floats, row:
     if frame.cast.size <= 0:
         return direct
     lit = np.flatnonzero(direct > 0)
-    start = frame.stage.view.eye.astype(np.float32) + far[lit, None] * direction[lit]
+    start: Floats = frame.stage.view.eye.astype(np.float32) + far[lit, None] * direction[lit]
     rays = frame.sun.directions(dither(row[lit], column[lit]), dither(row[lit], column[lit], 1))
     start += rays * np.float32(1e-5 * frame.scales.extent)
     met = frame.cast.rays.occluded(start, rays, far=frame.cast.tall, threads=frame.threads)
@@ -95,7 +95,7 @@ def _moving(frame: Frame, hits: Hits, direction: Floats, front: Rows) -> Floats:
     normal *= np.where(dots(normal, flat) < 0, np.float32(-1), np.float32(1))[:, None]
     colour = blended(mesh.colour, corners, u, v)
     gloss = mesh.gloss[corners[:, 0]]
-    where = frame.stage.view.eye.astype(np.float32) + hits.t[front, None] * towards
+    where: Floats = frame.stage.view.eye.astype(np.float32) + hits.t[front, None] * towards
     where += flat * np.float32(2e-5 * frame.scales.extent)
     facing = np.clip(normal @ sun.towards, 0, 1)
     lit = np.flatnonzero(facing > 0)

@@ -141,7 +141,7 @@ def _sunlight(
     facing *= np.clip((flat @ sun.towards) * 7, 0, 1)
     lit = np.flatnonzero(facing > 0)
     turn, reach = dither(*places), dither(*places, 1)
-    start = where[lit] + flat[lit] * np.float32(2e-5 * scales.extent)
+    start: Floats = where[lit] + flat[lit] * np.float32(2e-5 * scales.extent)
     facing[lit[setting.rays.occluded(start, sun.directions(turn[lit], reach[lit]), threads=threads)]] = 0
     return np.asarray(facing)
 
@@ -158,7 +158,8 @@ def open_share(stage: Stage, rays: RayScene, reach: float, count: int, into: Flo
 
     def fill(start: int) -> None:
         here = solid[start : start + STRIP]
-        normal, origin = stage.normal[here], stage.point[here] + stage.normal[here] * np.float32(3e-5 * scales.extent)
+        normal: Floats = stage.normal[here]
+        origin: Floats = stage.point[here] + normal * np.float32(3e-5 * scales.extent)
         side, other = _across(normal)
         met = np.zeros(len(here), np.float32)
         for ray in range(count):
