@@ -27,7 +27,12 @@ def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: nodes.Call)
     names, position, sound = [slot.name for slot in slots], 0, True
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
-            scope.report.error("wrong-argument", f"`{called}` takes no `… in …: …`", argument.span, "that is for `sum mean min max count any every best`")
+            scope.report.error(
+                "wrong-argument",
+                f"`{called}` takes no `… in …: …`",
+                argument.span,
+                "that is for `sum mean min max count any every best`",
+            )
             return None
         if argument.name is not None:
             sound = _named(scope, called, names, found, argument) and sound
@@ -35,13 +40,17 @@ def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: nodes.Call)
         while position < len(slots) and slots[position].name in found and not slots[position].variadic:
             position += 1
         if position >= len(slots):
-            scope.report.error("wrong-arity", f"`{called}` takes {_how_many(slots)}", argument.span, f"write `{_shape(called, slots)}`")
+            scope.report.error(
+                "wrong-arity", f"`{called}` takes {_how_many(slots)}", argument.span, f"write `{_shape(called, slots)}`"
+            )
             return None
         found.setdefault(slots[position].name, []).append(argument)
         position += 0 if slots[position].variadic else 1
     missing = [slot.name for slot in slots if slot.required and slot.name not in found]
     if missing and sound:
-        scope.report.error("missing-argument", f"`{called}` wants {listed(missing)}", node.span, f"write `{_shape(called, slots)}`")
+        scope.report.error(
+            "missing-argument", f"`{called}` wants {listed(missing)}", node.span, f"write `{_shape(called, slots)}`"
+        )
     return None if missing or not sound else found
 
 
@@ -52,11 +61,23 @@ def _named(scope: Scope, called: str, names: list[str], found: dict[str, list[no
         near = nearest_name(name.text, names)
         advice = f"did you mean `{near}`?" if near else f"it takes {listed(names)}" if names else "it takes none"
         span = Span(name.span.source, name.span.start, name.span.start + len(name.text))
-        scope.report.error("unknown-argument", f"`{called}` has no argument `{name.text}`", name.span, advice, fix=Fix(span, near) if near else None)
+        scope.report.error(
+            "unknown-argument",
+            f"`{called}` has no argument `{name.text}`",
+            name.span,
+            advice,
+            fix=Fix(span, near) if near else None,
+        )
         return False
     if name.text in found:
         first = found[name.text][0].span
-        scope.report.error("duplicate-argument", f"`{name.text}` is given twice", argument.span, "leave one of them out", labels=(Label(first, "first here"),))
+        scope.report.error(
+            "duplicate-argument",
+            f"`{name.text}` is given twice",
+            argument.span,
+            "leave one of them out",
+            labels=(Label(first, "first here"),),
+        )
         return False
     found[name.text] = [argument]
     return True

@@ -84,13 +84,23 @@ def _add_up(report: Report, info: BehaviourInfo) -> None:
     info.draws = info.draws or any(called.draws for called in info.calls)
     info.state = "circular" if any(called.state == "circular" for called in info.calls) else "sized"
     if info.depth > _DEEPEST + limits.EXPRESSION_DEPTH:
-        report.error("too-deep", f"behaviour `{info.node.name.text}` calls others too many levels deep", info.node.name.span, "put some of them together")
+        report.error(
+            "too-deep",
+            f"behaviour `{info.node.name.text}` calls others too many levels deep",
+            info.node.name.span,
+            "put some of them together",
+        )
         info.state = "circular"
 
 
 def _circle(report: Report, circle: list[BehaviourInfo]) -> None:
     names = " → ".join(f"`{each.node.name.text}`" for each in [*circle, circle[0]])
-    report.error("circle", f"behaviours call each other in a circle: {names}", circle[0].node.name.span, "a behaviour cannot call itself; take one of the calls out")
+    report.error(
+        "circle",
+        f"behaviours call each other in a circle: {names}",
+        circle[0].node.name.span,
+        "a behaviour cannot call itself; take one of the calls out",
+    )
     for each in circle:
         each.state = "circular"
 
@@ -124,7 +134,9 @@ def _check_parts(declared: Declared, info: BehaviourInfo, report: Report) -> Non
     local: dict[str, Binding | Expr] = {}
     for argument in node.arguments:
         if argument.name.text in local:
-            duplicate(report, "argument", argument.name, next(a for a in node.arguments if a.name.text == argument.name.text).name.span)
+            duplicate(
+                report, "argument", argument.name, next(a for a in node.arguments if a.name.text == argument.name.text).name.span
+            )
         type = argument_type(scope, argument)
         if argument.default is not None:
             _argument_value(scope.inside(locals=dict(local)), name, argument, argument.default, type)
@@ -135,7 +147,12 @@ def _check_parts(declared: Declared, info: BehaviourInfo, report: Report) -> Non
         mismatch(report, node.result, result.type, returns, f"`{name}`")
     for argument in node.arguments:
         if ("local", f"{argument.name.span}:{argument.name.text}") not in declared.used:
-            report.warning("unused-argument", f"`{name}` never uses its argument `{argument.name.text}`", argument.name.span, "use it, or delete it")
+            report.warning(
+                "unused-argument",
+                f"`{name}` never uses its argument `{argument.name.text}`",
+                argument.name.span,
+                "use it, or delete it",
+            )
     for binding in body:
         if ("local", f"{binding.span}:{binding.name}") not in declared.used:
             report.warning("unused-let", f"`{binding.name}` is never used", binding.span, "use it, or delete it")
@@ -153,7 +170,12 @@ def declared_type(scope: Scope, written_type: nodes.TypeName) -> Type:
     name = written_type.name
     type = type_from_words(name.text, written_type.of.text if written_type.of else None)
     if type is None:
-        scope.report.error("unknown-type", f"no type `{name.text}`", name.span, did_you_mean(name.text, TYPE_WORDS, f"types are {', '.join(f'`{w}`' for w in TYPE_WORDS)}"))
+        scope.report.error(
+            "unknown-type",
+            f"no type `{name.text}`",
+            name.span,
+            did_you_mean(name.text, TYPE_WORDS, f"types are {', '.join(f'`{w}`' for w in TYPE_WORDS)}"),
+        )
         return BAD
     return type
 
@@ -184,7 +206,12 @@ def _keep(scope: Scope, line: nodes.Keep) -> Binding:
     first = value(scope, line.first) if wanted_type is None else wanted(scope, line.first, wanted_type, who)
     type = wanted_type or first.type
     if type.kind not in _STORED:
-        scope.report.error("wrong-kind", f"{type_words(type)} cannot be kept", line.first.span, "keep a number, a vector, a yes or no, an item or an agent")
+        scope.report.error(
+            "wrong-kind",
+            f"{type_words(type)} cannot be kept",
+            line.first.span,
+            "keep a number, a vector, a yes or no, an item or an agent",
+        )
     key = f"{scope.keys.path}.{line.name.text}"
     binding = Binding(line.name.text, "keep", type, Rate.AGENT, line.name.span, first, None, key)
     inner = scope.inside(locals={**scope.locals, line.name.text: binding})
@@ -227,11 +254,21 @@ def _called(scope: Scope, function: nodes.Expr) -> BehaviourInfo | None:
     module = scope.file.aliases.get(alias) if alias else None
     if module is None:
         advice = f'bring it: `use "./{alias}.ant" as {alias}`' if alias else "only the behaviours of a used file are called so"
-        scope.report.error("unknown-module", f"no file is used as {quoted(function.owner.span)}", function.owner.span, did_you_mean(alias or "", scope.file.aliases, advice))
+        scope.report.error(
+            "unknown-module",
+            f"no file is used as {quoted(function.owner.span)}",
+            function.owner.span,
+            did_you_mean(alias or "", scope.file.aliases, advice),
+        )
         return None
     info = module.own.get(function.name.text)
     if info is None and not module.missing:
-        scope.report.error("unknown-behaviour", f"no behaviour `{function.name.text}` in `{alias}`", function.name.span, did_you_mean(function.name.text, module.own))
+        scope.report.error(
+            "unknown-behaviour",
+            f"no behaviour `{function.name.text}` in `{alias}`",
+            function.name.span,
+            did_you_mean(function.name.text, module.own),
+        )
     return info
 
 
@@ -239,17 +276,29 @@ def _allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
     """Whether the call may stand where it stands: memory and draws have places where they make no sense, and size is bounded."""
     name, declared = info.node.name.text, scope.declared
     if info.keeps and scope.no_keep:
-        scope.report.error("keep-inside", f"`{name}` remembers something, and {scope.no_keep}", node.span, "call it in a line of its own: `steer …`, or a line of `layers`")
+        scope.report.error(
+            "keep-inside",
+            f"`{name}` remembers something, and {scope.no_keep}",
+            node.span,
+            "call it in a line of its own: `steer …`, or a line of `layers`",
+        )
         return False
     if info.draws and scope.sets:
-        scope.report.error("draw-in-set", f"`{name}` draws random numbers, and this is inside a set", node.span, "call it outside of the set")
+        scope.report.error(
+            "draw-in-set", f"`{name}` draws random numbers, and this is inside a set", node.span, "call it outside of the set"
+        )
         return False
     if scope.behaviour is not None:
         return True  # its size was counted with the behaviour that calls it
     before, declared.expanded = declared.expanded, declared.expanded + info.size
     if declared.expanded > limits.NODES:
         if before <= limits.NODES:
-            scope.report.error("too-large", f"with `{name}` put in place this is more than {limits.NODES:,} operations", node.span, "call fewer or smaller behaviours")
+            scope.report.error(
+                "too-large",
+                f"with `{name}` put in place this is more than {limits.NODES:,} operations",
+                node.span,
+                "call fewer or smaller behaviours",
+            )
         return False
     return True
 
@@ -293,7 +342,9 @@ def _in_place(scope: Scope, info: BehaviourInfo, node: nodes.Call, given: Mappin
         labels = (Label(first.span, "here"),) if first.span is not None else ()
         scope.report.error(first.code, f"`{name}` cannot be used so: {first.message}", node.span, first.help, labels=labels)
         return bad(node.span)
-    return Inline(result.type, max(result.rate, rate_of(b.value for b in body)), node.span, name, key, tuple(arguments), tuple(body), result)
+    return Inline(
+        result.type, max(result.rate, rate_of(b.value for b in body)), node.span, name, key, tuple(arguments), tuple(body), result
+    )
 
 
 def _argument_value(scope: Scope, called: str, argument: nodes.BehaviourArgument, node: nodes.Expr, type: Type) -> Expr:

@@ -30,11 +30,20 @@ def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
     if isinstance(function, nodes.Member):
         return call_behaviour(scope, node, want)
     if not isinstance(function, nodes.NameRef):
-        scope.report.error("wrong-kind", f"{quoted(function.span)} cannot be called", function.span, "only behaviours and built-in words are called")
+        scope.report.error(
+            "wrong-kind",
+            f"{quoted(function.span)} cannot be called",
+            function.span,
+            "only behaviours and built-in words are called",
+        )
         type_all(scope, node)
         return bad(node.span)
     name = function.name.text
-    if name in REDUCERS and len(node.arguments) == 1 and (isinstance(node.arguments[0], nodes.Comprehension) or name not in BUILTINS):
+    if (
+        name in REDUCERS
+        and len(node.arguments) == 1
+        and (isinstance(node.arguments[0], nodes.Comprehension) or name not in BUILTINS)
+    ):
         return reduce(scope, node, name)
     if name in BUILTINS:
         return _builtin(scope, node, name, want)
@@ -47,16 +56,25 @@ def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
 
 def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name) -> None:
     if name.text in RESERVED:
-        scope.report.error("not-yet", f"`{name.text}` is a word of the language that does not work yet", name.span, "leave it out for now")
+        scope.report.error(
+            "not-yet", f"`{name.text}` is a word of the language that does not work yet", name.span, "leave it out for now"
+        )
         return
     if name.text in REDUCERS:
-        scope.report.error("wrong-argument", f"`{name.text}` goes over a set", node.span, f"write `{name.text}(n in neighbours(20 mm): …)`")
+        scope.report.error(
+            "wrong-argument", f"`{name.text}` goes over a set", node.span, f"write `{name.text}(n in neighbours(20 mm): …)`"
+        )
         return
     known = set(BUILTINS) | set(REDUCERS) | set(scope.file.own) | set(scope.file.library)
     otherwise = None
     if not scope.file.libraries:
         otherwise = "the library's behaviours come with `use steering`"
-    scope.report.error("unknown-behaviour", f"no behaviour `{name.text}`", name.span, did_you_mean(name.text, known, otherwise or f"write one: `behaviour {name.text}() -> push {{ … }}`"))
+    scope.report.error(
+        "unknown-behaviour",
+        f"no behaviour `{name.text}`",
+        name.span,
+        did_you_mean(name.text, known, otherwise or f"write one: `behaviour {name.text}() -> push {{ … }}`"),
+    )
 
 
 # --- built-in operations ---------------------------------------------------------------------------------------------
@@ -108,7 +126,9 @@ def _default(scope: Scope, arg: Arg, node: nodes.Call) -> list[Expr | None]:
     return list(default_of(scope, arg.default, node.span))
 
 
-def _argument(scope: Scope, called: str, arg: Arg, node: nodes.Expr, variables: Variables, want: Type | None) -> list[Expr | None]:
+def _argument(
+    scope: Scope, called: str, arg: Arg, node: nodes.Expr, variables: Variables, want: Type | None
+) -> list[Expr | None]:
     """One argument as the operation wants it: a range fills two places."""
     word, _, variable = arg.type.partition(" ")
     who = f"`{arg.name}` of `{called}`"
@@ -119,12 +139,26 @@ def _argument(scope: Scope, called: str, arg: Arg, node: nodes.Expr, variables: 
     if word == "count":
         return [count(scope, node, who)]
     if word == "any":
-        return [_same(scope, node, scope.typed(node, variables[variable][1].type if variable in variables else want), variable, variables)]
+        return [
+            _same(
+                scope,
+                node,
+                scope.typed(node, variables[variable][1].type if variable in variables else want),
+                variable,
+                variables,
+            )
+        ]
     if variable:
         kind = Kind(word)
         found = value(scope, node)
         if found.type.kind not in (kind, Kind.BAD):
-            mismatch(scope.report, node, found.type, Type(kind, variables[variable][1].type.dim if variable in variables else Dim()), who)
+            mismatch(
+                scope.report,
+                node,
+                found.type,
+                Type(kind, variables[variable][1].type.dim if variable in variables else Dim()),
+                who,
+            )
             return [bad(node.span)]
         return [_same(scope, node, found, variable, variables, dims_only=True)]
     type = type_from_words(word) or BAD
@@ -144,7 +178,11 @@ def _same(scope: Scope, node: nodes.Expr, found: Expr, variable: str, variables:
         variables[variable] = (node, found)
         return found
     first_node, first = variables[variable]
-    agrees = first.type.dim == found.type.dim if dims_only and Kind.BAD not in (first.type.kind, found.type.kind) else fits(found.type, first.type)
+    agrees = (
+        first.type.dim == found.type.dim
+        if dims_only and Kind.BAD not in (first.type.kind, found.type.kind)
+        else fits(found.type, first.type)
+    )
     if agrees:
         return found
     disagree(scope.report, "this call", node.span, (first_node, first), (node, found))
@@ -155,14 +193,22 @@ def _range(scope: Scope, who: str, node: nodes.Expr, variable: str, variables: V
     if not isinstance(node, nodes.RangeExpr):
         found = scope.typed(node)
         if found.type.kind is not Kind.BAD:
-            scope.report.error("wrong-kind", f"{who} wants a range, and {quoted(node.span)} is one value", node.span, "write two values with `..` between: `0 mm .. 5 mm`")
+            scope.report.error(
+                "wrong-kind",
+                f"{who} wants a range, and {quoted(node.span)} is one value",
+                node.span,
+                "write two values with `..` between: `0 mm .. 5 mm`",
+            )
         return [bad(node.span), bad(node.span)]
     low, high = (value(scope, end) for end in (node.low, node.high))
     for end, found in ((node.low, low), (node.high, high)):
         if found.type.kind not in (Kind.NUMBER, Kind.BAD):
             mismatch(scope.report, end, found.type, NUMBER, who)
             return [bad(node.span), bad(node.span)]
-    ends: list[Expr | None] = [_same(scope, node.low, low, variable, variables, True), _same(scope, node.high, high, variable, variables, True)]
+    ends: list[Expr | None] = [
+        _same(scope, node.low, low, variable, variables, True),
+        _same(scope, node.high, high, variable, variables, True),
+    ]
     a, b = constant_behind(low), constant_behind(high)
     if "from" in who and a and b and (a.u, a.step, a.number) == (b.u, b.step, b.number):
         scope.report.error("empty-range", f"the range {quoted(node.span)} has no width", node.span, "write two different ends")
@@ -179,10 +225,26 @@ def _operation(scope: Scope, node: nodes.Call, row: Builtin, args: tuple[Expr | 
     return fold(scope.report, made)
 
 
-_SENSES = ("field_max", "strongest", "gradient", "ray", "distance", "direction", "position", "velocity", "touching", "falloff", "closest", "tangent", "match")
+_SENSES = (
+    "field_max",
+    "strongest",
+    "gradient",
+    "ray",
+    "distance",
+    "direction",
+    "position",
+    "velocity",
+    "touching",
+    "falloff",
+    "closest",
+    "tangent",
+    "match",
+)
 
 
-def _result(row: Builtin, variables: Mapping[str, tuple[nodes.Expr, Expr]], args: list[Expr | None] | tuple[Expr | None, ...]) -> Type:
+def _result(
+    row: Builtin, variables: Mapping[str, tuple[nodes.Expr, Expr]], args: list[Expr | None] | tuple[Expr | None, ...]
+) -> Type:
     """The type that a row of the table promises, its variables filled in."""
     word, _, of = row.result.partition(" ")
     if word in ("number", "vector") and of:
@@ -221,7 +283,12 @@ def _first(scope: Scope, node: nodes.Call, made: Op) -> None:
 
 def _pick(scope: Scope, node: nodes.Call, made: Op) -> None:
     if made.type.kind in THINGS or made.type.kind is Kind.SET:
-        scope.report.error("wrong-kind", f"`pick` cannot choose {type_words(made.type)}", node.span, "choose between values; `random(rabbit)` is one agent of a species")
+        scope.report.error(
+            "wrong-kind",
+            f"`pick` cannot choose {type_words(made.type)}",
+            node.span,
+            "choose between values; `random(rabbit)` is one agent of a species",
+        )
 
 
 def _clamp(scope: Scope, node: nodes.Call, made: Op) -> None:

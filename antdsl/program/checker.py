@@ -18,7 +18,11 @@ from antdsl.syntax import nodes
 
 
 def check(
-    files: nodes.File | Sequence[nodes.File], library: Library, modules: Mapping[str, nodes.File] | None = None, *, strict: bool = False
+    files: nodes.File | Sequence[nodes.File],
+    library: Library,
+    modules: Mapping[str, nodes.File] | None = None,
+    *,
+    strict: bool = False,
 ) -> tuple[model.Program, Report]:
     """Names, types, units and rates of one or more files, and everything else that can be known without running them.
 
@@ -44,7 +48,9 @@ def check(
     return program, report
 
 
-def _program(declared: Declared, names: Sequence[FileNames], fields: Iterable[tuple[FileNames, nodes.FieldDecl]]) -> model.Program:
+def _program(
+    declared: Declared, names: Sequence[FileNames], fields: Iterable[tuple[FileNames, nodes.FieldDecl]]
+) -> model.Program:
     made_fields = {node.name.text: field for file, node in fields if (field := check_field(declared, file, node)) is not None}
     drafts = []
     for file in names:

@@ -15,7 +15,9 @@ from antdsl.syntax import nodes
 Library = Callable[[str], "nodes.File | None"]
 Modules = Mapping[str, nodes.File]
 
-_TAKEN = frozenset({*RUN_NAMES, *SENSED_NAMES, *RESERVED, "state", "previous", "next", "time_in_state", "self", "true", "false", "none"})
+_TAKEN = frozenset(
+    {*RUN_NAMES, *SENSED_NAMES, *RESERVED, "state", "previous", "next", "time_in_state", "self", "true", "false", "none"}
+)
 EVENTS = ("spawn", "collision")
 
 
@@ -52,7 +54,9 @@ class Loader:
         if name in names.own:
             duplicate(self.report, "behaviour", node.name, names.own[name].node.name.span)
         elif name in BUILTINS or name in REDUCERS or name in RESERVED:
-            self.report.error("reserved-name", f"`{name}` is a word of the language", node.name.span, f"call it otherwise, such as `my_{name}`")
+            self.report.error(
+                "reserved-name", f"`{name}` is a word of the language", node.name.span, f"call it otherwise, such as `my_{name}`"
+            )
         else:
             names.own[name] = BehaviourInfo(node, names)
 
@@ -68,7 +72,12 @@ class Loader:
             self.libraries[name.text] = None if node is None else self.file(node, above)
         found = self.libraries[name.text]
         if found is None:
-            self.report.error("unknown-library", f"no library `{name.text}`", name.span, did_you_mean(name.text, ["steering"], "the library that comes with antdsl is `steering`"))
+            self.report.error(
+                "unknown-library",
+                f"no library `{name.text}`",
+                name.span,
+                did_you_mean(name.text, ["steering"], "the library that comes with antdsl is `steering`"),
+            )
             return
         names.libraries.append(name.text)
         for behaviour, info in found.own.items():
@@ -79,14 +88,25 @@ class Loader:
         if node is None:
             names.aliases[alias.text] = FileNames(names.node, missing=True)
             if not self.told:
-                self.report.error("unknown-module", f"no file `{path.text}` could be read", path.span, "write the path from this file's folder: `use \"./mine.ant\" as mine`")
+                self.report.error(
+                    "unknown-module",
+                    f"no file `{path.text}` could be read",
+                    path.span,
+                    'write the path from this file\'s folder: `use "./mine.ant" as mine`',
+                )
         elif any(node is each for each in above):
             circle = " → ".join(f"`{each.source.path}`" for each in [*above[[id(e) for e in above].index(id(node)) :], node])
-            self.report.error("circle", f"files use each other in a circle: {circle}", path.span, "put what both need into a third file")
+            self.report.error(
+                "circle", f"files use each other in a circle: {circle}", path.span, "put what both need into a third file"
+            )
         elif len(above) >= limits.USE_DEPTH:
-            self.report.error("too-deep", f"files use files more than {limits.USE_DEPTH} levels deep", path.span, "use the file directly")
+            self.report.error(
+                "too-deep", f"files use files more than {limits.USE_DEPTH} levels deep", path.span, "use the file directly"
+            )
         elif alias.text in names.aliases:
-            self.report.error("duplicate-name", f"two files are used as `{alias.text}`", alias.span, "give one of them another name")
+            self.report.error(
+                "duplicate-name", f"two files are used as `{alias.text}`", alias.span, "give one of them another name"
+            )
         else:
             names.aliases[alias.text] = self.file(node, above)
 
@@ -116,7 +136,9 @@ def declare(declared: Declared, names: FileNames) -> None:
 def free(report: Report, name: nodes.Name) -> bool:
     """Whether a name may be declared; complains when it is a word of the language."""
     if name.text in _TAKEN:
-        report.error("reserved-name", f"`{name.text}` is a word of the language", name.span, f"call it otherwise, such as `my_{name.text}`")
+        report.error(
+            "reserved-name", f"`{name.text}` is a word of the language", name.span, f"call it otherwise, such as `my_{name.text}`"
+        )
         return False
     return True
 
@@ -128,9 +150,16 @@ def free_in_species(report: Report, name: nodes.Name, value: Span) -> bool:
         return free(report, name)
     if given.settable:
         text = " ".join(value.text.split())
-        report.error("reserved-name", f"`{name.text}` is there already and is set without `=`", name.span, f"write `{name.text} {text}`")
+        report.error(
+            "reserved-name", f"`{name.text}` is there already and is set without `=`", name.span, f"write `{name.text} {text}`"
+        )
     else:
-        report.error("reserved-name", f"every agent has a `{name.text}` already: {given.help}", name.span, f"call it otherwise, such as `my_{name.text}`")
+        report.error(
+            "reserved-name",
+            f"every agent has a `{name.text}` already: {given.help}",
+            name.span,
+            f"call it otherwise, such as `my_{name.text}`",
+        )
     return False
 
 
@@ -159,7 +188,12 @@ def _machine(report: Report, species: SpeciesNames, name: str, states: tuple[nod
         made.states[state.name.text] = len(made.states)
         spans[state.name.text] = state.name.span
     if len(made.states) > limits.STATES:
-        report.error("too-many", f"machine `{name}` has more than {limits.STATES} states", states[limits.STATES].name.span, "split it into several machines")
+        report.error(
+            "too-many",
+            f"machine `{name}` has more than {limits.STATES} states",
+            states[limits.STATES].name.span,
+            "split it into several machines",
+        )
     species.machines[name] = made
 
 
@@ -190,4 +224,3 @@ def action_blocks(species: nodes.Species) -> Iterator[tuple[object, ...]]:
             for line in member.body:
                 if isinstance(line, nodes.Change):
                     yield line.actions
-

@@ -29,7 +29,9 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 
 STATE_WORDS = ("state", "previous", "next", "time_in_state")
-THINGS = frozenset({Kind.ITEMS, Kind.SPECIES, Kind.SURFACE, Kind.OBSTACLE, Kind.SOLID, Kind.CURVE, Kind.FIELD, Kind.FLOW, Kind.MAP})
+THINGS = frozenset(
+    {Kind.ITEMS, Kind.SPECIES, Kind.SURFACE, Kind.OBSTACLE, Kind.SOLID, Kind.CURVE, Kind.FIELD, Kind.FLOW, Kind.MAP}
+)
 MAY_BE_NONE = frozenset({Kind.ITEM, Kind.AGENT, Kind.HIT})
 
 
@@ -45,7 +47,9 @@ def quantity_of(scope: Scope, node: nodes.Quantity, want: Type | None) -> Expr:
     if found is not None:
         return found
     units = ", ".join(f"`{unit}`" for unit in UNITS)
-    scope.report.error("unknown-unit", f"no unit `{node.unit}`", node.unit_span, did_you_mean(node.unit, UNITS, f"units are {units}"))
+    scope.report.error(
+        "unknown-unit", f"no unit `{node.unit}`", node.unit_span, did_you_mean(node.unit, UNITS, f"units are {units}")
+    )
     return bad(node.span)
 
 
@@ -54,7 +58,10 @@ def none_of(scope: Scope, node: nodes.NoneOf, want: Type | None) -> Expr:
         if want is not None and want.kind in MAY_BE_NONE:
             return NoneRef(want, Rate.CONST, node.span)
         scope.report.error(
-            "none-of-what", "`none` alone does not say of what", node.span, "write `none of food` or `none of rabbit`, with the name that is meant"
+            "none-of-what",
+            "`none` alone does not say of what",
+            node.span,
+            "write `none of food` or `none of rabbit`, with the name that is meant",
         )
         return bad(node.span)
     type = referable(scope, node.of)
@@ -104,7 +111,9 @@ def _local(scope: Scope, name: str, span: Span) -> Expr | None:
 def read(scope: Scope, binding: Binding, span: Span) -> Expr:
     """A use of a named value."""
     if binding.role == "let" and binding.snapshot and scope.no_let:
-        scope.report.error("let-too-early", f"`{binding.name}` cannot be read here: {scope.no_let}", span, "set it in `on spawn { … }`")
+        scope.report.error(
+            "let-too-early", f"`{binding.name}` cannot be read here: {scope.no_let}", span, "set it in `on spawn { … }`"
+        )
     if binding.type.kind is Kind.SET and isinstance(binding.value, SetOf):
         return binding.value
     return Local(binding.type, binding.rate, span, binding)
@@ -203,7 +212,12 @@ def _unknown(scope: Scope, node: nodes.NameRef) -> Expr:
     elif scope.species is not None and any(name in m.states for m in scope.species.machines.values()):
         report.error("state-as-value", f"`{name}` is a state and has no value", node.span, f"ask for it with `state == {name}`")
     elif scope.species is not None and scope.behaviour is not None and name in scope.species.attributes:
-        report.error("unknown-name", f"a behaviour does not know `{name}` of the species that calls it", node.span, f"take it as an argument: `{name}: …`")
+        report.error(
+            "unknown-name",
+            f"a behaviour does not know `{name}` of the species that calls it",
+            node.span,
+            f"take it as an argument: `{name}: …`",
+        )
     elif name in BUILTINS or name in REDUCERS or scope.file.behaviour(name) is not None:
         report.error("call-without-brackets", f"`{name}` wants brackets", node.span, f"write `{name}(…)`")
     else:
@@ -253,9 +267,19 @@ def _no_member(scope: Scope, owner: Expr, node: nodes.Member, known: dict[str, T
         advice = did_you_mean(name, known, f"there is {listed(known)}")
         scope.report.error("unknown-name", f"{type_words(owner.type)} has no `{name}`", node.name.span, advice)
     elif kind is Kind.VECTOR:
-        scope.report.error("wrong-kind", f"a part of a vector has no name: `{name}`", node.name.span, f"the part along a direction is `dot({text}, up)`")
+        scope.report.error(
+            "wrong-kind",
+            f"a part of a vector has no name: `{name}`",
+            node.name.span,
+            f"the part along a direction is `dot({text}, up)`",
+        )
     else:
-        scope.report.error("wrong-kind", f"{quoted(node.owner.span)} is {type_words(owner.type)} and has no values of its own", node.span, f"leave `.{name}` out")
+        scope.report.error(
+            "wrong-kind",
+            f"{quoted(node.owner.span)} is {type_words(owner.type)} and has no values of its own",
+            node.span,
+            f"leave `.{name}` out",
+        )
 
 
 def _param_of(scope: Scope, owner: Expr, node: nodes.Member) -> Expr:
@@ -284,7 +308,10 @@ def index_of(scope: Scope, node: nodes.Index, want: Type | None) -> Expr:
         return Attribute(species.attributes[name], max(index.rate, Rate.AGENT), node.span, index, name)
     scope.typed(owner)
     scope.report.error(
-        "wrong-kind", f"{quoted(owner.span)} has no value per agent", node.span, "a value per pair is declared so: `likes = 0 for each roach, strongest 8`"
+        "wrong-kind",
+        f"{quoted(owner.span)} has no value per agent",
+        node.span,
+        "a value per pair is declared so: `likes = 0 for each roach, strongest 8`",
     )
     return bad(node.span)
 
@@ -293,7 +320,12 @@ def index_of(scope: Scope, node: nodes.Index, want: Type | None) -> Expr:
 
 
 def _machine(scope: Scope, owner: nodes.Expr) -> MachineNames | None:
-    if scope.species is None or scope.behaviour is not None or not isinstance(owner, nodes.NameRef) or owner.name.text in scope.locals:
+    if (
+        scope.species is None
+        or scope.behaviour is not None
+        or not isinstance(owner, nodes.NameRef)
+        or owner.name.text in scope.locals
+    ):
         return None
     return scope.species.machines.get(owner.name.text)
 
@@ -302,7 +334,12 @@ def _of_machine(scope: Scope, machine: MachineNames, node: nodes.Member) -> Expr
     word = node.name.text
     if word in STATE_WORDS:
         return _machine_word(machine, None, word, node.span)
-    scope.report.error("unknown-name", f"machine `{machine.name}` has no `{word}`", node.name.span, did_you_mean(word, STATE_WORDS, f"there is {listed(STATE_WORDS)}"))
+    scope.report.error(
+        "unknown-name",
+        f"machine `{machine.name}` has no `{word}`",
+        node.name.span,
+        did_you_mean(word, STATE_WORDS, f"there is {listed(STATE_WORDS)}"),
+    )
     return bad(node.span)
 
 
@@ -312,7 +349,12 @@ def state_word(scope: Scope, owner: Expr | None, word: str, span: Span, name_spa
     if isinstance(owner, Thing) and owner.name == "self":
         owner = None
     if names is None or not names.machines:
-        scope.report.error("unknown-name", f"no `{word}` is known here", name_span or span, "only a species that is checked together with this one has states to ask for")
+        scope.report.error(
+            "unknown-name",
+            f"no `{word}` is known here",
+            name_span or span,
+            "only a species that is checked together with this one has states to ask for",
+        )
         return bad(span)
     machine = scope.machine if owner is None and scope.machine is not None else next(iter(names.machines.values()))
     return _machine_word(machine, owner, word, span)
@@ -336,7 +378,9 @@ def state_named(scope: Scope, asked: Expr, node: nodes.Expr) -> tuple[Expr, Expr
         index = machine.states.get(node.name.text)
         if index is not None:
             word = asked.name.partition(".")[2]
-            return _machine_word(machine, asked.of, word, asked.span), StateConst(Type(Kind.STATE, of=machine.key), Rate.CONST, node.span, machine.key, index)
+            return _machine_word(machine, asked.of, word, asked.span), StateConst(
+                Type(Kind.STATE, of=machine.key), Rate.CONST, node.span, machine.key, index
+            )
     known = [state for machine in order for state in machine.states]
     unknown_state(scope.report, node.name, species, known)
     return asked, bad(node.span)
@@ -366,10 +410,17 @@ def bad_expr(scope: Scope, node: nodes.BadExpr, want: Type | None) -> Expr:
 def range_of(scope: Scope, node: nodes.RangeExpr, want: Type | None) -> Expr:
     scope.typed(node.low)
     scope.typed(node.high)
-    scope.report.error("wrong-kind", f"a range {quoted(node.span)} cannot stand here", node.span, "ranges are for arguments such as `from: 0 mm .. 5 mm`")
+    scope.report.error(
+        "wrong-kind",
+        f"a range {quoted(node.span)} cannot stand here",
+        node.span,
+        "ranges are for arguments such as `from: 0 mm .. 5 mm`",
+    )
     return bad(node.span)
 
 
 def pair_of(scope: Scope, node: nodes.PairOf, want: Type | None) -> Expr:
-    scope.report.error("not-yet", "`… to …` as a pair of two things does not work yet", node.span, "a value per pair is written `likes[other]`")
+    scope.report.error(
+        "not-yet", "`… to …` as a pair of two things does not work yet", node.span, "a value per pair is written `likes[other]`"
+    )
     return bad(node.span)

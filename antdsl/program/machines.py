@@ -39,14 +39,25 @@ def _once(states: Sequence[nodes.State]) -> list[nodes.State]:
 def _start(scope: Scope, names: MachineNames, members: Sequence[object], span: Span) -> int:
     starts = [m for m in members if isinstance(m, nodes.Start)]
     for extra in starts[1:]:
-        scope.report.error("duplicate-name", "a second `start`", extra.span, "an animal starts in one state", labels=(Label(starts[0].span, "first here"),))
+        scope.report.error(
+            "duplicate-name",
+            "a second `start`",
+            extra.span,
+            "an animal starts in one state",
+            labels=(Label(starts[0].span, "first here"),),
+        )
     if starts:
         index = names.states.get(starts[0].state.text)
         if index is None:
             unknown_state(scope.report, starts[0].state, names.key.partition(".")[0], list(names.states))
         return index or 0
     if len(names.states) > 1:
-        scope.report.error("missing-start", f"nothing says which of the states {listed(names.states)} comes first", span, f"write `start {next(iter(names.states))}`")
+        scope.report.error(
+            "missing-start",
+            f"nothing says which of the states {listed(names.states)} comes first",
+            span,
+            f"write `start {next(iter(names.states))}`",
+        )
     return 0
 
 
@@ -88,7 +99,11 @@ def _lets(scope: Scope, node: nodes.State) -> dict[str, Binding | Expr]:
 def _first(node: nodes.State, scope: Scope, name: nodes.Name) -> Span:
     assert scope.species is not None
     own = scope.species.bindings.get(name.text)
-    earlier = [line.name.span for line in node.body if isinstance(line, nodes.Let) and line.name.text == name.text and line.name is not name]
+    earlier = [
+        line.name.span
+        for line in node.body
+        if isinstance(line, nodes.Let) and line.name.text == name.text and line.name is not name
+    ]
     return own.span if own else earlier[0] if earlier else node.name.span
 
 
@@ -96,7 +111,12 @@ def _colour(scope: Scope, node: nodes.State, index: int) -> tuple[float, float, 
     found = rgb(node.colour.text) if node.colour else default_rgb(index)
     if found is None and node.colour is not None:
         some = ("red", "orange", "yellow", "green", "blue", "violet", "brown", "grey")
-        scope.report.error("unknown-colour", f"no colour `{node.colour.text}`", node.colour.span, did_you_mean(node.colour.text, COLOURS, f"there is {listed(some)} and more"))
+        scope.report.error(
+            "unknown-colour",
+            f"no colour `{node.colour.text}`",
+            node.colour.span,
+            did_you_mean(node.colour.text, COLOURS, f"there is {listed(some)} and more"),
+        )
     red, green, blue = found or default_rgb(index)
     return red / 255, green / 255, blue / 255
 
@@ -107,7 +127,12 @@ def _duration(scope: Scope, node: nodes.Expr | None, who: str) -> Expr | None:
     found = wanted(scope, node, TIME, who)
     constant = constant_behind(found)
     if constant is not None and constant.number < 0:
-        scope.report.error("out-of-range", f"{who} wants a time, and {quoted(node.span)} is before now", node.span, "write a time of `0 s` or more")
+        scope.report.error(
+            "out-of-range",
+            f"{who} wants a time, and {quoted(node.span)} is before now",
+            node.span,
+            "write a time of `0 s` or more",
+        )
     return found
 
 
@@ -138,7 +163,9 @@ def _change(scope: Scope, names: MachineNames, node: nodes.Change, path: str) ->
     actions = statements(scope, node.actions, ACTION)
     if target is None and not choices and not node.target.previous:
         return None
-    return model.Transition(key, node.interrupt, test, after, held, claim, target, node.target.previous, choices, actions, node.span)
+    return model.Transition(
+        key, node.interrupt, test, after, held, claim, target, node.target.previous, choices, actions, node.span
+    )
 
 
 def _target_word(target: nodes.Target) -> str:
@@ -162,7 +189,12 @@ def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[t
         weight = wanted(scope.inside(once=True), choice.weight, NUMBER, f"the weight of `{choice.target.text}`")
         constant = constant_behind(weight)
         if constant is not None and constant.number < 0:
-            scope.report.error("out-of-range", f"a weight below 0: {quoted(choice.weight.span)}", choice.weight.span, "write a weight of 0 or more")
+            scope.report.error(
+                "out-of-range",
+                f"a weight below 0: {quoted(choice.weight.span)}",
+                choice.weight.span,
+                "write a weight of 0 or more",
+            )
         index = names.states.get(choice.target.text)
         if index is None:
             unknown_state(scope.report, choice.target, names.key.partition(".")[0], list(names.states))
@@ -170,7 +202,14 @@ def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[t
             made.append((index, weight))
     weights = [constant_behind(weight) for _, weight in made]
     if made and all(w is not None and w.number == 0 for w in weights):
-        scope.report.error("out-of-range", "all weights of `choose` are 0", target.span, "give at least one state a weight above 0")
+        scope.report.error(
+            "out-of-range", "all weights of `choose` are 0", target.span, "give at least one state a weight above 0"
+        )
     if target.name is None and not target.previous and not target.choices:
-        scope.report.error("missing-target", "`choose` has nothing to choose from", target.span, "write `choose { rest: 2; roam: 1 }` with states of this machine")
+        scope.report.error(
+            "missing-target",
+            "`choose` has nothing to choose from",
+            target.span,
+            "write `choose { rest: 2; roam: 1 }` with states of this machine",
+        )
     return tuple(made)

@@ -142,15 +142,24 @@ def _bounded_chance(scope: Scope, node: nodes.Unary, found: Expr) -> None:
     if known is None:
         return
     if known.number < 0:
-        scope.report.error("out-of-range", f"a chance below 0: {quoted(node.operand.span)}", node.operand.span, "write a chance of 0 or more")
+        scope.report.error(
+            "out-of-range", f"a chance below 0: {quoted(node.operand.span)}", node.operand.span, "write a chance of 0 or more"
+        )
     elif known.type == NUMBER and known.number > 1 and scope.once:
-        scope.report.error("out-of-range", f"a chance above 100 %: {quoted(node.operand.span)}", node.operand.span, "write at most `100 %`")
+        scope.report.error(
+            "out-of-range", f"a chance above 100 %: {quoted(node.operand.span)}", node.operand.span, "write at most `100 %`"
+        )
 
 
 def draw_site(scope: Scope, word: str, span: Span) -> str:
     """The name of a draw; inside a set there may be none, since its result would depend on who is looked at first."""
     if scope.sets:
-        scope.report.error("draw-in-set", f"`{word}` draws a random number inside a set", span, "draw before the set: `let x = …`, and use `x` inside")
+        scope.report.error(
+            "draw-in-set",
+            f"`{word}` draws a random number inside a set",
+            span,
+            "draw before the set: `let x = …`, and use `x` inside",
+        )
     return scope.keys.next(word)
 
 
@@ -162,7 +171,12 @@ def count(scope: Scope, node: nodes.Expr, who: str) -> Expr:
     known = constant_behind(found)
     if known is not None and known.type == NUMBER and 1 <= known.number <= 64 and known.number == int(known.number):
         return Const(NUMBER, Rate.CONST, node.span, known.number)
-    scope.report.error("wrong-count", f"{who} wants a whole number from 1 to 64, not {quoted(node.span)}", node.span, "write a number such as `3`")
+    scope.report.error(
+        "wrong-count",
+        f"{who} wants a whole number from 1 to 64, not {quoted(node.span)}",
+        node.span,
+        "write a number such as `3`",
+    )
     return bad(node.span)
 
 
@@ -213,7 +227,12 @@ def _equal(scope: Scope, node: nodes.Binary) -> Expr:
     if fits(left.type, right.type) and left.type.kind not in THINGS | {Kind.SET, Kind.VECTOR}:
         return op(SIGN_OPS[node.op], BOOL, node.span, left, right)
     if left.type.kind is right.type.kind and left.type.kind is not Kind.NUMBER:
-        scope.report.error("kinds-differ", f"{quoted(node.span)} compares what cannot be compared", node.span, "compare numbers, states, items or agents")
+        scope.report.error(
+            "kinds-differ",
+            f"{quoted(node.span)} compares what cannot be compared",
+            node.span,
+            "compare numbers, states, items or agents",
+        )
     else:
         disagree(scope.report, node.op, node.span, (left_node, left), (right_node, right))
     return op(SIGN_OPS[node.op], BOOL, node.span, left, right)
@@ -232,7 +251,9 @@ def _compare(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
 def _sum(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
     if left.type.kind in (Kind.NUMBER, Kind.VECTOR) and fits(left.type, right.type):
         return fold(scope.report, op(SIGN_OPS[node.op], left.type, node.span, left, right))
-    odd = next(((n, e) for n, e in ((node.left, left), (node.right, right)) if e.type.kind not in (Kind.NUMBER, Kind.VECTOR)), None)
+    odd = next(
+        ((n, e) for n, e in ((node.left, left), (node.right, right)) if e.type.kind not in (Kind.NUMBER, Kind.VECTOR)), None
+    )
     if odd is not None:
         mismatch(scope.report, odd[0], odd[1].type, NUMBER, f"`{node.op}`")
     else:
@@ -255,7 +276,10 @@ def _product(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
     vectors = [e for e in (left, right) if e.type.kind is Kind.VECTOR]
     if len(vectors) == 2:
         scope.report.error(
-            "wrong-kind", f"{quoted(node.span)} multiplies two vectors", node.op_span, "write `dot(a, b)` for a number or `cross(a, b)` for a vector"
+            "wrong-kind",
+            f"{quoted(node.span)} multiplies two vectors",
+            node.op_span,
+            "write `dot(a, b)` for a number or `cross(a, b)` for a vector",
         )
         return bad(node.span)
     type = Type(Kind.VECTOR if vectors else Kind.NUMBER, product(left.type.dim, right.type.dim))
@@ -266,7 +290,12 @@ def _quotient(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr
     if not _operands(scope, node, left, right):
         return bad(node.span)
     if right.type.kind is Kind.VECTOR:
-        scope.report.error("wrong-kind", f"{quoted(node.span)} divides by a vector", node.op_span, f"divide by its length: `length({quoted(node.right.span).strip('`')})`")
+        scope.report.error(
+            "wrong-kind",
+            f"{quoted(node.span)} divides by a vector",
+            node.op_span,
+            f"divide by its length: `length({quoted(node.right.span).strip('`')})`",
+        )
         return bad(node.span)
     type = Type(left.type.kind, product(left.type.dim, right.type.dim, -1))
     return fold(scope.report, op("div", type, node.span, left, right))
@@ -281,7 +310,12 @@ def _power(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
         return bad(node.span)
     exponent = constant_behind(right)
     if left.type.dim != NUMBER.dim and exponent is None:
-        scope.report.error("wrong-unit", f"{quoted(node.left.span)} is {type_words(left.type)}, so its power must be a plain number", node.right.span, "write `^ 2`")
+        scope.report.error(
+            "wrong-unit",
+            f"{quoted(node.left.span)} is {type_words(left.type)}, so its power must be a plain number",
+            node.right.span,
+            "write `^ 2`",
+        )
         return bad(node.span)
     dim = scaled(left.type.dim, exponent.number) if exponent else left.type.dim
     return fold(scope.report, op("pow", Type(Kind.NUMBER, dim), node.span, left, right))
@@ -308,7 +342,11 @@ def if_else(scope: Scope, node: nodes.IfElse, want: Type | None) -> Expr:
         return bad(node.span)
     type = otherwise.type if then.type.kind is Kind.BAD else then.type
     if type.kind in THINGS or type.kind is Kind.SET:
-        scope.report.error("wrong-kind", f"`if` cannot choose {type_words(type)}", node.span, "choose between values: numbers, vectors, items, agents")
+        scope.report.error(
+            "wrong-kind",
+            f"`if` cannot choose {type_words(type)}",
+            node.span,
+            "choose between values: numbers, vectors, items, agents",
+        )
         return bad(node.span)
     return op("if", type, node.span, test, then, otherwise)
-

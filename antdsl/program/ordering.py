@@ -13,7 +13,11 @@ T = TypeVar("T")
 
 
 def ordered(
-    report: Report, what: str, declared: Mapping[str, T], uses: Callable[[T], Iterable[object]], name_of: Callable[[T], nodes.Name]
+    report: Report,
+    what: str,
+    declared: Mapping[str, T],
+    uses: Callable[[T], Iterable[object]],
+    name_of: Callable[[T], nodes.Name],
 ) -> tuple[list[T], set[str]]:
     """The declarations, those used before those that use them, and the names that stand in a circle.
 
@@ -52,4 +56,9 @@ def _used(each: T, declared: Mapping[str, T], uses: Callable[[T], Iterable[objec
 
 def _circle(report: Report, what: str, names: Sequence[nodes.Name]) -> None:
     text = " → ".join(f"`{name.text}`" for name in [*names, names[0]])
-    report.error("circle", f"{what} follow from each other in a circle: {text}", names[0].span, "take one out of the circle, or make it an attribute that is set")
+    report.error(
+        "circle",
+        f"{what} follow from each other in a circle: {text}",
+        names[0].span,
+        "take one out of the circle, or make it an attribute that is set",
+    )

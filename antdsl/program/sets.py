@@ -40,7 +40,12 @@ def _things(scope: Scope, called: str, node: nodes.Expr, kinds: tuple[Kind, ...]
         return found
     if found.type.kind is not Kind.BAD:
         names = "items or a species" if kinds == _THINGS else "a species"
-        scope.report.error("wrong-kind", f"`{called}` looks for {names}, and {quoted(node.span)} is {type_words(found.type)}", node.span, f"write a name of {names}")
+        scope.report.error(
+            "wrong-kind",
+            f"`{called}` looks for {names}, and {quoted(node.span)} is {type_words(found.type)}",
+            node.span,
+            f"write a name of {names}",
+        )
     return None
 
 
@@ -71,7 +76,12 @@ def neighbours(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
 def _check_reach(scope: Scope, radius: Expr | None, node: nodes.Call) -> None:
     known = constant_behind(radius) if radius is not None else None
     if known is not None and known.number <= 0:
-        scope.report.error("out-of-range", "a radius of 0 or less reaches nobody", node.arguments[0].span if node.arguments else node.span, "write a length above 0")
+        scope.report.error(
+            "out-of-range",
+            "a radius of 0 or less reaches nobody",
+            node.arguments[0].span if node.arguments else node.span,
+            "write a length above 0",
+        )
 
 
 def every(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
@@ -85,7 +95,9 @@ def every(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     where = None
     if "with" in found:
         where = condition(_within_set(scope, element).inside(element=element), found["with"][0].value, "`with`")
-    made = SetOf(Type(Kind.SET, Dim(), things.type.of), Rate.AGENT, node.span, "all", things.type.of or "", (within,), element, where)
+    made = SetOf(
+        Type(Kind.SET, Dim(), things.type.of), Rate.AGENT, node.span, "all", things.type.of or "", (within,), element, where
+    )
     _check_nesting(scope, made, node)
     return made
 
@@ -104,7 +116,12 @@ def nearest(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
         if found.type.kind in _THINGS:
             return nearest_of(found, node.span)
         if found.type.kind is not Kind.BAD:
-            scope.report.error("wrong-kind", f"`nearest` looks for items, a species or a set, and {quoted(first.span)} is {type_words(found.type)}", first.span, "write `nearest(food)` or `nearest(neighbours(20 mm))`")
+            scope.report.error(
+                "wrong-kind",
+                f"`nearest` looks for items, a species or a set, and {quoted(first.span)} is {type_words(found.type)}",
+                first.span,
+                "write `nearest(food)` or `nearest(neighbours(20 mm))`",
+            )
         return bad(node.span)
     over = every(scope, node, name, row)
     return _nearest_of_set(over, node) if isinstance(over, SetOf) else over
@@ -123,7 +140,11 @@ def feelers(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     if target.type.kind not in (Kind.OBSTACLE, Kind.SURFACE, Kind.SOLID, Kind.BAD):
         mismatch(scope.report, found["on"][0].value, target.type, Type(Kind.OBSTACLE), f"`on` of `{name}`")
         return bad(node.span)
-    how_many = count(scope, found["count"][0].value, f"`count` of `{name}`") if "count" in found else default_of(scope, row.args[1].default or "3", node.span)[0]
+    how_many = (
+        count(scope, found["count"][0].value, f"`count` of `{name}`")
+        if "count" in found
+        else default_of(scope, row.args[1].default or "3", node.span)[0]
+    )
     spread, reach = (_plain(scope, name, arg, found, node) for arg in row.args[2:])
     element = element_of(Type(Kind.HIT), "it", node)
     of = target.type.of or ""
@@ -150,11 +171,21 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
         over, variable = scope.typed(argument.value), None
     if not isinstance(over, SetOf):
         if over.type.kind is not Kind.BAD:
-            scope.report.error("wrong-kind", f"`{how}` goes over a set, and {quoted(over.span)} is {type_words(over.type)}", over.span, "write a set, such as `neighbours(20 mm)` or `all(food)`")
+            scope.report.error(
+                "wrong-kind",
+                f"`{how}` goes over a set, and {quoted(over.span)} is {type_words(over.type)}",
+                over.span,
+                "write a set, such as `neighbours(20 mm)` or `all(food)`",
+            )
         return bad(node.span)
     if variable is None or not isinstance(argument, nodes.Comprehension):
         if how not in ("count", "any"):
-            scope.report.error("wrong-argument", f"`{how}` does not know what to take of each", node.span, f"write `{how}(n in {' '.join(over.span.text.split())}: …)`")
+            scope.report.error(
+                "wrong-argument",
+                f"`{how}` does not know what to take of each",
+                node.span,
+                f"write `{how}(n in {' '.join(over.span.text.split())}: …)`",
+            )
             return bad(node.span)
         element = over.element
         body: Expr = Const(BOOL, Rate.CONST, node.span, 1.0)
@@ -171,14 +202,25 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
 def _whole(things: Expr) -> SetOf:
     """`food` where a set is wanted: all of it."""
     element = Binding("it", "element", one_of(things.type), Rate.ELEMENT, things.span)
-    return SetOf(Type(Kind.SET, Dim(), things.type.of), Rate.AGENT, things.span, "all", things.type.of or "", (None,), element, None)
+    return SetOf(
+        Type(Kind.SET, Dim(), things.type.of), Rate.AGENT, things.span, "all", things.type.of or "", (None,), element, None
+    )
 
 
 def _check_shadow(scope: Scope, variable: nodes.Name) -> None:
     names = scope.species
-    own = names is not None and scope.behaviour is None and (variable.text in names.attributes or variable.text in names.bindings or variable.text in names.params)
+    own = (
+        names is not None
+        and scope.behaviour is None
+        and (variable.text in names.attributes or variable.text in names.bindings or variable.text in names.params)
+    )
     if own or variable.text in scope.locals:
-        scope.report.error("duplicate-name", f"`{variable.text}` has a meaning here already", variable.span, "take another letter for the element")
+        scope.report.error(
+            "duplicate-name",
+            f"`{variable.text}` has a meaning here already",
+            variable.span,
+            "take another letter for the element",
+        )
 
 
 def _body(scope: Scope, how: str, node: nodes.Expr) -> Expr:
@@ -189,9 +231,20 @@ def _body(scope: Scope, how: str, node: nodes.Expr) -> Expr:
     if found.type.kind in allowed:
         return found
     if found.type.kind is Kind.BOOL and how in ("sum", "mean"):
-        scope.report.error("wrong-kind", f"`{how}` adds numbers, and {quoted(node.span)} is a yes or no", node.span, "`count` counts for how many it holds")
+        scope.report.error(
+            "wrong-kind",
+            f"`{how}` adds numbers, and {quoted(node.span)} is a yes or no",
+            node.span,
+            "`count` counts for how many it holds",
+        )
     else:
-        mismatch(scope.report, node, found.type, LENGTH if how in ("min", "max", "best") and found.type.dim == LENGTH.dim else NUMBER, f"`{how}`")
+        mismatch(
+            scope.report,
+            node,
+            found.type,
+            LENGTH if how in ("min", "max", "best") and found.type.dim == LENGTH.dim else NUMBER,
+            f"`{how}`",
+        )
     return bad(node.span)
 
 

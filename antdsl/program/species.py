@@ -17,7 +17,21 @@ from antdsl.program.machines import machine
 from antdsl.program.model import Binding, Const, Dim, Expr, Kind, Rate, Type
 from antdsl.program.operators import condition, value, wanted
 from antdsl.program.ordering import ordered
-from antdsl.program.scope import BAD, BOOL, PUSH, TIME, Declared, FileNames, Keys, Scope, SpeciesNames, bad, did_you_mean, duplicate, type_from_words
+from antdsl.program.scope import (
+    BAD,
+    BOOL,
+    PUSH,
+    TIME,
+    Declared,
+    FileNames,
+    Keys,
+    Scope,
+    SpeciesNames,
+    bad,
+    did_you_mean,
+    duplicate,
+    type_from_words,
+)
 from antdsl.program.statements import ACTION, HANDLER, statements
 from antdsl.program.units import unit_spelling
 from antdsl.program.vocabulary import GIVEN
@@ -67,7 +81,12 @@ def _check_names(scope: Scope, node: nodes.Species) -> None:
     for member in _members(node, nodes.Declaration, nodes.ParamDecl, nodes.Let, nodes.Latch, nodes.Fuzzy):
         each = member.declaration if isinstance(member, nodes.ParamDecl) else member
         if isinstance(each, nodes.Fuzzy):
-            scope.report.error("not-yet", "`fuzzy` is a word of the language that does not work yet", each.name.span, "use `rising`, `falling` and `around` with `and` and `or`")
+            scope.report.error(
+                "not-yet",
+                "`fuzzy` is a word of the language that does not work yet",
+                each.name.span,
+                "use `rising`, `falling` and `around` with `and` and `or`",
+            )
             continue
         value_span = each.on.span if isinstance(each, nodes.Latch) else each.value.span
         if each.name.text in seen:
@@ -76,7 +95,9 @@ def _check_names(scope: Scope, node: nodes.Species) -> None:
             free_in_species(scope.report, each.name, value_span)
         seen.setdefault(each.name.text, each.name.span)
     if len(seen) > limits.ATTRIBUTES:
-        scope.report.error("too-many", f"species `{node.name.text}` declares more than {limits.ATTRIBUTES} names", node.name.span, "split it")
+        scope.report.error(
+            "too-many", f"species `{node.name.text}` declares more than {limits.ATTRIBUTES} names", node.name.span, "split it"
+        )
 
 
 # --- params ----------------------------------------------------------------------------------------------------------
@@ -88,7 +109,12 @@ def _param(scope: Scope, node: nodes.Declaration) -> model.Param | None:
     names.params[name] = BAD
     for extra, word in ((node.relax, "relax"), (node.each, "for each")):
         if extra is not None:
-            scope.report.error("wrong-kind", f"a param is one value for all agents, so it has no `{word}`", extra.span, f"leave `param` out to make `{name}` an attribute")
+            scope.report.error(
+                "wrong-kind",
+                f"a param is one value for all agents, so it has no `{word}`",
+                extra.span,
+                f"leave `param` out to make `{name}` an attribute",
+            )
     default = _fixed(scope, node.value, f"param `{name}`")
     if default is None:
         return None
@@ -107,7 +133,12 @@ def _fixed(scope: Scope, node: nodes.Expr, who: str, want: Type | None = None) -
     found = value(scope, node) if want is None else wanted(scope, node, want, who)
     constant = constant_behind(found)
     if constant is None and found.type.kind is not Kind.BAD:
-        scope.report.error("wrong-rate", f"{quoted(node.span)} is not a plain number, which {who} starts with", node.span, "write a number with its unit, such as `40 mm`")
+        scope.report.error(
+            "wrong-rate",
+            f"{quoted(node.span)} is not a plain number, which {who} starts with",
+            node.span,
+            "write a number with its unit, such as `40 mm`",
+        )
     return constant
 
 
@@ -119,9 +150,19 @@ def _param_range(scope: Scope, node: nodes.Declaration, default: Const) -> tuple
     alike = [c for c in (low, default, high) if c is not None and (c.u, c.step) == (default.u, default.step)]
     if low is not None and high is not None and len(alike) == 3:
         if low.number > high.number:
-            scope.report.error("empty-range", f"the range {quoted(node.range.span)} ends before it begins", node.range.span, "write the lesser end first")
+            scope.report.error(
+                "empty-range",
+                f"the range {quoted(node.range.span)} ends before it begins",
+                node.range.span,
+                "write the lesser end first",
+            )
         elif not low.number <= default.number <= high.number:
-            scope.report.error("out-of-range", f"{quoted(node.value.span)} lies outside of {quoted(node.range.span)}", node.value.span, "start inside the range, or widen it")
+            scope.report.error(
+                "out-of-range",
+                f"{quoted(node.value.span)} lies outside of {quoted(node.range.span)}",
+                node.value.span,
+                "start inside the range, or widen it",
+            )
     return low, high
 
 
@@ -133,7 +174,9 @@ def _attributes(scope: Scope, node: nodes.Species) -> list[model.AttributeDecl]:
     declared: dict[str, nodes.Declaration | nodes.Given] = {}
     for name, row in GIVEN.items():
         if row.settable and row.default is not None:
-            declared[name] = nodes.Given(nodes.Name(name, node.name.span), node_of(row.default, node.name.span), None, node.name.span)
+            declared[name] = nodes.Given(
+                nodes.Name(name, node.name.span), node_of(row.default, node.name.span), None, node.name.span
+            )
     written: dict[str, Span] = {}
     for member in node.members:
         if isinstance(member, nodes.Given):
@@ -158,7 +201,12 @@ def _settable(scope: Scope, member: nodes.Given) -> bool:
         better = f"`max_speed {text}` is the fastest it goes" if name.text == "speed" else "it follows from how the animal moves"
         scope.report.error("not-settable", f"`{name.text}` cannot be set", name.span, better)
     else:
-        scope.report.error("unknown-property", f"an animal has no property `{name.text}`", name.span, did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"))
+        scope.report.error(
+            "unknown-property",
+            f"an animal has no property `{name.text}`",
+            name.span,
+            did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"),
+        )
     value(scope.inside(once=True), member.value)
     return False
 
@@ -175,23 +223,41 @@ def _attribute(scope: Scope, node: nodes.Declaration | nodes.Given, circular: bo
         return model.AttributeDecl(name, type, default, True, help, node.name.span)
     type = declared_type(scope, node.type) if node.type is not None else None
     type = None if type == BAD else type
-    default = bad(node.value.span) if circular else value(inner, node.value, type) if type is None else wanted(inner, node.value, type, f"`{name}`")
+    default = (
+        bad(node.value.span)
+        if circular
+        else value(inner, node.value, type)
+        if type is None
+        else wanted(inner, node.value, type, f"`{name}`")
+    )
     type = type or default.type
     if type.kind not in _STORED:
-        scope.report.error("wrong-kind", f"{type_words(type)} cannot be an attribute", node.value.span, "an attribute is a number, a vector, a yes or no, an item or an agent")
+        scope.report.error(
+            "wrong-kind",
+            f"{type_words(type)} cannot be an attribute",
+            node.value.span,
+            "an attribute is a number, a vector, a yes or no, an item or an agent",
+        )
         type = BAD
     names.attributes[name] = type
     if node.each is not None:
         names.each[name] = node.each.species.text
     if node.range is not None:
-        scope.report.error("wrong-kind", f"only a param has a range, and `{name}` is an attribute", node.range.span, f"write `param {name} = …`, or leave the range out")
+        scope.report.error(
+            "wrong-kind",
+            f"only a param has a range, and `{name}` is an attribute",
+            node.range.span,
+            f"write `param {name} = …`, or leave the range out",
+        )
     return model.AttributeDecl(name, type, default, False, help, node.name.span)
 
 
 def _positive(scope: Scope, node: nodes.Given, default: Expr) -> None:
     constant = constant_behind(default)
     if constant is not None and (constant.number < 0 or (constant.number == 0 and node.name.text not in ("radius", "clearance"))):
-        scope.report.error("out-of-range", f"`{node.name.text}` cannot be {quoted(node.value.span)}", node.value.span, "write more than 0")
+        scope.report.error(
+            "out-of-range", f"`{node.name.text}` cannot be {quoted(node.value.span)}", node.value.span, "write more than 0"
+        )
 
 
 # --- the rest --------------------------------------------------------------------------------------------------------
@@ -222,22 +288,42 @@ def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declarat
     to = over = None
     if node.relax is not None:
         if attribute.type.kind not in (Kind.NUMBER, Kind.VECTOR, Kind.BAD):
-            scope.report.error("wrong-kind", f"`{attribute.name}` is {type_words(attribute.type)} and cannot relax", node.relax.span, "only numbers and vectors change little by little")
+            scope.report.error(
+                "wrong-kind",
+                f"`{attribute.name}` is {type_words(attribute.type)} and cannot relax",
+                node.relax.span,
+                "only numbers and vectors change little by little",
+            )
         to = wanted(scope, node.relax.to, attribute.type, "`relax to`")
         over = wanted(scope, node.relax.over, TIME, "`over`")
     each, strongest = None, 0
     if node.each is not None:
         type = referable(scope, node.each.species)
         if type is not None and type.kind is not Kind.AGENT:
-            scope.report.error("wrong-kind", f"`{node.each.species.text}` is no species", node.each.species.span, "`for each` keeps a value about other agents")
+            scope.report.error(
+                "wrong-kind",
+                f"`{node.each.species.text}` is no species",
+                node.each.species.span,
+                "`for each` keeps a value about other agents",
+            )
         each = node.each.species.text
         if node.each.strongest is None:
-            scope.report.error("missing-bound", f"`{attribute.name}` does not say about how many it is kept", node.each.span, f"write `for each {each}, strongest 8`")
+            scope.report.error(
+                "missing-bound",
+                f"`{attribute.name}` does not say about how many it is kept",
+                node.each.span,
+                f"write `for each {each}, strongest 8`",
+            )
         else:
             count = constant_behind(wanted(scope, node.each.strongest, Type(Kind.NUMBER), "`strongest`"))
             strongest = int(count.number) if count is not None else 0
             if not 1 <= strongest <= 64:
-                scope.report.error("wrong-count", f"`strongest` wants a whole number from 1 to 64, not {quoted(node.each.strongest.span)}", node.each.strongest.span, "write `strongest 8`")
+                scope.report.error(
+                    "wrong-count",
+                    f"`strongest` wants a whole number from 1 to 64, not {quoted(node.each.strongest.span)}",
+                    node.each.strongest.span,
+                    "write `strongest 8`",
+                )
     return model.AttributeDecl(
         attribute.name, attribute.type, attribute.default, False, attribute.help, attribute.span, to, over, each, strongest
     )  # fmt: skip
@@ -250,7 +336,9 @@ def _bindings(scope: Scope, node: nodes.Species) -> list[Binding]:
     declared: dict[str, nodes.Let | nodes.Latch] = {}
     for member in _members(node, nodes.Let, nodes.Latch):
         declared.setdefault(member.name.text, member)
-    uses: Callable[[nodes.Let | nodes.Latch], Iterable[object]] = lambda m: [m.value] if isinstance(m, nodes.Let) else [m.on, m.until]
+    uses: Callable[[nodes.Let | nodes.Latch], Iterable[object]] = lambda m: (
+        [m.value] if isinstance(m, nodes.Let) else [m.on, m.until]
+    )
     order, circular = ordered(scope.report, "lets", declared, uses, lambda m: m.name)
     made: list[Binding] = []
     for each in order:
@@ -278,7 +366,9 @@ def _machines(scope: Scope, node: nodes.Species) -> list[model.Machine]:
     if "main" in names.machines and any(isinstance(m, nodes.State) for m in loose):
         made.append(machine(scope, names.machines["main"], loose, node.name.span))
     elif loose:
-        scope.report.error("unknown-state", "there are no states here", loose[0].span, "move this line into the `machine` that it belongs to")
+        scope.report.error(
+            "unknown-state", "there are no states here", loose[0].span, "move this line into the `machine` that it belongs to"
+        )
     seen = {m.name for m in made}
     for member in node.members:
         if isinstance(member, nodes.Machine) and member.name.text not in seen:
@@ -311,16 +401,29 @@ def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
     assert names is not None
     written = [m for m in node.members if isinstance(m, nodes.Layers)]
     for extra in written[1:]:
-        scope.report.error("duplicate-name", "a second `layers`", extra.span, "put all lines into one", labels=(Label(written[0].span, "first here"),))
+        scope.report.error(
+            "duplicate-name",
+            "a second `layers`",
+            extra.span,
+            "put all lines into one",
+            labels=(Label(written[0].span, "first here"),),
+        )
     if not written:
         return model.Layers("budget", (model.Layer(None, None, "state", node.name.span, "state"),), node.name.span)
     block = written[0]
     mode = block.mode.text if block.mode else "budget"
     if mode not in ("budget", "sum", "first"):
         assert block.mode is not None
-        scope.report.error("unknown-setting", f"no way `{mode}` to put layers together", block.mode.span, did_you_mean(mode, ("sum", "first"), "write `layers`, `layers sum` or `layers first`"))
+        scope.report.error(
+            "unknown-setting",
+            f"no way `{mode}` to put layers together",
+            block.mode.span,
+            did_you_mean(mode, ("sum", "first"), "write `layers`, `layers sum` or `layers first`"),
+        )
     if len(block.layers) > limits.LAYERS:
-        scope.report.error("too-many", f"more than {limits.LAYERS} layers", block.layers[limits.LAYERS].span, "put some together in a behaviour")
+        scope.report.error(
+            "too-many", f"more than {limits.LAYERS} layers", block.layers[limits.LAYERS].span, "put some together in a behaviour"
+        )
     scope = scope.inside(keys=Keys(f"{names.name}.layers"))
     counts: dict[str, int] = {}
     return model.Layers(mode, tuple(_layer(scope, each, counts) for each in block.layers), block.span)

@@ -18,7 +18,9 @@ _CALLS = ("total", "share", "mean", "min", "max", "count", "any", "every", "at_s
 def check_spec(declared: Declared, names: FileNames, spec: nodes.Spec) -> nodes.Spec:
     """Complain about what a spec asks for that cannot be there."""
     if spec.scene is not None and not spec.scene.text.endswith((".yaml", ".yml")):
-        declared.report.error("not-a-scene", f"`{spec.scene.text}` is not the name of a scene", spec.scene.span, 'write `on "scene.yaml"`')
+        declared.report.error(
+            "not-a-scene", f"`{spec.scene.text}` is not the name of a scene", spec.scene.span, 'write `on "scene.yaml"`'
+        )
     for line in spec.lines:
         _line(declared, names, line, None)
     return spec
@@ -33,7 +35,9 @@ def _line(declared: Declared, names: FileNames, line: nodes.SpecLine, species: s
     if line.kind == "each" and isinstance(line.target, nodes.NameRef):
         species = line.target.name.text
         if species not in declared.species:
-            declared.report.error("unknown-species", f"no species `{species}`", line.target.span, did_you_mean(species, declared.species))
+            declared.report.error(
+                "unknown-species", f"no species `{species}`", line.target.span, did_you_mean(species, declared.species)
+            )
             return
     if line.condition is not None and line.kind != "seeds":
         _names(declared, line.condition, species)
@@ -44,9 +48,16 @@ def _line(declared: Declared, names: FileNames, line: nodes.SpecLine, species: s
 def _set(declared: Declared, line: nodes.SpecLine) -> None:
     text = line.target.span.text.strip() if line.target is not None else ""
     params = [f"{s.name}.{p}" for s in declared.species.values() for p in s.params]
-    known = params + [f"{field}.{word}" for field in declared.fields for word in ("half_life", "evaporate", "keeps", "diffuse", "limit")]
+    known = params + [
+        f"{field}.{word}" for field in declared.fields for word in ("half_life", "evaporate", "keeps", "diffuse", "limit")
+    ]
     if line.target is not None and text not in known:
-        declared.report.error("unknown-name", f"no param `{text}` to set", line.target.span, did_you_mean(text, known, f"there is {listed(params)}" if params else None))
+        declared.report.error(
+            "unknown-name",
+            f"no param `{text}` to set",
+            line.target.span,
+            did_you_mean(text, known, f"there is {listed(params)}" if params else None),
+        )
     elif text in params:
         declared.used.add(("param", text))
 
@@ -63,7 +74,12 @@ def _names(declared: Declared, root: nodes.Expr, species: str | None) -> None:
             calls.add(id(part.function))
             name = part.function.name
             if name.text not in _CALLS and name.text not in BUILTINS and name.text not in REDUCERS:
-                declared.report.error("unknown-behaviour", f"a spec cannot ask `{name.text}(…)`", name.span, did_you_mean(name.text, _CALLS, f"it can ask {listed(_CALLS)}"))
+                declared.report.error(
+                    "unknown-behaviour",
+                    f"a spec cannot ask `{name.text}(…)`",
+                    name.span,
+                    did_you_mean(name.text, _CALLS, f"it can ask {listed(_CALLS)}"),
+                )
         elif isinstance(part, nodes.Comprehension):
             bound.add(part.variable.text)
         elif isinstance(part, nodes.NameRef) and id(part) not in calls and part.name.text not in bound:
@@ -78,13 +94,17 @@ def _name(declared: Declared, ref: nodes.NameRef, member: nodes.Member | None, s
         type = Type(Kind.AGENT, of=name) if names is not None else Type(Kind.ITEM, of=name)
         known = set(attributes_of(declared, type)) | ({"state"} if names is not None else set())
         if member.name.text not in known:
-            declared.report.error("unknown-name", f"`{name}` has no `{member.name.text}`", member.name.span, did_you_mean(member.name.text, known))
+            declared.report.error(
+                "unknown-name", f"`{name}` has no `{member.name.text}`", member.name.span, did_you_mean(member.name.text, known)
+            )
         declared.used.add(("attribute", f"{name}.{member.name.text}"))
         return
     if _known(declared, name, species):
         return
     known = {*declared.species, *declared.things, *declared.fields, *_WORDS}
-    declared.report.error("unknown-name", f"no `{name}` is known here", ref.span, did_you_mean(name, known, f"there is {listed(known)}"))
+    declared.report.error(
+        "unknown-name", f"no `{name}` is known here", ref.span, did_you_mean(name, known, f"there is {listed(known)}")
+    )
 
 
 def _known(declared: Declared, name: str, species: str | None) -> bool:

@@ -100,7 +100,9 @@ def _bracketed(node: nodes.Expr, text: str) -> str:
 
 def _per_step(scope: Scope, node: nodes.Expr, found: Expr) -> None:
     if scope.declared.strict and isinstance(found, model.Const) and found.step < 0:
-        scope.report.warning("per-step", f"{quoted(node.span)} depends on the frames per second", node.span, "say per second: `/s`")
+        scope.report.warning(
+            "per-step", f"{quoted(node.span)} depends on the frames per second", node.span, "say per second: `/s`"
+        )
 
 
 # --- one line each ---------------------------------------------------------------------------------------------------
@@ -108,7 +110,12 @@ def _per_step(scope: Scope, node: nodes.Expr, found: Expr) -> None:
 
 def _steer(scope: Scope, line: nodes.Steer, block: Block) -> model.Statement | None:
     if not block.body:
-        scope.report.error("steer-in-action", "`steer` stands in a state, not in an action that happens once", line.span, "move it into the state's lines")
+        scope.report.error(
+            "steer-in-action",
+            "`steer` stands in a state, not in an action that happens once",
+            line.span,
+            "move it into the state's lines",
+        )
         return None
     push = value(scope, line.push, PUSH)
     if push.type.kind is Kind.BAD:
@@ -137,12 +144,22 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
         name, type = found
     else:
         value(scope, line.value)
-        scope.report.error("not-own", f"{quoted(target.span)} belongs to another; an agent sets only its own values", target.span, "raise an event with `emit`, and let the other set it in `on`")
+        scope.report.error(
+            "not-own",
+            f"{quoted(target.span)} belongs to another; an agent sets only its own values",
+            target.span,
+            "raise an event with `emit`, and let the other set it in `on`",
+        )
         return None
     scope.declared.written.add(f"{species.name}.{name}")
     if line.op != "=":
         if type.kind not in (Kind.NUMBER, Kind.VECTOR):
-            scope.report.error("wrong-kind", f"`{name}` is {type_words(type)}, and only numbers and vectors can be added to", line.span, f"set it: `{name} = …`")
+            scope.report.error(
+                "wrong-kind",
+                f"`{name}` is {type_words(type)}, and only numbers and vectors can be added to",
+                line.span,
+                f"set it: `{name} = …`",
+            )
             return None
         added = _added(scope, line.value, type, block, f"{name} {line.op} ")
         return None if added is None else model.Assign(name, line.op, added, block.body, line.span, of)
@@ -169,19 +186,45 @@ def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) ->
     given = GIVEN.get(text)
     if given is not None and (given.settable or text in ("velocity", "heading")):
         if not given.settable and block.body:
-            report.error("set-in-body", f"`{text}` cannot be set in every step", line.span, f"steer instead, or set it once: `enter {{ {text} = … }}`")
+            report.error(
+                "set-in-body",
+                f"`{text}` cannot be set in every step",
+                line.span,
+                f"steer instead, or set it once: `enter {{ {text} = … }}`",
+            )
             return None
         return text, type_from_words(given.type) or Type(Kind.BAD)
     if text in species.params:
-        report.error("not-settable", f"`{text}` is a param, the same for all agents", name.span, f"make it an attribute: `{text} = …` without `param`")
+        report.error(
+            "not-settable",
+            f"`{text}` is a param, the same for all agents",
+            name.span,
+            f"make it an attribute: `{text} = …` without `param`",
+        )
     elif text in species.bindings:
-        report.error("not-settable", f"`{text}` is a `let` or `latch`, and follows from other values", name.span, "set what it follows from, or make it an attribute")
+        report.error(
+            "not-settable",
+            f"`{text}` is a `let` or `latch`, and follows from other values",
+            name.span,
+            "set what it follows from, or make it an attribute",
+        )
     elif given is not None or text in ("state", "previous", "next", "time_in_state"):
-        advice = "a change moves it: `when … -> …`" if given is None else "it moves by `steer`" if text in ("position", "speed") else "it follows from the rest"
+        advice = (
+            "a change moves it: `when … -> …`"
+            if given is None
+            else "it moves by `steer`"
+            if text in ("position", "speed")
+            else "it follows from the rest"
+        )
         report.error("not-settable", f"`{text}` cannot be set", name.span, advice)
     else:
         known = [a for a in species.attributes if a not in species.each] + [n for n, g in GIVEN.items() if g.settable]
-        report.error("unknown-name", f"`{species.name}` has no attribute `{text}`", name.span, did_you_mean(text, known, f"declare it: `{text} = …` in `species {species.name}`"))
+        report.error(
+            "unknown-name",
+            f"`{species.name}` has no attribute `{text}`",
+            name.span,
+            did_you_mean(text, known, f"declare it: `{text} = …` in `species {species.name}`"),
+        )
     return None
 
 
@@ -205,15 +248,24 @@ def _carve(scope: Scope, line: nodes.Carve, block: Block) -> model.Statement | N
         if argument.name is None or argument.name.text == "radius":
             radius = wanted(scope, argument.value, LENGTH, "`radius` of `carve`")
         else:
-            scope.report.error("unknown-argument", f"`carve` has no argument `{argument.name.text}`", argument.name.span, "it takes `radius`")
+            scope.report.error(
+                "unknown-argument", f"`carve` has no argument `{argument.name.text}`", argument.name.span, "it takes `radius`"
+            )
     if thing is None or thing.kind != "solid":
         solids = [t.name for t in scope.declared.things.values() if t.kind == "solid"]
-        scope.report.error("unknown-name", f"no solid `{line.solid.text}` to carve", line.solid.span, did_you_mean(line.solid.text, solids, f"declare it: `world {{ solid {line.solid.text} }}`"))
+        scope.report.error(
+            "unknown-name",
+            f"no solid `{line.solid.text}` to carve",
+            line.solid.span,
+            did_you_mean(line.solid.text, solids, f"declare it: `world {{ solid {line.solid.text} }}`"),
+        )
         return None
     scope.use("thing", thing.name)
     if radius is None:
         if not line.arguments:
-            scope.report.error("missing-argument", "`carve` wants a radius", line.span, f"write `carve {thing.name}(radius: size / 2)`")
+            scope.report.error(
+                "missing-argument", "`carve` wants a radius", line.span, f"write `carve {thing.name}(radius: size / 2)`"
+            )
         return None
     return None if radius.type.kind is Kind.BAD else model.Carve(thing.name, radius, line.span)
 
@@ -225,18 +277,30 @@ def _emit(scope: Scope, line: nodes.Emit, block: Block) -> model.Statement | Non
         if argument.name is None or argument.name.text == "within":
             within = wanted(scope, argument.value, LENGTH, "`within` of `emit`")
         else:
-            scope.report.error("unknown-argument", f"`emit` has no argument `{argument.name.text}`", argument.name.span, "it takes `within`, how far it is noticed")
+            scope.report.error(
+                "unknown-argument",
+                f"`emit` has no argument `{argument.name.text}`",
+                argument.name.span,
+                "it takes `within`, how far it is noticed",
+            )
     return model.Emit(line.event.text, within, line.span)
 
 
 def _spawn(scope: Scope, line: nodes.Spawn, block: Block) -> model.Statement | None:
     name = line.species.text
     if name not in scope.declared.species:
-        scope.report.error("unknown-species", f"no species `{name}`", line.species.span, did_you_mean(name, scope.declared.species))
+        scope.report.error(
+            "unknown-species", f"no species `{name}`", line.species.span, did_you_mean(name, scope.declared.species)
+        )
         return None
     scope.use("species", name)
     if block.body:
-        scope.report.error("not-a-rate", f"`spawn {name}` here would make a new one in every step", line.span, "do it once: `enter { spawn … }`, or in a change: `when chance 10 %/s -> … { spawn … }`")
+        scope.report.error(
+            "not-a-rate",
+            f"`spawn {name}` here would make a new one in every step",
+            line.span,
+            "do it once: `enter { spawn … }`, or in a change: `when chance 10 %/s -> … { spawn … }`",
+        )
         return None
     return model.SpawnAgent(name, line.span, scope.keys.next("spawn"))
 
@@ -257,7 +321,9 @@ def _give(scope: Scope, line: nodes.Give, block: Block) -> model.Statement | Non
     own = _own_amount(scope, line.attribute, "to give from")
     amount = None
     if line.amount is not None:
-        amount = _added(scope, line.amount, own or NUMBER, block, "give ", f" {line.attribute.text} to {' '.join(line.to.span.text.split())}")
+        amount = _added(
+            scope, line.amount, own or NUMBER, block, "give ", f" {line.attribute.text} to {' '.join(line.to.span.text.split())}"
+        )
     if own is None or not _holds(scope, line.to, to, line.attribute, own) or (line.amount is not None and amount is None):
         return None
     scope.declared.written.add(f"{species.name}.{line.attribute.text}")
@@ -282,7 +348,12 @@ def _own_amount(scope: Scope, name: nodes.Name, why: str) -> Type | None:
     type = species.attributes.get(name.text)
     if type is None or name.text in species.each:
         known = [a for a in species.attributes if a not in species.each]
-        scope.report.error("unknown-name", f"`{species.name}` has no attribute `{name.text}` {why}", name.span, did_you_mean(name.text, known, f"declare it: `{name.text} = 0` in `species {species.name}`"))
+        scope.report.error(
+            "unknown-name",
+            f"`{species.name}` has no attribute `{name.text}` {why}",
+            name.span,
+            did_you_mean(name.text, known, f"declare it: `{name.text} = 0` in `species {species.name}`"),
+        )
         return None
     scope.use("attribute", f"{species.name}.{name.text}")
     if type.kind not in (Kind.NUMBER, Kind.BAD):
@@ -301,7 +372,16 @@ def _holds(scope: Scope, node: nodes.Expr, found: Expr, attribute: nodes.Name, o
     thing = scope.declared.things.get(found.type.of or "")
     held = {a.name: a.type for a in thing.attributes} if thing else {}
     if attribute.text not in held:
-        scope.report.error("unknown-name", f"items `{found.type.of}` have no `{attribute.text}`", attribute.span, did_you_mean(attribute.text, held, f"declare it: `items {found.type.of} {{ {attribute.text} = 0 }}`" if not held else f"they have {listed(held)}"))
+        scope.report.error(
+            "unknown-name",
+            f"items `{found.type.of}` have no `{attribute.text}`",
+            attribute.span,
+            did_you_mean(
+                attribute.text,
+                held,
+                f"declare it: `items {found.type.of} {{ {attribute.text} = 0 }}`" if not held else f"they have {listed(held)}",
+            ),
+        )
         return False
     if not fits(held[attribute.text], own):
         a = model.Attribute(own, model.Rate.AGENT, attribute.span, None, attribute.text)

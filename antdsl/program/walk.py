@@ -46,7 +46,9 @@ def written(root: object) -> Iterator[tuple[object, int]]:
         if names is None:
             if not is_dataclass(part) or isinstance(part, Span):
                 continue
-            names = _FIELDS[type(part)] = tuple(f.name for f in fields(part) if f.name not in ("span", "op_span", "unit_span", "source", "comments"))
+            names = _FIELDS[type(part)] = tuple(
+                f.name for f in fields(part) if f.name not in ("span", "op_span", "unit_span", "source", "comments")
+            )
         yield part, depth
         stack += [(getattr(part, name), depth + 1) for name in reversed(names)]
 

@@ -74,7 +74,11 @@ def _mismatch(node: nodes.Expr, actual: Type, wanted: Type, place: str) -> Diagn
     if both_numbers and isinstance(node, nodes.Number):
         write = with_unit(node.value, wanted.dim)
         return Diagnostic(
-            "missing-unit", f"{text} has no unit, and {place} wants {want}", node.span, help=f"write `{write}`", fix=Fix(node.span, write)
+            "missing-unit",
+            f"{text} has no unit, and {place} wants {want}",
+            node.span,
+            help=f"write `{write}`",
+            fix=Fix(node.span, write),
         )
     if both_numbers:
         fix = None
@@ -82,11 +86,15 @@ def _mismatch(node: nodes.Expr, actual: Type, wanted: Type, place: str) -> Diagn
         if isinstance(node, nodes.Quantity):
             write = with_unit(node.value, wanted.dim)
             advice, fix = f"write {want}, such as `{write}`", Fix(node.span, write)
-        return Diagnostic("wrong-unit", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=advice, fix=fix)
+        return Diagnostic(
+            "wrong-unit", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=advice, fix=fix
+        )
     if actual.kind is wanted.kind and actual.kind is Kind.VECTOR:
         advice = "`direction(x)`, `unit(v)` and `match(velocity)` make pushes" if wanted.dim == Dim() else f"write {want}"
         return Diagnostic("wrong-unit", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=advice)
-    return Diagnostic("wrong-kind", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=_advice(node, actual, wanted))
+    return Diagnostic(
+        "wrong-kind", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=_advice(node, actual, wanted)
+    )
 
 
 def _advice(node: nodes.Expr, actual: Type, wanted: Type) -> str:
@@ -98,7 +106,11 @@ def _advice(node: nodes.Expr, actual: Type, wanted: Type) -> str:
         if actual.kind in (Kind.ITEM, Kind.AGENT, Kind.ITEMS, Kind.SPECIES, Kind.PLACE, Kind.CURVE):
             return f"`direction({short})` is the push toward it"
         if actual.kind is Kind.NUMBER:
-            return f"a push has a direction: `heading * {short}`" if actual.dim == Dim() else "a push has a direction, such as `heading`"
+            return (
+                f"a push has a direction: `heading * {short}`"
+                if actual.dim == Dim()
+                else "a push has a direction, such as `heading`"
+            )
     if wanted.kind is Kind.NUMBER and actual.kind is Kind.VECTOR:
         return f"`length({short})` is a number"
     if wanted.kind is Kind.NUMBER and actual.kind in (Kind.ITEM, Kind.AGENT, Kind.PLACE):

@@ -11,7 +11,20 @@ from antdsl.program.collect import free
 from antdsl.program.folding import constant_behind
 from antdsl.program.model import Const, Dim, Expr, Kind, Rate, Type
 from antdsl.program.operators import value, wanted
-from antdsl.program.scope import LENGTH, NUMBER, PER_SECOND, TIME, Declared, FileNames, Keys, Scope, SpeciesNames, did_you_mean, duplicate, listed
+from antdsl.program.scope import (
+    LENGTH,
+    NUMBER,
+    PER_SECOND,
+    TIME,
+    Declared,
+    FileNames,
+    Keys,
+    Scope,
+    SpeciesNames,
+    did_you_mean,
+    duplicate,
+    listed,
+)
 from antdsl.program.units import number
 from antdsl.program.vocabulary import GIVEN, ITEM_GIVEN
 from antdsl.program.wording import fits, mismatch, quoted
@@ -40,17 +53,26 @@ def declare_world(declared: Declared, names: FileNames) -> None:
 def _thing(declared: Declared, names: FileNames, item: nodes.WorldItem) -> None:
     report, kind, name = declared.report, item.kind.text, item.name.text
     if kind not in KINDS:
-        report.error("unknown-kind", f"no kind of thing `{kind}`", item.kind.span, did_you_mean(kind, KINDS, f"kinds are {listed(KINDS)}"))
+        report.error(
+            "unknown-kind", f"no kind of thing `{kind}`", item.kind.span, did_you_mean(kind, KINDS, f"kinds are {listed(KINDS)}")
+        )
         return
     if kind in _NOT_YET:
-        report.error("not-yet", f"`{kind}` is a word of the language that does not work yet", item.kind.span, "leave it out for now")
+        report.error(
+            "not-yet", f"`{kind}` is a word of the language that does not work yet", item.kind.span, "leave it out for now"
+        )
         return
     known = declared.things.get(name)
     if known is not None and (known.kind != kind or known.span.source is item.span.source):
         duplicate(report, kind, item.name, known.span)
         return
     if kind not in ("items", "species") and item.attributes:
-        report.error("wrong-kind", f"{kind} `{name}` has no values of its own", item.attributes[0].span, "only `items` and `species` have attributes")
+        report.error(
+            "wrong-kind",
+            f"{kind} `{name}` has no values of its own",
+            item.attributes[0].span,
+            "only `items` and `species` have attributes",
+        )
     if known is None and not free(report, item.name):
         return
     attributes = tuple(_attribute(declared, names, item, each) for each in item.attributes)
@@ -71,12 +93,22 @@ def _attribute(declared: Declared, names: FileNames, item: nodes.WorldItem, node
         duplicate(report, "attribute", node.name, twice[0].name.span)
     taken = ITEM_GIVEN if item.kind.text == "items" else GIVEN
     if name in taken:
-        report.error("reserved-name", f"every one of `{item.name.text}` has a `{name}` already", node.name.span, f"call it otherwise, such as `my_{name}`")
+        report.error(
+            "reserved-name",
+            f"every one of `{item.name.text}` has a `{name}` already",
+            node.name.span,
+            f"call it otherwise, such as `my_{name}`",
+        )
     found = value(outside(declared, names, f"world.{item.name.text}"), node.value)
     constant = constant_behind(found)
     if constant is None or constant.type.kind is not Kind.NUMBER:
         if found.type.kind is not Kind.BAD:
-            report.error("wrong-rate", f"{quoted(node.value.span)} is not a plain number, which an attribute of `{item.name.text}` starts with", node.value.span, f"write a number: `{name} = 0`")
+            report.error(
+                "wrong-rate",
+                f"{quoted(node.value.span)} is not a plain number, which an attribute of `{item.name.text}` starts with",
+                node.value.span,
+                f"write a number: `{name} = 0`",
+            )
         constant = number(0, node.value.span)
     return model.ItemAttribute(name, constant.type, constant, node.help.text if node.help else "", node.name.span)
 
@@ -91,9 +123,21 @@ def check_brought(declared: Declared) -> None:
             own = species.attributes.get(attribute.name)
             labels = (Label(species.node.name.span, f"`{thing.name}` is declared here"),)
             if own is None:
-                declared.report.error("unknown-name", f"species `{thing.name}` has no attribute `{attribute.name}`", attribute.span, did_you_mean(attribute.name, species.attributes), labels=labels)
+                declared.report.error(
+                    "unknown-name",
+                    f"species `{thing.name}` has no attribute `{attribute.name}`",
+                    attribute.span,
+                    did_you_mean(attribute.name, species.attributes),
+                    labels=labels,
+                )
             elif not fits(own, attribute.type):
-                mismatch(declared.report, nodes.NameRef(nodes.Name(attribute.name, attribute.span), attribute.span), attribute.type, own, f"species `{thing.name}`")
+                mismatch(
+                    declared.report,
+                    nodes.NameRef(nodes.Name(attribute.name, attribute.span), attribute.span),
+                    attribute.type,
+                    own,
+                    f"species `{thing.name}`",
+                )
 
 
 # --- fields ----------------------------------------------------------------------------------------------------------
@@ -116,7 +160,9 @@ def declare_fields(declared: Declared, names: FileNames) -> list[nodes.FieldDecl
         elif known.span.source is item.span.source or known.span.text.split() != item.span.text.split():
             duplicate(declared.report, "field", item.name, known.name.span)
     if len(declared.fields) > limits.FIELDS:
-        declared.report.error("too-many", f"more than {limits.FIELDS} fields", added[-1].name.span if added else None, "leave some out")
+        declared.report.error(
+            "too-many", f"more than {limits.FIELDS} fields", added[-1].name.span if added else None, "leave some out"
+        )
     return added
 
 
@@ -129,7 +175,12 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
     for setting in node.settings:
         word = setting.name.text
         if word not in _SETTINGS:
-            report.error("unknown-setting", f"a field has no setting `{word}`", setting.name.span, did_you_mean(word, _SETTINGS, f"settings are {listed(_SETTINGS)}"))
+            report.error(
+                "unknown-setting",
+                f"a field has no setting `{word}`",
+                setting.name.span,
+                did_you_mean(word, _SETTINGS, f"settings are {listed(_SETTINGS)}"),
+            )
             if not isinstance(setting.value, nodes.NameRef):
                 scope.typed(setting.value)
         elif word in settings:
@@ -139,7 +190,12 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
     _one_decay(report, settings)
     found = {word: _SETTINGS[word](scope, setting) for word, setting in settings.items()}
     if "cell" not in settings:
-        report.error("missing-setting", f"field `{node.name.text}` does not say how large its cells are", node.name.span, "write `cell 4 mm` between its braces")
+        report.error(
+            "missing-setting",
+            f"field `{node.name.text}` does not say how large its cells are",
+            node.name.span,
+            "write `cell 4 mm` between its braces",
+        )
     combine = found.get("combine")
     cell = found.get("cell") or number(1, node.span)
     return model.Field(
@@ -155,9 +211,19 @@ def _is_ground(declared: Declared, name: nodes.Name) -> bool:
         return True
     grounds = [t.name for t in declared.things.values() if t.kind in ("surface", "solid")]
     if thing is None:
-        declared.report.error("unknown-name", f"no surface `{name.text}`", name.span, did_you_mean(name.text, grounds, f"declare it: `world {{ surface {name.text} }}`"))
+        declared.report.error(
+            "unknown-name",
+            f"no surface `{name.text}`",
+            name.span,
+            did_you_mean(name.text, grounds, f"declare it: `world {{ surface {name.text} }}`"),
+        )
     else:
-        declared.report.error("wrong-kind", f"`{name.text}` is {thing.kind}, and a field lies on a surface", name.span, f"surfaces are {listed(grounds)}" if grounds else None)
+        declared.report.error(
+            "wrong-kind",
+            f"`{name.text}` is {thing.kind}, and a field lies on a surface",
+            name.span,
+            f"surfaces are {listed(grounds)}" if grounds else None,
+        )
     return False
 
 
@@ -179,7 +245,12 @@ def _setting(type: Type, least: float | None = None, above: bool = False) -> Cal
             return None
         constant = constant_behind(found)
         if constant is not None and least is not None and (constant.number < least or (above and constant.number == least)):
-            scope.report.error("out-of-range", f"`{node.name.text}` cannot be {quoted(node.value.span)}", node.value.span, f"write {'more than' if above else 'at least'} {least:g}")
+            scope.report.error(
+                "out-of-range",
+                f"`{node.name.text}` cannot be {quoted(node.value.span)}",
+                node.value.span,
+                f"write {'more than' if above else 'at least'} {least:g}",
+            )
             return None
         return found
 
@@ -191,7 +262,9 @@ def of_the_run(report: Report, found: Expr, who: str) -> bool:
     if found.rate <= Rate.RUN:
         return True
     differs = "changes from step to step" if found.rate is Rate.STEP else "differs from agent to agent"
-    report.error("wrong-rate", f"{quoted(found.span)} {differs}, and {who} is one value for the whole run", found.span, "write a number")
+    report.error(
+        "wrong-rate", f"{quoted(found.span)} {differs}, and {who} is one value for the whole run", found.span, "write a number"
+    )
     return False
 
 
@@ -204,20 +277,37 @@ def _keeps(scope: Scope, node: nodes.Setting) -> Expr | None:
     text = " ".join(node.value.span.text.split())
     if constant is None or found.type != PER_SECOND or constant.step != -1 or constant.u:
         better = f"`keeps {text}/step`" if found.type == NUMBER else "`keeps 90 %/step`"
-        scope.report.error("wrong-unit", f"`keeps` is a share for each step, and {quoted(node.value.span)} is not", node.value.span, f"write {better}, or `half_life 8 s`")
+        scope.report.error(
+            "wrong-unit",
+            f"`keeps` is a share for each step, and {quoted(node.value.span)} is not",
+            node.value.span,
+            f"write {better}, or `half_life 8 s`",
+        )
         return None
     if not 0 <= constant.number <= 1:
-        scope.report.error("out-of-range", f"`keeps` cannot be {quoted(node.value.span)}", node.value.span, "write a share from `0 %/step` to `100 %/step`")
+        scope.report.error(
+            "out-of-range",
+            f"`keeps` cannot be {quoted(node.value.span)}",
+            node.value.span,
+            "write a share from `0 %/step` to `100 %/step`",
+        )
         return None
     if scope.declared.strict:
-        scope.report.warning("per-step", f"{quoted(node.value.span)} depends on the frames per second", node.value.span, "write `half_life 8 s`")
+        scope.report.warning(
+            "per-step", f"{quoted(node.value.span)} depends on the frames per second", node.value.span, "write `half_life 8 s`"
+        )
     return number(constant.number, node.value.span)
 
 
 def _combine(scope: Scope, node: nodes.Setting) -> Expr | None:
     word = node.value.name.text if isinstance(node.value, nodes.NameRef) else ""
     if word not in ("add", "max"):
-        scope.report.error("wrong-kind", f"`combine` is `add` or `max`, not {quoted(node.value.span)}", node.value.span, "write `combine add` or `combine max`")
+        scope.report.error(
+            "wrong-kind",
+            f"`combine` is `add` or `max`, not {quoted(node.value.span)}",
+            node.value.span,
+            "write `combine add` or `combine max`",
+        )
         return None
     return number(float(word == "max"), node.value.span)
 
@@ -231,4 +321,3 @@ _SETTINGS: dict[str, Callable[[Scope, nodes.Setting], Expr | None]] = {
     "combine": _combine,
     "limit": _setting(NUMBER, 0, above=True),
 }
-

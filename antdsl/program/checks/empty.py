@@ -16,4 +16,9 @@ def empty(checked: Checked, report: Report) -> None:
         if not items or any(isinstance(item, (nodes.Species, nodes.Behaviour)) for item in items):
             continue
         if not re.search(r"\b(species|behaviour)\b", source.text):  # else there is one that could not be read, which was told
-            report.error("empty-program", "no species and no behaviour is declared", Span(source, 0, min(1, len(source.text))), "write `species ant { … }`")
+            report.error(
+                "empty-program",
+                "no species and no behaviour is declared",
+                Span(source, 0, min(1, len(source.text))),
+                "write `species ant { … }`",
+            )

@@ -17,6 +17,16 @@ def events(checked: Checked, report: Report) -> None:
         others = [name for name in declared.events if name != event]
         near = nearest_name(event, others)
         if raised and not noticed:
-            report.warning("unheard-event", f"nobody notices the event `{event}`", span, f"did you mean `{near}`?" if near else f"write `on {event} {{ … }}`, or ask for it: `when {event} -> …`")
+            report.warning(
+                "unheard-event",
+                f"nobody notices the event `{event}`",
+                span,
+                f"did you mean `{near}`?" if near else f"write `on {event} {{ … }}`, or ask for it: `when {event} -> …`",
+            )
         elif noticed and not raised:
-            report.warning("silent-event", f"nobody raises the event `{event}`", span, f"did you mean `{near}`?" if near else f"write `emit {event}(within: 20 mm)` where it happens")
+            report.warning(
+                "silent-event",
+                f"nobody raises the event `{event}`",
+                span,
+                f"did you mean `{near}`?" if near else f"write `emit {event}(within: 20 mm)` where it happens",
+            )

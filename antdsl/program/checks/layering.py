@@ -9,9 +9,16 @@ from antdsl.program.model import Steer
 
 def layering(checked: Checked, report: Report) -> None:
     for species in checked.program.species.values():
-        steering = next((line for m in species.machines for state in m.states for line in state.body if isinstance(line, Steer)), None)
+        steering = next(
+            (line for m in species.machines for state in m.states for line in state.body if isinstance(line, Steer)), None
+        )
         states = [layer for layer in species.layers.layers if layer.push is None]
         if steering is not None and not states:
-            report.error("state-not-in-layers", f"`{species.name}` steers in its states, and `layers` has no line for that", species.layers.span, "write `state` in a line of `layers`")
+            report.error(
+                "state-not-in-layers",
+                f"`{species.name}` steers in its states, and `layers` has no line for that",
+                species.layers.span,
+                "write `state` in a line of `layers`",
+            )
         for extra in states[1:]:
             report.error("duplicate-name", "`state` stands twice in `layers`", extra.span, "leave one of them out")

@@ -37,7 +37,12 @@ def _reached(machine: Machine) -> set[int]:
 
 def _unreachable(machine: Machine, state: State, report: Report) -> None:
     start = machine.states[machine.start].name
-    report.warning("unreachable-state", f"no change leads to state `{state.name}`", state.span, f"write `when … -> {state.name}` in state `{start}` or another, or delete it")
+    report.warning(
+        "unreachable-state",
+        f"no change leads to state `{state.name}`",
+        state.span,
+        f"write `when … -> {state.name}` in state `{start}` or another, or delete it",
+    )
 
 
 def _stuck(program: Program, state: State) -> bool:

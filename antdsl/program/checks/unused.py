@@ -13,7 +13,12 @@ def unused(checked: Checked, report: Report) -> None:
         _species(checked, species, report)
     for field in checked.program.fields.values():
         if not checked.uses("field", field.name):
-            report.warning("unused-field", f"field `{field.name}` is never laid and never smelled", field.span, f"write `deposit {field.name} 1 /s` in a state, or delete it")
+            report.warning(
+                "unused-field",
+                f"field `{field.name}` is never laid and never smelled",
+                field.span,
+                f"write `deposit {field.name} 1 /s` in a state, or delete it",
+            )
     _behaviours(checked, report)
 
 
@@ -21,14 +26,23 @@ def _species(checked: Checked, species: Species, report: Report) -> None:
     for param in species.params:
         if not checked.uses("param", param.name):
             short = param.name.partition(".")[2]
-            report.warning("unused-param", f"param `{short}` is never used", param.span, f"write `{short}` where its value belongs, or delete it")
+            report.warning(
+                "unused-param",
+                f"param `{short}` is never used",
+                param.span,
+                f"write `{short}` where its value belongs, or delete it",
+            )
     for attribute in species.attributes:
         name = f"{species.name}.{attribute.name}"
         if not attribute.given and not checked.uses("attribute", name) and name not in checked.declared.written:
-            report.warning("unused-attribute", f"attribute `{attribute.name}` is never used", attribute.span, "use it, or delete it")
+            report.warning(
+                "unused-attribute", f"attribute `{attribute.name}` is never used", attribute.span, "use it, or delete it"
+            )
     for binding in (*species.lets, *species.latches):
         if not checked.uses("let", f"{species.name}.{binding.name}"):
-            report.warning(f"unused-{binding.role}", f"`{binding.role} {binding.name}` is never used", binding.span, "use it, or delete it")
+            report.warning(
+                f"unused-{binding.role}", f"`{binding.role} {binding.name}` is never used", binding.span, "use it, or delete it"
+            )
 
 
 def _behaviours(checked: Checked, report: Report) -> None:
@@ -39,4 +53,9 @@ def _behaviours(checked: Checked, report: Report) -> None:
         for info in file.own.values():
             name = info.node.name
             if not checked.uses("behaviour", f"{name.span}"):
-                report.warning("unused-behaviour", f"behaviour `{name.text}` is never called", name.span, f"call it: `steer {name.text}(…)`, or delete it")
+                report.warning(
+                    "unused-behaviour",
+                    f"behaviour `{name.text}` is never called",
+                    name.span,
+                    f"call it: `steer {name.text}(…)`, or delete it",
+                )
