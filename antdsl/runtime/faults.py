@@ -8,6 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from antdsl.runtime.effects import FaultEntry
 from antdsl.source import Span
 
 if TYPE_CHECKING:
@@ -40,6 +43,7 @@ class FaultLog:
     count: int = 0
     refused_births: int = 0  # beyond limits.AGENTS
     told: list[Fault] = field(default_factory=list)
+    latest: Fault | None = None  # the first of the last step
 
 
 class FaultStop(RuntimeError):
@@ -50,25 +54,31 @@ class FaultStop(RuntimeError):
         self.fault = fault
 
 
-def gather(world: World) -> bool:
-    """Count the faults of this step, tell the first ones, set the agents aside if so asked. Whether there were any."""
-    found = False
+def gather(world: World) -> None:
+    """Count the faults of this step, tell the first ones, set the agents aside if so asked."""
+    log = world.faults
+    log.latest = None
     for population in world.populations.values():
-        entries = population.effects.faults
-        for entry in sorted(entries, key=lambda e: -1 if e.span is None else e.span.start):
-            found = True
-            world.faults.count += len(entry.rows)
-            rows = entry.rows[population.ids[entry.rows].argsort()]
-            for row in rows[: max(0, _TOLD - len(world.faults.told))]:
-                world.faults.told.append(_tell(world, population, int(row), entry.block, entry.register, entry.span))
+        met: dict[tuple[int, str, str], list[FaultEntry]] = {}
+        for entry in population.effects.faults:
+            place = -1 if entry.span is None else entry.span.start
+            met.setdefault((place, entry.block, entry.register), []).append(entry)
+        population.effects.faults = []
+        for _, entries in sorted(met.items(), key=lambda pair: pair[0]):
+            rows = np.concatenate([entry.rows for entry in entries])
+            rows = rows[np.argsort(population.ids[rows])]
+            log.count += len(rows)
+            for row in rows[: max(_TOLD - len(log.told), 0 if log.latest else 1)]:
+                fault = _tell(world, population, int(row), entries[0])
+                log.latest = log.latest or fault
+                if len(log.told) < _TOLD:
+                    log.told.append(fault)
             if world.options.on_fault == "quarantine":
-                population.quarantined[entry.rows] = True
-        entries.clear()
-    return found
+                population.quarantined[rows] = True
 
 
-def _tell(world: World, population: Population, row: int, block: str, what: str, span: Span | None) -> Fault:
+def _tell(world: World, population: Population, row: int, entry: FaultEntry) -> Fault:
     from antdsl.runtime.backends.reference import operands_of
 
-    operands = operands_of(world, population, row, block, what, span)
-    return Fault(world.frame, population.name, int(population.ids[row]), what, span, operands)
+    operands = operands_of(world, population, row, entry.block, entry.register, entry.span)
+    return Fault(world.frame, population.name, int(population.ids[row]), entry.register, entry.span, operands)

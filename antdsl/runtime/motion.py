@@ -39,7 +39,7 @@ class Window:
 
 @dataclass(slots=True, eq=False)
 class Motion:
-    """Counts so far. `faulted`: a value was refused in this step."""
+    """Counts so far."""
 
     turns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
     overlaps: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
@@ -49,7 +49,6 @@ class Motion:
     circling: int = 0
     straightness: float = 0.0
     steps: int = 0
-    faulted: bool = False
     windows: dict[str, Window] = field(default_factory=dict)
 
     def reset(self) -> None:

@@ -41,6 +41,15 @@ class PairRows:
         arrays = (a.take(keep) for a in (self.i, self.j, self.dx, self.dy, self.dz, self.distance))
         return PairRows(self.of, self.count, *arrays)
 
+    def of_rows(self, rows: NDArray[np.intp]) -> PairRows:
+        """Only the pairs of some asking rows, which are counted anew."""
+        number = np.full(self.count, -1)
+        number[rows] = np.arange(len(rows))
+        i = number.take(self.i)
+        keep = np.flatnonzero(i >= 0)
+        rest = (a.take(keep) for a in (self.j, self.dx, self.dy, self.dz, self.distance))
+        return PairRows(self.of, len(rows), i.take(keep), *rest)
+
 
 def find(world: World, population: Population, node: ir.Node, rows: Any, args: tuple[Any, ...]) -> PairRows:
     """The pairs of a set for some rows (a slice or an array); `args` are the values of the set's operands."""

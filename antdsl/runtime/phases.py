@@ -45,7 +45,7 @@ def act(world: World) -> None:
 def blend(world: World) -> None:
     """Layers: the wishes become one push."""
     _run(world, "blend")
-    world.motion.faulted = faults.gather(world)
+    faults.gather(world)
 
 
 def _run(world: World, block: str) -> None:

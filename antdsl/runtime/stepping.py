@@ -17,5 +17,5 @@ def step(world: World) -> None:
         ended = perf_counter()
         world.timings[name] = world.timings.get(name, 0.0) + ended - started
         started = ended
-    if world.motion.faulted and world.options.on_fault == "stop":
-        raise FaultStop(world.faults.told[-1])
+    if world.faults.latest is not None and world.options.on_fault == "stop":
+        raise FaultStop(world.faults.latest)

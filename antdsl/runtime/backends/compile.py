@@ -17,7 +17,7 @@ from antdsl.runtime.world import DTYPES
 
 Slots = list[Any]
 Run = Callable[[Slots], None]
-WORLD, POPULATION, EFFECTS, BUFFERS, LAZY, FIRST_SLOT = 0, 1, 2, 3, 4, 5
+WORLD, POPULATION, EFFECTS, BUFFERS, LAZY, PAIRS, FIRST_SLOT = 0, 1, 2, 3, 4, 5, 6
 
 
 @dataclass(slots=True, eq=False)
@@ -61,7 +61,7 @@ class PairScope:
 class BlockCompiler:
     """Compiles one block. `calls` makes the closures: the module `numpy_calls`."""
 
-    def __init__(self, species: ir.SpeciesPlan, calls: Any, name: str, order: dict[ir.Statement, int]) -> None:
+    def __init__(self, species: ir.SpeciesPlan, calls: Any, name: str, order: dict[ir.Statement, int], sets: dict[ir.Node, int]) -> None:
         self.calls, self.name, self._order = calls, name, order
         self.uniforms: dict[ir.Node, int] = {}
         self.slots = FIRST_SLOT
@@ -69,6 +69,7 @@ class BlockCompiler:
         self.root = self._scope(None)
         self.buffers: dict[Any, int] = {}  # how many of each dtype
         self.changing: set[str] = set()  # registers that the block stores
+        self.sets = sets  # of the species: in how many regions a set is asked about
         self.everybody: set[str] = set()  # species that somebody is asked about as a whole
 
     def place(self, statement: ir.Statement) -> int:
@@ -193,7 +194,9 @@ class BlockCompiler:
                 self.everybody.add(node.attrs[0])
             inputs = tuple(self._known(scope, a) for a in node.args)
             pairs = scope.pairs[node] = PairScope(self.slot())
-            scope.code.append(Instruction(self.calls.pairs(node, scope), pairs.slot, inputs, None, scope))
+            if self.name != "born" and all(part.op != "load" for part in reach((node,))):
+                self.sets[node] = self.sets.get(node, 0) + 1
+            scope.code.append(Instruction(self.calls.pairs(node, self, scope), pairs.slot, inputs, None, scope))
         return scope.pairs[node]
 
     def _in_pairs(self, scope: Scope, pairs: PairScope, node: ir.Node) -> int:

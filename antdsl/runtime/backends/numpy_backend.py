@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.plan import ir
 from antdsl.runtime.backends import numpy_calls
-from antdsl.runtime.backends.compile import BUFFERS, EFFECTS, LAZY, POPULATION, WORLD, BlockCompiler
+from antdsl.runtime.backends.compile import BUFFERS, EFFECTS, LAZY, PAIRS, POPULATION, WORLD, BlockCompiler
 from antdsl.runtime.effects import Effects
 from antdsl.runtime.elementwise import ELEMENTWISE
 from antdsl.runtime.pairs import MOST_PAIRS
@@ -29,15 +29,16 @@ class NumpyBackend:
         self._blocks: dict[tuple[str, str], BlockCompiler] = {}
         self._uniforms: dict[str, list[ir.Node]] = {}
         for name, species in plan.species.items():
-            order = places(species)
+            order, sets = places(species), {}
             for block in BLOCKS:
-                compiler = BlockCompiler(species, numpy_calls, block, order)
+                compiler = BlockCompiler(species, numpy_calls, block, order, sets)
                 compiler.compile(getattr(species, block))
                 self._blocks[name, block] = compiler
             roots = tuple(node for block in BLOCKS for node in self._blocks[name, block].uniforms)
             self._uniforms[name] = reach(roots)
         self._values: dict[str, dict[ir.Node, Any]] = {}
         self._kept: dict[str, Kept] = {}
+        self._pairs: dict[str, dict[tuple[ir.Node, int], Any]] = {}
         self._buffers: list[dict[Any, list[NDArray[Any]]]] = []
         self._pool: ThreadPoolExecutor | None = None
 
@@ -46,6 +47,7 @@ class NumpyBackend:
         for name, population in world.populations.items():
             self._values[name] = uniform_values(world, self._uniforms[name])
             n = len(population)
+            self._pairs[name] = {}
             self._kept[name] = {
                 node: (np.zeros(n, np.bool_), [np.empty(n, DTYPES[kind]) for kind in ir.TUPLES.get(node.op, (node.kind,))])
                 for node in kept_senses(population.plan)
@@ -89,6 +91,7 @@ class NumpyBackend:
     def _chunk(self, world: World, population: Population, compiler: BlockCompiler, rows: Any, effects: Effects, lane: int) -> None:
         v: list[Any] = [None] * compiler.slots
         v[WORLD], v[POPULATION], v[EFFECTS], v[LAZY] = world, population, effects, self._kept.get(population.name)
+        v[PAIRS] = {} if compiler.name == "born" else self._pairs[population.name]
         values = self._values[population.name]
         for node, slot in compiler.uniforms.items():
             v[slot] = values[node]

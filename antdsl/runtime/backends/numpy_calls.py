@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from antdsl.plan import ir
 from antdsl.runtime import pairs as sets
 from antdsl.runtime import randomness
-from antdsl.runtime.backends.compile import BUFFERS, EFFECTS, LAZY, POPULATION, WORLD, BlockCompiler, Run, Scope, Slots
+from antdsl.runtime.backends.compile import BUFFERS, EFFECTS, LAZY, PAIRS, POPULATION, WORLD, BlockCompiler, Run, Scope, Slots
 from antdsl.runtime.effects import ClaimEntry, DepositEntry, EmitEntry, FaultEntry, GiveEntry, SpawnEntry
 from antdsl.runtime.elementwise import ELEMENTWISE, UFUNCS
 from antdsl.runtime.sensing import SENSES
@@ -199,10 +199,20 @@ def _draw(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
     return make
 
 
-def pairs(node: ir.Node, scope: Scope) -> Make:
+def pairs(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
+    """The pairs of a set. One that several regions ask about is kept for the step, once it was found for a whole chunk."""
+    shared, root, rows = compiler.sets, compiler.root.rows, scope.rows
+
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
         def run(v: Slots) -> None:
-            v[out] = sets.find(v[WORLD], v[POPULATION], node, v[scope.rows], tuple(v[a] for a in inputs))
+            kept, chunk, mine = v[PAIRS], v[root], v[rows]
+            known = kept.get((node, chunk.start)) if isinstance(chunk, slice) else None
+            if known is not None:
+                v[out] = known if mine is chunk else known.of_rows(row_numbers(mine) - chunk.start)
+                return
+            v[out] = sets.find(v[WORLD], v[POPULATION], node, mine, tuple(v[a] for a in inputs))
+            if mine is chunk and isinstance(chunk, slice) and shared.get(node, 0) > 1:
+                kept[node, chunk.start] = v[out]
 
         return run
 

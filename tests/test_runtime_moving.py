@@ -1,0 +1,114 @@
+"""From push to place on the plane: response, limits of speed and turn, kinematic animals, headings, and the same at any fps."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import plans
+import pytest
+
+from antdsl.plan import ir
+from antdsl.runtime import Options, bind, step
+
+
+def world_of(plan: ir.Plan, count: int = 1, **setting):
+    return bind(plan, plans.crowd(count, radius=0.0, **setting), Options())
+
+
+def store_plan(push: tuple[float, float, float], **registers: float) -> ir.Plan:
+    t = plans.Text()
+    blend = plans.block(*(plans.store(f"push.{a}", t.b.number(p)) for a, p in zip("xyz", push, strict=True)))
+    born = plans.block(*(plans.store(name, t.b.number(v), infinite=True) for name, v in registers.items()))
+    return plans.bare(plans.block(), blend=blend, born=born)
+
+
+STILL = {"velocity.x": 1e-6, "heading.x": 1.0, "heading.z": 0.0}
+
+
+def read(world, name: str) -> np.ndarray:
+    return world.populations["ant"].vector(name)
+
+
+def test_a_push_accelerates_to_full_speed_and_not_beyond():
+    world = world_of(store_plan((1.0, 0.0, 0.0), **STILL))
+    step(world)
+    assert read(world, "velocity")[0, 0] == pytest.approx(200 / 24, rel=1e-5)  # max_force 200, mass 1
+    for _ in range(10):
+        step(world)
+    assert read(world, "velocity")[0] == pytest.approx([30, 0, 0], abs=1e-4)
+
+
+def test_a_push_above_one_or_off_the_ground_gives_no_more():
+    strong = world_of(store_plan((3.0, 0.0, 4.0), **STILL))
+    upward = world_of(store_plan((1.0, 5.0, 0.0), **STILL))
+    step(strong)
+    step(upward)
+    assert np.linalg.norm(read(strong, "velocity")) == pytest.approx(200 / 24, rel=1e-4)
+    assert read(upward, "velocity")[0] == pytest.approx([200 / 24, 0, 0], rel=1e-4) and read(upward, "position")[0, 1] == 0
+
+
+@pytest.mark.parametrize("substeps", [1, 3])
+def test_a_kinematic_animal_reaches_its_velocity_in_one_step(substeps):
+    dt = 1 / 24
+    plan = store_plan((0.5, 0.0, 0.0), response=0.0, max_force=2 * 30 / dt, **STILL)
+    world = world_of(plan, substeps=substeps)
+    step(world)
+    assert read(world, "velocity")[0, 0] == pytest.approx(30, rel=1e-4)
+    assert read(world, "position")[0, 0] == pytest.approx(30 * dt, rel=1e-3)
+
+
+def test_a_turn_takes_its_time():
+    plan = store_plan((0.0, 0.0, 1.0), max_turn=2.0, **{**STILL, "velocity.x": 30.0})
+    world = world_of(plan)
+    before = read(world, "velocity")[0]
+    for _ in range(6):
+        step(world)
+        after = read(world, "velocity")[0]
+        turned = np.arccos(np.clip(before @ after / np.linalg.norm(before) / np.linalg.norm(after), -1, 1))
+        assert turned == pytest.approx(2 / 24, rel=1e-3)
+        before = after
+
+
+@pytest.mark.parametrize("way", [(-1.0, 0.0, 0.0), (-0.6, 0.0, 0.8), (0.0, 0.0, 1.0)])
+def test_the_heading_follows_smoothly_whatever_the_fps(way):
+    found = []
+    for fps in (24, 48, 96):
+        world = world_of(store_plan(way, response=0.0, max_force=60.0 * fps, **STILL), fps=Fraction(fps))
+        most, before = 0.0, np.array([1.0, 0.0, 0.0])
+        for _ in range(fps // 4):
+            step(world)
+            after = read(world, "heading")[0]
+            assert np.linalg.norm(after) == pytest.approx(1, abs=1e-5)
+            most, before = max(most, float(np.linalg.norm(after - before))), after
+        assert most < 0.55 * 24 / fps
+        found.append(before)
+    assert found[0] @ found[2] > 0.97 and found[0] @ np.array(way) > 0.5
+
+
+def test_who_hardly_moves_does_not_turn():
+    world = world_of(store_plan((0.0, 0.0, 0.0), **{**STILL, "velocity.x": 0.0, "velocity.z": 1e-4}))
+    for _ in range(24):
+        step(world)
+    assert read(world, "heading")[0] == pytest.approx([1, 0, 0], abs=1e-3)
+
+
+@pytest.mark.parametrize("fps, substeps", [(25, 1), (48, 1), (24, 2), (96, 1)])
+def test_a_way_does_not_depend_on_the_rate(fps, substeps):
+    def way(fps: int, substeps: int) -> np.ndarray:
+        world = world_of(store_plan((0.6, 0.0, 0.3), **STILL), fps=Fraction(fps), substeps=substeps)
+        for _ in range(2 * fps):
+            step(world)
+        return read(world, "position")[0]
+
+    assert np.linalg.norm(way(fps, substeps) - way(24, 1)) < 0.6  # of 57 mm: first-order steps
+
+
+def test_no_speed_limit_means_none_and_bad_mass_means_none_moves():
+    fast = world_of(store_plan((1.0, 0.0, 0.0), max_speed=float("inf"), **STILL))
+    light = world_of(store_plan((1.0, 0.0, 0.0), mass=0.0, **STILL))
+    for _ in range(48):
+        step(fast)
+        step(light)
+    assert read(fast, "velocity")[0, 0] == pytest.approx(400, rel=1e-3)
+    assert np.isfinite(read(light, "position")).all()
