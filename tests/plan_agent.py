@@ -1,4 +1,4 @@
-"""One agent of a plan, stepped by hand in plain Python: what lowering means, without a runtime. Senses and draws are given by the test."""
+"""One agent of a plan, stepped in plain Python: what lowering means, without a runtime. The test gives senses and draws."""
 
 from __future__ import annotations
 

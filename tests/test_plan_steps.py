@@ -1,4 +1,4 @@
-"""What a lowered program does to one agent, step by step: changes, durations, claims, memories, layers. Optimised plans do the same."""
+"""What a lowered program does to one agent, step by step: changes, durations, claims, memories, layers; optimised plans too."""
 
 from __future__ import annotations
 
@@ -46,7 +46,10 @@ def test_defaults_are_made_in_the_order_they_need(agent):
 
 
 def test_spawn_handlers_and_the_start_state_run_at_birth(agent):
-    a = agent("n = 1\non spawn { n += 2 }\nstart s\nstate q { steer heading * n\nwhen after 1 s -> s }\nstate s { enter { n = n * 5 }\nwhen n > 100 -> q }")
+    a = agent(
+        "n = 1\non spawn { n += 2 }\nstart s\nstate q { steer heading * n\nwhen after 1 s -> s }\n"
+        "state s { enter { n = n * 5 }\nwhen n > 100 -> q }"
+    )
     assert a["n"] == 15
     assert a.state == "s"
 
@@ -57,7 +60,10 @@ PAIR = "start p\nstate p {{ {p} }}\nstate q {{ {q} }}\nn = 0"
 
 
 def test_the_first_true_change_wins_and_the_body_is_the_new_states(agent):
-    a = agent("n = 0\nstart p\nstate p { when n > 5 -> r\nwhen n < 1 -> q { n += 2 }\nwhen true -> r }\nstate q { n += 24 /s\nwhen false -> p }\nstate r { when false -> p }")
+    a = agent(
+        "n = 0\nstart p\nstate p { when n > 5 -> r\nwhen n < 1 -> q { n += 2 }\nwhen true -> r }\n"
+        "state q { n += 24 /s\nwhen false -> p }\nstate r { when false -> p }"
+    )
     a.step()
     assert a.state == "q"
     assert a["n"] == pytest.approx(3)  # the change's 2, then one step of the new state's lines
@@ -65,7 +71,10 @@ def test_the_first_true_change_wins_and_the_body_is_the_new_states(agent):
 
 
 def test_parts_of_a_change_run_in_their_order(agent):
-    a = agent("n = 0\nstart p\nstate p { exit { n = n * 10 + 1 }\nwhen true -> q { n = n * 10 + 2 } }\nstate q { enter { n = n * 10 + 3 }\nwhen false -> p }")
+    a = agent(
+        "n = 0\nstart p\nstate p { exit { n = n * 10 + 1 }\nwhen true -> q { n = n * 10 + 2 } }\n"
+        "state q { enter { n = n * 10 + 3 }\nwhen false -> p }"
+    )
     assert a.step()["n"] == 123
 
 
@@ -119,7 +128,8 @@ def test_time_in_a_state_does_not_drift(agent):
 
 def test_previous_and_choose(agent):
     a = agent(
-        "start p\nstate p { when true -> choose { q: 1; r: 3 } }\nstate q { when true -> previous }\nstate r { when true -> previous }",
+        "start p\nstate p { when true -> choose { q: 1; r: 3 } }\n"
+        "state q { when true -> previous }\nstate r { when true -> previous }",
         draw=0.2,
     )
     assert [a.step().state, a.step().state] == ["q", "p"]
@@ -204,7 +214,8 @@ def test_relax_is_the_same_in_a_second_at_any_fps(agent, fps):
 
 def test_rates_are_multiplied_by_the_step_and_amounts_are_not(agent):
     a = agent(
-        "n = 0\nstart p\nstate p { deposit trail 24 /s\nwhen true -> q { deposit trail 5\nn += 3 } }\nstate q { deposit trail 48 /s\nn -= 24 /s\nwhen false -> p }",
+        "n = 0\nstart p\nstate p { deposit trail 24 /s\nwhen true -> q { deposit trail 5\n"
+        "n += 3 } }\nstate q { deposit trail 48 /s\nn -= 24 /s\nwhen false -> p }",
         "field trail on ground { cell 4 mm; half_life 8 s }",
     ).step()
     assert [d[2] for d in a.done] == [pytest.approx(5), pytest.approx(2)]
@@ -212,7 +223,11 @@ def test_rates_are_multiplied_by_the_step_and_amounts_are_not(agent):
 
 
 def test_events_reach_handlers_before_the_changes(agent):
-    a = agent("n = 0\non alarm { n += 1 }\nstart p\nstate p { when n > 0 -> q { emit alarm(within: 5 mm) } }\nstate q { when alarm -> p }", event=True)
+    a = agent(
+        "n = 0\non alarm { n += 1 }\nstart p\n"
+        "state p { when n > 0 -> q { emit alarm(within: 5 mm) } }\nstate q { when alarm -> p }",
+        event=True,
+    )
     assert a.step().state == "q"
     assert a.done == [("emit", "alarm", 5)]
     assert a.species.handles == ("alarm",)
@@ -220,7 +235,10 @@ def test_events_reach_handlers_before_the_changes(agent):
 
 
 def test_heading_that_is_set_has_length_one_and_nothing_leaves_it(agent):
-    a = agent("start p\nstate p { when true -> q }\nstate q { enter { heading = up * 3 }\nwhen true -> r }\nstate r { enter { heading = up * 0 }\nwhen false -> p }")
+    a = agent(
+        "start p\nstate p { when true -> q }\nstate q { enter { heading = up * 3 }\n"
+        "when true -> r }\nstate r { enter { heading = up * 0 }\nwhen false -> p }"
+    )
     assert a.step()["heading.y"] == 1
     assert a.step()["heading.y"] == 1
 
@@ -265,7 +283,8 @@ def test_without_layers_the_states_steer(agent):
 def test_machines_steer_together_and_change_on_their_own(agent):
     a = agent(
         "machine legs { start p\nstate p { steer heading * 0.5\nwhen true -> q }\nstate q { steer up * 0.5\nwhen false -> p } }\n"
-        "machine mood { start calm\nstate calm { steer heading * 0.25\nwhen after 1 s -> wild }\nstate wild { when false -> calm } }"
+        "machine mood { start calm\nstate calm { steer heading * 0.25\nwhen after 1 s -> wild }\n"
+        "state wild { when false -> calm } }"
     ).step()
     assert a.push == pytest.approx((0.25, 0.5, 0))
     assert (a["legs.state"], a["mood.state"]) == (1, 0)

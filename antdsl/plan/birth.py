@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from graphlib import TopologicalSorter
 from math import inf
 
 from antdsl.plan.actions import complain, write
@@ -93,7 +93,7 @@ def _attribute(w: Writer, name: str) -> None:
 
 
 def _order(w: Writer) -> list[str]:
-    """Names of all attributes, each after those that its default reads; else in text order, the given ones first."""
+    """Names of all attributes, each after those that its default reads; the checker has refused circles."""
     declared = _written(w)
     needs: dict[str, list[str]] = {name: [] for name in (*GIVEN, *declared)}
     for name in needs:
@@ -101,35 +101,7 @@ def _order(w: Writer) -> list[str]:
             needs[name] = [n for n in attributes_read(declared[name].default) if n in needs]
         else:
             needs[name] = {"radius": ["size"], "max_force": ["mass", "max_speed", "response"]}.get(name, [])
-    order: list[str] = []
-    state: dict[str, int] = {}
-    for root in needs:
-        _visit(root, needs, state, order, lambda name: _circle(w, declared.get(name)))
-    return order
-
-
-def _visit(
-    root: str, needs: dict[str, list[str]], state: dict[str, int], order: list[str], circle: Callable[[str], None]
-) -> None:
-    """Depth first, without recursion: `state` is 1 for what is being made and 2 for what is made."""
-    stack = [(root, False)]
-    while stack:
-        name, ready = stack.pop()
-        if ready:
-            state[name] = 2
-            order.append(name)
-        elif state.get(name) == 1:
-            circle(name)
-        elif name not in state:
-            state[name] = 1
-            stack.append((name, True))
-            stack += [(n, False) for n in reversed(needs[name]) if state.get(n) != 2]
-
-
-def _circle(w: Writer, attribute: model.AttributeDecl | None) -> None:
-    if attribute is not None:
-        message = f"the first value of `{attribute.name}` needs itself"
-        w.report.error("circular-default", message, attribute.span, "give one of them a number")
+    return list(TopologicalSorter(needs).static_order())
 
 
 def attributes_read(expr: model.Expr) -> list[str]:

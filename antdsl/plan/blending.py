@@ -111,7 +111,7 @@ def _plain(text: str) -> str:
 
 def _named(layer: model.Layer, name: str) -> bool:
     text = _plain(layer.text)
-    return text == _plain(name) or text.split("(")[0].split("when")[0] == _plain(name)
+    return text == _plain(name) or text.split("(")[0] == _plain(name)
 
 
 def declare(w: Writer) -> None:

@@ -5,6 +5,9 @@ A statement acts on the agents of its region: the whole species, narrowed by eac
 Base units: mm, s, g, rad; positions are float32, relative to the scene's own origin.
 """
 
+# A table reads best with one row a line, and its kinds with one letter each.
+# ruff: noqa: E501, E741
+
 from __future__ import annotations
 
 from dataclasses import dataclass, field

@@ -183,8 +183,13 @@ def cast(w: Writer, direction: Vec, reach: Node, target: str) -> Hit:
 def _narrowed(w: Writer, hit: Hit, element: model.Binding, where: model.Expr | None) -> Hit:
     if where is None:
         return hit
-    holds = bound(w, element, hit, lambda: truth(w, where))
+    holds = bound(w, element, _met(w, hit), lambda: truth(w, where))
     return Hit(w.b("and", hit.hit, holds), hit.distance, hit.normal, hit.direction)
+
+
+def _met(w: Writer, hit: Hit) -> Hit:
+    """The hit as the body of a reduction sees it: it is there, since what a miss gives is left out afterwards."""
+    return Hit(w.b.true, hit.distance, hit.normal, hit.direction)
 
 
 def _over_hits(w: Writer, e: model.Reduce, over: Hits) -> Value:
@@ -197,7 +202,7 @@ def _over_hits(w: Writer, e: model.Reduce, over: Hits) -> Value:
     else:
         body_expr = e.body
         lower_body = truth if e.how in ("count", "any", "every") else lower
-        bodies = [bound(w, e.element, hit, lambda: lower_body(w, body_expr)) for hit in over.hits]
+        bodies = [bound(w, e.element, _met(w, hit), lambda: lower_body(w, body_expr)) for hit in over.hits]
         if e.how == "best":
             return _hit_with_least(w, over, [b("neg", body) for body in bodies])  # type: ignore[arg-type]
         if e.how not in ("count", "any", "every"):
