@@ -149,4 +149,8 @@ CODES: dict[str, str] = {
     "field-setting": "a setting of a field has a value that no field can have",
     "field-too-fine": "a field would need more cells than are allowed",
     "unstable-field": "a field spreads faster than its cells can follow at the scene's frame rate",
+    # --- pictures ---
+    "cannot-write": "a file cannot be written where it was asked for",
+    "missing-extra": "what was asked for needs an extra of the package that is not installed",
+    "no-pictures": "a film or a sheet was asked for without a single frame to show",
 }
