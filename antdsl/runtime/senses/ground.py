@@ -16,6 +16,13 @@ from antdsl.runtime.senses.walk import Walkers, dot, in_frame, inside, turned, w
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+_MANY = 2000
+
+
+def _rows(array: NDArray, rows: NDArray[np.integer] | NDArray[np.bool_]) -> NDArray:
+    """Some rows of an array; `take` is several times faster than an index."""
+    return array[rows] if rows.dtype == bool else array.take(rows, axis=0)
+
 
 @dataclass(frozen=True, slots=True)
 class Footing:
@@ -31,7 +38,7 @@ class Footing:
 
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Footing:
         """The footings of some rows."""
-        return Footing(*(getattr(self, f.name)[rows] for f in fields(self)))
+        return Footing(*(_rows(getattr(self, f.name), rows) for f in fields(self)))
 
     @staticmethod
     def joined(parts: Iterable[Footing]) -> Footing:
@@ -62,6 +69,10 @@ class MoveResult:
     travelled: Floats
     blocked: NDArray[np.bool_]
     lost: NDArray[np.bool_]
+
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> MoveResult:
+        """The results of some rows."""
+        return MoveResult(self.footing.take(rows), *(_rows(getattr(self, f.name), rows) for f in fields(self)[1:]))
 
 
 class Ground:
@@ -169,6 +180,20 @@ class Ground:
         """
         n = len(footing)
         body = np.broadcast_to(np.asarray(body, np.float64), (n,))
+        if n < _MANY:
+            return self._moved(footing, displacement, heading, up, body, threads)
+        # In the order of faces the tables are read front to back, which is worth more than the sorting costs.
+        order = np.argsort(self._faces_of(footing)[0])
+        sorted_in = (np.asarray(v).take(order, axis=0) for v in (displacement, heading, up, body))
+        back = np.empty(n, np.int64)
+        back[order] = np.arange(n)
+        return self._moved(footing.take(order), *sorted_in, threads).take(back)
+
+    def _moved(
+        self, footing: Footing, displacement: Floats, heading: Floats, up: Floats, body: Floats, threads: int
+    ) -> MoveResult:
+        """As `move`, one body for each agent, in the order given."""
+        n = len(footing)
         face, known = self._faces_of(footing)
         up_t, heading_t, wish = (np.array(np.asarray(v, np.float64).T, order="C") for v in (up, heading, displacement))
         if not self._faces.size or not n:
