@@ -321,7 +321,7 @@ def errors_page() -> str:
         code = re.match(r'\s*"([a-z0-9-]+)":', line)
         if section:
             lines += ["", f"## {section[1][:1].upper()}{section[1][1:]}", "", "| code | meaning |", "|---|---|"]
-        elif code:
+        elif code and f"| `{code[1]}` |" not in "\n".join(lines):
             meaning = codes.CODES[code[1]].replace("|", "\\|")
             lines.append(f"| `{code[1]}` | {meaning} |")
     return "\n".join(lines) + "\n"
