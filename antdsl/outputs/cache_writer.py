@@ -29,11 +29,10 @@ from antdsl.outputs.cache import (
     read_hashes,
 )
 from antdsl.outputs.lock import LOCK, FolderLock
-from antdsl.outputs.manifest import MANIFEST, Manifest, ManifestError, write_manifest
+from antdsl.outputs.manifest import Manifest, ManifestError, write_manifest
 from antdsl.outputs.npz import sync_file, sync_folder, to_bytes, write_whole
 
 Arrays = Mapping[str, NDArray[Any]]
-_OURS = frozenset([MANIFEST, HASHES, STATIC, MARKER, LOCK, "frames", "checkpoints", "summary.json", "pictures"])
 _BEHIND = 4  # frames that may wait to be written
 
 
@@ -56,7 +55,8 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     marker = folder / MARKER
     if not marker.exists():
-        others = sorted(name.name for name in folder.iterdir() if name.name != LOCK)
+        # a lock or a half-written marker is what a run leaves that was killed as it began
+        others = sorted(name.name for name in folder.iterdir() if name.name not in (LOCK, f".{MARKER}.part"))
         if others and not force:
             raise ForeignFolder(f"`{folder}` has files that are not a cache's, such as `{others[0]}`")
         write_whole(marker, b"This folder is written by antdsl; what is in it may be replaced by the next run.\n", sync=True)
@@ -74,7 +74,7 @@ def clear(folder: Path, above: int | None = None) -> None:
     for number in numbered(folder / "checkpoints"):
         if above is None or number > above:
             checkpoint_path(folder, number).unlink(missing_ok=True)
-    for part in (*(folder / "frames").glob(".*.part"), *(folder / "checkpoints").glob(".*.part")):
+    for part in (part for place in (folder, folder / "frames", folder / "checkpoints") for part in list(place.glob(".*.part"))):
         part.unlink(missing_ok=True)
     kept = {} if above is None else {f: h for f, h in read_hashes(folder / HASHES).items() if f <= above}
     write_whole(folder / HASHES, b"".join(_line(frame, value) for frame, value in kept.items()), sync=True)

@@ -14,7 +14,7 @@ from antdsl.outputs.cache import Cache
 from antdsl.outputs.cache_writer import CacheWriter, prepare_folder, read_checkpoint, resume_points
 from antdsl.outputs.frames import FrameMaker, describe, static_arrays
 from antdsl.outputs.manifest import CameraEntry
-from antdsl.outputs.starting import start_hash
+from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, state_hash, step
 from antdsl.scene.model import millimetres
@@ -83,10 +83,9 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
                 recording.resumed_from = recording.frame = frame
                 recording.hash = hashes[frame]
                 return recording
-        if frames:
-            recording.world = bind(
-                shot.plan, shot.setting, options
-            )  # a checkpoint that turned out bad has been put into the other
+        if frames:  # a checkpoint that turned out bad has been put into this world
+            recording.world = bind(shot.plan, shot.setting, options)
+    start_from_cache(shot, recording.world)
     return recording
 
 

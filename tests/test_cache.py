@@ -1,0 +1,311 @@
+"""Caches: arrays survive the way to disk, damage is seen, and a run killed at any instant goes on to the same hashes."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import warnings
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from antdsl.cli.new import ground
+from antdsl.outputs.cache import CacheError, frame_path, open_cache, read_hashes
+from antdsl.outputs.cache_writer import ForeignFolder, prepare_folder
+from antdsl.outputs.frames import orientation
+from antdsl.outputs.lock import FolderLock, Locked
+from antdsl.outputs.npz import ArrayFileError, parse_npy, read_npz, to_bytes, write_whole
+
+ROOT = Path(__file__).resolve().parent.parent
+ARRAYS = {
+    "P": np.arange(12, dtype=np.float32).reshape(4, 3),
+    "id": np.arange(4),
+    "on": np.array([True, False, True, False]),
+    "none": np.zeros((0, 3)),
+    "one": np.array(7, np.int64),
+    "species.a->b#1.x": np.arange(3, dtype=np.uint8),
+}
+
+
+def test_arrays_come_back_as_they_were_and_numpy_reads_them(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    write_whole(path, to_bytes(ARRAYS), sync=True)
+    back = read_npz(path)
+    plain = np.load(io.BytesIO(to_bytes(ARRAYS)))
+    for name, array in ARRAYS.items():
+        for found in (back[name], plain[name]):
+            assert found.dtype == array.dtype and np.array_equal(found, array)
+    assert to_bytes(ARRAYS) == to_bytes(ARRAYS)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+
+
+def zipped(entries: list[tuple[str, bytes]], compression: int = zipfile.ZIP_STORED) -> bytes:
+    buffer = io.BytesIO()
+    with warnings.catch_warnings(action="ignore"), zipfile.ZipFile(buffer, "w", compression) as file:
+        for name, data in entries:
+            file.writestr(name, data)
+    return buffer.getvalue()
+
+
+def npy(header: str, body: bytes = b"") -> bytes:
+    data = header.encode()
+    return b"\x93NUMPY\x01\x00" + len(data).to_bytes(2, "little") + data + body
+
+
+BOMB = npy("{'descr': '|u1', 'fortran_order': False, 'shape': (10000000,), }\n", b"\0" * 10_000_000)
+GOOD = npy("{'descr': '<f4', 'fortran_order': False, 'shape': (2,), }\n", b"\0" * 8)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        pytest.param(b"", id="empty"),
+        pytest.param(b"PK" + b"\0" * 100, id="not a zip"),
+        pytest.param(to_bytes(ARRAYS)[:-40], id="cut off"),
+        pytest.param(zipped([("a.npy", GOOD), ("a.npy", GOOD)]), id="one name twice"),
+        pytest.param(zipped([("../a.npy", GOOD)]), id="a name that leaves the folder"),
+        pytest.param(zipped([("a.txt", GOOD)]), id="no array"),
+        pytest.param(zipped([("a.npy", BOMB)], zipfile.ZIP_DEFLATED), id="bomb"),
+    ],
+)  # fmt: skip
+def test_strange_files_are_refused(tmp_path: Path, bad: bytes) -> None:
+    path = tmp_path / "a.npz"
+    path.write_bytes(bad)
+    with pytest.raises(ArrayFileError):
+        read_npz(path)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }\n",
+        "{'descr': '<U2147483647', 'fortran_order': False, 'shape': (1,), }\n",
+        "{'descr': '>f4', 'fortran_order': False, 'shape': (2,), }\n",
+        "{'descr': '<f4', 'fortran_order': True, 'shape': (2,), }\n",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (65536, 65536), }\n",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (-2,), }\n",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (True,), }\n",
+        "{'descr': [('a', '<f4')], 'fortran_order': False, 'shape': (2,), }\n",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (4611686018427387904, 4), }\n",
+        "__import__('os').system('true')\n",
+    ],
+)
+def test_strange_headers_are_refused(header: str) -> None:
+    assert parse_npy(GOOD, "a").tolist() == [0, 0]
+    with pytest.raises(ArrayFileError):
+        parse_npy(npy(header, b"\0" * 8), "a")
+
+
+def test_every_flipped_byte_of_the_values_is_seen(tmp_path: Path) -> None:
+    whole = to_bytes({"P": np.arange(64, dtype=np.float32)})
+    path = tmp_path / "a.npz"
+    start = whole.index(np.float32(1).tobytes())
+    for place in range(start, start + 200, 7):
+        data = bytearray(whole)
+        data[place] ^= 0x10
+        path.write_bytes(data)
+        with pytest.raises(ArrayFileError):
+            read_npz(path)
+
+
+def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work")
+    with pytest.raises(ForeignFolder, match=r"thesis\.txt"):
+        prepare_folder(tmp_path, force=False)
+    prepare_folder(tmp_path, force=True)
+    assert (tmp_path / "thesis.txt").read_text() == "years of work"
+    prepare_folder(tmp_path, force=False)
+
+
+def test_two_runs_do_not_write_to_one_folder(tmp_path: Path) -> None:
+    with FolderLock(tmp_path), pytest.raises(Locked, match=str(os.getpid())), FolderLock(tmp_path):
+        pass
+    with FolderLock(tmp_path):
+        pass
+
+
+def test_hash_lines_that_were_cut_off_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "hashes.jsonl"
+    path.write_text('{"frame": 1, "hash": "aa"}\n{"frame": 2, "hash": "bb"}\n{"frame": 3, "ha')
+    assert read_hashes(path) == {1: "aa", 2: "bb"}
+
+
+def test_orientations_turn_the_axes_as_they_say() -> None:
+    draw = np.random.Generator(np.random.Philox(4))
+    heading = draw.normal(size=(500, 3))
+    up = np.cross(heading, draw.normal(size=(500, 3)))
+    heading[:4], up[:4] = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, 0, -1)), ((0, 1, 0), (0, 1, 0), (0, 0, 1), (0, -1, 0))
+    heading /= np.linalg.norm(heading, axis=1, keepdims=True)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    x, y, z, w = orientation(heading.astype(np.float32), up.astype(np.float32)).astype(np.float64).T
+    along = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)], axis=1)
+    above = np.stack([2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)], axis=1)
+    assert np.abs(along - heading).max() < 1e-5 and np.abs(above - up).max() < 1e-5
+
+
+# --- whole runs, in processes of their own -------------------------------------------------------------------------------
+
+
+PROGRAM = """ant 1
+use steering
+WORLD
+species walker {
+  size 4 mm
+  max_speed 25 mm/s
+  start stroll
+  state stroll amber {
+    steer wander(swing: 40 deg)
+    when chance 50 %/s -> rest
+  }
+  state rest blue { when after 0.5 s -> stroll }
+  layers { separate(radius: 2 * size); state }
+}
+"""
+SCENE = """antdsl: 1
+frames: 1..60
+seed: 1
+crowd: [{species: walker, from: walker.ant, count: 40, place: {radius: 60 mm}}]
+output: {checkpoint: 8}
+"""
+
+
+def project(folder: Path, hills: bool = False) -> Path:
+    """Walkers, by themselves on the endless plane, which starts faster than a mesh."""
+    folder.mkdir(exist_ok=True)
+    (folder / "walker.ant").write_text(PROGRAM.replace("WORLD", "world { surface ground }" if hills else ""))
+    (folder / "ground.ply").write_bytes(ground(17))
+    scene = folder / "scene.yaml"
+    scene.write_text(SCENE + ("world: {ground: {mesh: ground.ply}}\n" if hills else ""))
+    return scene
+
+
+def start(scene: Path, *words: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "antdsl", "run", str(scene), "--threads", "1", *words]
+    env = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1"}
+    return subprocess.Popen(command, env=env, cwd=scene.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def finished(run: subprocess.Popen[str]) -> tuple[int, str]:
+    out, problems = run.communicate(timeout=60)
+    assert "Traceback" not in problems, problems[-600:]
+    return run.returncode, out + problems
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, str]]:
+    scene = project(tmp_path_factory.mktemp("project"))
+    code, words = finished(start(scene))
+    assert code == 0, words
+    hashes = read_hashes(scene.parent / "out" / "scene" / "hashes.jsonl")
+    assert sorted(hashes) == list(range(1, 61))
+    return scene, hashes
+
+
+def test_the_summary_has_its_keys_and_the_last_hash(tmp_path: Path) -> None:
+    scene = project(tmp_path / "p", hills=True)
+    assert finished(start(scene, "--summary", "summary.json"))[0] == 0
+    hashes = read_hashes(scene.parent / "out" / "scene" / "hashes.jsonl")
+    found = json.loads((scene.parent / "summary.json").read_text())
+    wanted = "agents frames fps seconds states transitions items faults max_surface_error motion state_hash peak_memory"
+    assert set(wanted.split()) <= set(found)
+    assert found["agents"] == 40 == sum(found["states"].values()) and found["frames"] == 60
+    static = open_cache(scene.parent / "out" / "scene").static()
+    assert static["mesh.ground.faces"].max() + 1 == len(static["mesh.ground.vertices"]) == 17 * 17
+    assert found["state_hash"] == hashes[60] and found["max_surface_error"] < 1e-3 and found["faults"] == 0
+
+
+def test_frames_hold_what_the_manifest_says(unbroken: tuple[Path, dict[int, str]]) -> None:
+    cache = open_cache(unbroken[0].parent / "out" / "scene")
+    arrays = cache.frame(30)
+    assert set(cache.manifest.attributes) <= set(arrays)
+    assert arrays["P"].shape == (40, 3) and arrays["P"].dtype == np.float32
+    assert arrays["id"].tolist() == sorted(arrays["id"].tolist())
+    assert np.linalg.norm(arrays["orient"], axis=1) == pytest.approx(1, abs=1e-5)
+    step = np.linalg.norm(cache.frame(31)["P"] - arrays["P"], axis=1)
+    assert 0 < step.max() <= 25 / 24 * 1.01
+
+
+def test_a_damaged_frame_is_told_and_written_again(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
+    scene = project(tmp_path / "p")
+    assert finished(start(scene, "--frames", "1..20"))[0] == 0
+    folder = scene.parent / "out" / "scene"
+    whole = frame_path(folder, 12).read_bytes()
+    frame_path(folder, 12).write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(CacheError):
+        open_cache(folder).frame(12)
+    frame_path(folder, 12).unlink()
+    code, words = finished(start(scene, "--frames", "1..20", "--resume"))
+    assert code == 0 and "goes on after frame 9" in words, words
+    assert frame_path(folder, 12).read_bytes() == whole
+
+
+@pytest.mark.parametrize("after", [0, 7, 43])
+def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, after: int
+) -> None:
+    """Killed as soon as some frame is there, in the midst of whatever comes next; a half-written file is left behind as well."""
+    scene = project(tmp_path / "p")
+    folder = scene.parent / "out" / "scene"
+    run = start(scene)
+    began = time.monotonic()
+    wanted = folder if after == 0 else frame_path(folder, after)
+    while not wanted.exists() and run.poll() is None and time.monotonic() - began < 30:
+        time.sleep(0.0005)
+    run.send_signal(signal.SIGKILL)
+    run.communicate()
+    if (folder / "hashes.jsonl").exists():
+        (folder / "frames" / ".frame.0044.npz.part").write_bytes(b"PK half")
+        with open(folder / "hashes.jsonl", "ab") as hashes:
+            hashes.write(b'{"frame": 44, "ha')
+    code, words = finished(start(scene, "--resume"))
+    assert code == 0, words
+    assert read_hashes(folder / "hashes.jsonl") == unbroken[1]
+    mine, whole = open_cache(folder), open_cache(unbroken[0].parent / "out" / "scene")
+    for frame in range(1, 61):
+        assert frame_path(mine.folder, frame).read_bytes() == frame_path(whole.folder, frame).read_bytes()
+    assert not list((folder / "frames").glob(".*"))
+
+
+def test_ctrl_c_leaves_a_cache_that_goes_on(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
+    scene = project(tmp_path / "p")
+    folder = scene.parent / "out" / "scene"
+    run = start(scene, "--frames", "1..4000")
+    while not frame_path(folder, 12).exists() and run.poll() is None:
+        time.sleep(0.001)
+    run.send_signal(signal.SIGINT)
+    code, words = finished(run)
+    assert code == 130 and "--resume" in words, words
+    cache = open_cache(folder)
+    assert cache.checkpoints()[-1] == cache.frames()[-1]
+    if cache.frames()[-1] < 60:
+        assert finished(start(scene, "--resume"))[0] == 0
+    assert {f: h for f, h in read_hashes(folder / "hashes.jsonl").items() if f <= 60} == unbroken[1]
+
+
+def test_other_inputs_are_named_and_not_continued(tmp_path: Path) -> None:
+    scene = project(tmp_path / "p")
+    assert finished(start(scene, "--frames", "1..10"))[0] == 0
+    program = scene.parent / "walker.ant"
+    program.write_text(program.read_text().replace("40 deg", "41 deg"))
+    code, words = finished(start(scene, "--frames", "1..20", "--resume"))
+    assert code == 1 and "`walker.ant`" in words and "`scene`" not in words, words
+
+
+def test_a_run_begins_where_another_cache_was(unbroken: tuple[Path, dict[int, str]]) -> None:
+    scene, _ = unbroken
+    second = scene.with_name("second.yaml")
+    second.write_text(scene.read_text().replace("1..60", "101..105") + "from: {cache: out/scene, frame: 57}\n")
+    assert finished(start(second))[0] == 0
+    there, here = open_cache(scene.parent / "out" / "scene"), open_cache(scene.parent / "out" / "second")
+    assert np.array_equal(there.frame(57)["P"], here.frame(101)["P"])
+    assert not np.array_equal(here.frame(105)["P"], here.frame(101)["P"])
+    second.write_text(second.read_text().replace("frame: 57", "frame: 56"))
+    code, words = finished(start(second))
+    assert code == 1 and "write one of" in words and "57" in words
