@@ -1,9 +1,10 @@
 """Every code block of the documents is run: programs are checked, scenes are read, commands and Python are executed.
 
-A block's first line says what it is: see `BLOCKS`. The tables of the documents are held against the code's own tables."""
+A block's first line says what it is: see `BLOCKS`."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -33,6 +34,7 @@ world {
 TRAIL = "field trail on ground { cell 4 mm; half_life 8 s }\n"
 ATTRIBUTES = "  load = 0\n  source = none of food\n"
 WALKER = "species walker { start stroll; state stroll { steer wander() }; layers { state } }\n"
+SEARCHING = "  start search\n  state search { steer wander(); when chance 1 %/s -> rest }\n"
 RESTING = "  state rest { when after 1 s -> search }\n"
 
 
@@ -87,11 +89,12 @@ def whole(block: Block) -> str:
         words = WORLD + TRAIL if "world {" not in text else "ant 1\nuse steering\n"
         return words + text + ("" if re.search(r"^(species|behaviour) ", text, re.M) else WALKER)
     if part == "species":
-        rest = "" if "start " in text else "  start search\n  state search { steer wander(); when chance 1 %/s -> rest }\n" + RESTING
+        rest = "" if "start " in text else SEARCHING + RESTING
         layers = "" if "layers " in text else "  layers { state }\n"
         return WORLD + TRAIL + "species forager {\n" + text + rest + layers + "}\n"
     if part == "state":
-        return WORLD + TRAIL + "species forager {\n" + ATTRIBUTES + "  start search\n  state search {\n" + text + "  }\n" + RESTING + "  layers { state }\n}\n"
+        before = WORLD + TRAIL + "species forager {\n" + ATTRIBUTES + "  start search\n  state search {\n"
+        return before + text + "  }\n" + RESTING + "  layers { state }\n}\n"
     assert part == "expressions", f"{block}: what is a {part}?"
     conditions = [line for line in text.splitlines() if "chance" in line or "state ==" in line]
     lets = "".join(f"  let e{n} = {line}\n" for n, line in enumerate(text.splitlines()) if line not in conditions)
@@ -166,8 +169,8 @@ def run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def cache(folder: Path) -> Path:
-    """`cache` in the folder: the minimal example, six frames."""
-    command = ["run", "examples/minimal/scene.yaml", "--frames", "1..6", "--out", "cache", "--quiet"]
+    """`cache` in the folder: the minimal example, six frames; `summary.json` beside it."""
+    command = ["run", "examples/minimal/scene.yaml", "--frames", "1..6", "--out", "cache", "--quiet", "--summary", "summary.json"]
     done = run([sys.executable, "-m", "antdsl", *command], folder)
     assert done.returncode == 0, done.stdout + done.stderr
     return folder / "cache"
@@ -179,7 +182,10 @@ def test_python_runs(block: Block, cache: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-RUN = {block.document: [b for b in of_kind("console") if "run" in b.words and b.document == block.document] for block in of_kind("console")}
+RUN: dict[Path, list[Block]] = {}
+for _block in of_kind("console"):
+    if "run" in _block.words:
+        RUN.setdefault(_block.document, []).append(_block)
 
 
 @pytest.mark.parametrize("document", RUN, ids=lambda path: path.name)
@@ -202,11 +208,10 @@ def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "200"}
 
 
-def rows(document: str) -> Iterator[list[str]]:
-    """The cells of all table rows of a document."""
-    for line in (ROOT / document).read_text(encoding="utf-8").splitlines():
-        if line.startswith("|") and not re.fullmatch(r"[|\s:-]+", line):
-            yield [cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip().strip("|"))]
+def test_the_page_of_commands_has_all_keys_of_a_summary(cache: Path) -> None:
+    found = json.loads((cache.parent / "summary.json").read_text(encoding="utf-8"))
+    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    assert [key for key in (*found, *found["motion"]) if f"`{key}`" not in text] == []
 
 
 def test_every_link_leads_somewhere() -> None:
@@ -227,120 +232,5 @@ def anchors(file: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
 
 
-def test_the_card_has_all_the_words() -> None:
-    """Units, given names, built-in operations, sets, colours, field settings and the library: whatever the tables have."""
-    from antdsl.program.colours import COLOURS
-    from antdsl.program.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
-    from antdsl.syntax.words import FIELD_SETTINGS, LINE_WORDS, WORLD_KINDS
-
-    text = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
-    words = set(re.findall(r"[A-Za-z_]+|%", " ".join(re.findall(r"`([^`]+)`", text))))
-    tables = (UNITS, GIVEN, RUN_NAMES, SENSED_NAMES, BUILTINS, REDUCERS, COLOURS, FIELD_SETTINGS, WORLD_KINDS, *LINE_WORDS.values())
-    missing = {word for table in tables for word in table} - words
-    assert not missing, f"the card lacks {sorted(missing)}"
-    assert {"noise", "flow", "map", "play", "fuzzy"} <= {*RESERVED, *WORLD_KINDS} & words
-
-
-def test_the_library_is_in_the_reference_as_it_is() -> None:
-    """Signature and help of each behaviour; on the card the names alone."""
-    library = (ROOT / "behaviours" / "steering.ant").read_text(encoding="utf-8")
-    heads = re.findall(r'^behaviour (\w+)(\(.*?\)) -> push \{\n  "(.*?)"', library, flags=re.MULTILINE)
-    assert len(heads) == len(re.findall(r"^behaviour ", library, flags=re.MULTILINE))
-    reference = (ROOT / "grammar" / "README.md").read_text(encoding="utf-8")
-    assert [row for row in heads if f"| `{row[0]}{row[1]}` | {row[2]} |" not in reference] == []
-    card = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
-    assert "`" + " ".join(name for name, _, _ in heads) + "`" in card
-
-
-def test_the_scene_page_has_all_the_keys() -> None:
-    from antdsl.scene import model
-
-    text = (ROOT / "docs" / "scene.md").read_text(encoding="utf-8")
-    parts = [part for part in vars(model).values() if isinstance(part, type) and issubclass(part, model.Part) and part is not model.Part]
-    keys = {field.alias or name for part in parts for name, field in part.model_fields.items()}
-    assert len(parts) > 8
-    assert sorted(key for key in keys if f"`{key}`" not in text and f"`{key}:" not in text) == []
-
-
-def test_the_page_of_commands_has_all_commands_and_flags() -> None:
-    import typer.main
-
-    from antdsl.cli import app
-
-    text = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("commands.md", "pictures.md"))
-    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
-        assert f"`antdsl {name}" in text
-        flags = [flag for part in command.params for flag in part.opts if flag.startswith("--")]
-        assert [flag for flag in flags if flag not in text and flag != "--help"] == [], name
-
-
-def test_the_page_of_commands_has_all_keys_of_a_summary(cache: Path) -> None:
-    import json
-
-    done = run([sys.executable, "-m", "antdsl", "run", "examples/minimal/scene.yaml", "--frames", "1..2", "--out", "two", "--summary", "s.json"], cache.parent)
-    assert done.returncode == 0, done.stdout + done.stderr
-    found = json.loads((cache.parent / "s.json").read_text(encoding="utf-8"))
-    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    assert [key for key in (*found, *found["motion"]) if f"`{key}`" not in text] == []
-
-
 def test_the_reference_is_short() -> None:
     assert len((ROOT / "grammar" / "README.md").read_text(encoding="utf-8").splitlines()) <= 700
-
-
-PARITY_IDS = [
-    *(f"T{n:02}" for n in (*range(1, 41), *range(50, 61))),
-    *("T60b", "T61", "T62"),
-    *(f"P{n:02}" for n in range(1, 19)),
-    *(f"H{n:02}" for n in range(1, 16)),
-    *(f"R{n:02}" for n in range(1, 17)),
-    *(f"X{n}" for n in range(1, 18)),
-]
-
-
-def test_parity_has_every_id_once_and_names_files_that_exist() -> None:
-    found = [row for row in rows("docs/parity.md") if row[0] != "id"]
-    assert [row[0] for row in found] == PARITY_IDS
-    for name, what, state, shown in found:
-        assert what and state in ("done", "part", "not yet"), name
-        files = [word for word in re.findall(r"`([^`]+)`", shown) if "/" in word]
-        assert files or state == "not yet", f"{name} is {state} and names no file"
-        for file in files:
-            assert (ROOT / file.split("::")[0]).exists(), f"{name}: there is no {file}"
-            if "::" in file:
-                assert f"def {file.split('::')[1]}(" in (ROOT / file.split("::")[0]).read_text(encoding="utf-8"), f"{name}: {file}"
-
-
-def errors_page() -> str:
-    """What `docs/errors.md` should say: every code with its meaning, by the sections of the table in the code."""
-    from antdsl.diagnostics import codes
-
-    lines = ERRORS_HEAD.splitlines()
-    for line in Path(codes.__file__).read_text(encoding="utf-8").splitlines():
-        section = re.fullmatch(r"\s*# --- (.*?) -+", line)
-        code = re.match(r'\s*"([a-z0-9-]+)":', line)
-        if section:
-            lines += ["", f"## {section[1][:1].upper()}{section[1][1:]}", "", "| code | meaning |", "|---|---|"]
-        elif code and f"| `{code[1]}` |" not in "\n".join(lines):
-            meaning = codes.CODES[code[1]].replace("|", "\\|")
-            lines.append(f"| `{code[1]}` | {meaning} |")
-    return "\n".join(lines) + "\n"
-
-
-ERRORS_HEAD = """# Error codes
-
-Every complaint has a code that stays the same for ever, a line that stands alone, its place, and what to write instead.
-`antdsl check --explain CODE` prints the meaning of one. Written from `antdsl/diagnostics/codes.py` by `python tests/test_docs.py`.
-"""
-
-
-def test_the_page_of_error_codes_is_complete() -> None:
-    from antdsl.diagnostics.codes import CODES
-
-    text = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
-    assert text == errors_page(), "run `python tests/test_docs.py` to write docs/errors.md anew"
-    assert re.findall(r"^\| `([a-z0-9-]+)` \|", text, flags=re.MULTILINE) == list(CODES)
-
-
-if __name__ == "__main__":
-    (ROOT / "docs" / "errors.md").write_text(errors_page(), encoding="utf-8")

@@ -1,0 +1,125 @@
+"""The tables of the documents are held against the code's own: words, keys, flags, codes, the library, the ids of parity.
+
+`python tests/test_docs_tables.py` writes docs/errors.md anew."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def rows(document: str) -> Iterator[list[str]]:
+    """The cells of all table rows of a document."""
+    for line in (ROOT / document).read_text(encoding="utf-8").splitlines():
+        if line.startswith("|") and not re.fullmatch(r"[|\s:-]+", line):
+            yield [cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip().strip("|"))]
+
+
+def test_the_card_has_all_the_words() -> None:
+    """Units, given names, built-in operations, sets, colours, field settings and the library: whatever the tables have."""
+    from antdsl.program.colours import COLOURS
+    from antdsl.program.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
+    from antdsl.syntax.words import FIELD_SETTINGS, LINE_WORDS, WORLD_KINDS
+
+    text = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
+    words = set(re.findall(r"[A-Za-z_]+|%", " ".join(re.findall(r"`([^`]+)`", text))))
+    tables = (UNITS, GIVEN, RUN_NAMES, SENSED_NAMES, BUILTINS, REDUCERS, COLOURS, FIELD_SETTINGS, WORLD_KINDS)
+    missing = {word for table in (*tables, *LINE_WORDS.values()) for word in table} - words
+    assert not missing, f"the card lacks {sorted(missing)}"
+    assert {"noise", "flow", "map", "play", "fuzzy"} <= {*RESERVED, *WORLD_KINDS} & words
+
+
+def test_the_library_is_in_the_reference_as_it_is() -> None:
+    """Signature and help of each behaviour; on the card the names alone."""
+    library = (ROOT / "behaviours" / "steering.ant").read_text(encoding="utf-8")
+    heads = re.findall(r'^behaviour (\w+)(\(.*?\)) -> push \{\n  "(.*?)"', library, flags=re.MULTILINE)
+    assert len(heads) == len(re.findall(r"^behaviour ", library, flags=re.MULTILINE))
+    reference = (ROOT / "grammar" / "README.md").read_text(encoding="utf-8")
+    assert [row for row in heads if f"| `{row[0]}{row[1]}` | {row[2]} |" not in reference] == []
+    card = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
+    assert "`" + " ".join(name for name, _, _ in heads) + "`" in card
+
+
+def test_the_scene_page_has_all_the_keys() -> None:
+    from antdsl.scene import model
+
+    text = (ROOT / "docs" / "scene.md").read_text(encoding="utf-8")
+    kinds = [kind for kind in vars(model).values() if isinstance(kind, type) and issubclass(kind, model.Part)]
+    parts = [kind for kind in kinds if kind is not model.Part]
+    keys = {field.alias or name for part in parts for name, field in part.model_fields.items()}
+    assert len(parts) > 8
+    assert sorted(key for key in keys if f"`{key}`" not in text and f"`{key}:" not in text) == []
+
+
+def test_the_page_of_commands_has_all_commands_and_flags() -> None:
+    import typer.main
+
+    from antdsl.cli import app
+
+    text = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("commands.md", "pictures.md"))
+    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+        assert f"`antdsl {name}" in text
+        flags = [flag for part in command.params for flag in part.opts if flag.startswith("--")]
+        assert [flag for flag in flags if flag not in text and flag != "--help"] == [], name
+
+
+PARITY_IDS = [
+    *(f"T{n:02}" for n in (*range(1, 41), *range(50, 61))),
+    *("T60b", "T61", "T62"),
+    *(f"P{n:02}" for n in range(1, 19)),
+    *(f"H{n:02}" for n in range(1, 16)),
+    *(f"R{n:02}" for n in range(1, 17)),
+    *(f"X{n}" for n in range(1, 18)),
+]
+
+
+def test_parity_has_every_id_once_and_names_files_that_exist() -> None:
+    found = [row for row in rows("docs/parity.md") if row[0] != "id"]
+    assert [row[0] for row in found] == PARITY_IDS
+    for name, what, state, shown in found:
+        assert what and state in ("done", "part", "not yet"), name
+        files = [word for word in re.findall(r"`([^`]+)`", shown) if "/" in word]
+        assert files or state == "not yet", f"{name} is {state} and names no file"
+        for file in files:
+            path, _, function = file.partition("::")
+            assert (ROOT / path).exists(), f"{name}: there is no {path}"
+            assert not function or f"def {function}(" in (ROOT / path).read_text(encoding="utf-8"), f"{name}: {file}"
+
+
+def errors_page() -> str:
+    """What `docs/errors.md` should say: every code with its meaning, by the sections of the table in the code."""
+    from antdsl.diagnostics import codes
+
+    lines = ERRORS_HEAD.splitlines()
+    for line in Path(codes.__file__).read_text(encoding="utf-8").splitlines():
+        section = re.fullmatch(r"\s*# --- (.*?) -+", line)
+        code = re.match(r'\s*"([a-z0-9-]+)":', line)
+        if section:
+            lines += ["", f"## {section[1][:1].upper()}{section[1][1:]}", "", "| code | meaning |", "|---|---|"]
+        elif code and f"| `{code[1]}` |" not in "\n".join(lines):
+            meaning = codes.CODES[code[1]].replace("|", "\\|")
+            lines.append(f"| `{code[1]}` | {meaning} |")
+    return "\n".join(lines) + "\n"
+
+
+ERRORS_HEAD = """# Error codes
+
+Every complaint has a code that stays the same for ever, a line that stands alone, its place, and what to write instead.
+`antdsl check --explain CODE` prints the meaning of one. This page is written from `antdsl/diagnostics/codes.py` by
+`python tests/test_docs_tables.py`.
+"""
+
+
+def test_the_page_of_error_codes_is_complete() -> None:
+    from antdsl.diagnostics.codes import CODES
+
+    text = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
+    assert text == errors_page(), "run `python tests/test_docs_tables.py` to write docs/errors.md anew"
+    assert re.findall(r"^\| `([a-z0-9-]+)` \|", text, flags=re.MULTILINE) == list(CODES)
+
+
+if __name__ == "__main__":
+    (ROOT / "docs" / "errors.md").write_text(errors_page(), encoding="utf-8")
