@@ -242,3 +242,30 @@ def test_the_smooth_normal_is_steady_on_a_ball_and_flat_on_a_cube():
     cube = Ground({"cube": box((-1, -1, -1), (1, 1, 1))})
     footing, _ = cube.nearest(np.array([[0.99, 1.5, 0.99]]))
     assert np.allclose(cube.upright(footing, UP), [[0, 1, 0]])
+
+
+@pytest.mark.parametrize("middle", [-11.0, -5.0, 3.0, 13.0])
+def test_nobody_slips_under_the_ground_or_into_a_boulder_however_deep_it_is_sunk(middle):
+    meshes = [grid(160, 30), ball(15, (0.3, middle, 0.2), 14)]
+    ground = Ground({"ground": meshes[0], "boulder": meshes[1]})
+    rng = np.random.default_rng(2)
+    n = 300
+    turn, rim = rng.uniform(0, 2 * np.pi, n), np.sqrt(225 - middle**2)
+    out = rim + rng.uniform(2, 8, n)
+    footing, _ = ground.place(np.stack([out * np.cos(turn), 0 * out, out * np.sin(turn)], axis=1), UP, on=["ground"])
+    at = ground.move(footing, np.zeros((n, 3)), -ground.position(footing), ground.upright(footing, UP), 4.0)
+    boulder_before, climbs = np.zeros(n, bool), 0
+    for _ in range(120):
+        home = -at.position * np.array([1, 0, 1]) * (np.linalg.norm(at.position, axis=1, keepdims=True) > rim + 8)
+        heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.4, (n, 1)) + 0.02 * home
+        heading -= at.up * (heading * at.up).sum(axis=1, keepdims=True)
+        heading /= np.linalg.norm(heading, axis=1, keepdims=True)
+        at = ground.move(at.footing, heading * 1.25, heading, at.up, 4.0)
+        boulder = at.footing.mesh == 1
+        climbs += np.count_nonzero(boulder != boulder_before)
+        boulder_before = boulder
+        assert (at.position[boulder][:, 1] > -0.05).all()
+        assert (at.up[~boulder][:, 1] > 0.99).all()
+        if middle > -11:
+            assert (np.hypot(*(at.position[~boulder][:, [0, 2]] - [0.3, 0.2]).T) > rim - 0.8).all()
+    assert climbs > 200

@@ -80,7 +80,8 @@ class Around:
         lift = np.maximum(_LIFT * self._body[rows], self._noise)
         piece = t.piece[walkers.face[rows]]
         part, face = self._cast(place, up * lift, self._threads)
-        low = (face >= 0) & (t.piece[face] != piece)
+        # What shows its back is not above the agent: the agent is a hair below it, at the foot of a gentle climb.
+        low = (face >= 0) & (t.piece[face] != piece) & (dot(t.normal.take(face, axis=1), up) < 0)
         eye = place + up * np.where(low, lift * np.where(low, part, 0.0) / 2, lift)
         part, face = self._cast(eye, way * length, self._threads)
         who = np.flatnonzero((face >= 0) & (t.piece[face] != piece) & (length > 0))
