@@ -95,7 +95,6 @@ CODES: dict[str, str] = {
     "not-settable": "a value that cannot be set is set",
     "per-step": "a value depends on the frames per second (only with `--strict`)",
     "set-in-body": "`velocity` or `heading` is set in every step",
-    "steer-in-action": "`steer` stands in an action that happens once",
     "too-many": "there are more states, layers, fields or names than the limit",
     "two-decays": "a field says in two ways how fast it fades",
     "two-writers": "one value is set twice in one block, or by two machines",

@@ -12,7 +12,7 @@ from antdsl.program.model import Binding, Expr, Inline, Kind, Op, Rate, Type
 from antdsl.program.operators import value, wanted
 from antdsl.program.places import place
 from antdsl.program.scope import BAD, BehaviourInfo, Declared, Keys, Scope, bad, did_you_mean, duplicate, rate_of, type_from_words
-from antdsl.program.vocabulary import BUILTINS, REDUCERS, TYPE_WORDS
+from antdsl.program.vocabulary import BUILTINS, TYPE_WORDS
 from antdsl.program.walk import written
 from antdsl.program.wording import fits, mismatch, quoted, type_words
 from antdsl.syntax import nodes

@@ -9,7 +9,7 @@ from antdsl.program.behaviours import call_behaviour
 from antdsl.program.defaults import default_of
 from antdsl.program.expressions import MAY_BE_NONE, THINGS, Known
 from antdsl.program.folding import constant_behind, fold
-from antdsl.program.model import Const, Dim, Expr, Kind, Op, Rate, Type
+from antdsl.program.model import Dim, Expr, Kind, Op, Rate, Type
 from antdsl.program.operators import as_value, count, draw_site, value
 from antdsl.program.places import place
 from antdsl.program.scope import BAD, NUMBER, Scope, bad, did_you_mean, rate_of, type_from_words

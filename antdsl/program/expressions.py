@@ -111,12 +111,14 @@ def _local(scope: Scope, name: str, span: Span) -> Expr | None:
 def read(scope: Scope, binding: Binding, span: Span) -> Expr:
     """A use of a named value."""
     if binding.role == "let" and binding.snapshot and scope.no_let:
-        scope.report.error(
-            "let-too-early", f"`{binding.name}` cannot be read here: {scope.no_let}", span, "set it in `on spawn { … }`"
-        )
+        _too_early(scope, binding.name, span)
     if binding.type.kind is Kind.SET and isinstance(binding.value, SetOf):
         return binding.value
     return Local(binding.type, binding.rate, span, binding)
+
+
+def _too_early(scope: Scope, name: str, span: Span) -> None:
+    scope.report.error("let-too-early", f"`{name}` cannot be read here: {scope.no_let}", span, "set it in `on spawn { … }`")
 
 
 def _of_element(scope: Scope, name: str, span: Span) -> Expr | None:
@@ -156,6 +158,8 @@ def _own(scope: Scope, name: str, span: Span) -> Expr | None:
         return read(scope, species.bindings[name], span)
     if name in species.pending:
         scope.use("let", f"{species.name}.{name}")
+        if scope.no_let:
+            _too_early(scope, name, span)
         return bad(span)
     if name in STATE_WORDS and species.machines:
         return state_word(scope, None, name, span, None)

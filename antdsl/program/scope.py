@@ -181,10 +181,13 @@ def _words(table: Mapping[str, str]) -> dict[str, Type]:
     return {name: found for name, words in table.items() if (found := type_from_words(words))}
 
 
-def did_you_mean(word: str, candidates: Iterable[str], otherwise: str | None = None) -> str | None:
-    """The words of a help line for a name that is not known."""
-    found = nearest_name(word, candidates)
-    return f"did you mean `{found}`?" if found else otherwise
+def did_you_mean(word: str, candidates: Iterable[str], otherwise: str | None = None) -> str:
+    """The words of a help line for a name that is not known: the name that was meant, or `otherwise`, or what there is."""
+    known = list(candidates)
+    found = nearest_name(word, known)
+    if found:
+        return f"did you mean `{found}`?"
+    return otherwise or (f"there is {listed(known)}" if known else "declare it, or leave this out")
 
 
 def listed(names: Iterable[str], most: int = 12) -> str:

@@ -13,7 +13,7 @@ from antdsl.program.places import nearest_of, one_of
 from antdsl.program.scope import BOOL, LENGTH, NUMBER, Scope, bad, type_from_words
 from antdsl.program.vocabulary import Arg, Builtin
 from antdsl.program.walk import bindings_in
-from antdsl.program.wording import fits, mismatch, quoted, type_words
+from antdsl.program.wording import mismatch, quoted, type_words
 from antdsl.syntax import nodes
 
 _THINGS = (Kind.ITEMS, Kind.SPECIES)

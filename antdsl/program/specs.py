@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from antdsl.program.collect import EVENTS
 from antdsl.program.model import Kind, Type
+from antdsl.program.operators import wanted
 from antdsl.program.scope import TIME, Declared, FileNames, attributes_of, did_you_mean, listed
 from antdsl.program.vocabulary import BUILTINS, REDUCERS, RUN_NAMES
 from antdsl.program.walk import written
 from antdsl.program.world import outside
-from antdsl.program.operators import wanted
 from antdsl.syntax import nodes
 
 _WORDS = ("at_start", "motion", "state", *RUN_NAMES)

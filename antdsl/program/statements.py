@@ -109,14 +109,6 @@ def _per_step(scope: Scope, node: nodes.Expr, found: Expr) -> None:
 
 
 def _steer(scope: Scope, line: nodes.Steer, block: Block) -> model.Statement | None:
-    if not block.body:
-        scope.report.error(
-            "steer-in-action",
-            "`steer` stands in a state, not in an action that happens once",
-            line.span,
-            "move it into the state's lines",
-        )
-        return None
     push = value(scope, line.push, PUSH)
     if push.type.kind is Kind.BAD:
         return None
@@ -186,12 +178,8 @@ def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) ->
     given = GIVEN.get(text)
     if given is not None and (given.settable or text in ("velocity", "heading")):
         if not given.settable and block.body:
-            report.error(
-                "set-in-body",
-                f"`{text}` cannot be set in every step",
-                line.span,
-                f"steer instead, or set it once: `enter {{ {text} = … }}`",
-            )
+            once = f"`enter {{ {' '.join(line.span.text.split())} }}`"
+            report.error("set-in-body", f"`{text}` cannot be set in every step", line.span, f"steer instead, or set it once: {once}")
             return None
         return text, type_from_words(given.type) or Type(Kind.BAD)
     if text in species.params:

@@ -6,7 +6,6 @@ import re
 
 from antdsl.diagnostics import Report
 from antdsl.program.checks.checked import Checked
-from antdsl.source import Span
 from antdsl.syntax import nodes
 
 
@@ -15,10 +14,5 @@ def empty(checked: Checked, report: Report) -> None:
         source, items = file.node.source, file.node.items
         if not items or any(isinstance(item, (nodes.Species, nodes.Behaviour)) for item in items):
             continue
-        if not re.search(r"\b(species|behaviour)\b", source.text):  # else there is one that could not be read, which was told
-            report.error(
-                "empty-program",
-                "no species and no behaviour is declared",
-                Span(source, 0, min(1, len(source.text))),
-                "write `species ant { … }`",
-            )
+        if not re.search(r"^[^#]*\b(species|behaviour)\b", source.text, re.MULTILINE):  # else there is one that could not be read, which was told
+            report.error("empty-program", "no species and no behaviour is declared", items[0].span, "write `species ant { … }`")
