@@ -264,7 +264,7 @@ def test_nobody_slips_under_the_ground_or_into_a_boulder_however_deep_it_is_sunk
         boulder = at.footing.mesh == 1
         climbs += np.count_nonzero(boulder != boulder_before)
         boulder_before = boulder
-        assert (at.position[boulder][:, 1] > -0.05).all()
+        assert (at.position[boulder][:, 1] > -0.1).all()  # looks ahead from a fiftieth of a body above the ground
         assert (at.up[~boulder][:, 1] > 0.99).all()
         if middle > -11:
             assert (np.hypot(*(at.position[~boulder][:, [0, 2]] - [0.3, 0.2]).T) > rim - 0.8).all()

@@ -17,7 +17,7 @@ Index = NDArray[np.int64]
 Cast = Callable[[Floats, Floats, int], tuple[Floats, Index]]
 Weights = Callable[[Index, Floats], tuple[Floats, Floats]]
 
-_LIFT = 0.05  # of a body: how far above the surface an agent looks ahead
+_LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
 _NOISE = 1e-4  # of the extent: float32 rays err by less
 _GRID_CELLS = 400_000
 
