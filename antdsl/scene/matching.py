@@ -63,11 +63,15 @@ def _file(scene: Scene, report: Report, text: str, *path: Key) -> None:
 def _world(scene: Scene, program: Program, report: Report) -> None:
     given = scene.model.world
     wanted = {name: thing for name, thing in program.world.items() if thing.kind in _FORMS}
+    misspelt = set()
     for name in given:
         if name not in wanted:
             _unknown(report, scene, ("world", name), "no program has a thing of the world named", wanted)
+            misspelt.add(nearest_name(name, wanted))
     for name, thing in wanted.items():
         form, words, sample = _FORMS[thing.kind]
+        if name not in given and name in misspelt:
+            continue  # one mistake, one complaint
         if name not in given:
             place = scene.span("world", key=True) if "world" in scene.document.entries else scene.span("antdsl", key=True)
             message = (
