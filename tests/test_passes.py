@@ -83,6 +83,24 @@ def test_hoist_takes_what_all_pairs_share_out_of_them():
     assert not [n for n in needed(roots(after)) if n.op == "div" and n.rate is Rate.PAIR and n.args[1].rate < Rate.PAIR]
 
 
+def test_hoist_shares_among_components_what_is_the_same_for_all():
+    plan = plan_of(
+        "species a { start s\nstate s { steer sum(n in neighbours(2 * size): "
+        "direction(n, to: self) * (1 - distance(n) / size)) } }"
+    )
+    after = hoist(plan)
+    verify(after)
+
+    def products(p) -> int:
+        return sum(n.rate is Rate.PAIR and n.op in ("mul", "neg", "div") for n in needed(roots(p)))
+
+    # 1 / distance, its product with the weight, distance * (1 / size), and one product for each of x, y and z
+    assert products(after) == 6
+    assert products(plan) == 11
+    sums = [n for n in needed(roots(after)) if n.op == "reduce.sum"]
+    assert [n.args[2].args[0].op for n in sums] == ["pair.x", "pair.y", "pair.z"]
+
+
 def test_narrow_asks_the_cheap_half_first():
     plan = plan_of(
         "species a { n = 0\nstart s\nstate s { n += 1 /s\nsteer heading }\n"

@@ -1,35 +1,64 @@
-"""Take out of the pairs what is the same for all pairs of an agent.
+"""Take out of the pairs what is the same for all pairs of an agent, and share among x, y and z what is the same for all three.
 
-(pair * a) * b becomes pair * (a * b), and pair / a becomes pair * (1 / a): the right side is computed once an agent. This may
+A product within a set becomes component * (scalars of the pair * (factors of the agent)): the last bracket is computed once an agent, the
+one around it once a pair and not once a component. Division by an agent's value is a factor; a sign goes outside, even of a sum. This may
 move the last bit of a result; every backend runs the plan that comes out, so all still agree.
 """
 
 from __future__ import annotations
 
+from functools import reduce
+from typing import Any
+
 from antdsl.passes.rewriting import rebuilt
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Node, Plan, Rate
 
+_COMPONENTS = frozenset(("pair.x", "pair.y", "pair.z", "other"))
+
 
 def hoist(plan: Plan) -> Plan:
-    """The same plan with products and quotients of pairs put in a better order."""
+    """The same plan with products and quotients of pairs in a better order."""
     return rebuilt(plan, _make)
 
 
-def _make(b: Builder, op: str, args: tuple[Node, ...]) -> Node | None:
+def _make(b: Builder, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> Node | None:
+    if op == "reduce.sum" and args[2].op == "neg":  # exact: rounding to a multiple is the same on both sides of zero
+        return b("neg", b("reduce.sum", *args[:2], args[2].args[0], attrs=attrs))
     if op == "div" and _pair(args[0]) and not _pair(args[1]):
-        return _product(b, args[0], b("div", b.number(1), args[1]))
-    if op == "mul" and _pair(args[0]) is not _pair(args[1]):
-        pair, agent = args if _pair(args[0]) else (args[1], args[0])
-        return _product(b, pair, agent)
+        return _product(b, (args[0], b("div", b.number(1), args[1])))
+    if op == "mul" and (_pair(args[0]) or _pair(args[1])):
+        return _product(b, args)
     return None
 
 
-def _product(b: Builder, pair: Node, agent: Node) -> Node:
-    """pair * agent, joined with a factor of the agent's that `pair` has already."""
-    if pair.op == "mul" and _pair(pair.args[0]) and not _pair(pair.args[1]):
-        return b("mul", pair.args[0], b("mul", pair.args[1], agent))
-    return b("mul", pair, agent)
+def _product(b: Builder, args: tuple[Node, ...]) -> Node:
+    """The product of all that the operands are products of."""
+    factors, negative = _factors(args)
+    agent = [n for n in factors if not _pair(n)]
+    pair = [n for n in factors if _pair(n)]
+    first = next((n for n in pair if n.op in _COMPONENTS), pair[0])
+    pair.remove(first)
+    rest = [reduce(lambda p, q: b("mul", p, q), some) for some in (pair, agent) if some]
+    result = b("mul", first, reduce(lambda p, q: b("mul", p, q), rest)) if rest else first
+    return b("neg", result) if negative else result
+
+
+def _factors(args: tuple[Node, ...]) -> tuple[list[Node], bool]:
+    """What the operands are products of, from left to right, and whether an odd number of signs is among them."""
+    factors: list[Node] = []
+    negative = False
+    stack = list(reversed(args))
+    while stack:
+        node = stack.pop()
+        if node.op == "neg" and _pair(node):
+            negative = not negative
+            stack.append(node.args[0])
+        elif node.op == "mul" and _pair(node):
+            stack += reversed(node.args)
+        else:
+            factors.append(node)
+    return factors, negative
 
 
 def _pair(node: Node) -> bool:

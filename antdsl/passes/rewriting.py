@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import (
@@ -23,7 +24,7 @@ from antdsl.plan.ir import (
 )
 from antdsl.plan.walk import PHASES, needed, roots
 
-Make = Callable[[Builder, str, tuple[Node, ...]], Node | None]
+Make = Callable[[Builder, str, tuple[Node, ...], tuple[Any, ...]], Node | None]
 
 
 def with_blocks(plan: Plan, change: Callable[[SpeciesPlan, Block], Block]) -> Plan:
@@ -44,7 +45,7 @@ def rebuilt(plan: Plan, make: Make | None = None) -> Plan:
     for node in needed(roots(plan)):
         builder.span = node.span
         args = tuple(new[a] for a in node.args)
-        other = make(builder, node.op, args) if make else None
+        other = make(builder, node.op, args, node.attrs) if make else None
         new[node] = other or builder(node.op, *args, attrs=node.attrs, kind=node.kind)
     changed = _carried(plan, new)
     return _numbered(changed)
