@@ -1,8 +1,8 @@
 """Take out of the pairs what is the same for all pairs of an agent, and share among x, y and z what is the same for all three.
 
-A product within a set becomes component * (scalars of the pair * (factors of the agent)): the last bracket is computed once an agent, the
-one around it once a pair and not once a component. Division by an agent's value is a factor; a sign goes outside, even of a sum. This may
-move the last bit of a result; every backend runs the plan that comes out, so all still agree.
+A product within a set becomes component * (scalars of the pair * (factors of the agent)): the inner bracket is computed once an
+agent, the one around it once a pair and not once a component. Division by an agent's value is a factor; a sign goes outside, even
+of a sum. This may move the last bit of a result; every backend runs the plan that comes out, so all still agree.
 """
 
 from __future__ import annotations
