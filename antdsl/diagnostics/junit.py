@@ -31,7 +31,7 @@ def _case(suite: ElementTree.Element, diagnostic: Diagnostic) -> None:
         place = area(diagnostic.span)
         where, name = safe(place.path), f"{diagnostic.code} {place.line}:{place.column}"
     case = ElementTree.SubElement(suite, "testcase", classname=where, name=name)
-    text = full([diagnostic], 0).replace("\ufffe", "").replace("\uffff", "")
+    text = full([diagnostic], 0)
     if diagnostic.severity == "error":
         ElementTree.SubElement(case, "failure", message=safe(diagnostic.message), type=diagnostic.code).text = text
     else:

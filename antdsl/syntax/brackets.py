@@ -10,8 +10,10 @@ from antdsl.syntax.scan import Scan, Token
 from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS
 
 _CLOSING = {"(": ")", "[": "]", "{": "}"}
+_LOOKED_AHEAD = 200  # tokens; a line is seldom longer
 _SEARCHED = 100  # after so many complaints, lost braces are no longer looked for: each search walks over the text
 _LINE_WORDS = frozenset(word for words in LINE_WORDS.values() for word in words)
+_JOINING = frozenset("and or is in to then else".split())  # words that go on with a value after a name
 
 
 def pair(scan: Scan) -> list[Token] | None:
@@ -45,7 +47,7 @@ class _Parentheses:
         while index <= len(tokens):
             token = tokens[index] if index < len(tokens) else None
             text = text_of(self.scan, token) if token is not None else "}"
-            if self.open and (token is None or text in ("{", "}", ";")):
+            if self.open and (token is None or text in ("{", "}", ";") or self.begins_line(index, text)):
                 index = self.forgotten(index)
                 continue
             if token is None:
@@ -57,6 +59,13 @@ class _Parentheses:
                 self.scan.replace(token.start, " ")
         return [token for token in self.out if token.kind != "soft"]
 
+    def begins_line(self, index: int, text: str) -> bool:
+        """Whether a line starts here that cannot be part of a value: `let x`, `when x`, `state x`."""
+        tokens = self.scan.tokens
+        if tokens[index].indent < 0 or text not in _LINE_WORDS or index + 1 == len(tokens):
+            return False
+        return tokens[index + 1].kind == "word" and text_of(self.scan, tokens[index + 1]) not in _JOINING
+
     def step(self, index: int, token: Token, text: str) -> None:
         if text in ("(", "["):
             self.open.append(len(self.out))
@@ -66,14 +75,46 @@ class _Parentheses:
                 self.scan.error("unopened-bracket", f"`{text}` without a `{opening}`", token.start, token.end, "delete it, or open it")
                 self.scan.blank(token.start, token.end)
                 return
-            wanted = _CLOSING[text_of(self.scan, self.out[self.open.pop()])]
-            if text != wanted:
-                self.scan.error("unopened-bracket", f"`{text}` where `{wanted}` was expected", token.start, token.end, f"write `{wanted}`")
-                self.scan.replace(token.start, wanted)
+            if not self.matches(index, token, text):
+                return
         elif token.kind == "end" and self.open:
             token = replace(token, kind="soft")
         self.out.append(token)
         self.origin.append(index)
+
+    def matches(self, index: int, token: Token, text: str) -> bool:
+        """Pairs a closing bracket with an open one of its kind; what was opened after that one is never closed."""
+        wanted = [_CLOSING[text_of(self.scan, self.out[place])] for place in self.open]
+        if text not in wanted:
+            if self.closed_later(index, wanted[-1]):
+                self.scan.error("unopened-bracket", f"`{text}` is never opened", token.start, token.end, "delete it, or open it")
+                self.scan.blank(token.start, token.end)
+                return False
+            message = f"`{text}` where `{wanted[-1]}` was expected"
+            self.scan.error("unopened-bracket", message, token.start, token.end, f"write `{wanted[-1]}`", wanted[-1])
+            self.scan.replace(token.start, wanted[-1])
+        else:
+            while wanted.pop() != text:
+                inner = self.out[self.open.pop()]
+                sign = text_of(self.scan, inner)
+                self.scan.error("unclosed-bracket", f"`{sign}` is never closed", inner.start, inner.end, f"write the missing `{_CLOSING[sign]}`")
+                at = self.out[-1].end
+                self.out.append(Token("close", at, at, -1, _CLOSING[sign]))
+                self.origin.append(index)
+        self.open.pop()
+        return True
+
+    def closed_later(self, index: int, wanted: str) -> bool:
+        """Whether the bracket that is open finds its closing one further on in the line."""
+        depth = 0
+        for token in self.scan.tokens[index + 1 : index + 1 + _LOOKED_AHEAD]:
+            text = text_of(self.scan, token) if token.kind in ("open", "close") else ""
+            if token.kind == "end" or text in ("{", "}"):
+                return False
+            if depth == 0 and text == wanted:
+                return True
+            depth += (_CLOSING.get(text) == wanted) - (text == wanted)
+        return False
 
     def forgotten(self, index: int) -> int:
         """Something stayed open: close it at the end of its line, or after the lines that are set in more. Returns where to go on."""
@@ -82,11 +123,16 @@ class _Parentheses:
         cut = len(self.out)
         for place in range(first + 1, len(self.out) - 1):
             following = self.out[place + 1]
+            if text_of(self.scan, following) == "->":  # never inside parentheses
+                cut = place + 1
+                break
             if self.out[place].kind == "soft" and following.kind != "soft":
                 word = text_of(self.scan, following) if following.kind == "word" else ""
                 if following.indent <= indent or word in _LINE_WORDS:
                     cut = place
                     break
+        while self.out[cut - 1].kind == "soft":
+            cut -= 1
         text = text_of(self.scan, last)
         self.scan.error("unclosed-bracket", f"`{text}` is never closed", last.start, last.end, f"write the missing `{_CLOSING[text]}`")
         at = self.out[cut - 1].end
@@ -105,6 +151,7 @@ class _Open:
 
     token: Token
     indent: int
+    line: int
     inner: int | None = None  # of its first line; -1 when something follows the brace on its own line
 
 
@@ -117,6 +164,8 @@ class _Braces:
         self.indents = _line_indents(tokens)
         self.out: list[Token] = []
         self.stack: list[_Open] = []
+        self.line = 0
+        self.set_in = any(token.indent > 0 and token.kind != "end" for token in tokens)  # whether this author sets blocks in
         self.surplus = 0  # how many more are closed than opened
 
     def run(self) -> list[Token]:
@@ -138,12 +187,13 @@ class _Braces:
 
     def step(self, token: Token, indent: int) -> None:
         sign = text_of(self.scan, token) if token.kind in ("open", "close") else ""
+        self.line += token.kind == "end" and self.scan.source.text[token.start] == "\n"
         if token.kind != "end" and sign != "}":
             self.dedent(token)
             if self.stack and self.stack[-1].inner is None:
                 self.stack[-1].inner = token.indent
         if sign == "{":
-            self.stack.append(_Open(token, indent))
+            self.stack.append(_Open(token, indent, self.line))
         elif sign == "}" and not self.closes(token, indent):
             return
         self.out.append(token)
@@ -152,7 +202,7 @@ class _Braces:
         """A line that is not set in more than the one that opened the brace ends the block, if the block was set in."""
         while self.stack and token.indent >= 0:
             top = self.stack[-1]
-            own_line = top.inner is not None and (top.inner == -1 or top.inner > top.indent)
+            own_line = self.set_in if top.inner is None else top.inner == -1 or top.inner > top.indent
             if not own_line or token.indent > top.indent:
                 return
             self.unclosed(top)
@@ -170,7 +220,7 @@ class _Braces:
             if (not self.stack or self.stack[-1].indent < token.indent) and self.surplus > 0:
                 self.surplus -= 1
                 return self.opened_late(token)
-        elif self.surplus > 0 and (not self.stack or self.stack[-1].inner != -1):
+        elif self.surplus > 0 and not (self.stack and (self.stack[-1].line == self.line or self.stack[-1].inner == -1)):
             self.surplus -= 1
             return self.drop(token)
         if not self.stack:

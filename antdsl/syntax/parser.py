@@ -17,7 +17,7 @@ from antdsl.diagnostics.model import Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
-from antdsl.syntax.blocks import Line, Lookup, cut, lookup
+from antdsl.syntax.blocks import Group, Line, Lookup, cut, lookup
 from antdsl.syntax.brackets import pair, text_of
 from antdsl.syntax.builder import Builder, Header, Result
 from antdsl.syntax.depth import deep_places
@@ -128,6 +128,7 @@ class _Reading:
         if line.groups and first not in LINE_WORDS[rule] and not self.weary():
             first = nearest_name(first, LINE_WORDS[rule]) or first
         for group in line.groups:
+            self.mute(group)
             body = "weight" if group.chooses else BODIES.get((rule, first)) or BODIES.get((rule, "*"))
             self.builder.bodies[group.open.start] = self.lines(group.lines, body) if body else ()
         text = lookup(self.scan, line)
@@ -142,6 +143,13 @@ class _Reading:
                 self.report.add(plain_complaint(surprise) if weary else complain(surprise))
                 insort(self.scan.faults, surprise.span.start)
             return [] if weary else self.mend(line, text, rule, surprise)
+
+    def mute(self, group: Group) -> None:
+        """Where a `}` was forgotten, nobody knows where the block ends: its last line may hold words from outside it."""
+        if group.close.virtual and group.lines:
+            one_line = "\n" not in self.source.text[group.open.start : group.close.end]
+            for line in group.lines if one_line else group.lines[-1:]:
+                insort(self.scan.faults, line.start)
 
     def weary(self) -> bool:
         """Whether there are so many complaints that nobody reads what more could be said."""
@@ -238,17 +246,21 @@ class _Reading:
             yield text.splice(0, len(surprise.first), better)
         if surprise.found == "=" and "SAME" in surprise.wanted:
             yield text.splice(position, position + 1, "==")
-        lefts, rights = self.slots(line, text, position)
+        lefts, rights, clause = self.slots(line, text, position)
         for left in lefts:
             for right in rights:
                 if left <= right and "{" not in text.text[left:right]:
                     yield text.splice(left, right, f" {UNREADABLE} ")
+        for right in rights:
+            if "{" not in text.text[clause:right]:
+                yield text.splice(clause, right, " ")
         if surprise.found and surprise.found not in "{}":
             yield text.splice(position, position + len(surprise.found), "")
         yield from self.bare(line, text, rule)
 
-    def slots(self, line: Line, text: Lookup, position: int) -> tuple[list[int], list[int]]:
-        """Where the part that cannot be read may begin and end: next to the separators around it, and at the line's ends."""
+    def slots(self, line: Line, text: Lookup, position: int) -> tuple[list[int], list[int], int]:
+        """Where the part that cannot be read may begin and end: next to the separators around it, and at the line's ends. The
+        third is where the separator before it begins, for leaving the whole clause out."""
         marks: list[tuple[int, int]] = []
         depth = 0
         for token in line.tokens:
@@ -258,10 +270,12 @@ class _Reading:
                 start = text.position(token.start)
                 marks.append((start, start + len(sign)))
             depth += sign in ("(", "[")
-        lefts = [end for _, end in marks if end <= position][-1:]
+        before = [mark for mark in marks if mark[1] <= position][-1:]
+        lefts = [end for _, end in before]
         heads = [text.position(token.end) for token in line.tokens[:2] if token.end <= text.offset(position)]
         rights = [start for start, _ in marks if start >= position][:1]
-        return [*lefts, *reversed(heads), 0], [*rights, len(text.text)]
+        clause = before[0][0] if before else position
+        return [*lefts, *reversed(heads), 0], [*rights, len(text.text)], clause
 
     def bare(self, line: Line, text: Lookup, rule: str) -> Iterator[Lookup]:
         """A block whose first line makes no sense, with no more than its word, its name and its braces."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 from antdsl import limits
 from antdsl.diagnostics.model import Fix, Report
+from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
 from antdsl.syntax.lookalikes import ascii_for
 from antdsl.syntax.nodes import Comment
@@ -80,6 +81,7 @@ _QUANTITY = re.compile(rf"[ \t]*(?:%|{_UNIT}|/(?:{_UNIT}))(?:[/*](?:{_UNIT}))*")
 _GLUED = re.compile(r"[A-Za-z_][A-Za-z_0-9]*|\.[0-9][0-9.]*|\.(?!\.)")
 _WORD = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 _ANY_WORD = re.compile(r"\w+")
+_TAIL = re.compile(r"[ \t\r]*[{};]*[ \t\r]*(#[^\n]*)?$")  # what a text that is not closed has swallowed
 _COLON = re.compile(r"[ \t]*:")
 _FRACTION = re.compile(r"\.[0-9]+")
 _SLIP = re.compile(rf"[/*]({'|'.join(UNIT_SLIPS)})(?![A-Za-z0-9_])")
@@ -219,7 +221,7 @@ class _Scanner:
         if piece == "." and self.characters[end : end + 1].isdigit() and self.last_end != start:
             digits = _FRACTION.match(self.characters, start)
             if digits is not None:
-                stop = start + digits.end()
+                stop = digits.end()
                 self.found.error("bad-number", f"number `{digits.group()}` begins with a dot", start, stop, f"write `0{digits.group()}`")
                 self.found.replace(start, "1" + " " * (stop - start - 1))
                 return self.token("number", start, self.quantity_end(stop))
@@ -391,7 +393,7 @@ class _Scanner:
             self.found.error("wrong-quotes", f"text ends in a `{self.characters[smart]}` quote", smart, smart + 1, 'write `"`', '"')
             self.found.replace(smart, '"')
             return self.token("text", start, smart + 1)
-        stop = start + len(re.sub(r"[ \t\r]*[{};]*[ \t\r]*$", "", piece))
+        stop = start + len(_TAIL.sub("", piece))
         self.found.error("unclosed-text", "text without a closing quote", start, start + 1, 'end the text with `"` on the same line')
         if stop - start < 2:
             self.found.blank(start, start + 1)
@@ -402,7 +404,7 @@ class _Scanner:
 
 def unit_help(word: str) -> str:
     """What to write in place of a word that is not a unit."""
-    from antdsl.diagnostics.suggestion import nearest_name
-
-    near = nearest_name(word, UNIT_NAMES)
-    return UNIT_SLIPS.get(word.lower()) or (f"did you mean `{near}`?" if near else f"units are {' '.join(UNIT_NAMES)} and %")
+    near = UNIT_SLIPS.get(word.lower())
+    if near is None and (name := nearest_name(word, UNIT_NAMES)) is not None:
+        near = f"did you mean `{name}`?"
+    return near or f"units are {' '.join(UNIT_NAMES)} and %; to multiply, write `*`"
