@@ -20,7 +20,7 @@ Cells = NDArray[np.int32]
 NEAREST = 16
 _DENSE = 8_000_000  # voxels of a box that may be listed one by one
 _ALONG = 1 << 19  # voxels along an axis; three packed with a side stay in 63 bits
-_BLOCK = tuple(product((-1, 0, 1), repeat=3))
+_BLOCK = tuple((x, y, z) for x, y, z in product((-1, 0, 1), repeat=3))
 _CHUNK = 1 << 15
 
 
@@ -121,18 +121,17 @@ class SurfaceCells:
     @cached_property
     def _most(self) -> int:
         """Cells in the fullest voxel."""
-        fresh = np.flatnonzero(np.concatenate(([True], self._voxels[1:] != self._voxels[:-1]))) if len(self) else []
-        return int(np.diff(np.append(fresh, len(self))).max(initial=0))
+        return int(np.unique(self._voxels, return_counts=True)[1].max(initial=0))
 
     def _in_voxel(self, voxel: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """First cell and number of cells in voxels [n,3] counted from the box's corner; none outside the box."""
         within = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
         flat = np.where(within, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0)
         if self._start_table is not None:
-            first, last = self._start_table.take(flat), self._start_table.take(flat + 1)
+            first, last = (self._start_table.take(v).astype(np.int64) for v in (flat, flat + 1))
         else:
-            first, last = self._voxels.searchsorted(flat), self._voxels.searchsorted(flat + 1)
-        return first.astype(np.int64), np.where(within, last - first, 0)
+            first, last = (self._voxels.searchsorted(v).astype(np.int64) for v in (flat, flat + 1))
+        return first, np.where(within, last - first, 0)
 
     def lookup(self, points: Floats, normals: Floats) -> Cells:
         """The cell of each point [n,3] on a face with a normal [n,3] (the face's own, not the agent's side).
@@ -142,7 +141,7 @@ class SurfaceCells:
         points = np.asarray(points, np.float64).reshape(-1, 3)
         if not len(self):
             return np.full(len(points), -1, np.int32)
-        finite = np.isfinite(points).all(axis=1)
+        finite: NDArray[np.bool_] = np.isfinite(points).all(axis=1)
         bounded = np.clip(np.where(finite[:, None], points, np.inf) / self.cell + 0.5, -1e15, 1e15)
         voxel = np.floor(bounded).astype(np.int64) - self._low
         side = facing(np.asarray(normals).reshape(-1, 3))

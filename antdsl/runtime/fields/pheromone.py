@@ -103,7 +103,7 @@ class PheromoneField:
         own = np.repeat(np.arange(len(self.cells)), count)
         weight = 4.0 / np.maximum(np.maximum(count[own], count[links.cell]), 4)
         inward = csr_array((weight, links.cell, links.start), shape=(len(self.cells), len(self.cells)))
-        return _Flow(inward, np.bincount(own, weight, len(self.cells)))
+        return _Flow(inward, np.bincount(own, weight, len(self.cells)).astype(np.float64))
 
     def sample(self, cells: Cells) -> Floats:
         """What cells hold, float32[n]; 0 for -1."""

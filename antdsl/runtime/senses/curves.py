@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,9 +46,9 @@ class Curve:
         self.length = float(self._size.sum())
         ways = _unit(self._step)
         self._tangent = _unit(np.concatenate([ways[:1], ways[:-1] + ways[1:], ways[-1:]]))
-        self._tree = None
+        self._tree: Any = None
 
-    def closest(self, x: NDArray, y: NDArray, z: NDArray) -> CurvePoints:
+    def closest(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> CurvePoints:
         """Nearest points to places given as 1-D arrays; of equally near ones the first along the curve.
 
         Exact for the resampled curve: the nearest sample bounds the distance, and only segments within that bound plus a

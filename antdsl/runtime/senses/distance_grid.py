@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,10 +32,10 @@ class DistanceGrid:
         # Both the asker and the triangle may stand anywhere in their cells: two half diagonals.
         self._least = np.maximum((away - np.sqrt(3.0)) * self._width * (1 - 1e-6), 0.0).astype(np.float32).ravel()
 
-    def at_least(self, x: NDArray, y: NDArray, z: NDArray) -> NDArray[np.float32]:
+    def at_least(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.float32]:
         """A distance (mm, float32[n]) within which there is no triangle; 0 near the triangles."""
         flat: NDArray[np.int64] | int = 0
-        outside: NDArray | float = 0.0
+        outside: NDArray[Any] | float = 0.0
         for axis, place in enumerate((x, y, z)):
             low, high, size = self._low[axis], self._high[axis], int(self._size[axis])
             inside = np.minimum(np.maximum(place, low), high)

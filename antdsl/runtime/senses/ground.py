@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ Index = NDArray[np.int64]
 _MANY = 2000
 
 
-def _rows(array: NDArray, rows: NDArray[np.integer] | NDArray[np.bool_]) -> NDArray:
+def _rows(array: NDArray[Any], rows: NDArray[np.integer] | NDArray[np.bool_]) -> NDArray[Any]:
     """Some rows of an array; `take` is several times faster than an index."""
     return array[rows] if rows.dtype == bool else array.take(rows, axis=0)
 
@@ -131,8 +132,8 @@ class Ground:
         """Footings at the nearest point of the surfaces to points [n,3], and the distance float64[n]."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         scene, live = self._scene(None)
-        mesh, face, place, distance = scene.closest(points)
-        face = self._face_of(mesh, face, live)
+        mesh, local, place, distance = scene.closest(points)
+        face = self._face_of(mesh, local, live)
         return self._footing(face, *self._weights(np.maximum(face, 0), place.T)), distance
 
     def position(self, footing: Footing) -> Floats:
@@ -184,10 +185,10 @@ class Ground:
             return self._moved(footing, displacement, heading, up, body, threads)
         # In the order of faces the tables are read front to back, which is worth more than the sorting costs.
         order = np.argsort(self._faces_of(footing)[0])
-        sorted_in = (np.asarray(v).take(order, axis=0) for v in (displacement, heading, up, body))
+        wish, ahead, above, bodies = (np.asarray(v).take(order, axis=0) for v in (displacement, heading, up, body))
         back = np.empty(n, np.int64)
         back[order] = np.arange(n)
-        return self._moved(footing.take(order), *sorted_in, threads).take(back)
+        return self._moved(footing.take(order), wish, ahead, above, bodies, threads).take(back)
 
     def _moved(
         self, footing: Footing, displacement: Floats, heading: Floats, up: Floats, body: Floats, threads: int
@@ -222,7 +223,8 @@ class Ground:
         if not known.all():
             for vectors, kept in zip(result, (np.zeros((n, 3)), up, heading, heading), strict=True):
                 vectors[~known] = kept[~known]
-        return MoveResult(moved, *result, w.gone, w.blocked, ~known)
+        position, above, forward, direction = result
+        return MoveResult(moved, position, above, forward, direction, w.gone, w.blocked, ~known)
 
     # ---- parts
 

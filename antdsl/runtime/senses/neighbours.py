@@ -4,6 +4,7 @@ The pairs are the same bits, in the same order, whatever the rows' order, the ch
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,8 @@ class CellGrid:
         low = [float(p.min(initial=np.inf)) if rows.size else 0.0 for p in places]
         extent = [float(p.max(initial=-np.inf)) - b if rows.size else 0.0 for p, b in zip(places, low, strict=True)]
         self._axes = tuple(sorted(range(3), key=lambda axis: -extent[axis]))  # fast, middle, slow
-        places, low, extent = ([values[axis] for axis in self._axes] for values in (places, low, extent))
+        places = [places[axis] for axis in self._axes]
+        low, extent = ([values[axis] for axis in self._axes] for values in (low, extent))
         cell = cell if np.isfinite(cell) and cell > 0 else max(extent[0], 1.0)
         # Wider cells only add candidates; the packed key of a far-flung crowd must not overflow.
         least = max(extent[0] / (_MAX_CELLS_ALONG - 4), 1e-30)
@@ -110,7 +112,7 @@ class CellGrid:
             qid = None if qid is None else qid[rows]
         qx, qy, qz = (np.asarray(q, np.float32) for q in (qx, qy, qz))
         reach = np.broadcast_to(np.asarray(radius, np.float32), qx.shape)
-        found: list[tuple[NDArray, ...]] = []
+        found: list[tuple[NDArray[Any], ...]] = []
         for a in range(0, qx.size, _QUERIES_PER_CHUNK):
             part = slice(a, a + _QUERIES_PER_CHUNK)
             query = (qx[part], qy[part], qz[part])
@@ -167,14 +169,14 @@ class CellGrid:
                 counts.append(np.where(open_row, self._lookup(np.where(open_row, base + x1 + 1, 0)) - firsts[-1], 0))
         return np.stack(firsts, axis=1), np.stack(counts, axis=1).astype(np.int32)
 
-    def _span(self, q: NDArray, r: NDArray, axis: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _span(self, q: NDArray[Any], r: NDArray[Any], axis: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Lowest and highest cell along an axis that [q - r, q + r] meets; empty (low > high) when outside."""
         low, width, size = self._low[axis], self._width[axis], self._size[axis]
         first = np.floor(np.clip((q - r - low) / width, 0.0, float(size)))
         last = np.floor(np.clip((q + r - low) / width, -1.0, size - 1.0))
         return first.astype(np.int64), last.astype(np.int64)
 
-    def _off(self, q: NDArray, cell: NDArray, axis: int) -> NDArray:
+    def _off(self, q: NDArray[Any], cell: NDArray[Any], axis: int) -> NDArray[Any]:
         """Least distance along an axis from q to a cell, rounded down."""
         low = self._low[axis] + cell * self._width[axis]
         gap = np.maximum(np.maximum(low - q, q - (low + self._width[axis])), 0.0)
@@ -193,7 +195,7 @@ class CellGrid:
         who: NDArray[np.int64] | None,
         first: NDArray[np.int32],
         count: NDArray[np.int32],
-    ) -> tuple[NDArray, ...]:
+    ) -> tuple[NDArray[Any], ...]:
         """Measure the candidates of some queries and keep those in reach."""
         flat = count.ravel()
         total = int(flat.sum())

@@ -107,7 +107,7 @@ class RayScene:
             )
 
     @staticmethod
-    def _tensor(array: NDArray) -> Any:
+    def _tensor(array: NDArray[Any]) -> Any:
         return _open3d().core.Tensor.from_numpy(np.ascontiguousarray(array))
 
     def _rays(self, origin: Vectors, direction: Vectors) -> NDArray[np.float32]:
@@ -179,7 +179,15 @@ class RayScene:
         return mesh, (face - self._first_face[mesh]).astype(np.int32), place, distance
 
     def feelers(
-        self, x: NDArray, y: NDArray, z: NDArray, dx: NDArray, dy: NDArray, dz: NDArray, reach: NDArray | float, threads: int = 1
+        self,
+        x: NDArray[Any],
+        y: NDArray[Any],
+        z: NDArray[Any],
+        dx: NDArray[Any],
+        dy: NDArray[Any],
+        dz: NDArray[Any],
+        reach: NDArray[Any] | float,
+        threads: int = 1,
     ) -> FeelerHits:
         """What lies within `reach` (mm, one or float[n]) of places along unit directions, all 1-D arrays of one length.
 
@@ -222,7 +230,9 @@ class RayScene:
         mesh = self._mesh_of_face[face]
         return which, t, mesh, (face - self._first_face[mesh]).astype(np.int32)
 
-    def near(self, x: NDArray, y: NDArray, z: NDArray, reach: NDArray | float, threads: int = 1) -> FeelerHits:
+    def near(
+        self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
+    ) -> FeelerHits:
         """The nearest face within `reach` (mm, one or float[n]) of places, 1-D arrays: distance, and unit way to the asker."""
         n = len(x)
         reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
@@ -241,7 +251,14 @@ class RayScene:
         return FeelerHits(np.isfinite(t), t, *normal)
 
     def _reachable(
-        self, x: NDArray, y: NDArray, z: NDArray, dx: NDArray, dy: NDArray, dz: NDArray, reach: NDArray
+        self,
+        x: NDArray[Any],
+        y: NDArray[Any],
+        z: NDArray[Any],
+        dx: NDArray[Any],
+        dy: NDArray[Any],
+        dz: NDArray[Any],
+        reach: NDArray[Any],
     ) -> NDArray[np.int64]:
         """Rays that may hit: those whose ball around the middle of the feeler is not known to be empty."""
         if self._scene is None:

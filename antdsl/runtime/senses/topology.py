@@ -16,6 +16,7 @@ _FLAT = 1e-7  # height over longest edge below which a triangle is a line
 _CREASE = np.cos(np.radians(45.0))  # faces meeting more sharply than this are not smoothed into each other
 
 NO_LINK = -1
+_FLOATS = tuple(["corner", "edge1", "edge2", "normal", "axis1", "axis2", "rate1", "rate2", "shear", "edge_c", "edge_s", "smooth"])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,9 +66,11 @@ def build(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
     link = _links(vertices, faces, weld, live)
     piece, pieces = _pieces(link, live)
     forked = bool((link[0] != link[1]).any())
-    columns = (np.ascontiguousarray(v.T) for v in (a, edge1, edge2, normal, axis1, axis2))
+    frame = [np.ascontiguousarray(v.T) for v in (a, edge1, edge2, normal, axis1, axis2)]
     smooth = _smooth_normals(vertices, faces, weld, live, normal)
-    return Topology(live, *columns, 1 / length1, 1 / y2, x2 / (y2 * length1), *direction, link, piece, pieces, forked, smooth)
+    rates = (1 / length1, 1 / y2, x2 / (y2 * length1))
+    floats = dict(zip(_FLOATS, (*frame, *rates, *direction, smooth), strict=True))
+    return Topology(live=live, link=link, piece=piece, pieces=pieces, forked=forked, **floats)
 
 
 def _length(v: Floats) -> Floats:
@@ -181,7 +184,7 @@ def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.
     points = int(weld.max(initial=-1)) + 1
     flat = weld.ravel()
     each = np.repeat(normal, 3, axis=0)
-    total = np.stack([np.bincount(flat, weight.ravel() * each[:, axis], points) for axis in range(3)], axis=1)
+    total: Floats = np.stack([np.bincount(flat, weight.ravel() * each[:, axis], points) for axis in range(3)], axis=1)
     mean = total / np.maximum(_length(total), 1e-300)[:, None]
     smooth = mean[flat]
     # Half the crease's angle from the mean leaves any two faces there within the crease.
@@ -202,6 +205,6 @@ def _creased(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Flo
     other = corner[begin[one] + step]
     cosine = (normal[corner[one]] * normal[other]).sum(axis=1)
     share = np.where(np.abs(cosine) >= _CREASE, np.sign(cosine) * weight[other], 0.0)
-    total = np.stack([np.bincount(one, share * normal[other][:, axis], corner.size) for axis in range(3)], axis=1)
+    total: Floats = np.stack([np.bincount(one, share * normal[other][:, axis], corner.size) for axis in range(3)], axis=1)
     size = _length(total)
     return np.where(size[:, None] > 0, total / np.maximum(size, 1e-300)[:, None], normal[corner])

@@ -112,7 +112,8 @@ def _stretch(
 ) -> Index:
     """Walk `rows` to the end of their way or the edge of their face and across; returns those with way left."""
     everyone = rows.size == w.face.size
-    f, b1, b2, c, s, left = (v if everyone else v.take(rows) for v in (w.face, w.b1, w.b2, w.c, w.s, w.left))
+    f = w.face if everyone else w.face.take(rows)
+    b1, b2, c, s, left = (v if everyone else v.take(rows) for v in (w.b1, w.b2, w.c, w.s, w.left))
     rate1 = c * table.rate1.take(f) - s * table.shear.take(f)
     rate2 = s * table.rate2.take(f)
     b, rate = np.stack([1.0 - b1 - b2, b1, b2]), np.stack([-(rate1 + rate2), rate1, rate2])
@@ -124,9 +125,8 @@ def _stretch(
     met = _climb(table, w, rows, near, length, hops, around)
     on = rows if met is None else rows[~met]
     if met is not None:
-        f, edge, until, length, left, rate1, rate2, b1, b2 = (
-            v[~met] for v in (f, edge, until, length, left, rate1, rate2, b1, b2)
-        )
+        edge = edge[~met]
+        until, length, left, rate1, rate2, b1, b2 = (v[~met] for v in (until, length, left, rate1, rate2, b1, b2))
     w.b1[on], w.b2[on] = inside(b1 + rate1 * length, b2 + rate2 * length)
     across = np.flatnonzero(until < left)  # before `left`, which may be the walkers' own array, is written
     w.left[on] = np.where(until >= left, 0.0, left - length)
