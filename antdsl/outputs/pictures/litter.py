@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import stone
+from antdsl.bodies.shapes import joined, stone
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.looks import Scales
 
@@ -16,12 +16,13 @@ _MOST = 12_000
 _A_FACE = 48  # pebbles on one triangle at most
 _REACH = 36  # body lengths round the camera
 _SMALLEST, _LARGEST = 0.022, 0.24  # radius in body lengths
+_FINE = 0.06  # from this radius on a pebble is worth a round shape
 
 
 @cache
-def _shapes() -> tuple[Array, NDArray[np.int32]]:
+def _shapes(detail: int) -> tuple[Array, NDArray[np.int32]]:
     """Unit pebbles (k, n, 3) that share their faces."""
-    made = [stone(70 + k, (1.0, 0.62, 0.8), detail=1, roughness=0.2) for k in range(_SHAPES)]
+    made = [stone(70 + k, (1.0, 0.62, 0.8), detail=detail, roughness=0.2) for k in range(_SHAPES)]
     return np.stack([vertices for vertices, _ in made]), made[0][1]
 
 
@@ -56,7 +57,11 @@ def litter(
     u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
     place = corners[face, 0] * (1 - u - v)[:, None] + corners[face, 1] * u[:, None] + corners[face, 2] * v[:, None]
     size = scales.grain * _SMALLEST * (_LARGEST / _SMALLEST) ** (chance[:, 2] ** 5)
-    return _laid(place, across[face] / (2 * area[face])[:, None], size, chance)
+    normal = across[face] / (2 * area[face])[:, None]
+    small = size < _FINE * scales.grain
+    return joined(
+        [_laid(place[rows], normal[rows], size[rows], chance[rows], detail) for rows, detail in ((small, 0), (~small, 1))]
+    )
 
 
 def _chances(face: NDArray[np.int64], rank: NDArray[np.int64]) -> Array:
@@ -70,8 +75,8 @@ def _chances(face: NDArray[np.int64], rank: NDArray[np.int64]) -> Array:
     return np.asarray(key.astype(np.float64) * 2.0**-53)
 
 
-def _laid(place: Array, normal: Array, size: Array, chance: Array) -> tuple[Array, NDArray[np.int32]]:
-    shapes, faces = _shapes()
+def _laid(place: Array, normal: Array, size: Array, chance: Array, detail: int) -> tuple[Array, NDArray[np.int32]]:
+    shapes, faces = _shapes(detail)
     side = np.cross(normal, np.array([0.31, 0.72, 0.62]))
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-12)
     other = np.cross(side, normal)

@@ -20,7 +20,15 @@ Array = NDArray[np.float64]
 
 BELOW = 0.03  # how far the table lies below the lowest point, as a share of the extent
 
-Part = tuple[Array, NDArray[np.int32], Floats, int]  # vertices, faces, paint per vertex, kind
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """A mesh of one `kind` (its place in KINDS), `painted` (n, 4) where it has colours of its own."""
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    kind: int
+    painted: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,13 +58,14 @@ def setting(solids: tuple[Solid, ...], up: Array) -> Setting:
     for solid in solids:
         if not len(solid.faces):
             continue
-        painted = np.zeros((len(solid.vertices), 4), np.float32)
+        painted = None
         if solid.colour is not None:
+            painted = np.ones((len(solid.vertices), 4), np.float32)
             painted[:, :3] = decoded(np.asarray(solid.colour, np.float32))
-            painted[:, 3] = 1
-        parts.append((np.asarray(solid.vertices, np.float64), solid.faces, painted, looks.KINDS.index(solid.kind)))
+        vertices = np.asarray(solid.vertices, np.float64)
+        parts.append(Part(vertices, solid.faces, looks.KINDS.index(solid.kind), painted))
         if solid.kind == "ground":
-            parts += _edges(np.asarray(solid.vertices, np.float64), solid.faces, up, base)
+            parts += _edges(vertices, solid.faces, up, base)
     middle = (low + high) / 2
     parts.append(_table(middle, up, base, 30 * extent))
     return _assembled(tuple(parts), middle, extent, base, up)
@@ -65,18 +74,20 @@ def setting(solids: tuple[Solid, ...], up: Array) -> Setting:
 def with_litter(still: Setting, view: View, scales: Scales) -> Setting:
     """The setting with pebbles on its grounds where `view` is near enough to see them, else the same."""
     up = still.up.astype(np.float64)
-    made = [litter(part[0], part[1], up, view, scales) for part in still.parts if part[3] == looks.GROUND]
-    grains = [(points, faces, np.zeros((len(points), 4), np.float32), looks.GRAIN) for points, faces in filter(None, made)]
+    made = [litter(part.vertices, part.faces, up, view, scales) for part in still.parts if part.kind == looks.GROUND]
+    grains = [Part(points, faces, looks.GRAIN) for points, faces in filter(None, made)]
     return _assembled(still.parts + tuple(grains), still.middle, still.extent, still.base, up) if grains else still
 
 
 def _assembled(parts: tuple[Part, ...], middle: Array, extent: float, base: float, up: Array) -> Setting:
-    counts = np.cumsum([0] + [len(part[0]) for part in parts])
-    vertices = np.concatenate([part[0] for part in parts])
-    faces = np.concatenate([part[1] + start for part, start in zip(parts, counts[:-1], strict=True)]).astype(np.int32)
-    normal = np.concatenate([vertex_normals(part[0], part[1]) for part in parts])
-    kind = np.concatenate([np.full(len(part[1]), part[3], np.uint8) for part in parts])
-    painted = np.concatenate([part[2] for part in parts])
+    counts = np.cumsum([0] + [len(part.vertices) for part in parts])
+    vertices = np.concatenate([part.vertices for part in parts])
+    faces = np.concatenate([part.faces + start for part, start in zip(parts, counts[:-1], strict=True)]).astype(np.int32)
+    normal = np.concatenate([vertex_normals(part.vertices, part.faces) for part in parts])
+    kind = np.concatenate([np.full(len(part.faces), part.kind, np.uint8) for part in parts])
+    painted = np.concatenate(
+        [np.zeros((len(part.vertices), 4), np.float32) if part.painted is None else part.painted for part in parts]
+    )
     return Setting(RayScene(vertices, faces), faces, normal, painted, kind, middle, extent, base, up.astype(np.float32), parts)
 
 
@@ -98,7 +109,7 @@ def _edges(vertices: Array, faces: NDArray[np.int32], up: Array, base: float) ->
     a = np.arange(0, len(top), 2)
     b, c, d = a + 1, a + len(top), a + len(top) + 1
     walls = np.concatenate([np.stack([b, a, c], axis=1), np.stack([b, c, d], axis=1)]).astype(np.int32)
-    return [(points, walls, np.zeros((len(points), 4), np.float32), looks.EDGE)]
+    return [Part(points, walls, looks.EDGE)]
 
 
 def _table(middle: Array, up: Array, base: float, reach: float) -> Part:
@@ -107,4 +118,4 @@ def _table(middle: Array, up: Array, base: float, reach: float) -> Part:
     first = first / np.linalg.norm(first)
     second = np.cross(up, first)
     points = np.stack([centre + reach * (a * first + b * second) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-    return points, np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.zeros((4, 4), np.float32), looks.TABLE
+    return Part(points, np.array([[0, 1, 2], [0, 2, 3]], np.int32), looks.TABLE)
