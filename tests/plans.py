@@ -1,4 +1,4 @@
-"""Plans built by hand, for tests of the runtime: every operation and statement of the plan at least once, without a program behind."""
+"""Plans built by hand, for tests of the runtime: every operation and statement of the plan, without a program behind."""
 
 from __future__ import annotations
 
@@ -11,7 +11,16 @@ from antdsl.plan.builder import Builder
 from antdsl.runtime import CrowdData, ItemData, Setting
 from antdsl.scene.setting import PlaceData
 
-GIVEN = {"size": 4.0, "mass": 1.0, "radius": 2.0, "clearance": 0.0, "max_speed": 30.0, "response": 0.15, "max_force": 200.0, "group": 0.0}
+GIVEN = {
+    "size": 4.0,
+    "mass": 1.0,
+    "radius": 2.0,
+    "clearance": 0.0,
+    "max_speed": 30.0,
+    "response": 0.15,
+    "max_force": 200.0,
+    "group": 0.0,
+}
 VECTORS = ("position", "velocity", "heading", "up")
 
 
@@ -69,9 +78,9 @@ def when(condition: ir.Node, *statements: ir.Statement) -> ir.If:
 
 
 def rich() -> ir.Plan:
-    """Ants that search, take food and bring it home, with neighbours, events, memories, births and deaths; and flies that watch them."""
+    """Ants that search, take food and bring it home, with neighbours, events, births and deaths; and flies that watch them."""
     t = Text()
-    F, B, I, L = ir.Kind.F32, ir.Kind.BOOL, ir.Kind.I32, ir.Kind.I64
+    F, B, R, L = ir.Kind.F32, ir.Kind.BOOL, ir.Kind.I32, ir.Kind.I64
     main, bookkeeping = machine("search", "carry")
     ant_registers = registers(
         *bookkeeping,
@@ -79,12 +88,12 @@ def rich() -> ir.Plan:
         ir.Register("fear", F, "attribute", 1.0),
         ir.Register("bearing", F, "memory"),
         ir.Register("friend", L, "attribute", -1, of="ant"),
-        ir.Register("source", I, "attribute", -1),
+        ir.Register("source", R, "attribute", -1),
         ir.Register("quiet", B, "memory"),
-        ir.Register("main.pending", I, "temp"),
+        ir.Register("main.pending", R, "temp"),
         ir.Register("won", B, "temp"),
     )
-    state = t.snap("main.state", I)
+    state = t.snap("main.state", R)
     everywhere = t("set.items", float("inf"), attrs=("food",))
     here = t("set.items", t("mul", t("param", attrs=("ant.smell",)), t("run", attrs=("u",))), attrs=("food",))
     meal = t("reduce.item", here, t("gt", t("other", attrs=("load",)), 0), t("pair.distance"))
@@ -93,7 +102,10 @@ def rich() -> ir.Plan:
     around = t("set.agents", t("mul", t.snap("size"), 3.0), -1.0, attrs=("ant", True))
     flies = t("set.every", attrs=("fly",))
     shy = t("sub", 1.0, t("div", t("pair.distance"), 12.0))
-    away = [t("reduce.sum", around, t("gt", t("other", attrs=("size",)), 1.0), t("mul", t("neg", t(f"pair.{a}")), shy), attrs=(-24,)) for a in "xyz"]
+    away = [
+        t("reduce.sum", around, t("gt", t("other", attrs=("size",)), 1.0), t("mul", t("neg", t(f"pair.{a}")), shy), attrs=(-24,))
+        for a in "xyz"
+    ]
     heading = [t("reduce.sum", near, t.b.true, t("other", attrs=(f"heading.{a}",)), attrs=(-24,)) for a in "xyz"]
     best_friend = t("reduce.agent", near, t.b.true, t("neg", t("abs", t("sub", t("other", attrs=("fear",)), t.snap("fear")))))
     fear_of_flies = t("reduce.max", flies, t.b.true, t("exp", t("neg", t("mul", t("pair.distance"), 0.05))))
@@ -120,7 +132,7 @@ def rich() -> ir.Plan:
         ),
         store("quiet", t("not", t("lt", fear_of_flies, 0.4))),
     )
-    pending = t.load("main.pending", 2, I)
+    pending = t.load("main.pending", 2, R)
     won = t.load("won", 1, B)
     act = block(
         store("main.time_in_state", t("add", t.snap("main.time_in_state"), t("run", attrs=("dt",)))),
@@ -141,10 +153,15 @@ def rich() -> ir.Plan:
             when(t("gt", t.draw("child", 3), 0.8), ir.Die(None)),
             ir.Emit("alarm", None, None),
         ),
-        when(t("gt", t("abs", t("sub", t("load", attrs=("load", 3)), t.snap("load"))), 0.0), store("fear", t("mul", t.snap("fear"), 0.9))),
+        when(
+            t("gt", t("abs", t("sub", t("load", attrs=("load", 3)), t.snap("load"))), 0.0),
+            store("fear", t("mul", t.snap("fear"), 0.9)),
+        ),
         when(t("agent.alive", friend, attrs=("ant",)), store("friend", best_friend)),
     )
-    swing = t("mul", t("sqrt", t("mul", -2.0, t("log", t("sub", 1.0, t.draw("w"))))), t("cos", t("mul", 6.2831853, t.draw("w", 1))))
+    swing = t(
+        "mul", t("sqrt", t("mul", -2.0, t("log", t("sub", 1.0, t.draw("w"))))), t("cos", t("mul", 6.2831853, t.draw("w", 1)))
+    )
     bearing = t("add", t.snap("bearing"), t("mul", swing, 0.2))
     h, u = t.vector("heading"), t.vector("up")
     side = [
@@ -154,22 +171,33 @@ def rich() -> ir.Plan:
     ]
     wander = [t("add", t("mul", a, t("cos", bearing)), t("mul", s, t("sin", bearing))) for a, s in zip(h, side, strict=True)]
     friendly = [t("mul", t("agent.get", best_friend, attrs=("ant", f"velocity.{a}")), 0.01) for a in "xyz"]
-    scale = t("div", t("pow", t("max", t.snap("fear"), 0.1), 0.5), t("add", t("number", t.snap("quiet", B)), t("max", 1.0, crowd)))
+    scale = t(
+        "div", t("pow", t("max", t.snap("fear"), 0.1), 0.5), t("add", t("number", t.snap("quiet", B)), t("max", 1.0, crowd))
+    )
     turn = t("atan2", heading[0], heading[2])
     food = [t("sub", t("item.get", meal, attrs=("food", a)), p) for a, p in zip("xyz", t.vector("position"), strict=True)]
     blend = block(
         store("bearing", t("sub", bearing, t("mul", t("floor", t("div", bearing, 6.2831853)), 6.2831853))),
         *(
-            store(f"push.{a}", t("finite", t("add", t("mul", w, 0.5), t("mul", t("add", t("add", p, f), t("mul", turn, 0.01)), t("mul", scale, 0.1)))))
+            store(
+                f"push.{a}",
+                t(
+                    "finite",
+                    t("add", t("mul", w, 0.5), t("mul", t("add", t("add", p, f), t("mul", turn, 0.01)), t("mul", scale, 0.1))),
+                ),
+            )
             for a, w, p, f in zip("xyz", wander, away, friendly, strict=True)
         ),
         when(
-            t("and", t("item.alive", meal, attrs=("food",)), t("eq", t.load("main.state", 2, I), t.b.row(0))),
+            t("and", t("item.alive", meal, attrs=("food",)), t("eq", t.load("main.state", 2, R), t.b.row(0))),
             *(store(f"push.{a}", t("div", f, t("max", 1.0, t("abs", f)))) for a, f in zip("xyz", food, strict=True)),
         ),
         when(
             t("le", nearest_fly, 5.0),
-            *(store(f"push.{a}", t("where", t("gt", t("age"), 0.2), t("neg", t.load(f"push.{a}", 2)), t.load(f"push.{a}", 2))) for a in "xyz"),
+            *(
+                store(f"push.{a}", t("where", t("gt", t("age"), 0.2), t("neg", t.load(f"push.{a}", 2)), t.load(f"push.{a}", 2)))
+                for a in "xyz"
+            ),
         ),
     )
     born = block(
@@ -187,7 +215,10 @@ def rich() -> ir.Plan:
             store(f"push.{a}", t("mul", t("sub", t("agent.get", t.load("prey", 1, L), attrs=("ant", f"position.{a}")), p), 0.05))
             for a, p in zip("xyz", t.vector("position"), strict=True)
         ),
-        when(late, store("hops", t("add", t.snap("hops"), t("number", t("reduce.any", everywhere, t("lt", t("pair.distance"), 60.0)))))),
+        when(
+            late,
+            store("hops", t("add", t.snap("hops"), t("number", t("reduce.any", everywhere, t("lt", t("pair.distance"), 60.0))))),
+        ),
     )
     fly_registers = registers(ir.Register("prey", L, "attribute", -1, of="ant"), ir.Register("hops", F, "attribute"))
     fly = ir.SpeciesPlan("fly", fly_registers, (), block(store("response", t.b.number(0))), block(), block(), fly_blend, (), ())
@@ -221,7 +252,15 @@ def setting(ants: int = 40, flies: int = 3, **more: object) -> Setting:
     return Setting(**{**given, **more})  # type: ignore[arg-type]
 
 
-def bare(act: ir.Block, *numbers: str, decide: ir.Block | None = None, blend: ir.Block | None = None, born: ir.Block | None = None, more: tuple[ir.Register, ...] = (), **plan: object) -> ir.Plan:
+def bare(
+    act: ir.Block,
+    *numbers: str,
+    decide: ir.Block | None = None,
+    blend: ir.Block | None = None,
+    born: ir.Block | None = None,
+    more: tuple[ir.Register, ...] = (),
+    **plan: object,
+) -> ir.Plan:
     """One species with some number registers and nothing else to do."""
     found = registers(*(ir.Register(name, ir.Kind.F32, "attribute") for name in numbers), *more)
     empty = block()

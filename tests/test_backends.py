@@ -1,4 +1,4 @@
-"""Both backends, any chunk, any number of threads, any order of rows: the same bits at every frame. The plans cover every operation."""
+"""Both backends, any chunk, any number of threads, any order of rows: the same bits at every frame, for all operations."""
 
 from __future__ import annotations
 
@@ -99,7 +99,9 @@ def test_uniform_conditions_and_values():
     t = plans.Text()
     late = t("gt", t("step", attrs=("frame",)), 1.0)
     act = plans.block(
-        plans.when(late, plans.store("mood", t("add", t.snap("mood"), t("step", attrs=("frame",)))), plans.store("first", t.b.number(4))),
+        plans.when(
+            late, plans.store("mood", t("add", t.snap("mood"), t("step", attrs=("frame",)))), plans.store("first", t.b.number(4))
+        ),
         plans.store("second", t("mul", t("run", attrs=("dt",)), 24.0)),
     )
     for backend in ("numpy", "reference"):
@@ -120,7 +122,10 @@ def test_nobody_at_all():
 def test_a_crowd_on_one_spot_has_a_capped_number_of_neighbours():
     t = plans.Text()
     near = t("set.agents", 5.0, -1.0, attrs=("ant", True))
-    act = plans.block(plans.store("mood", t("reduce.count", near, t.b.true)), plans.store("first", t("reduce.max", near, t.b.true, t("number", t("eq", t("other.id"), t.b.agent(299))))))
+    act = plans.block(
+        plans.store("mood", t("reduce.count", near, t.b.true)),
+        plans.store("first", t("reduce.max", near, t.b.true, t("number", t("eq", t("other.id"), t.b.agent(299))))),
+    )
     world = bind(plans.bare(act, "mood", "first"), plans.crowd(300, radius=0.0), Options(chunk=50))
     step(world)
     now = world.populations["ant"].now

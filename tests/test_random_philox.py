@@ -35,7 +35,15 @@ def test_a_draw_is_a_function_of_its_place():
 
 @pytest.mark.parametrize(
     "other",
-    [(8, 12, "ant", "s", 0), (7, 13, "ant", "s", 0), (7, 12, "bee", "s", 0), (7, 12, "ant", "t", 0), (7, 12, "ant", "s", 1), (7, 12, "ant", "s", 4), (7 + 2**32, 12, "ant", "s", 0)],
+    [
+        (8, 12, "ant", "s", 0),
+        (7, 13, "ant", "s", 0),
+        (7, 12, "bee", "s", 0),
+        (7, 12, "ant", "t", 0),
+        (7, 12, "ant", "s", 1),
+        (7, 12, "ant", "s", 4),
+        (7 + 2**32, 12, "ant", "s", 0),
+    ],
 )
 def test_every_part_of_the_place_counts(other):
     ids = np.arange(4000, dtype=np.int64)

@@ -13,7 +13,7 @@ from antdsl.runtime import FaultStop, Options, bind, checkpoint, restore, set_pa
 from antdsl.scene.setting import ItemData
 from antdsl.source import Source, Span
 
-F, B, I, L = ir.Kind.F32, ir.Kind.BOOL, ir.Kind.I32, ir.Kind.I64
+B, L = ir.Kind.BOOL, ir.Kind.I64
 BACKENDS = ("numpy", "reference")
 
 
@@ -33,10 +33,18 @@ def eaters(amount: float) -> ir.Plan:
     )
     act = plans.block(
         plans.when(t("load", attrs=("won", 1), kind=B), plans.store("wins", t("add", t.snap("wins"), 1.0))),
-        plans.when(t("gt", t("load", attrs=("load", 2)), 2.5 * amount), ir.Give("food", "load", there, t("mul", 0.7, t("load", attrs=("load", 2))), "load", None)),
+        plans.when(
+            t("gt", t("load", attrs=("load", 2)), 2.5 * amount),
+            ir.Give("food", "load", there, t("mul", 0.7, t("load", attrs=("load", 2))), "load", None),
+        ),
     )
     return plans.bare(
-        act, "load", "wins", decide=decide, more=(ir.Register("won", B, "temp"),), items={"food": ir.ItemsPlan("food", {"load": 0.0})}
+        act,
+        "load",
+        "wins",
+        decide=decide,
+        more=(ir.Register("won", B, "temp"),),
+        items={"food": ir.ItemsPlan("food", {"load": 0.0})},
     )
 
 
@@ -59,7 +67,13 @@ def test_the_last_crumb_goes_to_one():
     items = {"food": (ItemData("a", (0, 0, 0), 1.0, {"load": 3.0}), ItemData("b", (9, 0, 0), 1.0))}
     t = plans.Text()
     decide = plans.block(ir.Claim("food", "load", t.b.row(0), t.b.number(1), "won", "load", "a", None))
-    plan = plans.bare(plans.block(), "load", decide=decide, more=(ir.Register("won", B, "temp"),), items={"food": ir.ItemsPlan("food", {"load": 0.0})})
+    plan = plans.bare(
+        plans.block(),
+        "load",
+        decide=decide,
+        more=(ir.Register("won", B, "temp"),),
+        items={"food": ir.ItemsPlan("food", {"load": 0.0})},
+    )
     winners = set()
     for seed in range(6):
         world = bind(plan, plans.crowd(20, items=items, seed=seed))
@@ -79,9 +93,13 @@ def test_claims_on_nothing_win_nothing():
         ir.Claim("food", "load", t.b.row(0), t.b.number(-1), "won", "load", "c", None),
     )
     act = plans.block(ir.Give("food", "load", t.b.row(-1), None, "load", None))
-    plan = plans.bare(act, "load", decide=decide, more=(ir.Register("won", B, "temp"),), items={"food": ir.ItemsPlan("food", {"load": 0.0})})
+    plan = plans.bare(
+        act, "load", decide=decide, more=(ir.Register("won", B, "temp"),), items={"food": ir.ItemsPlan("food", {"load": 0.0})}
+    )
     for backend in BACKENDS:
-        world = bind(plan, plans.crowd(4, items={"food": (ItemData("a", (0, 0, 0), 1.0, {"load": 3.0}),)}), Options(backend=backend))
+        world = bind(
+            plan, plans.crowd(4, items={"food": (ItemData("a", (0, 0, 0), 1.0, {"load": 3.0}),)}), Options(backend=backend)
+        )
         step(world)
         assert not world.populations["ant"].now["load"].any() and world.items["food"].amounts["load"][0] == 3
 
@@ -140,7 +158,9 @@ def test_births_and_deaths(options):
     step(world)
     assert sorted(ants.ids.tolist()) == list(range(15))  # 0 2 4 6 bear 7 .. 14, in this order
     rows = ants.rows_of(np.array([0, 7, 8, 2, 9, 10]))
-    assert np.array_equal(ants.position[rows[:1]], ants.position[rows[1:2]]) and np.array_equal(ants.position[rows[3]], ants.position[rows[5]])
+    assert np.array_equal(ants.position[rows[:1]], ants.position[rows[1:2]]) and np.array_equal(
+        ants.position[rows[3]], ants.position[rows[5]]
+    )
     assert ants.born[rows].tolist() == [0, 2, 2, 0, 2, 2] and ants.now["parity"][rows[1]] == 1
     assert (ants.now["friend"][ants.rows_of(np.arange(7))] == 3).all()
     step(world)
@@ -168,7 +188,7 @@ def test_a_checkpoint_of_a_changed_crowd():
         step(world)
         step(other)
     assert state_hash(world) == state_hash(other)
-    with pytest.raises(ValueError, match="`species.ant.ids` is missing"):
+    with pytest.raises(ValueError, match=r"`species\.ant\.ids` is missing"):
         restore(other, {name: a for name, a in checkpoint(world).items() if not name.startswith("species")})
 
 

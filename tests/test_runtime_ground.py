@@ -1,4 +1,4 @@
-"""Agents on real ground: nobody leaves the surface or enters a stone, fields and rays work through the plan, both backends agree."""
+"""Agents on real ground: nobody leaves the surface or enters a stone, fields and rays work, both backends agree."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ import pytest
 from antdsl.plan import ir
 from antdsl.runtime import BindError, Options, bind, checkpoint, restore, state_hash, step
 from antdsl.scene.setting import CrowdData, FieldStart, MeshData, PlaceData
-
-F, B = ir.Kind.F32, ir.Kind.BOOL
 
 
 def mesh(made: meshes.Mesh, shift: float = 0.0) -> MeshData:
@@ -42,15 +40,36 @@ def surfaces_plan(diffuse: float = 20.0, cell: float = 5.0) -> ir.Plan:
     for k, a in enumerate("xyz"):
         turn = t("where", t.get(ray, 0), t("mul", t.get(ray, 2 + k), 0.6), t("mul", t.get(near, 2 + k), 0.2))
         climb = t("mul", t("sub", t.get(best, 1 + k), t.snap(f"position.{a}")), 0.02)
-        lead = t("add", t("mul", t.get(curve, 4 + k), 0.1), t("mul", t("sub", t.get(curve, 1 + k), t.snap(f"position.{a}")), t("div", 0.2, t("add", 50.0, t.get(curve, 0)))))
+        lead = t(
+            "add",
+            t("mul", t.get(curve, 4 + k), 0.1),
+            t("mul", t("sub", t.get(curve, 1 + k), t.snap(f"position.{a}")), t("div", 0.2, t("add", 50.0, t.get(curve, 0)))),
+        )
         uphill = t("max", -0.1, t("min", 0.1, t.get(slope, k)))
         noise = t("mul", t("sub", t.draw("n", k), 0.5), 0.2)
-        push.append(plans.store(f"push.{a}", t("add", t("add", t("mul", h[k], 0.5), t("add", turn, climb)), t("add", t("add", lead, noise), uphill))))
+        push.append(
+            plans.store(
+                f"push.{a}",
+                t("add", t("add", t("mul", h[k], 0.5), t("add", turn, climb)), t("add", t("add", lead, noise), uphill)),
+            )
+        )
     fields = {
-        "trail": ir.FieldPlan("trail", ("ground", "boulder"), t.b.number(cell), t.b.number(0.98), t.b.number(diffuse), "add", None, None)  # type: ignore[arg-type]
+        "trail": ir.FieldPlan(
+            "trail", ("ground", "boulder"), t.b.number(cell), t.b.number(0.98), t.b.number(diffuse), "add", None, None
+        )  # type: ignore[arg-type]
     }
     names = ("ground", "boulder")
-    return plans.bare(act, "hits", "close", "smell", blend=plans.block(*push), fields=fields, surfaces=names, obstacles=("stones",), curves=("way",))
+    return plans.bare(
+        act,
+        "hits",
+        "close",
+        "smell",
+        blend=plans.block(*push),
+        fields=fields,
+        surfaces=names,
+        obstacles=("stones",),
+        curves=("way",),
+    )
 
 
 def surfaces_setting(count: int = 60, shift: float = 0.0, **more):
@@ -60,7 +79,10 @@ def surfaces_setting(count: int = 60, shift: float = 0.0, **more):
 
     given = dict(
         seed=5,
-        surfaces={"ground": mesh(meshes.grid(200.0, 24, lambda x, z: 8 * np.sin(x / 25) * np.cos(z / 30)), shift), "boulder": mesh(box((-40.0, 2.0, 30.0), 14.0), shift)},
+        surfaces={
+            "ground": mesh(meshes.grid(200.0, 24, lambda x, z: 8 * np.sin(x / 25) * np.cos(z / 30)), shift),
+            "boulder": mesh(box((-40.0, 2.0, 30.0), 14.0), shift),
+        },
         obstacles={"stones": mesh(box((25.0, 0.0, 0.0), 12.0), shift)},
         curves={"way": np.array([[-90.0, 0, -60], [0, 0, -40], [90, 0, -60]]) + move},
         crowds=(CrowdData("ant", count, PlaceData(on=("ground",), around=(20.0 + shift, 0.0, shift), radius=60.0)),),
@@ -95,7 +117,9 @@ def test_two_hundred_steps_on_hills():
     assert world.faults.count == 0 and world.motion.summary()["standing"] < 0.3
 
 
-@pytest.mark.parametrize("options", [Options(chunk=7, shuffle_rows=4), Options(threads=2, chunk=11), Options(backend="reference")], ids=str)
+@pytest.mark.parametrize(
+    "options", [Options(chunk=7, shuffle_rows=4), Options(threads=2, chunk=11), Options(backend="reference")], ids=str
+)
 def test_the_same_hash_on_ground(options):
     def run(options: Options) -> list[str]:
         world = bind(surfaces_plan(), surfaces_setting(30), options)
@@ -134,7 +158,9 @@ def test_far_from_the_origin_nothing_is_coarse():
     assert np.abs(there - near.populations["ant"].position).max() < 1.0
 
 
-@pytest.mark.parametrize("diffuse, cell, code", [(1e4, 5.0, "unstable-field"), (0.0, 1e-3, "field-too-fine"), (0.0, 0.0, "field-setting")])
+@pytest.mark.parametrize(
+    "diffuse, cell, code", [(1e4, 5.0, "unstable-field"), (0.0, 1e-3, "field-too-fine"), (0.0, 0.0, "field-setting")]
+)
 def test_a_field_that_cannot_be_bound_says_so(diffuse, cell, code):
     with pytest.raises(BindError) as caught:
         bind(surfaces_plan(diffuse, cell), surfaces_setting(5), Options())

@@ -9,6 +9,24 @@ from antdsl.runtime.world import Items, Options, Population, World
 from antdsl.scene.setting import CrowdData, FieldStart, ItemData, MeshData, PlaceData, Setting
 
 __all__ = [
-    "BindError", "CheckpointError", "CrowdData", "Fault", "FaultStop", "FieldStart", "ItemData", "Items", "MeshData", "Options", "PlaceData", "Population", "Setting", "World",
-    "bind", "checkpoint", "restore", "set_param", "state_hash", "step",
-]  # fmt: skip
+    "BindError",
+    "CheckpointError",
+    "CrowdData",
+    "Fault",
+    "FaultStop",
+    "FieldStart",
+    "ItemData",
+    "Items",
+    "MeshData",
+    "Options",
+    "PlaceData",
+    "Population",
+    "Setting",
+    "World",
+    "bind",
+    "checkpoint",
+    "restore",
+    "set_param",
+    "state_hash",
+    "step",
+]

@@ -1,4 +1,4 @@
-"""Binds a plan to a setting: meshes become ground and ray scenes, items and crowds become arrays. Gives the world at its first frame."""
+"""Binds a plan to a setting: meshes become ground and ray scenes, items and crowds arrays. Gives the world at its first frame."""
 
 from __future__ import annotations
 
@@ -116,7 +116,10 @@ def _items(setting: Setting, plan: ir.ItemsPlan, origin: NDArray[np.float64]) ->
     position = np.array([item.position for item in found], np.float64).reshape(-1, 3) - origin
     seen = {axis: position[:, k].astype(np.float32) for k, axis in enumerate(AXES)}
     seen["radius"] = np.array([item.radius for item in found], np.float32)
-    amounts = {name: np.array([item.attributes.get(name, default) for item in found], np.float64) for name, default in plan.attributes.items()}
+    amounts = {
+        name: np.array([item.attributes.get(name, default) for item in found], np.float64)
+        for name, default in plan.attributes.items()
+    }
     items = Items(plan.name, tuple(item.name for item in found), position, amounts, seen)
     items.show()
     return items

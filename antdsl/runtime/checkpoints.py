@@ -55,7 +55,9 @@ def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     text = _take(arrays, "transitions.names").astype(np.uint8).tobytes().decode()
     counts = _take(arrays, "transitions.counts")
     world.transitions = dict(zip(text.split("\n") if text else [], (int(c) for c in counts), strict=True))
-    world.motion = Motion.of({name.removeprefix("motion."): array for name, array in arrays.items() if name.startswith("motion.")})
+    world.motion = Motion.of(
+        {name.removeprefix("motion."): array for name, array in arrays.items() if name.startswith("motion.")}
+    )
     world.grids.clear()
 
 

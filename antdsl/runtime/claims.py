@@ -69,7 +69,9 @@ def _turn(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.
     return turn
 
 
-def _change(population: Population, entry: ClaimEntry, rows: NDArray[np.intp], amount: NDArray[np.float32]) -> NDArray[np.float64]:
+def _change(
+    population: Population, entry: ClaimEntry, rows: NDArray[np.intp], amount: NDArray[np.float32]
+) -> NDArray[np.float64]:
     """What winning would add to the agents' own registers, in full; without one, the amount."""
     if entry.statement.own is None:
         return amount.astype(np.float64)

@@ -27,9 +27,8 @@ def greatest(a: Value, b: Value) -> Value:
 
 
 def where(condition: Value, then: Value, other: Value) -> Value:
-    if np.ndim(condition) == 0:
-        if np.ndim(then) == 0 and np.ndim(other) == 0:
-            return then if condition else other
+    if np.ndim(condition) == 0 and np.ndim(then) == 0 and np.ndim(other) == 0:
+        return then if condition else other
     return np.where(condition, then, other)
 
 

@@ -5,6 +5,8 @@ Each term is rounded to a multiple of 2**quantum, as (x + M) - M in float64; mul
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,7 +23,7 @@ def rounded(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
     return wide
 
 
-def sums(index: NDArray[np.intp], terms: NDArray[np.float32], quantum: int, length: int) -> NDArray[np.float32]:
+def sums(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], quantum: int, length: int) -> NDArray[np.float32]:
     """Sum of the terms of each index 0 .. length-1, as float32."""
     if index.size == 0:
         return np.zeros(length, np.float32)

@@ -33,7 +33,9 @@ class Fault:
     def __str__(self) -> str:
         place = "" if self.span is None else f"{self.span}: "
         values = ", ".join(f"{text} = {value}" for text, value in self.operands)
-        return f"{place}{self.species} {self.agent} at frame {self.frame}: `{self.what}` is not finite" + (f" ({values})" if values else "")
+        return f"{place}{self.species} {self.agent} at frame {self.frame}: `{self.what}` is not finite" + (
+            f" ({values})" if values else ""
+        )
 
 
 @dataclass(slots=True)

@@ -36,7 +36,7 @@ def bind_fields(world: World, meshes: dict[str, MeshData], value: Callable[[Worl
             except FieldTooFine as why:
                 report.error(
                     "field-too-fine",
-                    f"field `{plan.name}` with cells of {size:g} mm needs about {why.needed:,} cells and {limits.FIELD_CELLS:,} are allowed",
+                    f"field `{plan.name}` needs about {why.needed:,} cells of {size:g} mm; {limits.FIELD_CELLS:,} are allowed",
                     plan.span,
                     "write a larger `cell`",
                 )
@@ -55,10 +55,14 @@ def _sound(plan: ir.FieldPlan, size: float, keep: float, diffuse: float, limit: 
         report.error("field-setting", f"the cells of field `{plan.name}` have no size", plan.span, "write `cell 4 mm`")
         return False
     if not 0 <= keep <= 1:
-        report.error("field-setting", f"field `{plan.name}` keeps {keep * 100:g} % a step", plan.span, "write a share from 0 to 100 %")
+        report.error(
+            "field-setting", f"field `{plan.name}` keeps {keep * 100:g} % a step", plan.span, "write a share from 0 to 100 %"
+        )
         return False
     if not diffuse >= 0 or not limit >= 0:
-        report.error("field-setting", f"`diffuse` and `limit` of field `{plan.name}` cannot be below 0", plan.span, "write 0 or more")
+        report.error(
+            "field-setting", f"`diffuse` and `limit` of field `{plan.name}` cannot be below 0", plan.span, "write 0 or more"
+        )
         return False
     most = largest_stable_diffusion(size, dt)
     if diffuse > most * (1 + 1e-6):

@@ -1,4 +1,4 @@
-"""One number for the state of a frame: equal for any row order, chunk, thread count and backend, different for any other state."""
+"""One number for the state of a frame: equal for any row order, chunk, threads and backend, different for any other state."""
 
 from __future__ import annotations
 

@@ -42,8 +42,8 @@ def _series(x: Value, coefficients: tuple[float, ...]) -> Value:
 
 def _quarter_turns(x: Value) -> tuple[Value, Value]:
     """The angle as (remainder within an eighth of a turn, number of quarter turns 0 .. 3)."""
-    wide = _widen(x)
-    wide = np.where(np.abs(wide) < _FAR, wide, np.fmod(wide, 2.0 * _PI))
+    whole = _widen(x)
+    wide: Value = np.where(np.abs(whole) < _FAR, whole, np.fmod(whole, 2.0 * _PI))
     turns = np.rint(wide * _TWO_OVER_PI)
     rest = (wide - turns * _HALF_PI_HIGH) - turns * _HALF_PI_LOW
     return rest, turns - np.floor(turns * 0.25) * 4.0
@@ -59,14 +59,14 @@ def _waves(x: Value) -> tuple[Value, Value, Value]:
 def sin(x: Value) -> Value:
     """Sine; NaN where the angle is not finite. Angles above 1e6 are reduced by 2 pi as float64 holds it."""
     sine, cosine, quarter = _waves(x)
-    value = np.where((quarter == 1.0) | (quarter == 3.0), cosine, sine)
+    value: Value = np.where((quarter == 1.0) | (quarter == 3.0), cosine, sine)
     return _narrow(np.where(quarter >= 2.0, -value, value))
 
 
 def cos(x: Value) -> Value:
     """Cosine; as `sin`."""
     sine, cosine, quarter = _waves(x)
-    value = np.where((quarter == 1.0) | (quarter == 3.0), sine, cosine)
+    value: Value = np.where((quarter == 1.0) | (quarter == 3.0), sine, cosine)
     return _narrow(np.where((quarter == 1.0) | (quarter == 2.0), -value, value))
 
 

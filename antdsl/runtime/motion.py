@@ -53,7 +53,9 @@ class Motion:
 
     def reset(self) -> None:
         """Begin anew, say after a preroll."""
-        self.__init__()  # type: ignore[misc]
+        fresh = Motion()
+        for name in (*_COUNTS, "windows"):
+            setattr(self, name, getattr(fresh, name))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All counts by name, for a checkpoint."""
@@ -130,15 +132,15 @@ class Motion:
         widest = float(radius.max(initial=0.0))
         if not np.isfinite(widest) or widest <= 0:
             return
-        places = [population.now[f"position.{a}"] for a in "xyz"]
-        found = CellGrid(*places, population.ids, 2 * widest).pairs(None, 2 * widest)
+        x, y, z = (population.now[f"position.{a}"] for a in "xyz")
+        found = CellGrid(x, y, z, population.ids, 2 * widest).pairs(None, 2 * widest)
         room = np.maximum(radius[found.i] + radius[found.j], np.float32(1e-9))
         worst = np.zeros(len(population), np.float32)
         np.maximum.at(worst, found.i, np.clip(1 - found.distance / room, 0, 1))
         self.overlaps += np.bincount((worst * _BINS).astype(np.int64), minlength=_BINS + 1)
 
     def summary(self) -> dict[str, float]:
-        """turn_p99 (degrees a step), circling, standing (shares), overlap_p99 (0 apart .. 1 in one place), straightness (0 .. 1)."""
+        """turn_p99 (degrees a step), circling, standing (shares), overlap_p99 (0 apart .. 1 in one place), straightness."""
         return {
             "turn_p99": _percentile(self.turns) * 180.0,
             "circling": self.circling / max(1, self.ways),

@@ -1,10 +1,12 @@
-"""From pushes to places: acceleration, limits of speed and turn, sliding along obstacles, walking on the ground, and where one faces.
+"""From pushes to places: acceleration, limits of speed and turn, sliding along obstacles, walking, and where one faces.
 
-a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as there). An animal whose response is a step
-or less takes its whole change of velocity at once. The heading follows the velocity within a tenth of a second, whatever the fps.
+a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as there). An animal whose response is a
+step or less takes its whole change of velocity at once. The heading follows it within a tenth of a second.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +57,12 @@ def move(world: World, population: Population, substep: int) -> None:
     velocity = vec.flat(velocity, new_up)
     heading = _face(population, vec.columns(moved.heading, np.float32), velocity, new_up, dt)
     population.footing, population.position = moved.footing, moved.position
-    for name, value in (("velocity", velocity), ("heading", heading), ("up", new_up), ("position", vec.columns(moved.position, np.float32))):
+    for name, value in (
+        ("velocity", velocity),
+        ("heading", heading),
+        ("up", new_up),
+        ("position", vec.columns(moved.position, np.float32)),
+    ):
         for axis, component in zip(AXES, value, strict=True):
             now[f"{name}.{axis}"][:] = component
 
@@ -82,7 +89,9 @@ def _velocity(world: World, population: Population, up: Vector, dt: np.float32, 
     return velocity
 
 
-def _gain(now: dict[str, NDArray], max_speed: NDArray[np.float32], step: np.float32, dt: np.float32, substep: int) -> NDArray[np.float32]:
+def _gain(
+    now: dict[str, NDArray[Any]], max_speed: NDArray[np.float32], step: np.float32, dt: np.float32, substep: int
+) -> NDArray[np.float32]:
     """Change of velocity by a push of 1 in this substep, mm/s."""
     per_second = now["max_force"] / now["mass"]
     per_second = np.where(np.isfinite(per_second), per_second, _F(0))
@@ -90,7 +99,9 @@ def _gain(now: dict[str, NDArray], max_speed: NDArray[np.float32], step: np.floa
     return per_second * np.where(at_once, step if substep == 0 else _F(0), dt)
 
 
-def _limit_turn(velocity: Vector, before: Vector, up: Vector, max_turn: NDArray[np.float32], dt: np.float32, rows: NDArray[np.intp]) -> None:
+def _limit_turn(
+    velocity: Vector, before: Vector, up: Vector, max_turn: NDArray[np.float32], dt: np.float32, rows: NDArray[np.intp]
+) -> None:
     """Turn the velocity by at most max_turn * dt, at its new speed; changes it in place."""
     v, b, u = vec.take(velocity, rows), vec.take(before, rows), vec.take(up, rows)
     speed, ahead = vec.length(v), vec.unit(b, vec.unit(v, vec.across(u)))

@@ -48,7 +48,9 @@ def _along(scene: Any, place: Vector, step: Vector, up: Vector, radius: NDArray[
     return result  # type: ignore[return-value]
 
 
-def _ahead(scene: Any, place: Vector, step: Vector, radius: NDArray[np.float32], threads: int) -> tuple[NDArray[np.intp], NDArray[np.float32], Vector]:
+def _ahead(
+    scene: Any, place: Vector, step: Vector, radius: NDArray[np.float32], threads: int
+) -> tuple[NDArray[np.intp], NDArray[np.float32], Vector]:
     """Who meets a face on its step, how much of the step (mm) is free, and the face's normal."""
     size = vec.length(step)
     going = np.flatnonzero(size > _F(1e-9))

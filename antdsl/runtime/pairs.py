@@ -38,7 +38,7 @@ class PairRows:
     distance: Floats
 
     def pick(self, keep: NDArray[np.intp]) -> PairRows:
-        arrays = (a.take(keep) for a in (self.i, self.j, self.dx, self.dy, self.dz, self.distance))
+        arrays: Any = (a.take(keep) for a in (self.i, self.j, self.dx, self.dy, self.dz, self.distance))
         return PairRows(self.of, self.count, *arrays)
 
     def of_rows(self, rows: NDArray[np.intp]) -> PairRows:
@@ -47,7 +47,7 @@ class PairRows:
         number[rows] = np.arange(len(rows))
         i = number.take(self.i)
         keep = np.flatnonzero(i >= 0)
-        rest = (a.take(keep) for a in (self.j, self.dx, self.dy, self.dz, self.distance))
+        rest: Any = (a.take(keep) for a in (self.j, self.dx, self.dy, self.dz, self.distance))
         return PairRows(self.of, len(rows), i.take(keep), *rest)
 
 
@@ -77,7 +77,8 @@ def _near(world: World, other: Population, own: tuple[Floats, ...], ids: NDArray
     key = (other.name, float(np.ceil(np.log2(widest))))
     grid = world.grids.get(key)
     if grid is None:
-        grid = CellGrid(*(other.start[f"position.{axis}"] for axis in AXES), other.ids, widest)
+        x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
+        grid = CellGrid(x, y, z, other.ids, widest)
         world.grids[key] = grid
     p = grid.pairs(None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids)
     return PairRows(other, len(own[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
@@ -126,8 +127,8 @@ def _held(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.intp] | No
 
 
 def _body(pairs: PairRows, body: Any, keep: NDArray[np.intp] | None) -> Floats:
-    body = np.full(len(pairs.i), body) if np.ndim(body) == 0 else body
-    return body if keep is None else body.take(keep)
+    values: Floats = np.full(len(pairs.i), body) if np.ndim(body) == 0 else body
+    return values if keep is None else values.take(keep)
 
 
 def _sum(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Where agents start: on the ground, outside of obstacles. A place is a function of (seed, species, id), so more agents move nobody."""
+"""Where agents start: on the ground, outside of obstacles. A place is a function of (seed, species, id): more move nobody."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _points(world: World, species: str, place: PlaceData, ids: NDArray[np.int64]
         middle = np.zeros(3) if place.around is None else np.asarray(place.around, np.float64) - world.origin
         radius = 100.0 if place.radius is None else place.radius
         away, angle = np.sqrt(u).astype(np.float64) * radius, v * _TURN
-        up = tuple(np.full(len(ids), c) for c in world.up)
+        up = vec.columns(np.broadcast_to(world.up, (len(ids), 3)), np.float64)
         side = vec.across(up)
         ahead = vec.cross(up, side)
         disc = vec.add(vec.scale(side, away * kernels.cos(angle)), vec.scale(ahead, away * kernels.sin(angle)))
@@ -84,7 +84,9 @@ def _points(world: World, species: str, place: PlaceData, ids: NDArray[np.int64]
     return _on_faces(meshes, u, v, w) - world.origin
 
 
-def _on_faces(meshes: list[MeshData], u: NDArray[np.float32], v: NDArray[np.float32], w: NDArray[np.float32]) -> NDArray[np.float64]:
+def _on_faces(
+    meshes: list[MeshData], u: NDArray[np.float32], v: NDArray[np.float32], w: NDArray[np.float32]
+) -> NDArray[np.float64]:
     """Points spread evenly over the area of some meshes."""
     corners = np.concatenate([m.vertices[m.faces] for m in meshes])
     edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -93,7 +95,8 @@ def _on_faces(meshes: list[MeshData], u: NDArray[np.float32], v: NDArray[np.floa
     face = np.minimum(np.searchsorted(area, u.astype(np.float64) * area[-1], side="right"), len(area) - 1)
     fold = v + w > 1
     a, b = np.where(fold, 1 - v, v), np.where(fold, 1 - w, w)
-    return corners[face, 0] + a[:, None] * edge[face] + b[:, None] * other[face]
+    points: NDArray[np.float64] = corners[face, 0] + a[:, None] * edge[face] + b[:, None] * other[face]
+    return points
 
 
 def inside_obstacle(world: World, points: NDArray[np.float64]) -> NDArray[np.bool_]:

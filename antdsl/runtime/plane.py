@@ -43,7 +43,8 @@ class Plane:
 
     def _flat(self, vectors: Vectors) -> Vectors:
         along = (vectors[:, 0] * self._up[0] + vectors[:, 1] * self._up[1]) + vectors[:, 2] * self._up[2]
-        return vectors - along[:, None] * self._up
+        flat: Vectors = vectors - along[:, None] * self._up
+        return flat
 
     def _footing(self, points: Vectors) -> PlaneFooting:
         return PlaneFooting(points, np.zeros(len(points), np.int32))
@@ -61,7 +62,9 @@ class Plane:
     def upright(self, footing: PlaneFooting, up: Vectors) -> Vectors:
         return self.normal(footing)
 
-    def move(self, footing: PlaneFooting, displacement: Vectors, heading: Vectors, up: Vectors, body: NDArray[np.float64], threads: int) -> PlaneMove:
+    def move(
+        self, footing: PlaneFooting, displacement: Vectors, heading: Vectors, up: Vectors, body: NDArray[np.float64], threads: int
+    ) -> PlaneMove:
         """Walk straight on."""
         step = self._flat(displacement)
         travelled = np.sqrt((step[:, 0] * step[:, 0] + step[:, 1] * step[:, 1]) + step[:, 2] * step[:, 2])

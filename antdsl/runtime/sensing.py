@@ -91,7 +91,9 @@ def _agent_get(world: World, population: Population, node: ir.Node, rows: Rows, 
     at = other.rows_of(_spread(ids, rows))
     source = other.start[register]
     found = at >= 0
-    return np.where(found, source[np.where(found, at, 0)], source.dtype.type(0)) if len(source) else np.zeros(len(at), source.dtype)
+    return (
+        np.where(found, source[np.where(found, at, 0)], source.dtype.type(0)) if len(source) else np.zeros(len(at), source.dtype)
+    )
 
 
 def _agent_alive(world: World, population: Population, node: ir.Node, rows: Rows, ids: Value) -> Value:

@@ -12,7 +12,8 @@ Vector = tuple[Array, Array, Array]
 
 
 def dot(a: Vector, b: Vector) -> Array:
-    return (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
+    total: Array = (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
+    return total
 
 
 def cross(a: Vector, b: Vector) -> Vector:

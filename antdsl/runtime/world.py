@@ -200,7 +200,8 @@ def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
     for name in ("ids", "born", "quarantined", "position"):
         setattr(population, name, getattr(population, name)[rows])
     population.footing = _footing(lambda array: array[rows], population.footing)
-    for table in (population.events, population.raised, population.cells):
+    population.cells.clear()
+    for table in (population.events, population.raised):
         for name, array in table.items():
             table[name] = array[rows]
     _remake(population, lambda array, _: array[rows])

@@ -68,7 +68,7 @@ class FieldStart:
 @dataclass(frozen=True, slots=True, eq=False)
 class Setting:
     """Everything that binding a plan needs. `unit_mm` is the length of `u`; `up` a unit vector; `params` by qualified name
-    (`forager.smell`), those absent take their default; `first_frame` is the number of the first simulated frame (preroll included)."""
+    (`forager.smell`), those absent take their default; `first_frame` is the number of the first simulated frame."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1

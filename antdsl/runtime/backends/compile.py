@@ -1,4 +1,4 @@
-"""A block of the plan as flat lists of NumPy calls over slots. A region is a scope: the rows for which its condition holds, compacted.
+"""A block of the plan as flat lists of NumPy calls over slots. A region is a scope: the rows where its condition holds.
 
 A value is computed in the first scope that asks for it and gathered from there into the scopes inside. Senses that the plan calls
 lazy are kept for the whole step, in arrays as long as the species, and computed for the rows that have none yet.
@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from antdsl.plan import ir
-from antdsl.runtime.reading import early_loads, kept_senses, reach, statement_nodes, walk, written
 from antdsl.runtime.elementwise import UFUNCS
+from antdsl.runtime.reading import early_loads, kept_senses, reach, statement_nodes, walk, written
 from antdsl.runtime.world import DTYPES
 
 Slots = list[Any]
@@ -36,7 +36,7 @@ class Instruction:
 
 @dataclass(slots=True, eq=False)
 class Scope:
-    """Rows of one region: `rows` (slice or array, of the species), `picked` (of the parent's rows; None holds all), `size`."""
+    """Rows of one region: `rows` (slice or array, of the species), `picked` (of the parent's rows; None: all), `size`."""
 
     parent: Scope | None
     rows: int
@@ -59,13 +59,21 @@ class PairScope:
 
 
 class BlockCompiler:
-    """Compiles one block. `calls` makes the closures: the module `numpy_calls`."""
+    """Compiles one block. `calls` and `statement` make the closures: `numpy_calls`, `numpy_statements`."""
 
-    def __init__(self, species: ir.SpeciesPlan, calls: Any, name: str, order: dict[ir.Statement, int], sets: dict[ir.Node, int]) -> None:
-        self.calls, self.name, self._order = calls, name, order
+    def __init__(
+        self,
+        species: ir.SpeciesPlan,
+        block: str,
+        calls: Any,
+        statement: Any,
+        order: dict[ir.Statement, int],
+        sets: dict[ir.Node, int],
+    ) -> None:
+        self.calls, self.statement, self.name, self._order = calls, statement, block, order
         self.uniforms: dict[ir.Node, int] = {}
         self.slots = FIRST_SLOT
-        self.lazy = frozenset(kept_senses(species)) if name != "born" else frozenset()
+        self.lazy = frozenset(kept_senses(species)) if block != "born" else frozenset()
         self.root = self._scope(None)
         self.buffers: dict[Any, int] = {}  # how many of each dtype
         self.changing: set[str] = set()  # registers that the block stores
@@ -102,7 +110,7 @@ class BlockCompiler:
                 if inner.code:
                     self._emit_inner(scope, inner, inputs[0])
                 continue
-            make = self.calls.statement(statement, self, scope)
+            make = self.statement(statement, self, scope)
             scope.code.append(Instruction(make, -1, inputs, None, scope))
 
     def _emit_inner(self, scope: Scope, inner: Scope, condition: int) -> None:
@@ -111,7 +119,7 @@ class BlockCompiler:
     # --- values --------------------------------------------------------------------------------------------------------
 
     def value(self, scope: Scope, node: ir.Node, afresh: bool = False) -> int:
-        """Slot of a node's value in a scope; emits what is missing. `afresh`: the node itself is not looked up among the kept ones."""
+        """Slot of a node's value in a scope; emits what is missing. `afresh`: a kept node itself is computed."""
         if node.rate <= ir.Rate.STEP:
             return self._uniform(node)
         missing: set[ir.Node] = set()
@@ -175,7 +183,9 @@ class BlockCompiler:
         inner = self._scope(scope)
         result = self.value(inner, node, afresh=True)
         slot = scope.known[node] = self.slot()
-        scope.code.append(Instruction(self.calls.keep(node, scope, inner, result), slot, (), None, scope, inner=inner, result=result))
+        scope.code.append(
+            Instruction(self.calls.keep(node, scope, inner, result), slot, (), None, scope, inner=inner, result=result)
+        )
 
     # --- sets ----------------------------------------------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from antdsl.plan import ir
 from antdsl.runtime.backends import numpy_calls
 from antdsl.runtime.backends.compile import BUFFERS, EFFECTS, LAZY, PAIRS, POPULATION, WORLD, BlockCompiler
+from antdsl.runtime.backends.numpy_statements import statement
 from antdsl.runtime.effects import Effects
 from antdsl.runtime.elementwise import ELEMENTWISE
 from antdsl.runtime.pairs import MOST_PAIRS
@@ -29,9 +30,10 @@ class NumpyBackend:
         self._blocks: dict[tuple[str, str], BlockCompiler] = {}
         self._uniforms: dict[str, list[ir.Node]] = {}
         for name, species in plan.species.items():
-            order, sets = places(species), {}
+            order = places(species)
+            sets: dict[ir.Node, int] = {}
             for block in BLOCKS:
-                compiler = BlockCompiler(species, numpy_calls, block, order, sets)
+                compiler = BlockCompiler(species, block, numpy_calls, statement, order, sets)
                 compiler.compile(getattr(species, block))
                 self._blocks[name, block] = compiler
             roots = tuple(node for block in BLOCKS for node in self._blocks[name, block].uniforms)
@@ -88,7 +90,9 @@ class NumpyBackend:
         parts = [slice(a, min(a + size, n)) for a in range(0, n, size)]
         return parts if rows is None else [rows[part] for part in parts]
 
-    def _chunk(self, world: World, population: Population, compiler: BlockCompiler, rows: Any, effects: Effects, lane: int) -> None:
+    def _chunk(
+        self, world: World, population: Population, compiler: BlockCompiler, rows: Any, effects: Effects, lane: int
+    ) -> None:
         v: list[Any] = [None] * compiler.slots
         v[WORLD], v[POPULATION], v[EFFECTS], v[LAZY] = world, population, effects, self._kept.get(population.name)
         v[PAIRS] = {} if compiler.name == "born" else self._pairs[population.name]

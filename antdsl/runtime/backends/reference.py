@@ -39,7 +39,9 @@ class ReferenceBackend:
         rows = np.flatnonzero(~population.quarantined) if rows is None else rows
         with np.errstate(all="ignore"):
             for row in rows:
-                agent = Agent(world, population, int(row), population.now, int(row), population.effects, self._orders[population.name])
+                agent = Agent(
+                    world, population, int(row), population.now, int(row), population.effects, self._orders[population.name]
+                )
                 agent.run(block)
 
 
@@ -55,7 +57,14 @@ class Agent:
     """One agent during one block. `now[name][at]` is its register; the row stands for it in everything else."""
 
     def __init__(
-        self, world: World, population: Population, row: int, now: dict[str, Any], at: int, effects: Effects, order: dict[ir.Statement, int]
+        self,
+        world: World,
+        population: Population,
+        row: int,
+        now: dict[str, Any],
+        at: int,
+        effects: Effects,
+        order: dict[ir.Statement, int],
     ) -> None:
         self.world, self.population, self.row = world, population, row
         self.now, self.at, self.effects, self.order = now, at, effects, order
@@ -295,7 +304,9 @@ _REDUCE: dict[str, Callable[[Agent, ir.Node, ir.Node, Found], Any]] = {
 # --- telling a fault -------------------------------------------------------------------------------------------------
 
 
-def operands_of(world: World, population: Population, row: int, block: str, what: str, span: Span | None) -> tuple[tuple[str, str], ...]:
+def operands_of(
+    world: World, population: Population, row: int, block: str, what: str, span: Span | None
+) -> tuple[tuple[str, str], ...]:
     """Run one agent's step again, without any effect, up to a refused value; text and value of what made it not finite."""
     now = {name: population.start[name][row : row + 1].copy() for name in population.now}
     for name, register in population.plan.registers.items():
