@@ -80,7 +80,12 @@ def test_json_has_places_in_characters_and_bytes() -> None:
     report = one(span=span("x\n}"), labels=(Label(span("worker"), "here"),), fix=Fix(span("worker"), "ant"))
     report.warning("bad-name", "second", None)
     document = json.loads(render(report, "json"))
-    assert (document["format_version"], document["valid"], document["error_count"], document["warning_count"]) == ("1.0", False, 1, 1)
+    assert (document["format_version"], document["valid"], document["error_count"], document["warning_count"]) == (
+        "1.0",
+        False,
+        1,
+        1,
+    )
     first, second = document["diagnostics"]
     assert first["range"]["start"] == {"line": 4, "column": 12, "byte": len(TEXT[: TEXT.index("x\n}")].encode())}
     assert first["range"]["end"]["line"] == 5 and first["snippet"] == {"code": "  é = 日本 + x", "start_line": 4}
@@ -106,7 +111,9 @@ def test_sarif_has_rules_and_fingerprints_that_survive_moved_lines() -> None:
     def results(text: str) -> list[dict]:
         source = Source("my files/a.ant", text)
         places = [match.start() for match in re.finditer("bad", text)]
-        report = Report([Diagnostic("bad-name", "m", Span(source, at, at + 3), fix=Fix(Span(source, at, at + 3), "x")) for at in places])
+        report = Report(
+            [Diagnostic("bad-name", "m", Span(source, at, at + 3), fix=Fix(Span(source, at, at + 3), "x")) for at in places]
+        )
         run = json.loads(render(report, "sarif"))["runs"][0]
         assert run["tool"]["driver"]["rules"] == [{"id": "bad-name", "shortDescription": {"text": CODES["bad-name"]}}]
         return run["results"]
@@ -139,7 +146,10 @@ def test_no_more_than_fifty_are_shown_and_errors_first(format: str) -> None:
     for at in range(0, 4000, 2):
         (report.warning if at < 3990 else report.error)("bad-name", f"number {at}", Span(source, at, at + 1))
     text = render(report, format)
-    assert len(re.findall(r"number \d+", text)) in (limits.DIAGNOSTICS_SHOWN, limits.DIAGNOSTICS_SHOWN + 5)  # junit says errors twice
+    assert len(re.findall(r"number \d+", text)) in (
+        limits.DIAGNOSTICS_SHOWN,
+        limits.DIAGNOSTICS_SHOWN + 5,
+    )  # junit says errors twice
     assert "number 3998" in text and "number 2000" not in text
     assert re.search(r"1,?950", text)
 

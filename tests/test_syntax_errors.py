@@ -64,7 +64,14 @@ def test_every_code_of_this_room_is_in_a_case() -> None:
     assert len(mine) == 2
     codes = {code for part in mine for code in re.findall(r'^    "([a-z0-9-]+)":', part, re.MULTILINE)}
     seen = {expected.code for chunk in _chunks().values() for expected in _expected(chunk)}
-    python_cases = {"control-character", "hidden-direction", "odd-blank", "line-too-long", "nesting-too-deep", "expression-too-deep"}
+    python_cases = {
+        "control-character",
+        "hidden-direction",
+        "odd-blank",
+        "line-too-long",
+        "nesting-too-deep",
+        "expression-too-deep",
+    }
     assert codes - seen == python_cases and seen <= set(CODES)
 
 
@@ -127,7 +134,9 @@ def test_flat_sums_within_the_cap_are_fine() -> None:
     assert _codes(PROGRAM.format("+".join(["1"] * (limits.EXPRESSION_DEPTH - 20)))) == []
 
 
-@pytest.mark.parametrize("line", ["  size 4 metr\n", "  state ) }\n", "}\n", "a\u202eb\n", '" \n', "stata x { }\n", "“", "foo( {\n"])
+@pytest.mark.parametrize(
+    "line", ["  size 4 metr\n", "  state ) }\n", "}\n", "a\u202eb\n", '" \n', "stata x { }\n", "“", "foo( {\n"]
+)
 def test_thousands_of_mistakes_take_no_time_and_are_cut_short(line: str) -> None:
     from time import process_time
 

@@ -29,7 +29,9 @@ class Whole(Builder):
     """Builds a file that is parsed in one go."""
 
     def file(self, parts: list) -> tuple:
-        return tuple(part for part in parts if not hasattr(part, "start_pos") and part is not None and not hasattr(part, "edition"))
+        return tuple(
+            part for part in parts if not hasattr(part, "start_pos") and part is not None and not hasattr(part, "edition")
+        )
 
 
 @pytest.fixture(scope="module")

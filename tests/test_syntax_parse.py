@@ -46,7 +46,10 @@ def shape(node: Any) -> Any:
         return tuple(shape(part) for part in node)
     if is_dataclass(node) and not isinstance(node, (Span, Source)):
         parts = [(each.name, shape(getattr(node, each.name))) for each in fields(node)]
-        return (type(node).__name__, *[part for part in parts if part[0] not in ("span", "source", "unit_span", "op_span", "comments")])
+        return (
+            type(node).__name__,
+            *[part for part in parts if part[0] not in ("span", "source", "unit_span", "op_span", "comments")],
+        )
     return node
 
 
@@ -69,7 +72,9 @@ def test_shipped_texts_parse_without_a_complaint(path: Path) -> None:
 
 def test_card_holds_every_node() -> None:
     seen = {type(node) for node in walk(right(CARD.read_text(encoding="utf-8")))}
-    every = {value for value in vars(n).values() if isinstance(value, type) and is_dataclass(value) and value.__module__ == n.__name__}
+    every = {
+        value for value in vars(n).values() if isinstance(value, type) and is_dataclass(value) and value.__module__ == n.__name__
+    }
     assert every - seen == {n.BadExpr}
 
 
@@ -220,5 +225,7 @@ def test_windows_line_ends_give_the_same_tree() -> None:
 
 def test_layout_does_not_matter() -> None:
     one = right("ant 1\nspecies a { load = 0; start s; state s { steer seek(x); when y -> s { z = 1 } } }")
-    other = right("ant 1\n\n\nspecies a {\n\n\tload = 0\n start s;\n\n state s {;\n steer seek(\n\n x\n) ; when y -> s {\n z = 1\n\n}\n}\n}\n")
+    other = right(
+        "ant 1\n\n\nspecies a {\n\n\tload = 0\n start s;\n\n state s {;\n steer seek(\n\n x\n) ; when y -> s {\n z = 1\n}\n}\n}\n"
+    )
     assert shape(one.items) == shape(other.items)

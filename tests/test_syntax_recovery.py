@@ -64,7 +64,47 @@ def test_swapping_and_doubling_tokens_never_fails() -> None:
 
 
 _PIECES = st.sampled_from(
-    'ant 1|\n|species|a|{|}|(|)|[|]|state|s|when|->|steer|seek|layers|let|=|==|+|-|3|4 mm|0.5 s|"x"|"|;|choose|:|,|..|.|from any|# c|é|“|\t'.split("|")
+    [
+        "ant 1",
+        "\n",
+        "species",
+        "a",
+        "{",
+        "}",
+        "(",
+        ")",
+        "[",
+        "]",
+        "state",
+        "s",
+        "when",
+        "->",
+        "steer",
+        "seek",
+        "layers",
+        "let",
+        "=",
+        "==",
+        "+",
+        "-",
+        "3",
+        "4 mm",
+        "0.5 s",
+        '"x"',
+        '"',
+        ";",
+        "choose",
+        ":",
+        ",",
+        "..",
+        ".",
+        "from any",
+        "# c",
+        "é",
+        "“",
+        "\t",
+        "in",
+    ]
 )
 
 

@@ -1,4 +1,4 @@
-"""Workflow commands that GitHub shows beside the changed lines. Errors come first: GitHub drops what is too much without a word."""
+"""Workflow commands that GitHub shows beside the changed lines. Errors come first: GitHub drops what is too much in silence."""
 
 from __future__ import annotations
 

@@ -132,7 +132,13 @@ def cut(scan: Scan, tokens: list[Token]) -> list[Line]:
                 lines.pop()
                 line = lines[-1]
                 if not token.virtual:
-                    scan.error("brace-on-own-line", "`{` on a line of its own", token.start, token.end, "put it at the end of the line above")
+                    scan.error(
+                        "brace-on-own-line",
+                        "`{` on a line of its own",
+                        token.start,
+                        token.end,
+                        "put it at the end of the line above",
+                    )
             chooses = bool(line.tokens) and text_of(scan, line.tokens[-1]) == "choose"
             line.tokens.append(token)
             stack.append((lines, token, chooses))
@@ -148,7 +154,13 @@ def cut(scan: Scan, tokens: list[Token]) -> list[Line]:
         else:
             if token.kind == "word" and line.groups and line.tokens[-1] is line.groups[-1].close:
                 word = text_of(scan, token)
-                scan.error("missing-line-end", f"`{word}` on the same line after `}}`", token.start, token.end, "begin a new line, or write `;`")
+                scan.error(
+                    "missing-line-end",
+                    f"`{word}` on the same line after `}}`",
+                    token.start,
+                    token.end,
+                    "begin a new line, or write `;`",
+                )
                 lines.append(Line())
                 line = lines[-1]
             line.tokens.append(token)

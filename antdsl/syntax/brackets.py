@@ -1,5 +1,5 @@
-"""Tokens → the same with every bracket in a pair. A forgotten one is complained about where it was opened, and put in; one too many is
-left out. Line ends inside parentheses disappear."""
+"""Tokens → the same with every bracket in a pair. A forgotten one is complained about where it was opened, and put in; one too
+many is left out. Line ends inside parentheses disappear."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _CLOSING = {"(": ")", "[": "]", "{": "}"}
 _LOOKED_AHEAD = 200  # tokens; a line is seldom longer
 _SEARCHED = 100  # after so many complaints, lost braces are no longer looked for: each search walks over the text
 _LINE_WORDS = frozenset(word for words in LINE_WORDS.values() for word in words)
-_JOINING = frozenset("and or is in to then else".split())  # words that go on with a value after a name
+_JOINING = frozenset(("and", "or", "is", "in", "to", "then", "else"))  # words that go on with a value after a name
 
 
 def pair(scan: Scan) -> list[Token] | None:
@@ -72,7 +72,9 @@ class _Parentheses:
         elif text in (")", "]"):
             if not self.open:
                 opening = "(" if text == ")" else "["
-                self.scan.error("unopened-bracket", f"`{text}` without a `{opening}`", token.start, token.end, "delete it, or open it")
+                self.scan.error(
+                    "unopened-bracket", f"`{text}` without a `{opening}`", token.start, token.end, "delete it, or open it"
+                )
                 self.scan.blank(token.start, token.end)
                 return
             if not self.matches(index, token, text):
@@ -97,7 +99,13 @@ class _Parentheses:
             while wanted.pop() != text:
                 inner = self.out[self.open.pop()]
                 sign = text_of(self.scan, inner)
-                self.scan.error("unclosed-bracket", f"`{sign}` is never closed", inner.start, inner.end, f"write the missing `{_CLOSING[sign]}`")
+                self.scan.error(
+                    "unclosed-bracket",
+                    f"`{sign}` is never closed",
+                    inner.start,
+                    inner.end,
+                    f"write the missing `{_CLOSING[sign]}`",
+                )
                 at = self.out[-1].end
                 self.out.append(Token("close", at, at, -1, _CLOSING[sign]))
                 self.origin.append(index)
@@ -117,7 +125,7 @@ class _Parentheses:
         return False
 
     def forgotten(self, index: int) -> int:
-        """Something stayed open: close it at the end of its line, or after the lines that are set in more. Returns where to go on."""
+        """Something stayed open: close it at the end of its line, or of the lines that are set in more. Gives where to go on."""
         first, last = self.open[0], self.out[self.open[-1]]
         indent = self.indents[self.origin[first]]
         cut = len(self.out)
@@ -134,7 +142,9 @@ class _Parentheses:
         while self.out[cut - 1].kind == "soft":
             cut -= 1
         text = text_of(self.scan, last)
-        self.scan.error("unclosed-bracket", f"`{text}` is never closed", last.start, last.end, f"write the missing `{_CLOSING[text]}`")
+        self.scan.error(
+            "unclosed-bracket", f"`{text}` is never closed", last.start, last.end, f"write the missing `{_CLOSING[text]}`"
+        )
         at = self.out[cut - 1].end
         go_on = self.origin[cut] if cut < len(self.out) else index
         closing = [Token("close", at, at, -1, _CLOSING[text_of(self.scan, self.out[place])]) for place in reversed(self.open)]
@@ -229,7 +239,9 @@ class _Braces:
         return True
 
     def drop(self, token: Token) -> bool:
-        self.scan.error("unopened-brace", "`}` without a `{`", token.start, token.end, "delete it, or write the `{` that it closes")
+        self.scan.error(
+            "unopened-brace", "`}` without a `{`", token.start, token.end, "delete it, or write the `{` that it closes"
+        )
         self.scan.blank(token.start, token.end)
         return False
 
@@ -247,7 +259,9 @@ class _Braces:
                 break
             last = self.out[stop - 1]
             word = text_of(self.scan, candidate)
-            self.scan.error("missing-brace", f"`{word}` without a `{{`", candidate.start, last.end, "write `{` at the end of this line")
+            self.scan.error(
+                "missing-brace", f"`{word}` without a `{{`", candidate.start, last.end, "write `{` at the end of this line"
+            )
             self.out.insert(stop, Token("open", last.end, last.end, -1, "{"))
             return True
         return self.drop(token)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, overload
 
 from antdsl.source import Span
 from antdsl.syntax import nodes as n
@@ -63,7 +63,7 @@ class Block:
 
 
 class Builder:
-    """Holds where the line lies that is being parsed (`place`) and the bodies inside it (`bodies`, by the offset of their `{`)."""
+    """Holds where the line lies that is being parsed (`place`) and the bodies inside it (`bodies`, by the offset of the `{`)."""
 
     def __init__(self) -> None:
         self.place: Place
@@ -83,9 +83,17 @@ class Builder:
         there = [part for part in parts if part is not None]
         return self.at(there[0]).to(self.at(there[-1]))
 
+    @overload
+    def word(self, token: None) -> None: ...
+    @overload
+    def word(self, token: Token) -> n.Name: ...
     def word(self, token: Token | None) -> n.Name | None:
         return None if token is None else n.Name(str(token.value), self.at(token))
 
+    @overload
+    def text(self, token: None) -> None: ...
+    @overload
+    def text(self, token: Token) -> n.Text: ...
     def text(self, token: Token | None) -> n.Text | None:
         return None if token is None else n.Text(token.value[1:-1], self.at(token))
 
@@ -114,52 +122,52 @@ class Builder:
     def world_item(self, parts: list[Any]) -> n.WorldItem:
         kind, name, body, help = parts
         attributes = body.lines if body else ()
-        return n.WorldItem(self.word(kind), self.word(name), attributes, self.text(help), self.over(parts))  # type: ignore[arg-type]
+        return n.WorldItem(self.word(kind), self.word(name), attributes, self.text(help), self.over(parts))
 
     def field(self, parts: list[Any]) -> n.FieldDecl:
         _, name, _, surfaces, help, body = parts
-        return n.FieldDecl(self.word(name), surfaces, body.lines, self.over([parts[0], body]), self.text(help))  # type: ignore[arg-type]
+        return n.FieldDecl(self.word(name), surfaces, body.lines, self.over([parts[0], body]), self.text(help))
 
     def setting(self, parts: list[Any]) -> n.Setting:
-        return n.Setting(self.word(parts[0]), parts[1], self.over(parts))  # type: ignore[arg-type]
+        return n.Setting(self.word(parts[0]), parts[1], self.over(parts))
 
     def species(self, parts: list[Any]) -> n.Species:
         _, name, help, body = parts
-        return n.Species(self.word(name), body.lines, self.text(help), self.over(parts))  # type: ignore[arg-type]
+        return n.Species(self.word(name), body.lines, self.text(help), self.over(parts))
 
     def behaviour(self, parts: list[Any]) -> n.Behaviour:
-        word, name, _, arguments, _, _, returns, body = parts
+        _, name, _, arguments, _, _, returns, body = parts
         span = self.over(parts)
         helps = [line for line in body.lines if isinstance(line, n.Text)]
         results = [line.value for line in body.lines if isinstance(line, Result)]
         lines = tuple(line for line in body.lines if isinstance(line, (n.Keep, n.Let)))
         result = results[-1] if results else n.BadExpr(Span(span.source, max(span.start, span.end - 1), span.end))
-        return n.Behaviour(self.word(name), arguments or (), returns, helps[0] if helps else None, lines, result, span)  # type: ignore[arg-type]
+        return n.Behaviour(self.word(name), arguments or (), returns, helps[0] if helps else None, lines, result, span)
 
     def behaviour_arguments(self, parts: list[Any]) -> tuple[n.BehaviourArgument, ...]:
         return tuple(parts)
 
     def behaviour_argument(self, parts: list[Any]) -> n.BehaviourArgument:
-        return n.BehaviourArgument(self.word(parts[0]), parts[1], parts[3], self.over(parts))  # type: ignore[arg-type]
+        return n.BehaviourArgument(self.word(parts[0]), parts[1], parts[3], self.over(parts))
 
     def spec(self, parts: list[Any]) -> n.Spec:
         _, name, _, scene, body = parts
-        return n.Spec(self.text(name), self.text(scene), body.lines, self.over(parts))  # type: ignore[arg-type]
+        return n.Spec(self.text(name), self.text(scene), body.lines, self.over(parts))
 
     # --- a declared value ---
 
     def declaration(self, parts: list[Any]) -> n.Declaration:
         name, type, _, value, range, relax, each, help = parts
-        return n.Declaration(self.word(name), type, value, range, relax, each, self.text(help), self.over(parts))  # type: ignore[arg-type]
+        return n.Declaration(self.word(name), type, value, range, relax, each, self.text(help), self.over(parts))
 
     def relax(self, parts: list[Any]) -> n.Relax:
         return n.Relax(parts[1], parts[2], self.over(parts))
 
     def for_each(self, parts: list[Any]) -> n.ForEach:
-        return n.ForEach(self.word(parts[2]), parts[3], self.over(parts))  # type: ignore[arg-type]
+        return n.ForEach(self.word(parts[2]), parts[3], self.over(parts))
 
     def type(self, parts: list[Any]) -> n.TypeName:
-        return n.TypeName(self.word(parts[0]), self.word(parts[1]), self.over(parts))  # type: ignore[arg-type]
+        return n.TypeName(self.word(parts[0]), self.word(parts[1]), self.over(parts))
 
     def range(self, parts: list[Any]) -> n.RangeExpr:
         return n.RangeExpr(parts[0], parts[1], self.over(parts))
@@ -170,28 +178,28 @@ class Builder:
         return n.ParamDecl(parts[1], self.over(parts))
 
     def given(self, parts: list[Any]) -> n.Given:
-        return n.Given(self.word(parts[0]), parts[1], self.text(parts[2]), self.over(parts))  # type: ignore[arg-type]
+        return n.Given(self.word(parts[0]), parts[1], self.text(parts[2]), self.over(parts))
 
     def let(self, parts: list[Any]) -> n.Let:
-        return n.Let(self.word(parts[1]), parts[3], self.text(parts[4]), self.over(parts))  # type: ignore[arg-type]
+        return n.Let(self.word(parts[1]), parts[3], self.text(parts[4]), self.over(parts))
 
     def latch(self, parts: list[Any]) -> n.Latch:
         _, name, _, on, _, until, help = parts
-        return n.Latch(self.word(name), on, until, self.over(parts), self.text(help))  # type: ignore[arg-type]
+        return n.Latch(self.word(name), on, until, self.over(parts), self.text(help))
 
     def fuzzy(self, parts: list[Any]) -> n.Fuzzy:
         _, name, help, body = parts
-        return n.Fuzzy(self.word(name), body.lines, self.over(parts), self.text(help))  # type: ignore[arg-type]
+        return n.Fuzzy(self.word(name), body.lines, self.over(parts), self.text(help))
 
     def rule(self, parts: list[Any]) -> n.Rule:
         return n.Rule(parts[0], parts[2], self.over(parts))
 
     def start(self, parts: list[Any]) -> n.Start:
-        return n.Start(self.word(parts[1]), self.over(parts))  # type: ignore[arg-type]
+        return n.Start(self.word(parts[1]), self.over(parts))
 
     def on(self, parts: list[Any]) -> n.On:
         _, event, _, variable, _, body = parts
-        return n.On(self.word(event), self.word(variable), body.lines, self.over(parts))  # type: ignore[arg-type]
+        return n.On(self.word(event), self.word(variable), body.lines, self.over(parts))
 
     def layers(self, parts: list[Any]) -> n.Layers:
         return n.Layers(self.word(parts[1]), parts[2].lines, self.over(parts))
@@ -201,7 +209,7 @@ class Builder:
 
     def machine(self, parts: list[Any]) -> n.Machine:
         _, name, help, body = parts
-        return n.Machine(self.word(name), body.lines, self.over(parts), self.text(help))  # type: ignore[arg-type]
+        return n.Machine(self.word(name), body.lines, self.over(parts), self.text(help))
 
     def from_any(self, parts: list[Any]) -> n.Change:
         change: n.Change = parts[3]
@@ -214,7 +222,7 @@ class Builder:
         enter = tuple(action for block in blocks if block.word == "enter" for action in block.actions)
         exit = tuple(action for block in blocks if block.word == "exit" for action in block.actions)
         least = at_least.value if at_least else None
-        return n.State(self.word(name), self.text(label), self.word(colour), least, lines, enter, exit, self.over(parts))  # type: ignore[arg-type]
+        return n.State(self.word(name), self.text(label), self.word(colour), least, lines, enter, exit, self.over(parts))
 
     def at_least(self, parts: list[Any]) -> Result:
         return Result(parts[1], self.over(parts))
@@ -243,7 +251,7 @@ class Builder:
         return None, parts[0], None
 
     def take(self, parts: list[Any]) -> n.Take:
-        return n.Take(parts[1], self.word(parts[2]), parts[4], self.over(parts))  # type: ignore[arg-type]
+        return n.Take(parts[1], self.word(parts[2]), parts[4], self.over(parts))
 
     def target_state(self, parts: list[Any]) -> n.Target:
         return n.Target(self.word(parts[0]), False, (), self.over(parts))
@@ -255,42 +263,43 @@ class Builder:
         return n.Target(None, False, parts[1].lines, self.over(parts))
 
     def weight(self, parts: list[Any]) -> n.Weight:
-        return n.Weight(self.word(parts[0]), parts[1], self.over(parts))  # type: ignore[arg-type]
+        return n.Weight(self.word(parts[0]), parts[1], self.over(parts))
 
     def assign(self, parts: list[Any]) -> n.Assign:
         return n.Assign(parts[0], str(parts[1].value), parts[2], self.over(parts))
 
     def deposit(self, parts: list[Any]) -> n.Deposit:
-        return n.Deposit(self.word(parts[1]), parts[2], self.over(parts))  # type: ignore[arg-type]
+        return n.Deposit(self.word(parts[1]), parts[2], self.over(parts))
 
     def carve(self, parts: list[Any]) -> n.Carve:
-        return n.Carve(self.word(parts[1]), _given(parts[3:-1]), self.over(parts))  # type: ignore[arg-type]
+        return n.Carve(self.word(parts[1]), _given(parts[3:-1]), self.over(parts))
 
     def give(self, parts: list[Any]) -> n.Give:
         _, amount, attribute, to = parts
         every = getattr(amount, "type", None) == "ALL"
-        return n.Give(None if every else amount, self.word(attribute), to, self.over(parts))  # type: ignore[arg-type]
+        return n.Give(None if every else amount, self.word(attribute), to, self.over(parts))
 
     def emit(self, parts: list[Any]) -> n.Emit:
-        return n.Emit(self.word(parts[1]), _given(parts[3:-1]), self.over(parts))  # type: ignore[arg-type]
+        return n.Emit(self.word(parts[1]), _given(parts[3:-1]), self.over(parts))
 
     def spawn(self, parts: list[Any]) -> n.Spawn:
-        return n.Spawn(self.word(parts[1]), self.over(parts))  # type: ignore[arg-type]
+        return n.Spawn(self.word(parts[1]), self.over(parts))
 
     def die(self, parts: list[Any]) -> n.Die:
         return n.Die(self.over(parts))
 
     def play(self, parts: list[Any]) -> n.Play:
-        return n.Play(self.word(parts[1]), self.over(parts))  # type: ignore[arg-type]
+        return n.Play(self.word(parts[1]), self.over(parts))
 
     # --- lines of a behaviour and of a spec ---
 
     def help(self, parts: list[Any]) -> n.Text:
-        return self.text(parts[0])  # type: ignore[return-value]
+        text: n.Text = self.text(parts[0])
+        return text
 
     def keep(self, parts: list[Any]) -> n.Keep:
         _, name, type, _, first, then = parts
-        return n.Keep(self.word(name), type, first, then, self.over(parts))  # type: ignore[arg-type]
+        return n.Keep(self.word(name), type, first, then, self.over(parts))
 
     def result(self, parts: list[Any]) -> Result:
         return Result(parts[0], self.over(parts))
@@ -344,7 +353,7 @@ class Builder:
         return n.Quantity(float(digits.group()), unit, unit_span, self.at(token))
 
     def name(self, parts: list[Any]) -> n.NameRef:
-        return n.NameRef(self.word(parts[0]), self.at(parts[0]))  # type: ignore[arg-type]
+        return n.NameRef(self.word(parts[0]), self.at(parts[0]))
 
     def none(self, parts: list[Any]) -> n.NoneOf:
         return n.NoneOf(self.word(parts[1]), self.over(parts))
@@ -357,7 +366,7 @@ class Builder:
         return n.Call(parts[0], _given(parts[2:-1]), self.over(parts))
 
     def member_of(self, parts: list[Any]) -> n.Member:
-        return n.Member(parts[0], self.word(parts[1]), self.over(parts))  # type: ignore[arg-type]
+        return n.Member(parts[0], self.word(parts[1]), self.over(parts))
 
     def index(self, parts: list[Any]) -> n.Index:
         return n.Index(parts[0], parts[1], self.over(parts))
@@ -369,7 +378,7 @@ class Builder:
         return n.Argument(self.word(parts[0]), parts[1], self.over(parts))
 
     def comprehension(self, parts: list[Any]) -> n.Comprehension:
-        return n.Comprehension(self.word(parts[0]), parts[1], parts[2], self.over(parts))  # type: ignore[arg-type]
+        return n.Comprehension(self.word(parts[0]), parts[1], parts[2], self.over(parts))
 
 
 def _given(parts: Sequence[Any]) -> tuple[Any, ...]:

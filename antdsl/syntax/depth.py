@@ -17,9 +17,8 @@ def deep_places(node: Any) -> Iterator[Span]:
         part, depth = stack.pop()
         if isinstance(part, tuple):
             stack.extend((each, depth) for each in part)
-        elif is_dataclass(part) and not isinstance(part, (Span, Source)):
+        elif is_dataclass(part) and not isinstance(part, (Span, Source, type)):
             if depth > limits.EXPRESSION_DEPTH:
-                span: Span = part.span  # type: ignore[attr-defined]
-                yield span
+                yield getattr(part, "span")  # noqa: B009 - every node has one
                 return
             stack.extend((getattr(part, each.name), depth + 1) for each in fields(part))

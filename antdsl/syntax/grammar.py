@@ -1,4 +1,4 @@
-"""Grammar → tables: `python -m antdsl.syntax.grammar` writes the JSON that ships. Needs `interegular`, which looks for collisions."""
+"""Grammar → tables: `python -m antdsl.syntax.grammar` writes the JSON that ships. Needs `interegular` to find collisions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def build_parser(starts: tuple[str, ...] = STARTS, transformer: object | None = 
     from lark import Lark
 
     grammar = resources.grammar_file("antdsl.lark").read_text(encoding="utf-8")
-    return Lark(grammar, parser="lalr", lexer="contextual", strict=True, start=list(starts), transformer=transformer)  # type: ignore[arg-type]
+    return Lark(grammar, parser="lalr", lexer="contextual", strict=True, start=list(starts), transformer=transformer)
 
 
 def tables_text() -> str:
@@ -26,7 +26,7 @@ def tables_text() -> str:
     from lark.lexer import TerminalDef
 
     data, memo = build_parser().memo_serialize([TerminalDef, Rule])
-    data["options"]["strict"] = False  # collisions were looked for just now; looking again needs `interegular` where antdsl is used
+    data["options"]["strict"] = False  # collisions were looked for just now, and `interegular` is not where antdsl is used
     tables = {"grammar": grammar_hash(), "data": data, "memo": memo}
     return json.dumps(tables, separators=(",", ":"), ensure_ascii=True) + "\n"
 

@@ -1,12 +1,49 @@
-"""Letters and digits of other scripts that look like ones on the keyboard."""
+"""Letters, digits, quotes and signs that people type or paste in place of the ones of the language."""
 
 from __future__ import annotations
 
 import unicodedata
 
-_CYRILLIC = dict(zip("\u0430\u0435\u043e\u0440\u0441\u0443\u0445\u0456\u0458\u0455\u04bb\u0501\u051b\u051d\u043a\u043c\u043d\u0442\u0432\u0433", "aeopcyxijshdqwkmhtbr", strict=True))
-_GREEK = dict(zip("\u03b1\u03bf\u03c1\u03bd\u03b9\u03ba\u03c4\u03c5\u03c7\u03b5\u03b7\u03bc\u03c9", "aopviktuxenuw", strict=True))
-_LOOKALIKES = {**_CYRILLIC, **_GREEK, "\u0131": "i", "\u0261": "g", "\u00b5": "u", "\u017f": "s"}
+# Letter and what it looks like, one after the other.
+_PAIRS = (
+    "\u0430a\u0435e\u043eo\u0440p\u0441c\u0443y\u0445x\u0456i\u0458j\u0455s\u04bbh\u0501d\u051bq\u051dw"  # Cyrillic
+    "\u043ak\u043cm\u043dh\u0442t\u0432b\u0433r"
+    "\u03b1a\u03bfo\u03c1p\u03bdv\u03b9i\u03bak\u03c4t\u03c5u\u03c7x\u03b5e\u03b7n\u03bcu\u03c9w"  # Greek
+    "\u0131i\u0261g\u00b5u\u017fs"
+)
+_LOOKALIKES = dict(zip(_PAIRS[::2], _PAIRS[1::2], strict=True))
+
+DOUBLE_QUOTES = "\u201c\u201d\u201e\u201f\u00ab\u00bb\u2033\uff02"
+SINGLE_QUOTES = "'\u2018\u2019\u201a\u201b\u00b4\u2032`"
+
+# Signs of other languages and of mathematics: what to write, and the text that takes their place where the meaning is plain.
+WRONG_SIGNS = {
+    "&&": ("write `and`", None),
+    "||": ("write `or`", None),
+    "//": ("begin a comment with `#`", "comment"),
+    "/*": ("begin each line of a comment with `#`", "comment"),
+    "=>": ("write `->`", "->"),
+    ":=": ("write `=`", " ="),
+    "===": ("write `==`", "== "),
+    "++": ("write `+= 1`", None),
+    "**": ("write `^` for a power", "^ "),
+    "!": ("write `not`", None),
+    "%": ("a percent sign follows a number, as in `20 %`", None),
+    "\u00d7": ("write `*`", "*"),
+    "\u00b7": ("write `*`", "*"),
+    "\u00f7": ("write `/`", "/"),
+    "\u2212": ("write `-`", "-"),
+    "\u2013": ("write `-`", "-"),
+    "\u2014": ("write `-`", "-"),
+    "\u2192": ("write `->`", None),
+    "\u2264": ("write `<=`", None),
+    "\u2265": ("write `>=`", None),
+    "\u2260": ("write `!=`", None),
+    "\u2026": ("write `..` for a range", None),
+    "\u00b0": ("write `deg`", None),
+    "\u00b2": ("write `^ 2`", None),
+    "\u00b3": ("write `^ 3`", None),
+}
 
 
 def ascii_for(character: str) -> str | None:

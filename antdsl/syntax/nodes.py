@@ -6,12 +6,15 @@ Every node has a `span`. A name is a `Name(text, span)`, never a bare string. No
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Union
+from typing import TypeVar, dataclass_transform
 
 from antdsl.source import Source, Span
 
+_N = TypeVar("_N")
 
-def node(cls: type) -> type:
+
+@dataclass_transform(frozen_default=True, eq_default=False)
+def node(cls: type[_N]) -> type[_N]:
     return dataclass(frozen=True, slots=True, eq=False)(cls)
 
 
@@ -181,9 +184,9 @@ class BadExpr:
     span: Span
 
 
-Expr = Union[
-    Number, Quantity, NameRef, Member, Index, Call, Unary, Binary, IsNone, IfElse, RangeExpr, PairOf, NoneOf, BadExpr
-]
+Expr = (
+    Number | Quantity | NameRef | Member | Index | Call | Unary | Binary | IsNone | IfElse | RangeExpr | PairOf | NoneOf | BadExpr
+)
 
 
 # --- types as written ------------------------------------------------------------------------------------------------
@@ -265,7 +268,7 @@ class Give:
     span: Span
 
 
-Action = Union[Assign, Deposit, Carve, Emit, Spawn, Die, Play, Give]
+Action = Assign | Deposit | Carve | Emit | Spawn | Die | Play | Give
 
 
 @node
@@ -438,9 +441,9 @@ class Machine:
     help: Text | None = None
 
 
-SpeciesMember = Union[
-    ParamDecl, Declaration, Given, Let, Latch, Fuzzy, Start, On, Layers, Machine, State, Change
-]
+SpeciesMember = (
+    ParamDecl | Declaration | Given | Let | Latch | Fuzzy | Start | On | Layers | Machine | State | Change
+)
 
 
 # --- the top of a file -----------------------------------------------------------------------------------------------
@@ -550,7 +553,7 @@ class Spec:
     span: Span
 
 
-TopItem = Union[Use, World, FieldDecl, Species, Behaviour, Spec]
+TopItem = Use | World | FieldDecl | Species | Behaviour | Spec
 
 
 @node

@@ -34,7 +34,29 @@ _MENDED = 100  # after so many complaints in a file, broken lines are dropped in
 _lock = Lock()  # the builder holds the place of the line that is being parsed
 
 # Words and signs that part a line into slots, one of which is left out when it cannot be read.
-_SEPARATORS = frozenset("when -> held take from in to until then relax over for = += -= steer : { }".split())
+_SEPARATORS = frozenset(
+    (
+        "when",
+        "held",
+        "take",
+        "from",
+        "in",
+        "to",
+        "until",
+        "then",
+        "relax",
+        "over",
+        "for",
+        "steer",
+        "->",
+        "=",
+        "+=",
+        "-=",
+        ":",
+        "{",
+        "}",
+    )
+)
 
 
 @lru_cache(maxsize=1)
@@ -106,7 +128,8 @@ class _Reading:
             start = lines[0].start if lines else 0
             if not self.scan.has_fault(0, start):
                 message, help = "file does not name its edition", "write `ant 1` as the first line"
-                self.report.warning("missing-edition", message, Span(self.source, start, lines[0].tokens[0].end if lines else 0), help)
+                span = Span(self.source, start, lines[0].tokens[0].end if lines else 0)
+                self.report.warning("missing-edition", message, span, help)
             return None, lines
         nodes = self.line(lines[0], "header")
         for node in nodes:

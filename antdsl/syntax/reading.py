@@ -63,7 +63,7 @@ def _bytes(name: str, report: Report) -> bytes | None:
         return None
     try:
         # without O_NONBLOCK, opening a pipe waits for somebody to write into it
-        descriptor = os.open(name, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0))
+        descriptor = os.open(name, os.O_RDONLY | sum(getattr(os, flag, 0) for flag in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY")))
     except OSError as error:
         report.error("cannot-read", f"cannot read `{name}`: {_reason(error)}", None, "check the name and your right to read it")
         return None
@@ -81,7 +81,8 @@ def _bytes(name: str, report: Report) -> bytes | None:
         os.close(descriptor)
     if data is None or len(data) > limits.ANT_FILE_BYTES:
         most = limits.ANT_FILE_BYTES // limits.KIB
-        report.error("file-too-large", f"`{name}` is larger than {most} KiB", None, 'split it, and bring the parts in with `use "./part.ant" as part`')
+        help = 'split it, and bring the parts in with `use "./part.ant" as part`'
+        report.error("file-too-large", f"`{name}` is larger than {most} KiB", None, help)
         return None
     return data
 
@@ -109,5 +110,3 @@ def _decode(name: str, data: bytes, report: Report) -> str | None:
 
 def _reason(error: OSError) -> str:
     return (error.strerror or "unknown reason").lower()
-
-

@@ -1,5 +1,5 @@
-"""Source → tokens for cutting and a clean text for parsing. What no `.ant` text may hold is reported here, and put right where the
-meaning is plain, so that one slip gives one complaint. The clean text has the length of the source: every offset holds for both."""
+"""Source → tokens for cutting and a clean text for parsing. What no `.ant` text may hold is reported here, and put right where
+the meaning is plain, so that one slip gives one complaint. The clean text is as long as the source: an offset holds for both."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from antdsl import limits
 from antdsl.diagnostics.model import Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
-from antdsl.syntax.lookalikes import ascii_for
+from antdsl.syntax.lookalikes import DOUBLE_QUOTES, SINGLE_QUOTES, WRONG_SIGNS, ascii_for
 from antdsl.syntax.nodes import Comment
 from antdsl.syntax.words import UNIT_NAMES, UNIT_SLIPS
 
@@ -64,14 +64,14 @@ _CONFLICT = re.compile(r"^(<{7}|\|{7}|={7}|>{7})(?=[ \r\n]|$).*$", re.MULTILINE)
 _FENCE = re.compile(r"^[ \t]*(```|~~~).*$", re.MULTILINE)
 _UNIT = rf"(?:{'|'.join(UNIT_NAMES)})(?:\^[0-9]+)?(?![A-Za-z0-9_])"
 _PIECE = re.compile(
-    rf"""(?P<blank>[ \t\r]+)
+    r"""(?P<blank>[ \t\r]+)
     | (?P<comment>\#[^\n]*)
     | (?P<end>[\n;])
     | (?P<text>"[^"\n]*"?)
     | (?P<number>[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+(?![0-9A-Za-z_]))?)
     | (?P<word>[A-Za-z_][A-Za-z_0-9]*)
-    | (?P<open>[(\[{{])
-    | (?P<close>[)\]}}])
+    | (?P<open>[(\[{])
+    | (?P<close>[)\]}])
     | (?P<wrong>&&|\|\||//|/\*|=>|:=|===|\+\+|\*\*)
     | (?P<sign>->|\.\.|[-+<>=!]=|[-+*/^<>=.,:])
     | (?P<odd>.)""",
@@ -85,35 +85,6 @@ _TAIL = re.compile(r"[ \t\r]*[{};]*[ \t\r]*(#[^\n]*)?$")  # what a text that is 
 _COLON = re.compile(r"[ \t]*:")
 _FRACTION = re.compile(r"\.[0-9]+")
 _SLIP = re.compile(rf"[/*]({'|'.join(UNIT_SLIPS)})(?![A-Za-z0-9_])")
-_DOUBLE_QUOTES = "\u201c\u201d\u201e\u201f\u00ab\u00bb\u2033\uff02"
-_SINGLE_QUOTES = "'\u2018\u2019\u201a\u201b\u00b4\u2032`"
-_WRONG_SIGNS = {
-    "&&": ("write `and`", None),
-    "||": ("write `or`", None),
-    "//": ("begin a comment with `#`", "comment"),
-    "/*": ("begin each line of a comment with `#`", "comment"),
-    "=>": ("write `->`", "->"),
-    ":=": ("write `=`", " ="),
-    "===": ("write `==`", "== "),
-    "++": ("write `+= 1`", None),
-    "**": ("write `^` for a power", "^ "),
-    "!": ("write `not`", None),
-    "%": ("a percent sign follows a number, as in `20 %`", None),
-    "\u00d7": ("write `*`", "*"),
-    "\u00b7": ("write `*`", "*"),
-    "\u00f7": ("write `/`", "/"),
-    "\u2212": ("write `-`", "-"),
-    "\u2013": ("write `-`", "-"),
-    "\u2014": ("write `-`", "-"),
-    "\u2192": ("write `->`", None),
-    "\u2264": ("write `<=`", None),
-    "\u2265": ("write `>=`", None),
-    "\u2260": ("write `!=`", None),
-    "\u2026": ("write `..` for a range", None),
-    "\u00b0": ("write `deg`", None),
-    "\u00b2": ("write `^ 2`", None),
-    "\u00b3": ("write `^ 3`", None),
-}
 _NO_NUMBERS = ("nan", "inf", "infinity")
 
 
@@ -222,7 +193,9 @@ class _Scanner:
             digits = _FRACTION.match(self.characters, start)
             if digits is not None:
                 stop = digits.end()
-                self.found.error("bad-number", f"number `{digits.group()}` begins with a dot", start, stop, f"write `0{digits.group()}`")
+                self.found.error(
+                    "bad-number", f"number `{digits.group()}` begins with a dot", start, stop, f"write `0{digits.group()}`"
+                )
                 self.found.replace(start, "1" + " " * (stop - start - 1))
                 return self.token("number", start, self.quantity_end(stop))
         return self.token("sign", start, end)
@@ -250,7 +223,8 @@ class _Scanner:
             better = re.sub(r"[^a-z0-9_]", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", piece).lower()).strip("_") or "name"
             if piece not in self.told:
                 self.told.add(piece)
-                message = f"name `{piece[:80]}` is not written in lower case" if piece[0] != "_" else f"name `{piece[:80]}` begins with `_`"
+                wrong = "begins with `_`" if piece[0] == "_" else "is not written in lower case"
+                message = f"name `{piece[:80]}` {wrong}"
                 help = f"write `{better[:80]}`; names are small letters, digits and `_`, and begin with a letter"
                 self.found.error("bad-name", message, start, end, help, better)
             self.found.replace(start, re.sub("^_+", lambda under: "x" * len(under.group()), piece.lower()))
@@ -339,7 +313,7 @@ class _Scanner:
     # --- what does not belong ---
 
     def wrong(self, start: int, end: int, piece: str) -> int:
-        help, repair = _WRONG_SIGNS[piece]
+        help, repair = WRONG_SIGNS[piece]
         if repair == "comment":
             if piece == "/*" and (close := self.characters.find("*/", end)) >= 0:
                 stop = close + 2
@@ -357,7 +331,7 @@ class _Scanner:
         return self.token("sign", start, end)
 
     def odd(self, start: int, end: int, piece: str) -> int:
-        if piece in _DOUBLE_QUOTES or piece in _SINGLE_QUOTES:
+        if piece in DOUBLE_QUOTES or piece in SINGLE_QUOTES:
             return self.wrong_quotes(start, piece)
         if piece.isspace() or unicodedata.category(piece) in ("Zs", "Cf"):
             if "blank" not in self.told and (start > 0 or piece != "\ufeff"):
@@ -367,34 +341,42 @@ class _Scanner:
             return self.blank(start, end, piece)
         if piece.isalnum() and piece not in "\u00b2\u00b3":
             return self.foreign_word(start)
-        help, repair = _WRONG_SIGNS.get(piece, ("delete it", None))
+        help, repair = WRONG_SIGNS.get(piece, ("delete it", None))
         self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help)
         self.found.replace(start, repair or " ")
         return self.token("sign", start, end) if repair else end
 
     def wrong_quotes(self, start: int, piece: str) -> int:
-        quotes = _DOUBLE_QUOTES + '"' if piece in _DOUBLE_QUOTES else _SINGLE_QUOTES
+        quotes = DOUBLE_QUOTES + '"' if piece in DOUBLE_QUOTES else SINGLE_QUOTES
         line_end = self.characters.find("\n", start)
         line_end = len(self.characters) if line_end < 0 else line_end
         stop = next((at for at in range(start + 1, line_end) if self.characters[at] in quotes), -1)
         if stop < 0:
-            self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, start + 1, 'put text in `"` quotes')
+            self.found.error(
+                "unknown-sign", f"`{piece}` is not a sign of the language", start, start + 1, 'put text in `"` quotes'
+            )
             self.found.blank(start, start + 1)
             return start + 1
-        self.found.error("wrong-quotes", f"text in `{piece}` quotes", start, stop + 1, f'write `"{self.characters[start + 1 : stop][:60]}"`')
+        self.found.error(
+            "wrong-quotes", f"text in `{piece}` quotes", start, stop + 1, f'write `"{self.characters[start + 1 : stop][:60]}"`'
+        )
         self.found.replace(start, '"' + self.characters[start + 1 : stop].replace('"', " ") + '"')
         return self.token("text", start, stop + 1)
 
     def text(self, start: int, end: int, piece: str) -> int:
         if len(piece) > 1 and piece.endswith('"'):
             return self.token("text", start, end)
-        smart = next((at for at in range(start + 1, end) if self.characters[at] in _DOUBLE_QUOTES), -1)
+        smart = next((at for at in range(start + 1, end) if self.characters[at] in DOUBLE_QUOTES), -1)
         if smart > 0:
-            self.found.error("wrong-quotes", f"text ends in a `{self.characters[smart]}` quote", smart, smart + 1, 'write `"`', '"')
+            self.found.error(
+                "wrong-quotes", f"text ends in a `{self.characters[smart]}` quote", smart, smart + 1, 'write `"`', '"'
+            )
             self.found.replace(smart, '"')
             return self.token("text", start, smart + 1)
         stop = start + len(_TAIL.sub("", piece))
-        self.found.error("unclosed-text", "text without a closing quote", start, start + 1, 'end the text with `"` on the same line')
+        self.found.error(
+            "unclosed-text", "text without a closing quote", start, start + 1, 'end the text with `"` on the same line'
+        )
         if stop - start < 2:
             self.found.blank(start, start + 1)
             return start + 1

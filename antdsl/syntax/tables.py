@@ -45,7 +45,7 @@ def load_parser(transformer: object) -> Lark:
     table = data["parser"]["parser"]
     table["tokens"] = _whole_keys(table["tokens"])
     table["states"] = {int(state): _whole_keys(actions) for state, actions in table["states"].items()}
-    parser: Lark = Lark._load_from_dict(data, memo, transformer=transformer)
+    parser: Lark = Lark._load_from_dict(data, memo, transformer=transformer)  # type: ignore[no-untyped-call]
     return parser
 
 

@@ -117,7 +117,11 @@ def complain(surprise: Surprise) -> Diagnostic:
         found = kind(surprise)
         if found is not None:
             return found
-    message = f"found {_shown(surprise.found)} after {_shown(surprise.before)}" if surprise.before else f"found {_shown(surprise.found)}"
+    message = (
+        f"found {_shown(surprise.found)} after {_shown(surprise.before)}"
+        if surprise.before
+        else f"found {_shown(surprise.found)}"
+    )
     wanted = _wanted(surprise)
     help = f"to name an argument, write `{surprise.before}: {surprise.found}`" if _forgets_colon(surprise) else _form(surprise)
     return Diagnostic("unexpected-text", f"{message}, expected {wanted}", surprise.span, help=help)
@@ -125,7 +129,9 @@ def complain(surprise: Surprise) -> Diagnostic:
 
 def _forgets_colon(surprise: Surprise) -> bool:
     between = {"RPAR", "_COMMA"} <= surprise.wanted and surprise.rule != "top" and surprise.earlier in ("(", ",")
-    return between and surprise.before_kind == "word" and surprise.found_kind in ("number", "word") and surprise.next in (",", ")")
+    return (
+        between and surprise.before_kind == "word" and surprise.found_kind in ("number", "word") and surprise.next in (",", ")")
+    )
 
 
 def plain_complaint(surprise: Surprise) -> Diagnostic:
@@ -148,14 +154,18 @@ def _misspelt(surprise: Surprise) -> Diagnostic | None:
     if better is None:
         return None
     message = f"`{surprise.first}` does not begin a line here"
-    return Diagnostic("unknown-line", message, surprise.first_span, help=f"did you mean `{better}`?", fix=Fix(surprise.first_span, better))
+    return Diagnostic(
+        "unknown-line", message, surprise.first_span, help=f"did you mean `{better}`?", fix=Fix(surprise.first_span, better)
+    )
 
 
 def _misplaced(surprise: Surprise) -> Diagnostic | None:
     if surprise.first in LINE_WORDS[surprise.rule] or surprise.first not in BELONGS:
         return None
     belongs = BELONGS[surprise.first]
-    return Diagnostic("misplaced-line", f"`{surprise.first}` does not stand here", surprise.first_span, help=f"it belongs {belongs}")
+    return Diagnostic(
+        "misplaced-line", f"`{surprise.first}` does not stand here", surprise.first_span, help=f"it belongs {belongs}"
+    )
 
 
 def _no_line(surprise: Surprise) -> Diagnostic | None:
@@ -192,13 +202,17 @@ def _keywords() -> frozenset[str]:
 def _equals(surprise: Surprise) -> Diagnostic | None:
     if surprise.found != "=" or "SAME" not in surprise.wanted:
         return None
-    return Diagnostic("unexpected-text", "found `=` in a condition", surprise.span, help="to compare, write `==`", fix=Fix(surprise.span, "=="))
+    return Diagnostic(
+        "unexpected-text", "found `=` in a condition", surprise.span, help="to compare, write `==`", fix=Fix(surprise.span, "==")
+    )
 
 
 def _compared_twice(surprise: Surprise) -> Diagnostic | None:
     if surprise.found not in _COMPARISONS or "SAME" in surprise.wanted or not {"AND", "OR"} & surprise.wanted:
         return None
-    return Diagnostic("unexpected-text", f"found a second comparison `{surprise.found}`", surprise.span, help="join two comparisons with `and`")
+    return Diagnostic(
+        "unexpected-text", f"found a second comparison `{surprise.found}`", surprise.span, help="join two comparisons with `and`"
+    )
 
 
 def _second_line(surprise: Surprise) -> Diagnostic | None:
@@ -227,8 +241,10 @@ def _unfinished(surprise: Surprise) -> Diagnostic | None:
 def _wanted(surprise: Surprise) -> str:
     wanted = surprise.wanted
     if surprise.before == "->":
-        return {"top": "the type of the result, such as `push`", "rule": "a value from 0 to 1"}.get(surprise.rule, "the name of a state")
-    if _VALUE <= wanted:
+        return {"top": "the type of the result, such as `push`", "rule": "a value from 0 to 1"}.get(
+            surprise.rule, "the name of a state"
+        )
+    if wanted >= _VALUE:
         return _AFTER.get(surprise.before, "a value")
     if {"RPAR", "_COMMA"} <= wanted:
         return "`,` or `)`"
@@ -256,7 +272,11 @@ def _form(surprise: Surprise) -> str:
         return "arguments are written like `seek(meal)` or `wander(swing: 40 deg)`"
     if surprise.wanted == {"FROM"}:
         return "write it like `take 1 load from meal`"
-    if surprise.rule == "statement" and surprise.found == "(" and surprise.before == surprise.first not in LINE_WORDS["statement"]:
+    if (
+        surprise.rule == "statement"
+        and surprise.found == "("
+        and surprise.before == surprise.first not in LINE_WORDS["statement"]
+    ):
         return f"write `steer {surprise.first}(…)` to move that way"
     form = FORMS.get(surprise.first) if surprise.first in LINE_WORDS[surprise.rule] else RULE_FORMS.get(surprise.rule)
     if form is None:

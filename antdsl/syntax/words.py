@@ -105,12 +105,12 @@ BLOCK_WORDS = frozenset(word for _, word in BODIES) - {"*", "when", "interrupt",
 # One line of each kind, shown as the text to write instead.
 FORMS: dict[str, str] = {
     "ant": "ant 1",
-    "use": "use steering` or `use \"./mine.ant\" as mine",
+    "use": 'use steering` or `use "./mine.ant" as mine',
     "world": "world { surface ground }",
     "field": "field trail on ground { cell 4 mm; half_life 8 s }",
     "species": "species forager { … }",
     "behaviour": "behaviour seek(target: place) -> push { … }",
-    "spec": "spec \"what it shows\" on \"scene.yaml\" { … }",
+    "spec": 'spec "what it shows" on "scene.yaml" { … }',
     "param": "param smell = 40 mm in 0 mm .. 200 mm",
     "let": "let meal = nearest(food)",
     "latch": "latch hungry = energy < 0.4 until energy > 0.6",
@@ -119,7 +119,7 @@ FORMS: dict[str, str] = {
     "on": "on collision(other) { calm -= 0.3 }",
     "layers": "layers { avoid(stones); state }",
     "machine": "machine moving { … }",
-    "state": "state search \"Looking for food\" amber { … }",
+    "state": 'state search "Looking for food" amber { … }',
     "from": "from any except dead when hurt -> flee",
     "steer": "steer seek(meal)",
     "enter": "enter { calm = 1 }",
@@ -148,7 +148,7 @@ FORMS: dict[str, str] = {
 # The same for lines that begin with a name of the author's, by the rule that reads the line.
 RULE_FORMS: dict[str, str] = {
     "header": "ant 1",
-    "world_item": "surface ground \"What ants walk on\"",
+    "world_item": 'surface ground "What ants walk on"',
     "declaration": "load = 0",
     "setting": "cell 4 mm",
     "member": "calm = 1` or `max_speed 30 mm/s",
