@@ -109,7 +109,7 @@ def _circle(report: Report, circle: list[BehaviourInfo]) -> None:
 
 
 def check_behaviour(declared: Declared, info: BehaviourInfo, complain: bool = True) -> bool:
-    """Check a behaviour once with the types that its arguments declare; True when it is sound. What it complains about is told once."""
+    """Check a behaviour once, with the types that its arguments declare; True when it is sound."""
     if info.state in ("ok", "broken"):
         return info.state == "ok"
     report = Report()

@@ -1,8 +1,9 @@
-"""Types of calls: finds what is called, fits the arguments to the table of built-in operations, gives the operation with its type."""
+"""Types of calls: finds what is called, fits the arguments to the tables, gives the operation with its type."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import cast
 
 from antdsl.program.arguments import Slot, arranged, type_all
 from antdsl.program.behaviours import call_behaviour
@@ -65,16 +66,16 @@ def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name) -> None:
             "wrong-argument", f"`{name.text}` goes over a set", node.span, f"write `{name.text}(n in neighbours(20 mm): …)`"
         )
         return
+    home = scope.declared.home(name.text)
+    if home is not None and home not in scope.file.libraries:
+        if home not in scope.file.wanting:
+            scope.file.wanting.add(home)
+            advice = f"write `use {home}` below the first line"
+            scope.report.error("unknown-behaviour", f"`{name.text}` is in the library `{home}`", name.span, advice)
+        return
     known = set(BUILTINS) | set(REDUCERS) | set(scope.file.own) | set(scope.file.library)
-    otherwise = None
-    if not scope.file.libraries:
-        otherwise = "the library's behaviours come with `use steering`"
-    scope.report.error(
-        "unknown-behaviour",
-        f"no behaviour `{name.text}`",
-        name.span,
-        did_you_mean(name.text, known, otherwise or f"write one: `behaviour {name.text}() -> push {{ … }}`"),
-    )
+    advice = did_you_mean(name.text, known, f"write one: `behaviour {name.text}() -> push {{ … }}`")
+    scope.report.error("unknown-behaviour", f"no behaviour `{name.text}`", name.span, advice)
 
 
 # --- built-in operations ---------------------------------------------------------------------------------------------
@@ -104,8 +105,9 @@ def _builtin(scope: Scope, node: nodes.Call, name: str, want: Type | None) -> Ex
 
 
 def _row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> tuple[Builtin, nodes.Call]:
-    """Of several operations of one name, the one that takes the first argument and the names that are given; and the call with that
-    argument worked out, so that calls inside calls are looked at once."""
+    """Of several operations of one name, the one that takes the first argument and the names that are given.
+
+    Comes with the call in which that argument is worked out, so that calls inside calls are looked at once."""
     named = {a.name.text for a in node.arguments if isinstance(a, nodes.Argument) and a.name}
     fitting = [row for row in rows if named <= {a.name for a in row.args}] or list(rows)
     first = node.arguments[0] if node.arguments else None
@@ -115,7 +117,7 @@ def _row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> tuple[Bui
     kind = found.type.kind
     if len(node.arguments) > 1 and not named and kind is Kind.FIELD:
         kind = Kind.NUMBER  # `max(trail, 0.5)`: the greater of two numbers; cells are asked for with `nearest:`
-    known = nodes.Argument(first.name, Known(found, first.value.span), first.span)  # type: ignore[arg-type]
+    known = nodes.Argument(first.name, cast(nodes.Expr, Known(found, first.value.span)), first.span)
     node = nodes.Call(node.function, (known, *node.arguments[1:]), node.span)
     return next((row for row in fitting if Kind(row.args[0].type.split()[0]) is kind), fitting[0]), node
 
@@ -276,7 +278,9 @@ def _dim(variables: Mapping[str, tuple[nodes.Expr, Expr]], name: str) -> Dim:
 def _first(scope: Scope, node: nodes.Call, made: Op) -> None:
     if made.type.kind not in (*MAY_BE_NONE, Kind.BAD):
         scope.report.error(
-            "wrong-kind", f"`first` is for things that may be none, and {quoted(node.arguments[0].span)} is {type_words(made.type)}", node.span,
+            "wrong-kind",
+            f"`first` is for things that may be none, and {quoted(node.arguments[0].span)} is {type_words(made.type)}",
+            node.span,
             "write `first(nearest(food), nearest(nest))` or `max(a, b)`",
         )  # fmt: skip
 

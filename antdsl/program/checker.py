@@ -26,14 +26,15 @@ def check(
 ) -> tuple[model.Program, Report]:
     """Names, types, units and rates of one or more files, and everything else that can be known without running them.
 
-    `library` gives the file behind `use NAME`, or None; `modules` the files behind `use "PATH" as NAME`, by `Source.path` or by the path as
-    written. `strict` adds warnings about what is legal and depends on the frames per second. A program that comes with errors in
-    the report is for looking at, not for lowering.
+    `library` gives the file behind `use NAME`, or None; `modules` the files behind `use "PATH" as NAME`, by `Source.path` or by
+    the path as written. `strict` adds warnings about what is legal and depends on the frames per second. A program that comes
+    with errors in the report is for looking at, not for lowering.
     """
     files = [files] if isinstance(files, nodes.File) else list(files)
     report = Report()
     declared = Declared(RULES, report, strict)
     loader = Loader(report, library, modules)
+    declared.home = loader.home
     names = [loader.file(file) for file in files]
     for each in names:
         declare(declared, each)

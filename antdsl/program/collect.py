@@ -1,4 +1,4 @@
-"""First look at the files: which behaviours each can call, and what all of them declare by name, before any expression is understood."""
+"""First look at the files: which behaviours each can call, and what all of them declare by name."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ _TAKEN = frozenset(
     {*RUN_NAMES, *SENSED_NAMES, *RESERVED, "state", "previous", "next", "time_in_state", "self", "true", "false", "none"}
 )
 EVENTS = ("spawn", "collision")
+LIBRARIES = ("steering",)
 
 
 def module_key(using: nodes.File, written: str) -> str:
-    """The name under which a used file is looked up: its path as written, seen from the file that uses it, as `Source.path` has it."""
+    """The name under which a used file is looked up: its path, seen from the file that uses it, as `Source.path` has it."""
     return posixpath.normpath(posixpath.join(posixpath.dirname(using.source.path.replace("\\", "/")), written))
 
 
@@ -48,6 +49,14 @@ class Loader:
             if isinstance(item, nodes.Use):
                 self._use(names, item, (*above, node))
         return names
+
+    def home(self, behaviour: str) -> str | None:
+        """The library that has a behaviour of that name, whether it is used or not."""
+        for name in LIBRARIES:
+            node = self.library(name)
+            if node is not None and any(isinstance(item, nodes.Behaviour) and item.name.text == behaviour for item in node.items):
+                return name
+        return None
 
     def _behaviour(self, names: FileNames, node: nodes.Behaviour) -> None:
         name = node.name.text
@@ -76,7 +85,7 @@ class Loader:
                 "unknown-library",
                 f"no library `{name.text}`",
                 name.span,
-                did_you_mean(name.text, ["steering"], "the library that comes with antdsl is `steering`"),
+                did_you_mean(name.text, LIBRARIES, "the library that comes with antdsl is `steering`"),
             )
             return
         names.libraries.append(name.text)
@@ -164,7 +173,7 @@ def free_in_species(report: Report, name: nodes.Name, value: Span) -> bool:
 
 
 def _machines(report: Report, species: SpeciesNames, node: nodes.Species) -> None:
-    """Machines of a species with their states: those written in `machine`, and `main` for states that stand straight in the species."""
+    """Machines of a species with their states: those written in `machine`, and `main` for states straight in the species."""
     loose = tuple(m for m in node.members if isinstance(m, nodes.State))
     if loose:
         _machine(report, species, "main", loose)
@@ -211,9 +220,9 @@ def _events(species: nodes.Species) -> Iterator[tuple[str, Span]]:
 def action_blocks(species: nodes.Species) -> Iterator[tuple[object, ...]]:
     """Every list of statements in a species."""
     members: list[object] = list(species.members)
-    for member in species.members:
-        if isinstance(member, nodes.Machine):
-            members += member.members
+    for machine in species.members:
+        if isinstance(machine, nodes.Machine):
+            members += machine.members
     for member in members:
         if isinstance(member, (nodes.On, nodes.Change)):
             yield member.actions

@@ -1,4 +1,4 @@
-"""Defaults that the vocabulary's tables give as the language would write them: `360 deg`, `0 .. 1`, `mass * max_speed / response`."""
+"""Defaults that the vocabulary gives as the language would write them: `360 deg`, `0 .. 1`, `mass * max_speed / response`."""
 
 from __future__ import annotations
 

@@ -1,10 +1,9 @@
-"""Types of literals, names and values of things. Calls, signs and behaviours have files of their own; `rules.RULES` joins them."""
+"""Types of literals, names and values of things. Calls, signs and behaviours have files of their own; `rules` joins them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from antdsl.diagnostics import Report
 from antdsl.program.model import (
     Attribute,
     Binding,
@@ -17,18 +16,17 @@ from antdsl.program.model import (
     ParamRef,
     Rate,
     SetOf,
-    StateConst,
     Thing,
     Type,
 )
-from antdsl.program.scope import BAD, BOOL, MachineNames, Scope, attributes_of, bad, did_you_mean, listed, type_from_words
+from antdsl.program.scope import BAD, BOOL, Scope, attributes_of, bad, did_you_mean, listed, type_from_words
+from antdsl.program.states import STATE_WORDS, machine_named, of_machine, state_word
 from antdsl.program.units import constant, number
 from antdsl.program.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
 from antdsl.program.wording import fits, mismatch, quoted, type_words
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-STATE_WORDS = ("state", "previous", "next", "time_in_state")
 THINGS = frozenset(
     {Kind.ITEMS, Kind.SPECIES, Kind.SURFACE, Kind.OBSTACLE, Kind.SOLID, Kind.CURVE, Kind.FIELD, Kind.FLOW, Kind.MAP}
 )
@@ -203,7 +201,7 @@ def visible(scope: Scope) -> set[str]:
     if scope.species is not None and scope.behaviour is None:
         own = scope.species
         names |= set(own.params) | set(own.attributes) | set(own.bindings) | own.pending
-        names |= set(STATE_WORDS) if own.machines else set()
+        names |= {*STATE_WORDS, *own.machines} if own.machines else set()
     if scope.element is not None:
         names |= {"it", *attributes_of(scope.declared, scope.element.type)}
     return names
@@ -211,6 +209,10 @@ def visible(scope: Scope) -> set[str]:
 
 def _unknown(scope: Scope, node: nodes.NameRef) -> Expr:
     name, report = node.name.text, scope.report
+    where = (scope.file.node.source.path, scope.species.name if scope.species else "", scope.behaviour or "", name)
+    if where in scope.declared.told:
+        return bad(node.span)  # what is not there is missing everywhere: that is one mistake
+    scope.declared.told.add(where)
     if name in RESERVED:
         report.error("not-yet", f"`{name}` is a word of the language that does not work yet", node.span, "leave it out for now")
     elif scope.species is not None and any(name in m.states for m in scope.species.machines.values()):
@@ -244,9 +246,9 @@ def value_of(scope: Scope, owner: Expr, name: str, type: Type, span: Span) -> Ex
 
 
 def member_of(scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
-    machine = _machine(scope, node.owner)
+    machine = machine_named(scope, node.owner)
     if machine is not None:
-        return _of_machine(scope, machine, node)
+        return of_machine(scope, machine, node)
     owner = scope.typed(node.owner)
     name, kind = node.name.text, owner.type.kind
     if kind is Kind.BAD:
@@ -318,81 +320,6 @@ def index_of(scope: Scope, node: nodes.Index, want: Type | None) -> Expr:
         "a value per pair is declared so: `likes = 0 for each roach, strongest 8`",
     )
     return bad(node.span)
-
-
-# --- states ----------------------------------------------------------------------------------------------------------
-
-
-def _machine(scope: Scope, owner: nodes.Expr) -> MachineNames | None:
-    if (
-        scope.species is None
-        or scope.behaviour is not None
-        or not isinstance(owner, nodes.NameRef)
-        or owner.name.text in scope.locals
-    ):
-        return None
-    return scope.species.machines.get(owner.name.text)
-
-
-def _of_machine(scope: Scope, machine: MachineNames, node: nodes.Member) -> Expr:
-    word = node.name.text
-    if word in STATE_WORDS:
-        return _machine_word(machine, None, word, node.span)
-    scope.report.error(
-        "unknown-name",
-        f"machine `{machine.name}` has no `{word}`",
-        node.name.span,
-        did_you_mean(word, STATE_WORDS, f"there is {listed(STATE_WORDS)}"),
-    )
-    return bad(node.span)
-
-
-def state_word(scope: Scope, owner: Expr | None, word: str, span: Span, name_span: Span | None) -> Expr:
-    """`state` and its like, of the agent itself or of another; with several machines the one that the place belongs to, or the first."""
-    names = scope.species if owner is None or owner.type.of is None else scope.declared.species.get(owner.type.of)
-    if isinstance(owner, Thing) and owner.name == "self":
-        owner = None
-    if names is None or not names.machines:
-        scope.report.error(
-            "unknown-name",
-            f"no `{word}` is known here",
-            name_span or span,
-            "only a species that is checked together with this one has states to ask for",
-        )
-        return bad(span)
-    machine = scope.machine if owner is None and scope.machine is not None else next(iter(names.machines.values()))
-    return _machine_word(machine, owner, word, span)
-
-
-def _machine_word(machine: MachineNames, owner: Expr | None, word: str, span: Span) -> Expr:
-    type = (type_from_words("time") or BAD) if word == "time_in_state" else Type(Kind.STATE, of=machine.key)
-    rate = Rate.AGENT if owner is None else max(owner.rate, Rate.AGENT)
-    return Attribute(type, rate, span, owner, f"{machine.name}.{word}")
-
-
-def state_named(scope: Scope, asked: Expr, node: nodes.Expr) -> tuple[Expr, Expr] | None:
-    """For `state == carry`: the asked value and the state, in the machine that has a state of that name; None if `node` is no bare name."""
-    if not isinstance(node, nodes.NameRef) or not isinstance(asked, Attribute) or node.name.text in STATE_WORDS:
-        return None
-    species, _, machine_name = (asked.type.of or ".").partition(".")
-    machines = scope.declared.species[species].machines
-    named = "." in asked.span.text and asked.of is None  # `mood.state` says which machine; `state` alone may mean any
-    order = [machines[machine_name]] + ([] if named else [m for m in machines.values() if m.name != machine_name])
-    for machine in order:
-        index = machine.states.get(node.name.text)
-        if index is not None:
-            word = asked.name.partition(".")[2]
-            return _machine_word(machine, asked.of, word, asked.span), StateConst(
-                Type(Kind.STATE, of=machine.key), Rate.CONST, node.span, machine.key, index
-            )
-    known = [state for machine in order for state in machine.states]
-    unknown_state(scope.report, node.name, species, known)
-    return asked, bad(node.span)
-
-
-def unknown_state(report: Report, name: nodes.Name, species: str, known: list[str]) -> None:
-    advice = did_you_mean(name.text, known, f"`{species}` has the states {listed(known)}" if known else None)
-    report.error("unknown-state", f"no state `{name.text}` in species `{species}`", name.span, advice)
 
 
 @dataclass(frozen=True, slots=True)

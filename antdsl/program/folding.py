@@ -1,4 +1,4 @@
-"""Arithmetic on constants before anything runs, so that `1.5 * 40 mm` is a plain value, with the slips that only constants can show."""
+"""Arithmetic on constants before anything runs, so that `1.5 * 40 mm` is a plain value, and the slips that it shows."""
 
 from __future__ import annotations
 

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.colours import COLOURS, default_rgb, rgb
-from antdsl.program.expressions import unknown_state
 from antdsl.program.folding import constant_behind
 from antdsl.program.model import Binding, Expr
 from antdsl.program.operators import condition, wanted
 from antdsl.program.scope import NUMBER, TIME, Keys, MachineNames, Scope, did_you_mean, duplicate, listed
 from antdsl.program.statements import ACTION, BODY, statements, take
+from antdsl.program.states import unknown_state
 from antdsl.program.wording import quoted
 from antdsl.source import Span
 from antdsl.syntax import nodes

@@ -6,9 +6,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import Enum, IntEnum
-from typing import NamedTuple, dataclass_transform
+from typing import dataclass_transform
 
+from antdsl.program.kinds import Dim as Dim
+from antdsl.program.kinds import Kind as Kind
+from antdsl.program.kinds import Rate as Rate
+from antdsl.program.kinds import Type as Type
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -16,55 +19,6 @@ from antdsl.syntax import nodes
 @dataclass_transform(eq_default=False, frozen_default=True)
 def value(cls: type) -> type:
     return dataclass(frozen=True, slots=True, eq=False)(cls)
-
-
-class Dim(NamedTuple):
-    """Exponents of length (mm), time (s), mass (g) and angle (rad). May be fractions after `sqrt`."""
-
-    length: float = 0
-    time: float = 0
-    mass: float = 0
-    angle: float = 0
-
-
-class Kind(Enum):
-    NUMBER = "number"
-    VECTOR = "vector"  # a push is a vector without dimension
-    BOOL = "bool"
-    STATE = "state"  # `of` is "species.machine"
-    ITEM = "item"  # one item or none; `of` names the items
-    AGENT = "agent"  # one agent or none; `of` names the species
-    HIT = "hit"  # what a ray met, or none
-    PLACE = "place"  # only while a behaviour is checked on its own: anything that has a position
-    # Only as arguments, never stored:
-    SET = "set"  # `of` names the items or species, or "hit"
-    ITEMS = "items"
-    SPECIES = "species"
-    SURFACE = "surface"
-    OBSTACLE = "obstacle"
-    SOLID = "solid"
-    CURVE = "curve"
-    FLOW = "flow"
-    MAP = "map"
-    FIELD = "field"
-    RANGE = "range"
-    BAD = "bad"  # complained about already; fits everywhere
-
-
-class Type(NamedTuple):
-    kind: Kind
-    dim: Dim = Dim()
-    of: str | None = None
-
-
-class Rate(IntEnum):
-    """How often a value changes; an expression has the greatest rate of its parts."""
-
-    CONST = 0
-    RUN = 1  # params, dt, the scene's unit
-    STEP = 2  # time, frame
-    AGENT = 3
-    ELEMENT = 4  # per pair, item or ray, inside a set
 
 
 # --- expressions -----------------------------------------------------------------------------------------------------
@@ -112,7 +66,7 @@ class Attribute(Expr):
 
     Given names are attributes too: position velocity heading up speed id age group size mass radius clearance max_speed
     max_force max_turn response, items' position and radius, a hit's distance, normal and position.
-    A machine's: `MACHINE.state`, `MACHINE.previous`, `MACHINE.next`, `MACHINE.time_in_state` (name is written so, always with the machine)."""
+    A machine's: `MACHINE.state`, `MACHINE.previous`, `MACHINE.next`, `MACHINE.time_in_state`, always with the machine."""
 
     of: Expr | None
     name: str

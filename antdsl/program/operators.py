@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from antdsl.program.expressions import MAY_BE_NONE, STATE_WORDS, THINGS, state_named
+from antdsl.program.expressions import MAY_BE_NONE, THINGS
 from antdsl.program.folding import constant_behind, fold
 from antdsl.program.model import Const, Expr, Kind, Op, Rate, Type
 from antdsl.program.scope import BAD, BOOL, NUMBER, PER_SECOND, Scope, bad, rate_of
+from antdsl.program.states import STATE_WORDS, state_named
 from antdsl.program.units import product, scaled
 from antdsl.program.vocabulary import SIGN_OPS
 from antdsl.program.wording import disagree, fits, mismatch, quoted, type_words
@@ -130,7 +131,7 @@ def _chance(scope: Scope, node: nodes.Unary) -> Expr:
         text = " ".join(node.operand.span.text.split())
         scope.report.error(
             "not-a-rate", f"{quoted(node.operand.span)} does not say per what time", node.operand.span,
-            f"write `chance {text} /s` for so much a second" if "%" not in text else f"write `chance {text.replace(' ', '')}/s`".replace("%/s", " %/s"),
+            f"write `chance {text}{'/s' if text.endswith('%') else ' /s'}` for so much a second",
         )  # fmt: skip
     else:
         mismatch(scope.report, node.operand, found.type, PER_SECOND, "`chance`")
@@ -212,11 +213,18 @@ def _looks_like_state(node: nodes.Expr) -> bool:
     return isinstance(node, nodes.NameRef) and node.name.text in STATE_WORDS
 
 
+def _is_state(scope: Scope, node: nodes.Expr) -> bool:
+    machines = scope.species.machines.values() if scope.species is not None else ()
+    return isinstance(node, nodes.NameRef) and any(node.name.text in machine.states for machine in machines)
+
+
 def _equal(scope: Scope, node: nodes.Binary) -> Expr:
     left_node, right_node = node.left, node.right
     if _looks_like_state(right_node) and not _looks_like_state(left_node):
         left_node, right_node = right_node, left_node
     left = value(scope, left_node)
+    if left.type.kind is Kind.BAD and _is_state(scope, right_node):
+        return bad(node.span)
     if left.type.kind is Kind.STATE:
         pair = state_named(scope, left, right_node)
         if pair is not None:

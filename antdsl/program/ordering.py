@@ -1,4 +1,4 @@
-"""What depends on what by name: declarations in an order in which each comes after those it uses; a circle is told with its names."""
+"""What depends on what by name: declarations put in an order in which each comes after those it uses."""
 
 from __future__ import annotations
 

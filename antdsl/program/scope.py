@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
@@ -34,7 +35,7 @@ class MachineNames:
 
 @dataclass(slots=True)
 class SpeciesNames:
-    """What a species declares, before its expressions are understood: `attributes` and `params` get their types as they are checked."""
+    """What a species declares by name; `attributes` and `params` get their types as they are checked."""
 
     name: str
     node: nodes.Species | None
@@ -70,6 +71,7 @@ class FileNames:
     aliases: dict[str, FileNames] = field(default_factory=dict)
     libraries: list[str] = field(default_factory=list)
     missing: bool = False  # stands for a file that could not be read
+    wanting: set[str] = field(default_factory=set)  # libraries whose `use` is missing, told already
 
     def behaviour(self, name: str) -> BehaviourInfo | None:
         return self.own.get(name) or self.library.get(name)
@@ -82,13 +84,15 @@ class Declared:
     rules: Rules
     report: Report
     strict: bool = False
+    home: Callable[[str], str | None] = lambda name: None  # the library that has a behaviour of a name
     things: dict[str, WorldThing] = field(default_factory=dict)
     fields: dict[str, nodes.FieldDecl] = field(default_factory=dict)
     species: dict[str, SpeciesNames] = field(default_factory=dict)
     events: dict[str, Span] = field(default_factory=dict)
     used: set[tuple[str, str]] = field(default_factory=set)
     written: set[str] = field(default_factory=set)  # attributes, as `species.name`
-    expanded: int = 0
+    told: set[tuple[str, ...]] = field(default_factory=set)  # unknown names, by where they are missing
+    expanded: int = 0  # operations of all behaviours that were put in place
 
 
 class Keys:
@@ -124,7 +128,7 @@ class Scope:
     no_let: str | None = None  # why a `let` cannot be read here
     once: bool = False  # happens once, not each step: shares and amounts instead of rates
 
-    def inside(self, **changes: object) -> Scope:
+    def inside(self, **changes: Any) -> Scope:
         return replace(self, **changes)
 
     def typed(self, node: nodes.Expr, want: Type | None = None) -> Expr:
@@ -145,7 +149,7 @@ def rate_of(parts: Iterable[Expr | None]) -> Rate:
 
 
 def type_from_words(words: str, of: str | None = None) -> Type | None:
-    """The type behind a word of `TYPE_WORDS`, or behind `angle / time` as the vocabulary writes it; None if there is no such type."""
+    """The type behind a word of `TYPE_WORDS`, or behind `angle / time` as the vocabulary writes it; None if there is none."""
     if "/" in words:
         top, below = (TYPE_WORDS.get(part.strip()) for part in words.split("/"))
         if not isinstance(top, Dim) or not isinstance(below, Dim):

@@ -101,6 +101,10 @@ def _name(declared: Declared, ref: nodes.NameRef, member: nodes.Member | None, s
         return
     if _known(declared, name, species):
         return
+    where = (ref.span.source.path, "spec", name)
+    if where in declared.told:
+        return
+    declared.told.add(where)
     known = {*declared.species, *declared.things, *declared.fields, *_WORDS}
     declared.report.error(
         "unknown-name", f"no `{name}` is known here", ref.span, did_you_mean(name, known, f"there is {listed(known)}")

@@ -59,7 +59,7 @@ def _twice(scope: Scope, name: nodes.Name, assigned: dict[str, Span]) -> None:
 
 
 def _added(scope: Scope, node: nodes.Expr, type: Type, block: Block, before: str, after: str = "") -> Expr | None:
-    """What is added: so much a second in a state's body, an amount elsewhere. `before` and `after` are the author's words around it."""
+    """What is added: so much a second in a state's body, an amount elsewhere. `before`, `after`: the author's words around it."""
     per_second = Type(type.kind, product(type.dim, Dim(time=1), -1))
     want = per_second if block.body else type
     found = value(scope, node, want)
@@ -179,7 +179,8 @@ def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) ->
     if given is not None and (given.settable or text in ("velocity", "heading")):
         if not given.settable and block.body:
             once = f"`enter {{ {' '.join(line.span.text.split())} }}`"
-            report.error("set-in-body", f"`{text}` cannot be set in every step", line.span, f"steer instead, or set it once: {once}")
+            advice = f"steer instead, or set it once: {once}"
+            report.error("set-in-body", f"`{text}` cannot be set in every step", line.span, advice)
             return None
         return text, type_from_words(given.type) or Type(Kind.BAD)
     if text in species.params:
@@ -380,6 +381,6 @@ def _holds(scope: Scope, node: nodes.Expr, found: Expr, attribute: nodes.Name, o
 
 
 _RULES: dict[type, Callable[..., model.Statement | None]] = {
-    nodes.Steer: _steer, nodes.Assign: _assign, nodes.Deposit: _deposit, nodes.Carve: _carve, nodes.Emit: _emit, nodes.Spawn: _spawn,
-    nodes.Die: _die, nodes.Play: _play, nodes.Give: _give,
+    nodes.Steer: _steer, nodes.Assign: _assign, nodes.Deposit: _deposit, nodes.Carve: _carve, nodes.Emit: _emit,
+    nodes.Spawn: _spawn, nodes.Die: _die, nodes.Play: _play, nodes.Give: _give,
 }  # fmt: skip

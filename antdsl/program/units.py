@@ -1,4 +1,4 @@
-"""Units and dimensions: what a written quantity is worth in base units, and how a dimension is called when talking to an artist."""
+"""Units and dimensions: what a written quantity is worth in base units, and how an artist calls a dimension."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Every word that the language knows by itself, as tables: units, types, given names, built-in operations, phases of what works.
 
-The checker types calls by these tables, the lowering has one rule per operation name, the editor shows the help. Adding an operation
-is one row here and one rule in `plan/rules`.
+The checker types calls by these tables, the lowering has one rule per operation name, the editor shows the help.
+Adding an operation is one row here and one rule in `plan/rules`.
 """
 
 from __future__ import annotations
@@ -144,8 +144,12 @@ BUILTINS: dict[str, tuple[Builtin, ...]] = {
     "exp": (_f("exp", [Arg("x", "number")], "number", "e to the x"),),
     "log": (_f("log", [Arg("x", "number")], "number", "natural logarithm"),),
     "ramp": (
-        _f("ramp", [Arg("x", "number A"), Arg("from", "range A"), Arg("to", "range B", "0 .. 1")], "number B",
-           "maps one range to another in a straight line, and stays inside it"),
+        _f(
+            "ramp",
+            [Arg("x", "number A"), Arg("from", "range A"), Arg("to", "range B", "0 .. 1")],
+            "number B",
+            "maps one range to another in a straight line, and stays inside it",
+        ),
     ),
     "mix": (
         _f("mix", [Arg("a", "number A"), Arg("b", "number A"), Arg("t", "number")], "number A", "a at t = 0, b at t = 1"),
@@ -157,8 +161,12 @@ BUILTINS: dict[str, tuple[Builtin, ...]] = {
         _f("field_max", [Arg("field", "field"), Arg("nearest", "count", "16")], "number", "the strongest of the nearest cells"),
     ),
     "strongest": (
-        _f("strongest", [Arg("field", "field"), Arg("nearest", "count", "16")], "position",
-           "where the strongest of the nearest cells lies; its own position where there is nothing"),
+        _f(
+            "strongest",
+            [Arg("field", "field"), Arg("nearest", "count", "16")],
+            "position",
+            "where the strongest of the nearest cells lies; its own position where there is nothing",
+        ),
     ),
     "gradient": (_f("gradient", [Arg("field", "field")], "vector 1/length", "uphill in the field, per length"),),
     "length": (_f("length", [Arg("v", "vector A")], "number A", "how long a vector is"),),
@@ -172,10 +180,17 @@ BUILTINS: dict[str, tuple[Builtin, ...]] = {
     "project": (_f("project", [Arg("v", "vector A"), Arg("onto", "push")], "vector A", "the part of v along a direction"),),
     "limit": (_f("limit", [Arg("v", "vector A"), Arg("max", "number A")], "vector A", "shortened to a length if longer"),),
     "vector": (
-        _f("vector", [Arg("x", "number A"), Arg("y", "number A"), Arg("z", "number A")], "vector A", "from three numbers, in the scene's axes"),
+        _f(
+            "vector",
+            [Arg("x", "number A"), Arg("y", "number A"), Arg("z", "number A")],
+            "vector A",
+            "from three numbers, in the scene's axes",
+        ),
     ),
     "first": (_f("first", [Arg("a", "any A", variadic=True)], "any A", "the first that is not none"),),
-    "uniform": (_f("uniform", [Arg("low", "number A"), Arg("high", "number A")], "number A", "a random number, evenly between two"),),
+    "uniform": (
+        _f("uniform", [Arg("low", "number A"), Arg("high", "number A")], "number A", "a random number, evenly between two"),
+    ),
     "normal": (
         _f("normal", [Arg("mean", "number A"), Arg("deviation", "number A")], "number A", "a random number about a mean"),
     ),
@@ -183,32 +198,68 @@ BUILTINS: dict[str, tuple[Builtin, ...]] = {
     "random": (_f("random_agent", [Arg("of", "species")], "agent", "one living agent of a species, evenly"),),
     "rising": (_f("rising", [Arg("x", "number A"), Arg("over", "range A")], "number", "0 below, 1 above, straight between"),),
     "falling": (_f("falling", [Arg("x", "number A"), Arg("over", "range A")], "number", "1 below, 0 above, straight between"),),
-    "around": (_f("around", [Arg("x", "number A"), Arg("over", "range A")], "number", "1 in the middle of the range, 0 outside"),),
+    "around": (
+        _f("around", [Arg("x", "number A"), Arg("over", "range A")], "number", "1 in the middle of the range, 0 outside"),
+    ),
     # senses
     "neighbours": (
-        _f("neighbours", [Arg("radius", "length"), Arg("fov", "angle", "360 deg"), Arg("of", "species", optional=True)], "set",
-           "others of its own species (or of another) near it and in its field of view"),
+        _f(
+            "neighbours",
+            [Arg("radius", "length"), Arg("fov", "angle", "360 deg"), Arg("of", "species", optional=True)],
+            "set",
+            "others of its own species (or of another) near it and in its field of view",
+        ),
     ),
     "all": (
-        _f("all", [Arg("of", "items"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)], "set", "items or agents"),
-        _f("all", [Arg("of", "species"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)], "set", "agents"),
+        _f(
+            "all",
+            [Arg("of", "items"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)],
+            "set",
+            "items or agents",
+        ),
+        _f(
+            "all",
+            [Arg("of", "species"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)],
+            "set",
+            "agents",
+        ),
     ),
     "feelers": (
-        _f("feelers", [Arg("on", "obstacle"), Arg("count", "count", "3"), Arg("spread", "angle", "35 deg"), Arg("reach", "length")], "set",
-           "rays ahead along the velocity and turned about up, evenly out to `spread` on either side: the hits"),
+        _f(
+            "feelers",
+            [Arg("on", "obstacle"), Arg("count", "count", "3"), Arg("spread", "angle", "35 deg"), Arg("reach", "length")],
+            "set",
+            "rays ahead along the velocity and turned about up, evenly out to `spread` on either side: the hits",
+        ),
     ),
     "nearest": (
-        _f("nearest", [Arg("of", "items"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)], "item", "the nearest, or none"),
-        _f("nearest", [Arg("of", "species"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)], "agent", "the nearest, or none"),
+        _f(
+            "nearest",
+            [Arg("of", "items"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)],
+            "item",
+            "the nearest, or none",
+        ),
+        _f(
+            "nearest",
+            [Arg("of", "species"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)],
+            "agent",
+            "the nearest, or none",
+        ),
         _f("nearest", [Arg("of", "set")], "any", "the nearest of a set, or none"),
     ),
     "ray": (
-        _f("ray", [Arg("direction", "push"), Arg("reach", "length"), Arg("on", "obstacle")], "hit", "what lies that way, or none"),
+        _f(
+            "ray", [Arg("direction", "push"), Arg("reach", "length"), Arg("on", "obstacle")], "hit", "what lies that way, or none"
+        ),
     ),
     "distance": (_f("distance", [Arg("to", "place")], "length", "how far; endless to none"),),
     "direction": (
-        _f("direction", [Arg("of", "place"), Arg("to", "place", optional=True)], "push",
-           "toward it, length 1 (or from it to another place); nothing to none"),
+        _f(
+            "direction",
+            [Arg("of", "place"), Arg("to", "place", optional=True)],
+            "push",
+            "toward it, length 1 (or from it to another place); nothing to none",
+        ),
     ),
     "position": (_f("position", [Arg("of", "place")], "position", "where a place is; its own position for none"),),
     "velocity": (_f("velocity", [Arg("of", "place")], "velocity", "how it moves; nothing for what stands or is none"),),
@@ -217,7 +268,12 @@ BUILTINS: dict[str, tuple[Builtin, ...]] = {
     "closest": (_f("closest", [Arg("on", "curve")], "position", "the nearest point of a curve"),),
     "tangent": (_f("tangent", [Arg("on", "curve")], "push", "the way the curve was drawn, at its nearest point"),),
     "match": (
-        _f("match", [Arg("velocity", "velocity")], "push", "the push that reaches a velocity: (velocity - own) / (max_force / mass * response)"),
+        _f(
+            "match",
+            [Arg("velocity", "velocity")],
+            "push",
+            "the push that reaches a velocity: (velocity - own) / (max_force / mass * response)",
+        ),
     ),
 }
 

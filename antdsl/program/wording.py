@@ -1,4 +1,4 @@
-"""How types are called when talking to an artist, and the complaints about types and units that all rooms of the checker share."""
+"""How an artist calls types, and the complaints about types and units that are told all over the checker."""
 
 from __future__ import annotations
 
@@ -123,7 +123,8 @@ def _advice(node: nodes.Expr, actual: Type, wanted: Type) -> str:
 def disagree(report: Report, op: str, span: Span, left: tuple[nodes.Expr, Expr], right: tuple[nodes.Expr, Expr]) -> None:
     """Complain that the two sides of a sign do not go together, naming both as the author wrote them."""
     (left_node, a), (right_node, b) = left, right
-    message = f"{quoted(left_node.span)} is {type_words(a.type)} and {quoted(right_node.span)} is {type_words(b.type)}: `{op}` wants both alike"
+    both = f"{quoted(left_node.span)} is {type_words(a.type)} and {quoted(right_node.span)} is {type_words(b.type)}"
+    message = f"{both}: `{op}` wants both alike"
     advice, fix = None, None
     for node, other in ((right_node, a), (left_node, b)):
         if isinstance(node, (nodes.Number, nodes.Quantity)) and other.type.kind is Kind.NUMBER:

@@ -231,7 +231,8 @@ def _one_decay(report: Report, settings: dict[str, nodes.Setting]) -> None:
     given = [settings[word] for word in ("half_life", "evaporate", "keeps") if word in settings]
     for extra in given[1:]:
         report.error(
-            "two-decays", f"`{given[0].name.text}` and `{extra.name.text}` both say how fast it fades", extra.span, "keep one of them",
+            "two-decays", f"`{given[0].name.text}` and `{extra.name.text}` both say how fast it fades", extra.span,
+            "keep one of them",
             labels=(Label(given[0].span, "the other one"),),
         )  # fmt: skip
 

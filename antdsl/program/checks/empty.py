@@ -14,5 +14,6 @@ def empty(checked: Checked, report: Report) -> None:
         source, items = file.node.source, file.node.items
         if not items or any(isinstance(item, (nodes.Species, nodes.Behaviour)) for item in items):
             continue
-        if not re.search(r"^[^#]*\b(species|behaviour)\b", source.text, re.MULTILINE):  # else there is one that could not be read, which was told
+        # where the word stands, there is one that could not be read, which was told already
+        if not re.search(r"^[^#]*\b(species|behaviour)\b", source.text, re.MULTILINE):
             report.error("empty-program", "no species and no behaviour is declared", items[0].span, "write `species ant { … }`")

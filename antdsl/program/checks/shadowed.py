@@ -15,7 +15,8 @@ def shadowed(checked: Checked, report: Report) -> None:
                 for change in state.transitions:
                     if first is not None:
                         report.warning(
-                            "shadowed-change", "this change is never looked at", change.span, "move it above the one that always happens",
+                            "shadowed-change", "this change is never looked at", change.span,
+                            "move it above the one that always happens",
                             labels=(Label(first.span, "this one always happens"),),
                         )  # fmt: skip
                     elif _always(change):

@@ -21,8 +21,11 @@ def writers(checked: Checked, report: Report) -> None:
                     continue
                 if sets or known[2]:
                     report.error(
-                        "two-writers", f"machines `{known[0].name}` and `{machine.name}` both write `{name}`, in the same step", span,
-                        f"let one machine write it, or only add in both: `{name} += …`", labels=(Label(known[1], "the other one"),),
+                        "two-writers",
+                        f"machines `{known[0].name}` and `{machine.name}` both write `{name}`, in the same step",
+                        span,
+                        f"let one machine write it, or only add in both: `{name} += …`",
+                        labels=(Label(known[1], "the other one"),),
                     )  # fmt: skip
                     break
 

@@ -1,0 +1,177 @@
+"""Params and attributes of a species: their starting values and types, those first that others start from."""
+
+from __future__ import annotations
+
+from antdsl.program import model
+from antdsl.program.behaviours import declared_type
+from antdsl.program.defaults import node_of
+from antdsl.program.folding import constant_behind
+from antdsl.program.model import Const, Expr, Kind, Type
+from antdsl.program.operators import value, wanted
+from antdsl.program.ordering import ordered
+from antdsl.program.scope import BAD, Keys, Scope, bad, did_you_mean, duplicate, type_from_words
+from antdsl.program.units import unit_spelling
+from antdsl.program.vocabulary import GIVEN
+from antdsl.program.wording import fits, mismatch, quoted, type_words
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+_STORED = (Kind.NUMBER, Kind.VECTOR, Kind.BOOL, Kind.ITEM, Kind.AGENT, Kind.BAD)
+_EARLY = "starting values are worked out before the animal has sensed anything"
+
+
+# --- params ----------------------------------------------------------------------------------------------------------
+
+
+def param(scope: Scope, node: nodes.Declaration) -> model.Param | None:
+    names, name = scope.species, node.name.text
+    assert names is not None
+    names.params[name] = BAD
+    for extra, word in ((node.relax, "relax"), (node.each, "for each")):
+        if extra is not None:
+            scope.report.error(
+                "wrong-kind",
+                f"a param is one value for all agents, so it has no `{word}`",
+                extra.span,
+                f"leave `param` out to make `{name}` an attribute",
+            )
+    default = _fixed(scope, node.value, f"param `{name}`")
+    if default is None:
+        return None
+    if node.type is not None:
+        type = declared_type(scope, node.type)
+        if not fits(default.type, type):
+            mismatch(scope.report, node.value, default.type, type, f"param `{name}`")
+    names.params[name] = default.type
+    low, high = _param_range(scope, node, default)
+    help = node.help.text if node.help else ""
+    return model.Param(f"{names.name}.{name}", default.type, default, low, high, unit_spelling(node.value), help, node.name.span)
+
+
+def _fixed(scope: Scope, node: nodes.Expr, who: str, want: Type | None = None) -> Const | None:
+    """A constant."""
+    found = value(scope, node) if want is None else wanted(scope, node, want, who)
+    constant = constant_behind(found)
+    if constant is None and found.type.kind is not Kind.BAD:
+        scope.report.error(
+            "wrong-rate",
+            f"{quoted(node.span)} is not a plain number, which {who} starts with",
+            node.span,
+            "write a number with its unit, such as `40 mm`",
+        )
+    return constant
+
+
+def _param_range(scope: Scope, node: nodes.Declaration, default: Const) -> tuple[Const | None, Const | None]:
+    if node.range is None:
+        return None, None
+    ends = [_fixed(scope, end, f"the range of `{node.name.text}`", default.type) for end in (node.range.low, node.range.high)]
+    low, high = ends
+    alike = [c for c in (low, default, high) if c is not None and (c.u, c.step) == (default.u, default.step)]
+    if low is not None and high is not None and len(alike) == 3:
+        if low.number > high.number:
+            scope.report.error(
+                "empty-range",
+                f"the range {quoted(node.range.span)} ends before it begins",
+                node.range.span,
+                "write the lesser end first",
+            )
+        elif not low.number <= default.number <= high.number:
+            scope.report.error(
+                "out-of-range",
+                f"{quoted(node.value.span)} lies outside of {quoted(node.range.span)}",
+                node.value.span,
+                "start inside the range, or widen it",
+            )
+    return low, high
+
+
+# --- attributes ------------------------------------------------------------------------------------------------------
+
+
+def attributes(scope: Scope, node: nodes.Species) -> list[model.AttributeDecl]:
+    """Given and own attributes, those first that others start from."""
+    declared: dict[str, nodes.Declaration | nodes.Given] = {}
+    for name, row in GIVEN.items():
+        if row.settable and row.default is not None:
+            declared[name] = nodes.Given(
+                nodes.Name(name, node.name.span), node_of(row.default, node.name.span), None, node.name.span
+            )
+    written: dict[str, Span] = {}
+    for member in node.members:
+        if isinstance(member, nodes.Given):
+            if member.name.text in written:
+                duplicate(scope.report, "property", member.name, written[member.name.text])
+            if _settable(scope, member):
+                declared[member.name.text] = member
+            written.setdefault(member.name.text, member.name.span)
+        elif isinstance(member, nodes.Declaration) and member.name.text not in GIVEN:
+            declared.setdefault(member.name.text, member)
+    order, circular = ordered(scope.report, "starting values", declared, lambda d: [d.value], lambda d: d.name)
+    return [_attribute(scope, each, each.name.text in circular) for each in order]
+
+
+def _settable(scope: Scope, member: nodes.Given) -> bool:
+    row, name = GIVEN.get(member.name.text), member.name
+    if row is not None and row.settable:
+        return True
+    known = [n for n, g in GIVEN.items() if g.settable]
+    text = " ".join(member.value.span.text.split())
+    if row is not None:
+        better = f"`max_speed {text}` is the fastest it goes" if name.text == "speed" else "it follows from how the animal moves"
+        scope.report.error("not-settable", f"`{name.text}` cannot be set", name.span, better)
+    else:
+        scope.report.error(
+            "unknown-property",
+            f"an animal has no property `{name.text}`",
+            name.span,
+            did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"),
+        )
+    value(scope.inside(once=True), member.value)
+    return False
+
+
+def _attribute(scope: Scope, node: nodes.Declaration | nodes.Given, circular: bool) -> model.AttributeDecl:
+    names, name = scope.species, node.name.text
+    assert names is not None
+    inner = scope.inside(keys=Keys(f"{names.name}.{name}"), no_let=_EARLY, once=True)
+    help = node.help.text if node.help else ""
+    if isinstance(node, nodes.Given):
+        type = type_from_words(GIVEN[name].type) or BAD
+        default = bad(node.value.span) if circular else wanted(inner, node.value, type, f"`{name}`")
+        _positive(scope, node, default)
+        return model.AttributeDecl(name, type, default, True, help, node.name.span)
+    stated = declared_type(scope, node.type) if node.type is not None else None
+    stated = None if stated == BAD else stated
+    if circular:
+        default = bad(node.value.span)
+    else:
+        default = value(inner, node.value) if stated is None else wanted(inner, node.value, stated, f"`{name}`")
+    type = stated or default.type
+    if type.kind not in _STORED:
+        scope.report.error(
+            "wrong-kind",
+            f"{type_words(type)} cannot be an attribute",
+            node.value.span,
+            "an attribute is a number, a vector, a yes or no, an item or an agent",
+        )
+        type = BAD
+    names.attributes[name] = type
+    if node.each is not None:
+        names.each[name] = node.each.species.text
+    if node.range is not None:
+        scope.report.error(
+            "wrong-kind",
+            f"only a param has a range, and `{name}` is an attribute",
+            node.range.span,
+            f"write `param {name} = …`, or leave the range out",
+        )
+    return model.AttributeDecl(name, type, default, False, help, node.name.span)
+
+
+def _positive(scope: Scope, node: nodes.Given, default: Expr) -> None:
+    constant = constant_behind(default)
+    if constant is not None and (constant.number < 0 or (constant.number == 0 and node.name.text not in ("radius", "clearance"))):
+        scope.report.error(
+            "out-of-range", f"`{node.name.text}` cannot be {quoted(node.value.span)}", node.value.span, "write more than 0"
+        )

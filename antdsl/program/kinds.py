@@ -1,0 +1,55 @@
+"""Dimensions, kinds, types and rates of values: what the checker finds out about every expression."""
+
+from __future__ import annotations
+
+from enum import Enum, IntEnum
+from typing import NamedTuple
+
+
+class Dim(NamedTuple):
+    """Exponents of length (mm), time (s), mass (g) and angle (rad). May be fractions after `sqrt`."""
+
+    length: float = 0
+    time: float = 0
+    mass: float = 0
+    angle: float = 0
+
+
+class Kind(Enum):
+    NUMBER = "number"
+    VECTOR = "vector"  # a push is a vector without dimension
+    BOOL = "bool"
+    STATE = "state"  # `of` is "species.machine"
+    ITEM = "item"  # one item or none; `of` names the items
+    AGENT = "agent"  # one agent or none; `of` names the species
+    HIT = "hit"  # what a ray met, or none
+    PLACE = "place"  # only while a behaviour is checked on its own: anything that has a position
+    # Only as arguments, never stored:
+    SET = "set"  # `of` names the items or species, or "hit"
+    ITEMS = "items"
+    SPECIES = "species"
+    SURFACE = "surface"
+    OBSTACLE = "obstacle"
+    SOLID = "solid"
+    CURVE = "curve"
+    FLOW = "flow"
+    MAP = "map"
+    FIELD = "field"
+    RANGE = "range"
+    BAD = "bad"  # complained about already; fits everywhere
+
+
+class Type(NamedTuple):
+    kind: Kind
+    dim: Dim = Dim()
+    of: str | None = None
+
+
+class Rate(IntEnum):
+    """How often a value changes; an expression has the greatest rate of its parts."""
+
+    CONST = 0
+    RUN = 1  # params, dt, the scene's unit
+    STEP = 2  # time, frame
+    AGENT = 3
+    ELEMENT = 4  # per pair, item or ray, inside a set
