@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
 from antdsl import limits
-from antdsl.diagnostics import Diagnostic, Fix, Label, Report
+from antdsl.diagnostics import Diagnostic, Fix, Label, Report, codes
 from antdsl.diagnostics.codes import CODES
 from antdsl.diagnostics.render import FORMATS, render
 from antdsl.diagnostics.suggestion import nearest_name
@@ -164,7 +165,12 @@ def test_order_is_by_place_and_the_same_is_said_once() -> None:
     assert not report.ok and len(report.errors) == 4
 
 
-def test_codes_are_kebab_case_and_in_order() -> None:
+def test_codes_are_kebab_case_unique_and_in_order() -> None:
+    text = Path(codes.__file__).read_text(encoding="utf-8")
+    sections = [re.findall(r'^    "(.*?)":', part, re.MULTILINE) for part in text.split("    # --- ")[1:]]
+    every = [code for section in sections for code in section]
+    assert len(every) == len(set(every)) == len(CODES) > 30
+    assert all(section == sorted(section) for section in sections)
     assert all(re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", code) and meaning for code, meaning in CODES.items())
 
 

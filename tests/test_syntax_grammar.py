@@ -22,8 +22,6 @@ from antdsl.syntax.scan import scan
 from antdsl.syntax.tables import STARTS, TABLES_FILE, grammar_hash, load_parser
 from antdsl.syntax.words import BELONGS, BODIES, FORMS, LINE_WORDS
 
-pytest.importorskip("interegular")
-
 
 class Whole(Builder):
     """Builds a file that is parsed in one go."""

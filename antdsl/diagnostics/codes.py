@@ -143,7 +143,6 @@ CODES: dict[str, str] = {
     "yaml-tag": "the scene has tags or directives, which are not supported",
     # --- from a program to a plan (`not-yet` is also said of what checks but cannot run) ---
     "layer-order": "an order of layers names a line that is not there, or leaves one out",
-    "reserved-name": "an attribute has the name of something that every agent has",
     # --- binding a program to a scene ---
     "field-setting": "a setting of a field has a value that no field can have",
     "field-too-fine": "a field would need more cells than are allowed",
