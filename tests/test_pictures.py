@@ -220,3 +220,17 @@ def test_a_film_without_its_extra_names_it(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     report = film([np.zeros((4, 4, 3), np.uint8)], tmp_path / "film.mp4", 24)
     assert report.errors[0].code == "missing-extra" and "[video]" in report.errors[0].message
+
+
+def test_an_ant_in_the_shade_of_a_rock_is_darker():
+    vertices, faces = sphere(2)
+    roof = Solid("roof", vertices * [14, 1, 14] + [-24.0, 20, 0], faces, "stone")
+    ant = crowd([[0, 0, 0]], (0.9, 0.6, 0.1))
+    low = Camera((8.0, 9.0, 14.0), (0.0, 0.0, 0.0))
+
+    def brightness(solids):
+        image = render_frame(Picture(solids, (ant,), grain=4.0), low, W, H).astype(int)
+        body = (image[..., 0] > 1.7 * image[..., 2]) & (np.hypot(*(np.indices((H, W)) - np.array([45, 80])[:, None, None])) < 25)
+        return image[body][:, 0].mean()
+
+    assert brightness((floor(), roof)) < 0.8 * brightness((floor(),))

@@ -31,7 +31,7 @@ class Sun:
         return self.towards + (radius * np.cos(angle))[:, None] * self.a + (radius * np.sin(angle))[:, None] * self.b
 
 
-def sun_over(up: NDArray[np.float64], elevation: float = 43.0, azimuth: float = 128.0) -> Sun:
+def sun_over(up: NDArray[np.float64], elevation: float = 40.0, azimuth: float = 280.0) -> Sun:
     """A sun at `elevation` and `azimuth` degrees above the level plane of `up`."""
     upward = up / np.linalg.norm(up)
     first = np.roll(upward, 1) - upward * float(np.dot(np.roll(upward, 1), upward))

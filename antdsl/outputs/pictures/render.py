@@ -66,7 +66,7 @@ class Renderer:
         scales = Scales(still.extent, _grain(picture, still.extent))
         kept = self._stage(picture, camera, still, seen, sun, scales)
         cast = actors(picture, seen, self.least)
-        image = self._light(picture, kept, cast, sun, scales, "trail" in wanted)
+        image = self._light(picture, kept, cast, still, sun, scales, "trail" in wanted)
         return draw_overlay(image, picture, seen, kept.stage.far, self.samples, wanted)
 
     def _setting(self, picture: Picture, up: Array) -> Setting:
@@ -89,13 +89,17 @@ class Renderer:
             self._kept[key] = _Kept(made, ground, {})
         return self._kept[key]
 
-    def _light(self, picture: Picture, kept: _Kept, cast: Actors, sun: Sun, scales: Scales, trail: bool) -> Image:
+    def _light(
+        self, picture: Picture, kept: _Kept, cast: Actors, ground: Setting, sun: Sun, scales: Scales, trail: bool
+    ) -> Image:
         still = kept.stage
         shade = still.shade
         if cast.size > 0:
             shade = shade.copy()
             open_share(still, cast.rays, 1.1 * cast.size, _CONTACT_RAYS, shade, scales, self.threads)
-        frame = Frame(still, self._dyed(picture, kept) if trail else still.albedo, shade, cast, sun, scales, self.threads)
+        frame = Frame(
+            still, self._dyed(picture, kept) if trail else still.albedo, shade, cast, ground.rays, sun, scales, self.threads
+        )
         image = np.empty((self.height, self.width, 3), np.uint8)
         parts = [(a, b) for a in range(self.samples) for b in range(self.samples)]
 

@@ -12,7 +12,7 @@ from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.noise import dither
 from antdsl.outputs.pictures.stage import Stage, screen_places
 from antdsl.outputs.pictures.vectors import Floats, blended, dots, units
-from antdsl.runtime.senses.rays import Hits
+from antdsl.runtime.senses.rays import Hits, RayScene
 
 Rows = NDArray[np.int64]
 
@@ -22,12 +22,14 @@ _FLOOR = 3.2  # extents after which the table is one with the sky
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One frame to be lit: `albedo` (n, 3) of the stage's samples with trails on, `shade` (h, w) with what moves in it."""
+    """One frame to be lit: `albedo` (n, 3) of the stage's samples with trails on, `shade` (h, w) with what moves in it;
+    `ground`: the rays of what stands still."""
 
     stage: Stage
     albedo: Floats
     shade: Floats
     cast: Actors
+    ground: RayScene
     sun: Sun
     scales: Scales
     threads: int
@@ -100,7 +102,10 @@ def _moving(frame: Frame, hits: Hits, direction: Floats, front: Rows) -> Floats:
     facing = np.clip(normal @ sun.towards, 0, 1)
     lit = np.flatnonzero(facing > 0)
     aim = np.broadcast_to(sun.towards, (len(lit), 3))
-    facing[lit[frame.cast.rays.occluded(where[lit], aim, far=frame.cast.tall, threads=frame.threads)]] = 0
+    hidden = frame.cast.rays.occluded(where[lit], aim, far=frame.cast.tall, threads=frame.threads)
+    open_to = np.flatnonzero(~hidden)
+    hidden[open_to] = frame.ground.occluded(where[lit[open_to]], aim[open_to], threads=frame.threads)
+    facing[lit[hidden]] = 0
     upness = normal @ sun.up
     half = units(sun.towards - towards)
     shine = gloss * np.clip(dots(normal, half), 0, 1) ** 42 * (facing > 0)
