@@ -72,7 +72,8 @@ def opened(folder: Path, scene: str, **choices: object) -> tuple[Shot | None, Re
     "bad",
     [
         "../secret.ply", "a/../../secret.ply", "/etc/passwd", "C:\\x.ply", "C:/x.ply", "\\\\srv\\share", "~root/x.ply", "~/x.ply",
-        "file:///etc/passwd", "http://host/x.ply", "assets:x.ply", "con", "aux.ply", "sub/NUL.ply", "x.ply:stream", "x.ply.", "x.ply ",
+        "file:///etc/passwd", "http://host/x.ply", "assets:x.ply", "con", "aux.ply", "sub/NUL.ply", "x.ply:stream",
+        "x.ply.", "x.ply ",
         "x\0.ply", "$HOME/x.ply", "%APPDATA%/x", "*.ply", "", ".", "a//b.ply", "x" * 600,
     ],
 )  # fmt: skip
@@ -124,7 +125,7 @@ OBJ = b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 3 2\n"
         ("a.obj", OBJ),
         ("a.obj", b"mtllib ../../etc/passwd\nusemtl x\n" + OBJ.replace(b"1 3 2", b"1/1/1 -1//3 2/4")),
         ("a.stl", b"\0" * 80 + struct.pack("<I12fH", 1, 0, 1, 0, 0, 0, 0, 0, 0, 1, 1, 0, 0, 0)),
-        ("a.stl", b"solid\nfacet normal 0 1 0\nouter loop\nvertex 0 0 0\nvertex 0 0 1\nvertex 1 0 0\nendloop\nendfacet\nendsolid\n"),
+        ("a.stl", b"solid\nfacet normal 0 1 0\nouter loop\nvertex 0 0 0\nvertex 0 0 1\nvertex 1 0 0\nendloop\nendfacet\n"),
     ],
 )  # fmt: skip
 def test_every_format_gives_the_same_triangle(name: str, data: bytes) -> None:
@@ -299,3 +300,26 @@ def test_files_that_use_each_other_in_a_circle_are_told(folder: Path) -> None:
     (folder / "ant.ant").write_text(PROGRAM.replace("use steering", 'use steering\nuse "../a.ant" as a'))
     _, report = opened(folder, SCENE)
     assert "bad-path" in [d.code for d in report.errors]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code"),
+    [
+        ("{mesh: ground.ply}", "{mesh: ground.ply, scale: -1}", "mirrored"),
+        ("{mesh: ground.ply}", "{mesh: far.obj}", "far-away"),
+        ("{mesh: ground.ply}", "{mesh: twins.obj}", "degenerate-faces"),
+    ],
+)
+def test_what_is_odd_about_a_mesh_is_a_warning(folder: Path, old: str, new: str, code: str) -> None:
+    plane = "v -99 0 -99\nv -99 0 99\nv 99 0 0\nf 1 2 3\n"
+    (folder / "far.obj").write_text(plane + "v 3e7 0 0\nf 1 2 4\n")
+    (folder / "twins.obj").write_text(plane + "f 1 2 3\n")
+    shot, report = opened(folder, SCENE.replace(old, new))
+    assert [(d.code, d.severity) for d in report.diagnostics] == [(code, "warning")]
+    assert shot is not None
+
+
+def test_a_scene_without_agents_is_told(folder: Path) -> None:
+    shot, report = opened(folder, "antdsl: 1\n")
+    assert shot is None and [d.code for d in report.errors] == ["no-crowd"]
+    assert "add `crowd:`" in (report.errors[0].help or "")

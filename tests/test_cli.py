@@ -1,0 +1,167 @@
+"""The command line as people meet it: words, exit codes, machine formats, and never a traceback."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from antdsl.cli import _run as run_in_process
+
+ROOT = Path(__file__).resolve().parent.parent
+GOOD = """ant 1
+use steering
+species walker {
+  max_speed 25 mm/s
+  start stroll
+  state stroll amber { steer wander() }
+  layers { state }
+}
+"""
+SCENE = "antdsl: 1\nframes: 1..4\ncrowd: [{species: walker, from: walker.ant, count: 5, place: {radius: 60 mm}}]\n"
+
+
+def antdsl(*words: str, cwd: Path, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", **(env or {})}
+    command = [sys.executable, "-m", "antdsl", *words]
+    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=60)
+    assert "Traceback" not in done.stderr + done.stdout, done.stderr[-800:]
+    return done
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "walker.ant").write_text(GOOD)
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    return tmp_path
+
+
+def test_check_finds_programs_and_scenes_in_folders(folder: Path) -> None:
+    (folder / "sub").mkdir()
+    (folder / "sub" / "bad.ant").write_text(GOOD.replace("wander", "wonder"))
+    (folder / "other.yaml").write_text("recipe: soup\n")
+    (folder / ".git").mkdir()
+    (folder / ".git" / "x.ant").write_text("nonsense {")
+    (folder / "loop").symlink_to(folder)
+    done = antdsl("check", ".", cwd=folder)
+    assert done.returncode == 1
+    assert "error[unknown-behaviour]: no behaviour `wonder`" in done.stdout and "sub/bad.ant:6:30" in done.stdout
+    assert "nonsense" not in done.stdout and "soup" not in done.stdout
+    assert antdsl("check", "walker.ant", "scene.yaml", cwd=folder).stdout == "checked 2 files, nothing to complain about\n"
+
+
+@pytest.mark.parametrize("format", ["full", "concise", "json", "sarif", "github", "junit"])
+def test_formats_are_written_with_and_without_findings(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], format: str
+) -> None:
+    (folder / "bad.ant").write_text(GOOD.replace("25 mm/s", "25 s"))
+    monkeypatch.chdir(folder)
+    for name, code in (("walker.ant", 0), ("bad.ant", 1)):
+        monkeypatch.setattr(sys, "argv", ["antdsl", "check", name, "--format", format])
+        assert run_in_process() == code
+        printed = capfd.readouterr().out
+        if format in ("json", "sarif"):
+            json.loads(printed)
+        assert ("wrong-unit" in printed or "units" in printed) == (code == 1), printed
+
+
+def test_strict_makes_warnings_errors_and_explain_says_what_a_code_means(folder: Path) -> None:
+    (folder / "walker.ant").write_text(GOOD.replace("start", 'param pace = 3 mm/s in 1 mm/s .. 9 mm/s  "unused"\n  start'))
+    assert antdsl("check", "walker.ant", cwd=folder).returncode == 0
+    assert antdsl("check", "walker.ant", "--strict", cwd=folder).returncode == 1
+    listed = antdsl("check", "walker.ant", "--params", cwd=folder).stdout
+    assert "walker.pace = 3 mm/s" in listed and "1 mm/s .. 9 mm/s" in listed
+    assert "given twice" in antdsl("check", "--explain", "duplicate-key", cwd=folder).stdout
+    wrong = antdsl("check", "--explain", "duplicate-kee", cwd=folder)
+    assert wrong.returncode == 2 and "did you mean `duplicate-key`?" in wrong.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["run", "none.yaml"], 1, "there is no file `none.yaml`"),
+        (["check", "none.ant"], 1, "none.ant"),
+        (["check", "walker.txt"], 1, "neither a program"),
+        (["check"], 2, "name a file or a folder"),
+        (["run", "scene.yaml", "--frames", "9..1"], 2, "ends before it begins"),
+        (["run", "scene.yaml", "--set", "pace"], 2, "NAME=VALUE"),
+        (["run", "scene.yaml", "--set", "walker.pce=3mm/s"], 1, "no program has a param"),
+        (["run", "scene.yaml", "--seed", "-1"], 2, "--seed"),
+        (["run", "scene.yaml", "--root", "assets=none"], 2, "there is no folder"),
+        (["run", "scene.yaml", "--out", "."], 3, "has files that are not a cache's"),
+        (["run", "scene.yaml", "--out", "walker.ant"], 3, "is a file"),
+        (["info", "."], 3, "is no cache"),
+        (["render", "none"], 3, "is no cache"),
+        (["march"], 2, "march"),
+    ],
+)  # fmt: skip
+def test_mistakes_end_in_words_and_their_exit_code(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], words: list[str], code: int, said: str
+) -> None:
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(sys, "argv", ["antdsl", *words])
+    assert run_in_process() == code
+    printed = "".join(capfd.readouterr())
+    assert said in printed and "Traceback" not in printed
+
+
+def test_a_run_says_how_far_it_is_and_info_what_is_in_it(folder: Path) -> None:
+    done = antdsl("run", "scene.yaml", "--seed", "5", "--frames", "11..13", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"frame 13 of 13, [0-9.]+ fps, stroll 5", done.stdout) and "the cache is in" in done.stdout
+    told = antdsl("info", "out/scene", "--verify", cwd=folder).stdout
+    assert "3 of 3: 11..13" in told and "seed 5" in told and "verified     3 frames" in told
+    assert antdsl("run", "scene.yaml", "--quiet", cwd=folder).stdout == ""
+    assert (
+        antdsl("plan", "walker.ant", cwd=folder).stdout.startswith("species walker")
+        or "walker" in antdsl("plan", "walker.ant", cwd=folder).stdout
+    )
+
+
+def test_new_makes_a_project_that_runs_and_does_not_overwrite(tmp_path: Path) -> None:
+    assert antdsl("new", "ants", cwd=tmp_path).returncode == 0
+    assert antdsl("check", "ants", "--strict", cwd=tmp_path).returncode == 0
+    assert antdsl("run", "ants/scene.yaml", "--frames", "1..5", cwd=tmp_path).returncode == 0
+    again = antdsl("new", "ants", cwd=tmp_path)
+    assert again.returncode == 3 and "not empty" in again.stderr
+
+
+def test_a_reader_that_has_had_enough_causes_no_complaint(folder: Path) -> None:
+    for n in range(40):
+        (folder / f"bad{n}.ant").write_text(GOOD.replace("wander", "wonder"))
+    command = f"{sys.executable} -m antdsl check . | head -1"
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(["bash", "-c", command], cwd=folder, env=env, capture_output=True, text=True, timeout=60)
+    assert done.stdout.startswith("error") and done.stderr == ""
+
+
+def test_words_that_a_terminal_cannot_show_are_replaced(folder: Path) -> None:
+    (folder / "walker.ant").write_text(GOOD.replace("wander", "wänder"))
+    done = antdsl("check", "walker.ant", cwd=folder, env={"PYTHONIOENCODING": "ascii"})
+    assert done.returncode == 1 and "error[" in done.stdout
+
+
+@pytest.mark.parametrize("words", [["--help"], ["check", "walker.ant"], ["check", "scene.yaml"]])
+def test_it_starts_fast_and_without_what_it_does_not_need(folder: Path, words: list[str]) -> None:
+    code = "import sys; from antdsl.cli import _run; r = _run(); print(r, sorted(sys.modules), file=sys.stderr)"
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    spent = []
+    for _ in range(2):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        done = subprocess.run(
+            [sys.executable, "-c", code, *words], cwd=folder, env=env, capture_output=True, text=True, timeout=60
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        assert done.returncode == 0 and done.stderr.startswith("0 "), done.stderr[-300:]
+        spent.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    loaded = set(re.findall(r"'([a-z0-9_]+)'", done.stderr))
+    assert not loaded & {"open3d", "scipy", "trimesh", "numpy", "PIL"}
+    # twice what a quiet machine needs, since others may be at work
+    assert min(spent) < (0.6 if words == ["--help"] else 1.2)
