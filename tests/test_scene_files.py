@@ -312,7 +312,7 @@ def test_files_that_use_each_other_in_a_circle_are_told(folder: Path) -> None:
 )
 def test_what_is_odd_about_a_mesh_is_a_warning(folder: Path, old: str, new: str, code: str) -> None:
     plane = "v -99 0 -99\nv -99 0 99\nv 99 0 0\nf 1 2 3\n"
-    (folder / "far.obj").write_text(plane + "v 3e7 0 0\nf 1 2 4\n")
+    (folder / "far.obj").write_text(plane + "v 3e7 0 0\nv 3e7 0 9\nv 30000009 0 0\nf 4 5 6\n")
     (folder / "twins.obj").write_text(plane + "f 1 2 3\n")
     shot, report = opened(folder, SCENE.replace(old, new))
     assert [(d.code, d.severity) for d in report.diagnostics] == [(code, "warning")]
