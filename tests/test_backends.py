@@ -130,3 +130,16 @@ def test_a_crowd_on_one_spot_has_a_capped_number_of_neighbours():
     step(world)
     now = world.populations["ant"].now
     assert (now["mood"] == 256).all() and np.count_nonzero(now["first"]) == 0  # the lesser ids of those at the same distance
+
+
+def test_sorting_rows_by_place_changes_nothing(reference, monkeypatch):
+    from antdsl.runtime import phases
+
+    monkeypatch.setattr(phases, "_SORT_EVERY", 1)
+    monkeypatch.setattr(phases, "_SORT_FROM", 2)
+    world = bind(plans.rich(), plans.setting(), Options())
+    before = world.populations["ant"].ids.copy()
+    for k in range(STEPS):
+        step(world)
+        assert state_hash(world) == reference[k + 1]
+    assert not np.array_equal(world.populations["ant"].ids[:40], before)
