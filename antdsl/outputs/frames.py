@@ -87,24 +87,28 @@ class FrameMaker:
 
 
 def orientation(heading: NDArray[np.float32], up: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Quaternions (n, 4) x, y, z, w that turn +x to the heading and +y to the part of `up` across it. (n, 3) float32 each."""
-    x = _unit(heading.astype(np.float64), np.array([1.0, 0.0, 0.0]))
-    z = np.cross(x, up.astype(np.float64))
-    z = _unit(z, np.cross(x, np.array([0.36, 0.48, 0.8])))
-    z /= np.maximum(np.linalg.norm(z, axis=1, keepdims=True), 1e-30)
-    y = np.cross(z, x)
-    # the largest of the four parts is found first, so that nothing is divided by something small (Shepperd 1978)
-    trace = x[:, 0] + y[:, 1] + z[:, 2]
-    four = np.stack([x[:, 0] * 2 - trace, y[:, 1] * 2 - trace, z[:, 2] * 2 - trace, trace], axis=1)
-    which = four.argmax(axis=1)
-    mixed = np.empty((len(x), 4, 4))
-    mixed[:, 0] = np.stack([1 + four[:, 0], x[:, 1] + y[:, 0], x[:, 2] + z[:, 0], y[:, 2] - z[:, 1]], axis=1)
-    mixed[:, 1] = np.stack([x[:, 1] + y[:, 0], 1 + four[:, 1], y[:, 2] + z[:, 1], z[:, 0] - x[:, 2]], axis=1)
-    mixed[:, 2] = np.stack([x[:, 2] + z[:, 0], y[:, 2] + z[:, 1], 1 + four[:, 2], x[:, 1] - y[:, 0]], axis=1)
-    mixed[:, 3] = np.stack([y[:, 2] - z[:, 1], z[:, 0] - x[:, 2], x[:, 1] - y[:, 0], 1 + trace], axis=1)
-    chosen = mixed[np.arange(len(x)), which]
-    chosen /= np.maximum(np.linalg.norm(chosen, axis=1, keepdims=True), 1e-30)
-    return chosen.astype(np.float32)
+    """Quaternions (n, 4) x, y, z, w that turn +x to the heading and +y to the part of `up` across it. (n, 3) float32 each.
+
+    A turn of +x to the heading by the shortest way, then one about the heading. A heading of nothing counts as +x, an `up` along
+    the heading as some direction across it."""
+    hx, hy, hz = heading.astype(np.float64).T
+    length = np.sqrt(hx * hx + hy * hy + hz * hz)
+    still = length < 1e-12
+    inverse = 1 / np.where(still, 1.0, length)
+    hx, hy, hz = np.where(still, 1.0, hx * inverse), hy * inverse, hz * inverse
+    # the shortest way: half way between +x and the heading; straight back is half a turn about z
+    back = hx < -1 + 1e-12
+    half = 1 / np.sqrt(np.where(back, 1.0, 2 * (1 + hx)))
+    aw, ay, az = np.where(back, 0.0, (1 + hx) * half), np.where(back, 0.0, -hz * half), np.where(back, 1.0, hy * half)
+    # where that turn brings +y and +z, and how `up` lies between them
+    ux, uy, uz = up.astype(np.float64).T
+    above = 2 * -az * aw * ux + (1 - 2 * az * az) * uy + 2 * ay * az * uz
+    beside = 2 * ay * aw * ux + 2 * ay * az * uy + (1 - 2 * ay * ay) * uz
+    size = np.sqrt(above * above + beside * beside)
+    cosine = np.where(size > 1e-12, above / np.maximum(size, 1e-30), 1.0)
+    bw = np.sqrt(np.maximum(0.5 + 0.5 * cosine, 0.0))
+    bx = np.copysign(np.sqrt(np.maximum(0.5 - 0.5 * cosine, 0.0)), beside)
+    return np.stack([aw * bx, ay * bw + az * bx, az * bw - ay * bx, aw * bw], axis=1).astype(np.float32)
 
 
 def static_arrays(world: World, setting: Setting) -> Arrays:
@@ -202,11 +206,6 @@ def _register(population: Population, name: str, rows: NDArray[np.intp]) -> NDAr
 
 def _vector(population: Population, name: str, rows: NDArray[np.intp]) -> NDArray[np.float32]:
     return np.stack([population.now[f"{name}.{axis}"][rows] for axis in "xyz"], axis=1).astype(np.float32)
-
-
-def _unit(vectors: NDArray[np.float64], otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.where(length > 1e-12, vectors / np.maximum(length, 1e-30), otherwise)
 
 
 def _length_power(dim: Dim) -> float:
