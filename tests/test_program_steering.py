@@ -1,0 +1,189 @@
+"""What each behaviour of the library does: a few animals on a plane, and what can be seen of them after some seconds."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import meshes
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from test_program import checked, complaints
+from test_program_cases import library
+
+from antdsl import passes, plan
+from antdsl.runtime import CrowdData, FieldStart, ItemData, MeshData, PlaceData, Setting, World, bind, step
+from antdsl.syntax import nodes
+
+HEAD = """ant 1
+use steering
+world { surface ground; obstacle rock; curve road; items food }
+field trail on ground { cell 5 mm; half_life 100 s }
+species other {
+  wish = vector(0 mm/s, 0 mm/s, 15 mm/s)
+  response 1 step
+  state s { steer match(wish) }
+}
+"""
+ROAD = np.stack([np.linspace(-150, 150, 61), np.zeros(61), 20 * np.sin(np.linspace(-3, 3, 61))], axis=1)
+
+
+def crowd(species: str, *points: tuple[float, float]) -> CrowdData:
+    places = np.array([(x, 0.0, z) for x, z in points])
+    return CrowdData(species, len(points), PlaceData(points=places))
+
+
+def scene(steer: str, *crowds: CrowdData, food: tuple[float, float] = (60, 0), fps: int = 24, turned: str = "0 deg") -> World:
+    """Animals that wish `steer` and set out along x, on a plane with a rock at (40, 0), a road and one item of food."""
+    turn = f"  on spawn {{ heading = rotate(vector(1, 0, 0), about: up, by: {turned}); velocity = heading * 20 mm/s }}\n"
+    text = HEAD + f"species ant {{\n{turn}  state s {{ steer {steer} }}\n}}\n"
+    program, report = checked(text)
+    assert report.ok, complaints(report)
+    lowered, report = plan.lower(program)
+    assert complaints(report) == []
+    ground, rock = meshes.grid(400.0, 20), meshes.ball(8.0, (40.0, 0.0, 0.0))
+    return bind(
+        passes.optimise(lowered),
+        Setting(
+            fps=Fraction(fps),
+            surfaces={"ground": MeshData(*ground)},
+            obstacles={"rock": MeshData(*rock)},
+            curves={"road": ROAD},
+            items={"food": (ItemData("crumb", (food[0], 0.0, food[1]), 2.0),)},
+            crowds=crowds,
+            field_start={"trail": FieldStart(1.0, (0.0, 0.0, 60.0), 30.0)},
+        ),
+    )
+
+
+def run(world: World, steps: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Positions and velocities (steps, agents, 3) of `ant` in the plane's own axes."""
+    places, speeds = [], []
+    for _ in range(steps):
+        step(world)
+        ants = world.populations["ant"]
+        order = np.argsort(ants.ids)
+        places.append(ants.position[order] + world.origin)
+        speeds.append(np.stack([ants.now[f"velocity.{a}"][order] for a in "xyz"], axis=1).astype(float))
+    return np.array(places), np.array(speeds)
+
+
+def far(places: NDArray[np.float64], x: float, z: float) -> NDArray[np.float64]:
+    return np.hypot(places[..., 0] - x, places[..., 2] - z)
+
+
+def test_seek_goes_there_at_full_speed_and_flee_away() -> None:
+    places, speeds = run(scene("seek(nearest(food))", crowd("ant", (0, 60))), 40)
+    assert far(places, 60, 0)[-1, 0] < 45
+    assert np.linalg.norm(speeds[-1, 0]) == pytest.approx(30, rel=0.02)
+    places, _ = run(scene("flee(nearest(food))", crowd("ant", (30, 10))), 48)
+    assert (np.diff(far(places, 60, 0)[10:, 0]) > 0).all()
+
+
+def test_arrive_slows_down_and_stays() -> None:
+    places, speeds = run(scene("arrive(nearest(food), slowing: 20 mm)", crowd("ant", (0, 30))), 200)
+    gap = far(places, 60, 0)[:, 0]
+    assert gap[-1] < 0.5 and gap[-60:].max() < 2
+    assert np.linalg.norm(speeds[-1, 0]) < 1
+    assert np.linalg.norm(speeds, axis=2)[gap > 25, 0].max() > 29
+
+
+def test_pursue_meets_what_moves_earlier_than_seek() -> None:
+    def closest(steer: str) -> int:
+        places, _ = run(scene(steer, crowd("ant", (0, 0)), crowd("other", (-60, -40))), 150)
+        path = -40 + 15 * np.arange(1, 151) / 24
+        return int(np.argmax(np.hypot(places[:, 0, 0] + 60, places[:, 0, 2] - path) < 4) or 999)
+
+    sought, pursued = closest("seek(nearest(other))"), closest("pursue(nearest(other), ahead: 3 s)")
+    cut_off = closest("offset_pursuit(nearest(other), ahead: 3 s)")
+    assert pursued < sought < 999
+    assert cut_off < sought
+
+
+def test_evade_leaves_the_way_of_what_comes() -> None:
+    places, _ = run(scene("evade(nearest(other), ahead: 2 s)", crowd("ant", (5, 0)), crowd("other", (0, -60))), 120)
+    path = -60 + 15 * np.arange(1, 121) / 24
+    assert np.hypot(places[:, 0, 0], places[:, 0, 2] - path).min() > 25
+
+
+def test_wander_turns_smoothly_both_ways_and_the_same_at_any_frame_rate() -> None:
+    spread = {}
+    for fps in (24, 48):
+        _, speeds = run(
+            scene("wander(swing: 40 deg)", crowd("ant", *[(90, float(z)) for z in range(-40, 40, 4)]), fps=fps), 4 * fps
+        )
+        bearing = np.unwrap(np.arctan2(speeds[..., 2], speeds[..., 0]), axis=0)
+        turn = np.diff(bearing, axis=0)
+        assert np.degrees(np.abs(turn)).max() < 300 / fps  # no jump
+        assert (turn.mean(axis=0) > 0).any() and (turn.mean(axis=0) < 0).any()
+        assert np.linalg.norm(speeds[-1], axis=1).min() > 15
+        spread[fps] = np.degrees(np.std(turn * fps))
+    assert 12 < spread[24] < 45
+    assert spread[24] == pytest.approx(spread[48], rel=0.35)
+
+
+def test_avoid_goes_round_a_rock() -> None:
+    blind, _ = run(scene("toward(vector(1, 0, 0))", crowd("ant", (0, 0.5))), 80)
+    wary, _ = run(scene("avoid(rock, reach: 12 mm) * 2 + toward(vector(1, 0, 0))", crowd("ant", (0, 0.5))), 80)
+    assert far(wary, 40, 0).min() > 8
+    assert wary[-1, 0, 0] > 60
+    assert wary[-1, 0, 0] > blind[-1, 0, 0] + 5
+
+
+def test_turn_back_turns_at_the_rim() -> None:
+    world = scene("turn_back(road, margin: 20 mm) + toward(heading) * 0.3", crowd("ant", (-60, 60)), turned="90 deg")
+    places, _ = run(world, 120)
+    assert places[:, 0, 2].min() > ROAD[:, 2].min() - 5
+    assert far(places, -60, 60)[:, 0].max() > 20
+    assert places[-1, 0, 2] > places[:, 0, 2].min() + 10
+
+
+def test_climb_keeps_to_a_trail() -> None:
+    def inside(steer: str) -> float:
+        places, _ = run(scene(steer, crowd("ant", *[(float(x), 55.0) for x in range(-20, 20, 4)])), 72)
+        return float((far(places, 0, 60) < 36).mean())
+
+    assert inside("climb(trail)") > 0.4
+    assert inside("climb(trail)") > inside("toward(heading)") + 0.05
+
+
+def test_follow_goes_along_a_curve_as_it_was_drawn() -> None:
+    places, speeds = run(scene("follow(road, within: 25 mm)", crowd("ant", (-120, 5), (0, 100))), 140)
+    off = np.array([np.hypot(*(ROAD[:, [0, 2]] - p[[0, 2]]).T).min() for p in places[60:, 0]])
+    assert off.max() < 6
+    assert places[-1, 0, 0] > 0 and (speeds[20:, 0, 0] > 0).all()
+    assert places[-1, 1, 2] == pytest.approx(100, abs=1)  # too far off to care
+
+
+def test_separate_spreads_and_cohere_gathers() -> None:
+    rng = np.random.default_rng(4)
+    points = [tuple(p) for p in rng.uniform(-12, 12, (20, 2))]
+    for steer, wider in (("separate(radius: 20 mm) + halt() * 0.5", True), ("cohere(radius: 60 mm) + halt() * 0.5", False)):
+        places, _ = run(scene(steer, crowd("ant", *points)), 60)
+        size = [np.linalg.norm(p - p.mean(axis=0), axis=1).mean() for p in (places[0], places[-1])]
+        assert (size[1] > 1.2 * size[0]) if wider else (size[1] < 0.8 * size[0])
+
+
+def test_align_makes_them_go_the_same_way() -> None:
+    points = [(float(x), float(z)) for x in (-6, 0, 6) for z in (94, 100, 106)]
+    world = scene("align(radius: 60 mm, fov: 360 deg)", crowd("ant", *points), turned="uniform(-80 deg, 80 deg)")
+    _, speeds = run(world, 48)
+    unit = speeds / np.linalg.norm(speeds, axis=2, keepdims=True)
+    order = np.linalg.norm(unit.mean(axis=1), axis=1)
+    assert order[0] < 0.95 and order[-1] > 0.99
+
+
+def test_halt_stands_still() -> None:
+    _, speeds = run(scene("halt()", crowd("ant", (0, 0))), 30)
+    assert np.linalg.norm(speeds[-1]) < 0.2
+
+
+def test_every_behaviour_of_the_library_has_help_and_a_test() -> None:
+    file = library("steering")
+    assert file is not None
+    behaviours = [item for item in file.items if isinstance(item, nodes.Behaviour)]
+    assert all(item.help is not None and len(item.help.text) > 10 for item in behaviours)
+    text = Path(__file__).read_text(encoding="utf-8")
+    for item in behaviours:
+        assert item.name.text == "level" or f"{item.name.text}(" in text
