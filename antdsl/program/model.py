@@ -66,7 +66,8 @@ class Attribute(Expr):
 
     Given names are attributes too: position velocity heading up speed id age group size mass radius clearance max_speed
     max_force max_turn response, items' position and radius, a hit's distance, normal and position.
-    A machine's: `MACHINE.state`, `MACHINE.previous`, `MACHINE.next`, `MACHINE.time_in_state`, always with the machine."""
+    A machine's: `MACHINE.state`, `MACHINE.previous`, `MACHINE.next`, `MACHINE.time_in_state`, always with the machine.
+    `likes[n]`, the agent's own value about another, has that other as `of`; its declaration says `each`."""
 
     of: Expr | None
     name: str
@@ -98,7 +99,7 @@ class Local(Expr):
 
 @value
 class Thing(Expr):
-    """A thing of the world or a species as an argument: its name; the type's kind says what it is."""
+    """A thing of the world or a species as an argument: its name; its kind says what it is. `self` (AGENT) is the agent."""
 
     name: str
 

@@ -272,7 +272,7 @@ BUILTINS: dict[str, tuple[Builtin, ...]] = {
             "match",
             [Arg("velocity", "velocity")],
             "push",
-            "the push that reaches a velocity: (velocity - own) / (max_force / mass * response)",
+            "the push that reaches a velocity in this step, at most 1: (velocity - own) * mass / (max_force * dt)",
         ),
     ),
 }
@@ -298,8 +298,8 @@ SIGN_OPS = {
 }  # fmt: skip
 # Further ops of the typed tree:
 #   if(condition, then, else)      is_none(x)  (also `no x`; for a set: it is empty)      chance(rate or share)
-#   field_value(field)             slope()      run(dt | time | frame as Thing)           switched(latch as Local)
-OTHER_OPS = ("if", "is_none", "is_some", "chance", "field_value", "slope", "run", "to_bool")
+#   is_some(x)      field_value(field)      slope()      run(dt | time | frame as Thing)      event(its name as Thing)
+OTHER_OPS = ("if", "is_none", "is_some", "chance", "field_value", "slope", "run", "event")
 
 # Words with a meaning to come. Used as a name they are refused, used as a construct they get a placed "not yet".
 RESERVED = ("noise", "flow", "map", "play", "fuzzy", "repeat", "import", "share", "total", "clip")
