@@ -309,3 +309,17 @@ def test_a_run_begins_where_another_cache_was(unbroken: tuple[Path, dict[int, st
     second.write_text(second.read_text().replace("frame: 57", "frame: 56"))
     code, words = finished(start(second))
     assert code == 1 and "write one of" in words and "57" in words
+
+
+def test_a_full_disk_ends_in_words_and_the_run_goes_on_later(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
+    """The system refuses to let any file grow beyond what a few frames' hashes need."""
+    scene = project(tmp_path / "p")
+    scene.write_text(SCENE.replace("count: 40", "count: 400"))
+    command = [sys.executable, "-m", "antdsl", "run", "scene.yaml", "--threads", "1"]
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    limit = f"import resource as r, os; r.setrlimit(r.RLIMIT_FSIZE, (20000, 20000)); os.execv({sys.executable!r}, {command!r})"
+    done = subprocess.run([sys.executable, "-c", limit], env=env, cwd=scene.parent, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 3 and "Traceback" not in done.stderr, done.stderr[-600:]
+    assert "cannot write the cache: file too large" in done.stderr and "--resume" in done.stderr
+    assert finished(start(scene, "--resume"))[0] == 0
+    assert len(read_hashes(scene.parent / "out" / "scene" / "hashes.jsonl")) == 60

@@ -129,6 +129,7 @@ CODES: dict[str, str] = {
     "no-crowd": "the scene has no agents",
     "no-such-file": "a file that is named is not there, or cannot be opened",
     "not-a-file": "a path leads to a folder, a pipe or a device",
+    "odd-scale": "a surface is hardly larger than those who walk on it, or very much larger",
     "off-surface": "an item is to lie on a surface, and the surface is not below or above it",
     "out-of-range": "a value lies outside the range that it may have",
     "root-not-granted": "a path begins with a root that the person who runs the scene has not granted",

@@ -84,7 +84,7 @@ def _line(frame: int, value: str) -> bytes:
     return json.dumps({"frame": frame, "hash": value}).encode() + b"\n"
 
 
-def resume_points(folder: Path, inputs: Mapping[str, str], first: int) -> tuple[Cache, list[int]] | None:
+def resume_points(folder: Path, inputs: Mapping[str, str], first: int, last: int) -> tuple[Cache, list[int]] | None:
     """The cache to continue and the frames one may continue from, the latest first; None where there is nothing to continue.
 
     A checkpoint counts only when every frame up to it is there with its hash. DifferentInputs when the cache is of other
@@ -101,7 +101,7 @@ def resume_points(folder: Path, inputs: Mapping[str, str], first: int) -> tuple[
     unbroken = first - 1
     while unbroken + 1 in there and unbroken + 1 in hashes:
         unbroken += 1
-    return cache, [number for number in reversed(cache.checkpoints()) if first <= number <= unbroken]
+    return cache, [number for number in reversed(cache.checkpoints()) if first <= number <= min(unbroken, last)]
 
 
 def read_checkpoint(cache: Cache, frame: int) -> Arrays | None:

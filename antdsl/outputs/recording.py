@@ -60,7 +60,7 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
     inputs = {**shot.inputs, **start_hash(shot)}
     points: tuple[Cache, list[int]] | None = None
     if resume:
-        points = resume_points(folder, inputs, shot.frames.first)
+        points = resume_points(folder, inputs, shot.frames.first, shot.frames.last)
         if points is None and any((folder / "frames").glob("frame.*.npz")):
             raise NothingToResume(f"`{folder}` has frames and no readable manifest")
     prepare_folder(folder, force=force)

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.scene.ply import HeaderError, read_header, read_triangles
 from antdsl.scene.setting import MeshData
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
-_PLY_BYTES = {"char": 1, "uchar": 1, "short": 2, "ushort": 2, "int": 4, "uint": 4, "float": 4, "double": 8, "int8": 1, "uint8": 1,
-              "int16": 2, "uint16": 2, "int32": 4, "uint32": 4, "float32": 4, "float64": 8}  # fmt: skip
 _FARTHEST = 1e9  # mm; a thousand kilometres
 
 
@@ -128,44 +127,12 @@ def _obj_index(word: bytes, count: int, line_number: int) -> int:
 
 def _read_ply(data: bytes) -> tuple[Floats, Faces]:
     """A .ply file, after its header was held against the size of the file."""
-    _check_ply(data)
-    return _through_trimesh(data, "ply")
-
-
-def _check_ply(data: bytes) -> None:
-    end = data.find(b"end_header", 0, 64 * limits.KIB)
-    if not data.startswith(b"ply") or end < 0:
-        raise MeshError("is not a .ply file")
-    body = data.find(b"\n", end) + 1
-    ascii_form, elements = False, []  # type: bool, list[tuple[str, int, int]]
-    for line in data[:end].decode("ascii", "replace").splitlines()[1:]:
-        words = line.split()
-        if not words or words[0] in ("comment", "obj_info"):
-            continue
-        if words[0] == "format" and len(words) == 3:
-            if words[1] not in ("ascii", "binary_little_endian", "binary_big_endian"):
-                raise MeshError(f"has an unknown format `{words[1][:20]}`")
-            ascii_form = words[1] == "ascii"
-        elif words[0] == "element" and len(words) == 3 and re.fullmatch("[0-9]{1,12}", words[2]):
-            elements.append((words[1], int(words[2]), 0))
-        elif words[0] == "property" and elements:
-            listed = len(words) == 5 and words[1] == "list"
-            kinds = words[2:4] if listed else words[1:2]
-            if (not listed and len(words) != 3) or any(k not in _PLY_BYTES for k in kinds):
-                raise MeshError(f"has a header line that is not understood: `{line[:40]}`")
-            name, count, size = elements[-1]
-            # the shortest that a list can be is its own count
-            elements[-1] = (name, count, size + _PLY_BYTES[kinds[0]])
-        else:
-            raise MeshError(f"has a header line that is not understood: `{line[:40]}`")
-        if len(elements) > 16:
-            raise MeshError("has more than 16 kinds of element")
-    counts = {name: count for name, count, _ in elements}
-    if counts.get("face", 0) > limits.MESH_FACES or counts.get("vertex", 0) > 3 * limits.MESH_FACES:
-        raise MeshError(f"says it has {counts.get('face', 0):,} faces, more than {limits.MESH_FACES:,}")
-    least = sum(count * (1 if ascii_form else size) for _, count, size in elements)
-    if least > len(data) - body:
-        raise MeshError(f"says it has {sum(counts.values()):,} elements, too many for a file of {len(data):,} bytes")
+    try:
+        header = read_header(data)
+    except HeaderError as why:
+        raise MeshError(str(why)) from None
+    found = read_triangles(data, header)
+    return _through_trimesh(data, "ply") if found is None else found
 
 
 def _read_stl(data: bytes) -> tuple[Floats, Faces]:

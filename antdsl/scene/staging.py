@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
-from antdsl.program.model import Const, Program
+from antdsl.program.model import Const, Expr, Op, ParamRef, Program
+from antdsl.program.vocabulary import LENGTH
 from antdsl.scene import setting as stage_of
 from antdsl.scene.document import Key
 from antdsl.scene.load import Scene
@@ -27,6 +28,7 @@ from antdsl.scene.quantities import Quantity
 
 DEFAULT_ITEM_RADIUS = 10.0  # mm
 _UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_WIDEST = 1e6  # body lengths: ants in a whole county
 _FAR = 1e7  # mm from the origin; float32 steps are 1 mm there
 
 
@@ -61,6 +63,7 @@ def stage(
     _solids(staging)
     if staging.report.ok:
         _check_cells(staging, surfaces)
+        _check_scale(staging, surfaces)
     curves = _curves(staging)
     items = {
         name: tuple(_items(staging, name, value, surfaces)) for name, value in model.world.items() if isinstance(value, dict)
@@ -188,6 +191,35 @@ def _check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) ->
         _refuse_if_many(
             staging, area / (edge * edge), limits.FIELD_CELLS, f"the field `{name}`", "cells", edge, "world", place, labels=labels
         )
+
+
+def _check_scale(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
+    """Warn of a surface hardly larger than who walks on it, or so large that its units are likely wrong."""
+    for line in staging.scene.model.crowd:
+        species = staging.program.species.get(line.species)
+        size = next((a.default for a in species.attributes if a.name == "size"), None) if species else None
+        length = _some_length(size, staging) if size is not None else None
+        for name, mesh in surfaces.items() if length else ():
+            width = float(np.ptp(mesh.vertices, axis=0).max())
+            if not 3 * length <= width <= _WIDEST * length:
+                words = f"`{name}` is {width:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
+                staging.report.warning(
+                    "odd-scale", words, staging.scene.span("world", name), "say the mesh's `units`, such as `units: m`"
+                )
+
+
+def _some_length(expression: Expr, staging: Staging) -> float | None:
+    """The first length in an expression such as `uniform(3 mm, 5 mm)`, in millimetres."""
+    stack: list[Expr | None] = [expression]
+    while stack:
+        part = stack.pop()
+        if isinstance(part, Const) and part.type.dim == LENGTH and part.number > 0:
+            return const_base(part, staging.scene)
+        if isinstance(part, ParamRef):
+            stack.append(staging.program.params[part.name].default)
+        elif isinstance(part, Op):
+            stack.extend(reversed(part.args))
+    return None
 
 
 def _area(mesh: stage_of.MeshData) -> float:
