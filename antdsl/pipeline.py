@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from antdsl.program.model import Program
     from antdsl.runtime import Options, World
     from antdsl.scene import Scene
+    from antdsl.scene.quantities import Quantity
     from antdsl.scene.setting import Setting
     from antdsl.scene.values import FrameRange
 
@@ -124,7 +125,7 @@ def _read_scene(path: Path, choices: Choices) -> tuple[Scene | None, Program | N
 _CROWD_HELP = "add `crowd:` and below it `  - {species: NAME, from: FILE.ant, count: 100, place: {on: SURFACE}}`"
 
 
-def _overrides(scene: Scene, program: Program, choices: Choices, report: Report) -> Mapping[str, object]:
+def _overrides(scene: Scene, program: Program, choices: Choices, report: Report) -> Mapping[str, Quantity]:
     from antdsl.scene.matching import check_param
     from antdsl.scene.quantities import BadQuantity, parse_quantity
 

@@ -150,6 +150,23 @@ def test_orientations_turn_the_axes_as_they_say() -> None:
     assert np.abs(along - heading).max() < 1e-5 and np.abs(above - up).max() < 1e-5
 
 
+def test_feelers_of_a_program_are_found_and_turned_into_rays(tmp_path: Path) -> None:
+    from antdsl.outputs.feelers import feelers_of, rays
+    from antdsl.pipeline import compile_files
+
+    path = tmp_path / "a.ant"
+    text = PROGRAM.replace("WORLD", "world { surface ground; obstacle stones }")
+    path.write_text(text.replace("layers {", "layers { avoid(stones, feelers: 3, spread: 90 deg, reach: 2 mm + 1.5 * size);"))
+    program, report = compile_files([path])
+    assert program is not None and report.ok, report.errors
+    (entry,) = feelers_of(program, "walker", {}, 10.0, 0.04)
+    assert entry.count == 3 and entry.spread == pytest.approx(np.pi / 2)
+    assert entry.reach == pytest.approx(0.2) and entry.per_length == pytest.approx(1.5)
+    found = rays(entry, np.zeros((1, 3)), np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]]), np.array([0.4]))
+    ends = found[np.argsort(found[:, 1, 2]), 1]
+    assert np.abs(ends - 0.8 * np.array([[0, 0, -1], [1, 0, 0], [0, 0, 1]])).max() < 1e-12
+
+
 # --- whole runs, in processes of their own -------------------------------------------------------------------------------
 
 

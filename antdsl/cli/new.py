@@ -92,4 +92,4 @@ def ground(side: int = 49, width: float = 200.0) -> bytes:
         "property list uchar int vertex_indices",
         "end_header",
     )
-    return "\n".join(lines).encode() + b"\n" + vertices.tobytes() + rows.tobytes()
+    return "\n".join(lines).encode() + b"\n" + bytes(vertices.tobytes()) + bytes(rows.tobytes())

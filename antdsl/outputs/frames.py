@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.manifest import (
     CameraEntry,
+    FeelersEntry,
     FieldEntry,
     ItemsEntry,
     MachineEntry,
@@ -138,6 +139,7 @@ def describe(
     checkpoint: int,
     attributes: tuple[str, ...],
     bodies: Mapping[str, str],
+    feelers: Mapping[str, tuple[FeelersEntry, ...]],
     camera: CameraEntry | None,
 ) -> Manifest:
     """The manifest of a run that begins with this world."""
@@ -156,7 +158,9 @@ def describe(
         seed=setting.seed,
         checkpoint=checkpoint,
         attributes=attributes,
-        species=tuple(_species(world.populations[name], bodies.get(name)) for name in sorted(world.populations)),
+        species=tuple(
+            _species(world.populations[name], bodies.get(name), feelers.get(name, ())) for name in sorted(world.populations)
+        ),
         meshes=(
             *(MeshEntry(name=name, kind="surface") for name in setting.surfaces),
             *(MeshEntry(name=name, kind="obstacle") for name in setting.obstacles),
@@ -176,7 +180,7 @@ def describe(
     )
 
 
-def _species(population: Population, body: str | None) -> SpeciesEntry:
+def _species(population: Population, body: str | None, feelers: tuple[FeelersEntry, ...]) -> SpeciesEntry:
     machines = tuple(
         MachineEntry(
             name=machine.name,
@@ -187,7 +191,7 @@ def _species(population: Population, body: str | None) -> SpeciesEntry:
         )
         for machine in population.plan.machines
     )
-    return SpeciesEntry(name=population.name, body=body, machines=machines)
+    return SpeciesEntry(name=population.name, body=body, feelers=feelers, machines=machines)
 
 
 def _colours(population: Population) -> NDArray[np.float32]:

@@ -9,8 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.bodies.body import turned
 from antdsl.bodies.catalogue import BODIES, body_of
 from antdsl.outputs.cache import Arrays, Cache
+from antdsl.outputs.feelers import rays
+from antdsl.outputs.manifest import SpeciesEntry
 from antdsl.outputs.pictures.model import Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
 
 _SHAPES: tuple[tuple[str, Shape], ...] = (
@@ -88,7 +91,7 @@ class Gallery:
                 ids=ids[rows],
                 velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
             )
-            made += _parted(crowd, agents)
+            made += [self._with_feelers(part, species) for part in _parted(crowd, agents)]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
                 legend += [
@@ -96,6 +99,14 @@ class Gallery:
                     for state, n in zip(species.machines[0].states, counts, strict=False)
                 ]
         return tuple(made), tuple(legend)
+
+    def _with_feelers(self, crowd: Crowd, species: SpeciesEntry) -> Crowd:
+        """The crowd with the rays of its feelers, where they are to be seen."""
+        if not species.feelers or crowd.ids is None or not len(crowd.position):
+            return crowd
+        ahead, up = (turned(crowd.orient, np.tile(axis, (len(crowd.position), 1))) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+        lines = [rays(entry, crowd.position, ahead, up, crowd.scale) for entry in species.feelers]
+        return replace(crowd, feelers=np.concatenate(lines))
 
     def _walk(self, species: str, frame: int, ids: NDArray[Any], arrays: Arrays, rows: NDArray[np.intp]) -> NDArray[np.float64]:
         """How far each has walked, for its legs: from a start of its own, moved on by the speed of each frame drawn since."""
@@ -118,7 +129,7 @@ class Gallery:
         made = []
         for group in self.manifest.items:
             for number, (name, position, radius) in enumerate(zip(group.names, group.position, group.radius, strict=True)):
-                shape = next((s for word, s in _SHAPES if word in name.lower() or word in group.name.lower()), "sphere")
+                shape: Shape = next((s for word, s in _SHAPES if word in name.lower() or word in group.name.lower()), "sphere")
                 made.append(Item(name, position, radius, self._left(group.name, group.attributes, number, arrays), shape))
         return tuple(made)
 

@@ -38,11 +38,21 @@ class MachineEntry(Part):
     states: tuple[StateEntry, ...]
 
 
+class FeelersEntry(Part):
+    """Rays ahead, out to `spread` radians on either side, `reach` scene units and `per_length` body lengths long."""
+
+    count: Annotated[int, Field(ge=1, le=64)]
+    spread: float
+    reach: float
+    per_length: float
+
+
 class SpeciesEntry(Part):
     """`body`: what pictures draw for it; None goes by its name."""
 
     name: Word
     body: Word | None = None
+    feelers: tuple[FeelersEntry, ...] = ()
     machines: tuple[MachineEntry, ...]
 
 
@@ -81,7 +91,7 @@ class Manifest(Part):
     """`inputs` has a hash for all that the frames depend on; `fps` is a fraction, `24/1`; `first` and `last` are the frames
     asked for."""
 
-    format: Literal[1] = FORMAT
+    format: Literal[1] = 1
     antdsl: Word
     scene: Word
     inputs: dict[Word, Word]

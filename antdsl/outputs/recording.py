@@ -12,6 +12,7 @@ import numpy as np
 
 from antdsl.outputs.cache import Cache
 from antdsl.outputs.cache_writer import CacheWriter, prepare_folder, read_checkpoint, resume_points
+from antdsl.outputs.feelers import feelers_of
 from antdsl.outputs.frames import FrameMaker, describe, static_arrays
 from antdsl.outputs.manifest import CameraEntry
 from antdsl.outputs.starting import start_from_cache, start_hash
@@ -110,6 +111,9 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         checkpoint=model.output.checkpoint,
         attributes=maker.attributes,
         bodies={line.species: line.body for line in model.crowd if line.body is not None},
+        feelers={
+            name: feelers_of(shot.program, name, world.params, shot.setting.unit_mm, world.dt) for name in world.populations
+        },
         camera=_camera(shot),
     )
     with CacheWriter(recording.folder, manifest) as writer:

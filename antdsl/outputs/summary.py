@@ -41,7 +41,7 @@ def states(recording: Recording) -> dict[str, int]:
     own)."""
     import numpy as np
 
-    found = {}
+    found: dict[str, int] = {}
     for name, population in recording.world.populations.items():
         for machine in population.plan.machines:
             counts = np.bincount(population.now[f"{machine.name}.state"], minlength=len(machine.states))

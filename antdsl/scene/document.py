@@ -127,8 +127,8 @@ class _Reader:
             self.lines.append(match.end())
 
     def offset(self, mark: Any) -> int:
-        start = self.lines[min(mark.line, len(self.lines) - 1)]
-        return min(start + mark.column, len(self.source.text))
+        start: int = self.lines[min(mark.line, len(self.lines) - 1)]
+        return min(start + int(mark.column), len(self.source.text))
 
     def span(self, event: Any) -> Span:
         start, end = self.offset(event.start_mark), self.offset(event.end_mark)

@@ -275,9 +275,9 @@ def _layers(scene: Scene, program: Program, report: Report) -> None:
             )
         if order is None and not wrong:
             left = [text for text in texts if not any(text.startswith(line.strip()) for line in scene.model.layers[name])]
-            help = "add " + ", ".join(f"`{text}`" for text in left) if left else None
+            advice = "add " + ", ".join(f"`{text}`" for text in left) if left else None
             report.error(
-                "missing-thing", f"the order of the layers of `{name}` is not complete", scene.span("layers", name), help
+                "missing-thing", f"the order of the layers of `{name}` is not complete", scene.span("layers", name), advice
             )
 
 

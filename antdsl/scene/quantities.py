@@ -35,11 +35,11 @@ class Quantity:
 
     def base(self, unit_mm: float, dt: float) -> float:
         """The value in base units."""
-        return self.number * unit_mm**self.u * dt**self.step
+        return float(self.number * unit_mm**self.u * dt**self.step)
 
     def length(self, unit_mm: float) -> float:
         """Millimetres; a number without a unit is in scene units. Only for values checked to be lengths."""
-        return self.number * unit_mm if self.bare else self.number * unit_mm**self.u
+        return float(self.number * unit_mm if self.bare else self.number * unit_mm**self.u)
 
 
 def parse_number(text: str) -> float:

@@ -199,7 +199,9 @@ def _check_scale(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) ->
         species = staging.program.species.get(line.species)
         size = next((a.default for a in species.attributes if a.name == "size"), None) if species else None
         length = _some_length(size, staging) if size is not None else None
-        for name, mesh in surfaces.items() if length else ():
+        if length is None:
+            continue
+        for name, mesh in surfaces.items():
             width = float(np.ptp(mesh.vertices, axis=0).max())
             if not 3 * length <= width <= _WIDEST * length:
                 words = f"`{name}` is {width:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"

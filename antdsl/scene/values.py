@@ -23,7 +23,7 @@ LENGTH, ANGLE, TIME = Dim(length=1), Dim(angle=1), Dim(time=1)
 
 def refuse(message: str, help: str = "") -> PydanticCustomError:
     """An error that keeps its words as they are, braces and all."""
-    return PydanticCustomError("scene", "{words}", {"words": message, "help": help})  # type: ignore[arg-type]
+    return PydanticCustomError("scene", "{words}", {"words": message, "help": help})
 
 
 def _shown(value: Any) -> str:

@@ -1,0 +1,77 @@
+"""The feelers that a species' program has, so that pictures can show them: how many, how far out, how long."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.manifest import FeelersEntry
+from antdsl.program.model import Attribute, Const, Expr, Local, Op, ParamRef, Program, SetOf
+
+_OPS: dict[str, Callable[..., float]] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
+    "neg": lambda a: -a,
+    "min": min,
+    "max": max,
+}
+
+
+def feelers_of(program: Program, species: str, params: Mapping[str, Any], unit_mm: float, dt: float) -> tuple[FeelersEntry, ...]:
+    """All feelers of a species' layers and states. Those whose numbers change from step to step are left out."""
+    found = []
+    for part in _parts(program.species[species]):
+        if isinstance(part, SetOf) and part.source == "feelers":
+            count, spread, reach = (_value(a, 0.0, params, unit_mm, dt) for a in part.args)
+            longer = _value(part.args[2], 1.0, params, unit_mm, dt)
+            if count is not None and spread is not None and reach is not None and longer is not None:
+                found.append(FeelersEntry(count=int(count), spread=spread, reach=reach / unit_mm, per_length=longer - reach))
+    return tuple(dict.fromkeys(found))
+
+
+def _parts(value: object) -> Iterator[object]:
+    """Everything inside a value of the program, each thing once."""
+    stack, seen = [value], set()
+    while stack:
+        part = stack.pop()
+        if isinstance(part, tuple | list):
+            stack.extend(reversed(part))
+        elif dataclasses.is_dataclass(part) and id(part) not in seen and type(part).__module__ == Const.__module__:
+            seen.add(id(part))
+            yield part
+            stack.extend(getattr(part, f.name) for f in reversed(dataclasses.fields(part)))
+
+
+def _value(part: Expr | None, size: float, params: Mapping[str, Any], unit_mm: float, dt: float) -> float | None:
+    """A number in base units for an agent of a size in mm; None when it depends on more than that."""
+    if isinstance(part, Const):
+        return float(part.number * unit_mm**part.u * dt**part.step)
+    if isinstance(part, ParamRef):
+        return float(params[part.name])
+    if isinstance(part, Attribute) and part.of is None and part.name == "size":
+        return size
+    if isinstance(part, Local) and part.binding.role in ("argument", "let"):
+        return _value(part.binding.value, size, params, unit_mm, dt)
+    if isinstance(part, Op) and part.name in _OPS:
+        values = [_value(a, size, params, unit_mm, dt) for a in part.args]
+        numbers = [v for v in values if v is not None]
+        if len(numbers) == len(values) and not (part.name == "div" and numbers[1] == 0):
+            return float(_OPS[part.name](*numbers))
+    return None
+
+
+def rays(entry: FeelersEntry, position: NDArray[np.float64], ahead: NDArray[np.float64], up: NDArray[np.float64],
+         scale: NDArray[np.float64]) -> NDArray[np.float64]:  # fmt: skip
+    """Starts and ends (n · count, 2, 3) of the feelers of agents at `position` (n, 3), unit `ahead` and `up`, of body
+    lengths `scale`."""
+    angles = np.linspace(-entry.spread, entry.spread, entry.count) if entry.count > 1 else np.zeros(1)
+    side = np.cross(up, ahead)
+    reach = (entry.reach + entry.per_length * scale)[:, None]
+    parts = [np.stack([position, position + reach * (np.cos(a) * ahead + np.sin(a) * side)], axis=1) for a in angles]
+    return np.concatenate(parts)
