@@ -165,3 +165,21 @@ def test_it_starts_fast_and_without_what_it_does_not_need(folder: Path, words: l
     assert not loaded & {"open3d", "scipy", "trimesh", "numpy", "PIL"}
     # twice what a quiet machine needs, since others may be at work
     assert min(spent) < (0.6 if words == ["--help"] else 1.2)
+
+
+def test_pictures_sheets_and_films_are_drawn(tmp_path: Path) -> None:
+    from PIL import Image
+
+    assert antdsl("new", "ants", cwd=tmp_path).returncode == 0
+    assert antdsl("run", "ants/scene.yaml", "--frames", "1..6", "--out", "cache", cwd=tmp_path).returncode == 0
+    small = ("--width", "96", "--height", "64")
+    done = antdsl("render", "cache", "--sheet", "--every", "2", *small, cwd=tmp_path)
+    assert done.stdout.split() == ["cache/pictures/sheet.png", "cache/pictures/picture.0005.png"], done.stderr
+    with Image.open(tmp_path / "cache" / "pictures" / "picture.0005.png") as picture:
+        assert picture.size == (96, 64) and len(picture.getcolors(96 * 64) or ()) > 100
+    done = antdsl(
+        "render", "cache", "--agents", "7", "--camera", "eye", "--show", "ids,velocity", "--out", "eye", *small, cwd=tmp_path
+    )
+    assert done.stdout.split() == ["eye/picture.0006.png"], done.stderr
+    wrong = antdsl("render", "cache", "--show", "smell", *small, cwd=tmp_path)
+    assert wrong.returncode == 2 and "cannot show" in wrong.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from antdsl.outputs.pictures.model import Camera, Picture
 
 SHEET = 9  # pictures on a contact sheet where no frames are named
+MOST = 100
 
 
 class View(StrEnum):
@@ -35,7 +37,7 @@ def render(
         "trail", "--show", metavar="WORD,…", help="What to draw besides: trail, feelers, velocity, ids; `none` for nothing."
     ),
     agents: str = typer.Option(
-        None, "--agents", metavar="ID,…", help="Only these agents' ids and velocities; the eye camera follows the first."
+        None, "--agents", metavar="ID,…", help="Only these agents' ids, velocities, feelers; the eye camera follows the first."
     ),
     width: int = typer.Option(960, "--width", min=16, max=8192, help="Pixels."),
     height: int = typer.Option(540, "--height", min=16, max=8192, help="Pixels."),
@@ -54,8 +56,16 @@ def render(
     words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
     folder = out if out is not None else cache / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
+    if film:
+        _ready_for_films()
     drawn = _draw(gallery, wanted, camera, followed, words, width, height, threads or _cores())
-    _keep(drawn, gallery, folder, sheet, film)
+    if film:
+        _film(drawn, gallery, folder)
+    elif sheet:
+        _sheet(drawn, folder)
+    else:
+        for frame, image in drawn:
+            _still(frame, image, folder)
 
 
 def _cores() -> int:
@@ -84,7 +94,12 @@ def _frames(gallery: Gallery, between: Any, every: int | None, sheet: bool, film
     if not there:
         raise Stop(Exit.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has")
     if every is not None:
-        return there[::every]
+        there = there[::every]
+        if not sheet or film or len(there) <= MOST:
+            return there
+        raise Stop(
+            Exit.USAGE, f"error: {len(there)} pictures do not fit on a sheet", f"ask for at most {MOST}: a larger `--every`"
+        )
     if sheet and not film:
         steps = min(SHEET, len(there))
         return sorted({there[round(k * (len(there) - 1) / max(steps - 1, 1))] for k in range(steps)})
@@ -109,12 +124,11 @@ def _draw(
     width: int,
     height: int,
     threads: int,
-) -> list[tuple[int, Any]]:
+) -> Iterator[tuple[int, Any]]:
     from antdsl.outputs.cache import CacheError
     from antdsl.outputs.pictures.render import Renderer
 
     renderer = Renderer(width, height, threads=threads)
-    drawn = []
     standing: Camera | None = None
     for frame in frames:
         try:
@@ -124,10 +138,10 @@ def _draw(
         if standing is None or camera is View.eye:
             standing = _camera(gallery, picture, camera, agents, width / height)
         try:
-            drawn.append((frame, renderer.draw(picture, standing, show=show)))
+            image = renderer.draw(picture, standing, show=show)
         except ValueError as why:
             raise typer.BadParameter(str(why), param_hint="--show") from None
-    return drawn
+        yield frame, image
 
 
 def _camera(gallery: Gallery, picture: Picture, which: View, agents: tuple[int, ...], aspect: float) -> Camera:
@@ -144,26 +158,39 @@ def _camera(gallery: Gallery, picture: Picture, which: View, agents: tuple[int, 
     return own if own is not None else camera_over(picture, aspect=aspect)
 
 
-def _keep(drawn: list[tuple[int, Any]], gallery: Gallery, folder: Path, sheet: bool, film: bool) -> None:
+def _ready_for_films() -> None:
+    """Say so before anything is drawn, if the extra is missing."""
+    from antdsl.cli.reports import demand
+    from antdsl.outputs.pictures import film_ready
+
+    demand(film_ready())
+
+
+def _film(drawn: Iterator[tuple[int, Any]], gallery: Gallery, folder: Path) -> None:
+    """Pictures go into the film as they are drawn, none is kept."""
+    from antdsl.cli.reports import demand
+    from antdsl.outputs.pictures import film
+
+    path = folder / "film.mp4"
+    demand(film((image for _, image in drawn), path, 1 / gallery.dt))
+    typer.echo(path)
+
+
+def _sheet(drawn: Iterator[tuple[int, Any]], folder: Path) -> None:
     from PIL import Image
 
-    if sheet:
-        from antdsl.outputs.pictures import contact_sheet
+    from antdsl.outputs.pictures import contact_sheet
 
-        path = folder / "sheet.png"
-        Image.fromarray(contact_sheet([image for _, image in drawn], [f"frame {frame}" for frame, _ in drawn])).save(path)
-        typer.echo(path)
-    if film:
-        from antdsl.outputs.pictures import film as write_film
+    kept = list(drawn)
+    path = folder / "sheet.png"
+    Image.fromarray(contact_sheet([image for _, image in kept], [f"frame {frame}" for frame, _ in kept])).save(path)
+    typer.echo(path)
+    _still(*kept[-1], folder)
 
-        path = folder / "film.mp4"
-        try:
-            write_film([image for _, image in drawn], path, 1 / gallery.dt)
-        except ImportError as why:
-            raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "pip install 'antdsl[video]'") from None
-        typer.echo(path)
-    if not film:
-        for frame, image in drawn[-1:] if sheet else drawn:
-            path = folder / f"picture.{frame:04d}.png"
-            Image.fromarray(image).save(path)
-            typer.echo(path)
+
+def _still(frame: int, image: Any, folder: Path) -> None:
+    from PIL import Image
+
+    path = folder / f"picture.{frame:04d}.png"
+    Image.fromarray(image).save(path)
+    typer.echo(path)
