@@ -59,6 +59,7 @@ def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
         {name.removeprefix("motion."): array for name, array in arrays.items() if name.startswith("motion.")}
     )
     world.grids.clear()
+    world.clearances.clear()
 
 
 def _arrays(population: Population) -> Arrays:

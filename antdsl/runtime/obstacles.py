@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime import vectors as vec
+from antdsl.runtime.clearances import clearance, may_touch
 from antdsl.runtime.vectors import Vector
 from antdsl.runtime.world import AXES, Population, World
 
@@ -20,12 +21,26 @@ def slide(world: World, population: Population, step: Vector, up: Vector, radius
     place: Vector = tuple(population.now[f"position.{axis}"] for axis in AXES)  # type: ignore[assignment]
     for name in world.plan.obstacles:
         if name in world.obstacles:
-            step = _along(world.obstacles[name], place, step, up, radius, world.options.threads)
+            clear = clearance(world, population, name) if _where_they_were(population) else world.obstacles[name].clearance(*place)
+            step = _along(world.obstacles[name], place, step, up, radius, clear, world.options.threads)
     return step
 
 
-def _along(scene: Any, place: Vector, step: Vector, up: Vector, radius: NDArray[np.float32], threads: int) -> Vector:
-    met, free, normal = _ahead(scene, place, step, radius, threads)
+def _where_they_were(population: Population) -> bool:
+    """Whether everybody is still where the step began; not so after a first substep."""
+    return all(np.array_equal(population.now[f"position.{axis}"], population.start[f"position.{axis}"]) for axis in AXES)
+
+
+def _along(
+    scene: Any,
+    place: Vector,
+    step: Vector,
+    up: Vector,
+    radius: NDArray[np.float32],
+    clear: NDArray[np.float32],
+    threads: int,
+) -> Vector:
+    met, free, normal = _ahead(scene, place, step, radius, threads, clear)
     if not len(met):
         return step
     u, wanted = vec.take(up, met), vec.take(step, met)
@@ -49,12 +64,20 @@ def _along(scene: Any, place: Vector, step: Vector, up: Vector, radius: NDArray[
 
 
 def _ahead(
-    scene: Any, place: Vector, step: Vector, radius: NDArray[np.float32], threads: int
+    scene: Any,
+    place: Vector,
+    step: Vector,
+    radius: NDArray[np.float32],
+    threads: int,
+    clear: NDArray[np.float32] | None = None,
 ) -> tuple[NDArray[np.intp], NDArray[np.float32], Vector]:
-    """Who meets a face on its step, how much of the step (mm) is free, and the face's normal."""
-    size = vec.length(step)
-    going = np.flatnonzero(size > _F(1e-9))
-    size, margin = size[going], (np.maximum(radius, _F(0)) * _MARGIN)[going]
+    """Who meets a face on its step, how much of the step (mm) is free, and the face's normal. `clear`: as far there is none."""
+    size, margin = vec.length(step), np.maximum(radius, _F(0)) * _MARGIN
+    asking = size > _F(1e-9)
+    if clear is not None:
+        asking &= may_touch(clear, size + margin)
+    going = np.flatnonzero(asking)
+    size, margin = size[going], margin[going]
     direction = vec.scale(vec.take(step, going), _F(1) / size)
     hits = scene.feelers(*vec.take(place, going), *direction, size + margin, threads=threads)
     met = np.flatnonzero(hits.hit)

@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 
 from antdsl.plan.ir import Kind
 from antdsl.runtime import births, claims, faults, moving
+from antdsl.runtime.senses.sorting import stable_order
 from antdsl.runtime.world import Population, World, select_rows
 
-_SORT_EVERY, _SORT_FROM = 16, 409600000  # frames, agents
+_SORT_EVERY, _SORT_FROM = 16, 2048  # frames, agents
 
 
 def sense(world: World) -> None:
     """Forget what was sensed, show the items' amounts, find each agent's cells. Senses themselves run when first needed."""
     world.grids.clear()
+    world.clearances.clear()
     for items in world.items.values():
         items.show()
     for population in world.populations.values():
@@ -112,7 +114,7 @@ def _by_place(population: Population) -> NDArray[np.intp]:
     for bit in range(10):
         for axis in range(3):
             key |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return np.argsort(key, kind="stable")
+    return stable_order(key)
 
 
 def _count_transitions(world: World, population: Population) -> None:

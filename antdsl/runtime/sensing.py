@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from antdsl.plan import ir
 from antdsl.runtime import randomness
+from antdsl.runtime.clearances import clearance, may_touch
 from antdsl.runtime.world import AXES, DTYPES, Population, World
 
 Value = Any
@@ -114,17 +115,20 @@ def _item_alive(world: World, population: Population, node: ir.Node, rows: Rows,
 
 
 def _ray(world: World, population: Population, node: ir.Node, rows: Rows, dx: Value, dy: Value, dz: Value, reach: Value) -> Value:
-    dx, dy, dz, reach = (_spread(v, rows) for v in (dx, dy, dz, reach))
-    n = len(dx)
-    size = np.sqrt((dx * dx + dy * dy) + dz * dz)
-    good = np.flatnonzero((size > TINY) & (size < np.inf) & (reach > 0) & (reach < np.inf))
+    n = _size(rows)
     hit, distance = np.zeros(n, np.bool_), np.full(n, np.inf, np.float32)
     normal = np.zeros((3, n), np.float32)
+    clear = clearance(world, population, node.attrs[0])[rows]
+    near = np.flatnonzero(may_touch(clear, reach) & (reach > 0) & (reach < np.inf))
+    dx, dy, dz, reach = (_spread(v, rows).take(near) for v in (dx, dy, dz, reach))
+    size = np.sqrt((dx * dx + dy * dy) + dz * dz)
+    sound = np.flatnonzero((size > TINY) & (size < np.inf))
+    good = near.take(sound)
     if len(good):
-        x, y, z = (v[good] for v in _place(world, population, rows))
-        size = size[good]
+        x, y, z = (v.take(good) for v in _place(world, population, rows))
+        dx, dy, dz, size, reach = (v.take(sound) for v in (dx, dy, dz, size, reach))
         met = world.obstacles[node.attrs[0]].feelers(
-            x, y, z, dx[good] / size, dy[good] / size, dz[good] / size, reach[good], threads=world.options.threads
+            x, y, z, dx / size, dy / size, dz / size, reach, threads=world.options.threads
         )
         hit[good], distance[good] = met.hit, met.t
         normal[:, good] = met.nx, met.ny, met.nz

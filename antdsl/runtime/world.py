@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from antdsl.plan import ir
 from antdsl.runtime.effects import Effects
+from antdsl.runtime.senses.sorting import stable_order
 from antdsl.scene.setting import Setting
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ class Population:
 
     def _sorted_ids(self) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
         if self._rows is None or self._rows[0] != self.version:
-            order = np.argsort(self.ids, kind="stable")
+            order = stable_order(self.ids)
             self._rows = (self.version, self.ids[order], order)
         return self._rows[1], self._rows[2]
 
@@ -145,6 +146,7 @@ class World:
     motion: Motion
     timings: dict[str, float] = field(default_factory=dict)  # seconds by phase, all steps together
     grids: dict[tuple[str, float], Any] = field(default_factory=dict)  # of this step
+    clearances: dict[tuple[str, str, int], NDArray[np.float32]] = field(default_factory=dict)  # of this step
     transitions: dict[str, int] = field(default_factory=dict)
 
     @property

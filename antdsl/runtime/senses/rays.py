@@ -178,6 +178,14 @@ class RayScene:
         distance = np.sqrt(((place - points) ** 2).sum(axis=1))
         return mesh, (face - self._first_face[mesh]).astype(np.int32), place, distance
 
+    def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.float32]:
+        """A distance (mm, float32[n]) within which places have no face; 0 when near, inf without faces."""
+        if self._scene is None:
+            return np.full(len(x), np.inf, np.float32)
+        if self._grid is None:
+            self._grid = DistanceGrid(self._vertices, self._faces)
+        return self._grid.at_least(x, y, z)
+
     def feelers(
         self,
         x: NDArray[Any],
