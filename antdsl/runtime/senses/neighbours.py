@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.limits import NEIGHBOURS
+from antdsl.runtime.senses.sorting import stable_order
 
 Floats = NDArray[np.float32]
 Rows = NDArray[np.int32]
@@ -50,7 +51,7 @@ class CellGrid:
         self.x, self.y, self.z, self.ids = x, y, z, ids
         rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
         if np.any(ids[1:] < ids[:-1]):
-            rows = rows[np.argsort(ids[rows], kind="stable")]
+            rows = rows[stable_order(ids[rows])]
         places = [np.asarray(a, np.float64)[rows] for a in (x, y, z)]
         low = [float(p.min(initial=np.inf)) if rows.size else 0.0 for p in places]
         extent = [float(p.max(initial=-np.inf)) - b if rows.size else 0.0 for p, b in zip(places, low, strict=True)]
@@ -62,21 +63,26 @@ class CellGrid:
         least = max(extent[0] / (_MAX_CELLS_ALONG - 4), 1e-30)
         width = [max(cell / 4, least), max(cell, least), max(cell, least)]
         cells = [np.floor((p - b) / w).astype(np.int64) for p, b, w in zip(places, low, width, strict=True)]
-        if extent[2] > 0 and self._is_sheet(cells, rows.size):
+        if extent[2] > 0 and self._is_sheet(cells, rows.size, extent[0] / width[1], extent[1] / width[1]):
             cells[2][:] = 0
             width[2] = 2 * extent[2]
         self._low, self._width = low, width
         self._size = [int(e / w) + 1 for e, w in zip(extent, width, strict=True)]
         key = (cells[2] * self._size[1] + cells[1]) * self._size[0] + cells[0]
-        order = np.argsort(key, kind="stable")
+        order = stable_order(key)
         self._rows = rows[order].astype(np.int32)
         self._keys = key[order]
         self._sorted = [np.ascontiguousarray(a[self._rows], np.float32) for a in (x, y, z)]
         self._starts = self._start_table()
 
     @staticmethod
-    def _is_sheet(cells: list[NDArray[np.int64]], n: int) -> bool:
+    def _is_sheet(cells: list[NDArray[np.int64]], n: int, long: float, broad: float) -> bool:
         """Whether a crowd on ground has so few agents above each other that its layers need not be told apart."""
+        across = int(long) + 2  # columns along the longest axis
+        if across * (broad + 2) <= max(1 << 16, 16 * n):
+            taken = np.zeros(across * (int(broad) + 2), np.bool_)
+            taken[cells[1] * across + (cells[0] >> 2)] = True
+            return n <= _AGENTS_PER_COLUMN * int(np.count_nonzero(taken))
         column = np.sort((cells[1] << 32) | (cells[0] >> 2))
         return n <= _AGENTS_PER_COLUMN * (1 + int(np.count_nonzero(column[1:] != column[:-1])))
 
@@ -116,16 +122,16 @@ class CellGrid:
         for a in range(0, qx.size, _QUERIES_PER_CHUNK):
             part = slice(a, a + _QUERIES_PER_CHUNK)
             query = (qx[part], qy[part], qz[part])
-            first, count = self._ranges(query, reach[part])
+            first, count, each = self._ranges(query, reach[part])
             # A crowd on one spot has n² candidates, so a chunk is cut again by what it would hold in memory.
-            ends = np.cumsum(count.sum(axis=1))
+            ends = np.cumsum(each)
             b = 0
             while b < ends.size:
                 limit = (ends[b - 1] if b else 0) + _CANDIDATES_PER_CHUNK
                 e = max(b + 1, int(np.searchsorted(ends, limit, side="right")))
                 sub = tuple(q[b:e] for q in query)
                 who = None if qid is None else qid[part][b:e]
-                i, *rest = self._within(sub, reach[part][b:e], who, first[b:e], count[b:e])
+                i, *rest = self._within(sub, reach[part][b:e], who, first[b:e], count[b:e], each[b:e])
                 found.append((i + np.int32(a + b), *rest))
                 b = e
         if not found:
@@ -135,8 +141,10 @@ class CellGrid:
             return Pairs(*found[0])
         return Pairs(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
-    def _ranges(self, query: tuple[Floats, Floats, Floats], radius: Floats) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """First sorted agent and number of agents of each row of cells that a query may reach, as (m, rows).
+    def _ranges(
+        self, query: tuple[Floats, Floats, Floats], radius: Floats
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
+        """First sorted agent and number of agents of each row of cells that a query may reach, as (m, rows), and its sum [m].
 
         Here x, y, z stand for the grid's fast, middle and slow axis.
         """
@@ -152,7 +160,7 @@ class CellGrid:
         tall = int((y1 - y0).max(initial=-1)) + 1
         deep = int((z1 - z0).max(initial=-1)) + 1
         if self._rows.size == 0 or tall <= 0 or deep <= 0:
-            return np.zeros((m, 1), np.int32), np.zeros((m, 1), np.int32)
+            return np.zeros((m, 1), np.int32), np.zeros((m, 1), np.int32), np.zeros(m, np.int64)
         firsts, counts = [], []
         for dz in range(deep):
             cz = z0 + dz
@@ -167,7 +175,10 @@ class CellGrid:
                 open_row &= x0 <= x1
                 firsts.append(self._lookup(np.where(open_row, base + x0, 0)))
                 counts.append(np.where(open_row, self._lookup(np.where(open_row, base + x1 + 1, 0)) - firsts[-1], 0))
-        return np.stack(firsts, axis=1), np.stack(counts, axis=1).astype(np.int32)
+        each = np.zeros(m, np.int64)
+        for count in counts:
+            each += count
+        return np.stack(firsts, axis=1), np.stack(counts, axis=1).astype(np.int32), each
 
     def _span(self, q: NDArray[Any], r: NDArray[Any], axis: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Lowest and highest cell along an axis that [q - r, q + r] meets; empty (low > high) when outside."""
@@ -195,14 +206,14 @@ class CellGrid:
         who: NDArray[np.int64] | None,
         first: NDArray[np.int32],
         count: NDArray[np.int32],
+        each: NDArray[np.int64],
     ) -> tuple[NDArray[Any], ...]:
         """Measure the candidates of some queries and keep those in reach."""
         flat = count.ravel()
-        total = int(flat.sum())
+        total = int(each.sum())
         before = np.cumsum(flat) - flat
         at = np.repeat(first.ravel() - before, flat)  # int64: an index of another type is converted at every use
         at += np.arange(total)
-        each = count.sum(axis=1)
         i = np.repeat(np.arange(each.size, dtype=np.int32), each)
         dx, dy, dz = (s.take(at) - q.repeat(each) for s, q in zip(self._sorted, query, strict=True))
         with np.errstate(over="ignore"):  # beyond float32 is beyond any radius but an infinite one
