@@ -18,11 +18,11 @@ _BLOCK = 1 << 22  # pairs of emitter and receiver that are measured at once
 def find_cells(world: World, population: Population) -> None:
     """Each agent's own cell of every field."""
     if world.fields and len(population):
-        normals = world.ground.normal(population.footing)
+        sides = world.ground.sides(population.footing)
         found: dict[int, Any] = {}  # fields may share their cells
         for name, field in world.fields.items():
             if id(field.cells) not in found:
-                found[id(field.cells)] = field.cells.lookup(population.position, normals)
+                found[id(field.cells)] = field.cells.lookup_sides(population.position, sides)
             population.cells[name] = found[id(field.cells)]
 
 

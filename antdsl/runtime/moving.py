@@ -103,6 +103,9 @@ def _limit_turn(
     velocity: Vector, before: Vector, up: Vector, max_turn: NDArray[np.float32], dt: np.float32, rows: NDArray[np.intp]
 ) -> None:
     """Turn the velocity by at most max_turn * dt, at its new speed; changes it in place."""
+    rows = rows[_may_turn_more(vec.take(velocity, rows), vec.take(before, rows), max_turn[rows] * dt)]
+    if not len(rows):
+        return
     v, b, u = vec.take(velocity, rows), vec.take(before, rows), vec.take(up, rows)
     speed, ahead = vec.length(v), vec.unit(b, vec.unit(v, vec.across(u)))
     direction = vec.unit(v, ahead)
@@ -114,6 +117,14 @@ def _limit_turn(
     limited = vec.choose(angle > most, vec.scale(turned, speed), v)
     for component, value in zip(velocity, limited, strict=True):
         component[rows] = value
+
+
+def _may_turn_more(velocity: Vector, before: Vector, most: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Who may turn by more than `most` (radians): all but those whose angle is clearly less, of whom most crowds are."""
+    cosine = np.cos(np.clip(most, _F(0), _F(np.pi)))
+    along, both = vec.dot(velocity, before), vec.length(velocity) * vec.length(before)
+    clearly = (along > (cosine + _F(1e-3)) * both) & (both > _F(1e-12))
+    return ~clearly
 
 
 def _face(population: Population, heading: Vector, velocity: Vector, up: Vector, dt: np.float32) -> Vector:

@@ -71,5 +71,8 @@ def columns(a: NDArray[Any], dtype: Any) -> Vector:
 
 
 def rows(a: Vector) -> NDArray[np.float64]:
-    """Three arrays as float64 (n, 3)."""
-    return np.stack(a, axis=1).astype(np.float64)
+    """Three arrays as float64 (n, 3), each component contiguous."""
+    columns = np.empty((3, len(a[0])))
+    for column, component in zip(columns, a, strict=True):
+        column[:] = component
+    return columns.T

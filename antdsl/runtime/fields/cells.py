@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.runtime.senses.rasterise import triangle_cells
 from antdsl.runtime.senses.rays import Mesh, nearest_on_triangle
+from antdsl.runtime.senses.topology import facing
 
 Floats = NDArray[np.float64]
 Cells = NDArray[np.int32]
@@ -38,13 +39,6 @@ class Links:
 
     start: NDArray[np.int64]
     cell: Cells
-
-
-def facing(normals: Floats) -> NDArray[np.int64]:
-    """Which of six ways normals [n,3] face most: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; the first of equals."""
-    n = np.asarray(normals)
-    axis = np.abs(n).argmax(axis=1)
-    return 2 * axis + (n[np.arange(len(n)), axis] < 0)
 
 
 class SurfaceCells:
@@ -138,22 +132,43 @@ class SurfaceCells:
 
         Where there is none, the nearest of the 27 voxels around whose side is not the opposite one; else -1.
         """
+        return self.lookup_sides(points, facing(np.asarray(normals).reshape(-1, 3)))
+
+    def lookup_sides(self, points: Floats, side: NDArray[np.int64]) -> Cells:
+        """As `lookup`, for faces that face as `facing` says, int64[n]."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         if not len(self):
             return np.full(len(points), -1, np.int32)
-        finite: NDArray[np.bool_] = np.isfinite(points).all(axis=1)
-        bounded = np.clip(np.where(finite[:, None], points, np.inf) / self.cell + 0.5, -1e15, 1e15)
-        voxel = np.floor(bounded).astype(np.int64) - self._low
-        side = facing(np.asarray(normals).reshape(-1, 3))
-        first, count = self._in_voxel(voxel)
-        cell = np.full(len(points), -1, np.int64)
-        for step in range(self._most):
-            at = np.minimum(first + step, len(self) - 1)
-            cell = np.where((step < count) & (self.side_of(at) == side), at, cell)
-        missed = np.flatnonzero((cell < 0) & finite)
+        key = np.zeros(len(points), np.int64)
+        within = np.ones(len(points), np.bool_)
+        for axis in range(3):
+            step = np.floor(points[:, axis] / self.cell + 0.5) - self._low[axis]
+            within &= (step >= 0) & (step < self._size[axis])  # not so for what is no number
+            key *= self._size[axis]
+            key += np.where(within, step, 0.0).astype(np.int64)
+        key = key * 6 + side
+        if self._direct is not None:
+            cell = np.where(within, self._direct.take(np.where(within, key, 0)), np.int32(-1))
+        else:
+            at = np.minimum(self._keys.searchsorted(key), len(self) - 1)
+            cell = np.where(within & (self._keys.take(at) == key), at, -1).astype(np.int32)
+        missed = np.flatnonzero(cell < 0)
         if missed.size:
-            cell[missed] = self._nearby(points[missed], voxel[missed], side[missed])
-        return cell.astype(np.int32)
+            missed = missed[np.isfinite(points[missed]).all(axis=1)]
+            bounded = np.clip(points[missed] / self.cell + 0.5, -1e15, 1e15)
+            voxel = np.floor(bounded).astype(np.int64) - self._low
+            cell[missed] = self._nearby(points[missed], voxel, side[missed])
+        return cell
+
+    @cached_property
+    def _direct(self) -> Cells | None:
+        """The cell of every voxel and side, -1 for none, where the box is small enough to list."""
+        count = 6 * int(self._size[0]) * int(self._size[1]) * int(self._size[2])
+        if count > _DENSE:
+            return None
+        table = np.full(count, -1, np.int32)
+        table[self._keys] = np.arange(len(self), dtype=np.int32)
+        return table
 
     def side_of(self, cell: NDArray[np.integer]) -> NDArray[np.int64]:
         return self._keys.take(cell) % 6

@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 
 from antdsl.runtime.senses.rays import Mesh, RayScene
 from antdsl.runtime.senses.surroundings import Around, Nearness
-from antdsl.runtime.senses.topology import Topology, build
+from antdsl.runtime.senses.topology import Topology, build, facing
 from antdsl.runtime.senses.walk import Walkers, dot, in_frame, inside, turned, walk
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-_MANY = 2000
 
 
 def _rows(array: NDArray[Any], rows: NDArray[np.integer] | NDArray[np.bool_]) -> NDArray[Any]:
@@ -59,7 +57,7 @@ class MoveResult:
 
     `up` is the smooth normal on the agent's side, `heading` a unit vector at right angles to it. `direction` is the unit
     direction of travel at the end, in the face: a velocity is carried along by taking its length times this. `travelled` is
-    the way walked. `blocked` says that an open border ended the way, `lost` that there was no footing to walk from.
+    the way walked. Of vectors each component is contiguous. `blocked` says that an open border ended the way, `lost` that there was no footing to walk from.
     """
 
     footing: Footing
@@ -101,8 +99,9 @@ class Ground:
         self.high = used.max(axis=0) if used.size else np.zeros(3)
         self.extent = float((self.high - self.low).max())
         self._table: Topology = build(self._vertices, self._faces, self._mesh, self.extent)
+        self._side = facing(self._table.normal.T)
         self._scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
-        self._nearness = Nearness(self._vertices[self._faces], self._table.piece, self.low, self.extent)
+        self._nearness = Nearness(self._vertices[self._faces], self._table.piece, self.low)
 
     # ---- asking
 
@@ -152,6 +151,13 @@ class Ground:
             return np.zeros((len(footing), 3))
         return np.ascontiguousarray(np.where(known, self._table.normal.take(face, axis=1), 0.0).T)
 
+    def sides(self, footing: Footing) -> Index:
+        """Which of six ways the faces' normals point most, int64[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
+        face, known = self._faces_of(footing)
+        if not self._faces.size:
+            return np.zeros(len(footing), np.int64)
+        return np.where(known, self._side.take(face), 0)
+
     def upright(self, footing: Footing, up: Floats) -> Floats:
         """Smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings nowhere.
 
@@ -181,14 +187,8 @@ class Ground:
         """
         n = len(footing)
         body = np.broadcast_to(np.asarray(body, np.float64), (n,))
-        if n < _MANY:
+        with np.errstate(divide="ignore", invalid="ignore"):
             return self._moved(footing, displacement, heading, up, body, threads)
-        # In the order of faces the tables are read front to back, which is worth more than the sorting costs.
-        order = np.argsort(self._faces_of(footing)[0])
-        wish, ahead, above, bodies = (np.asarray(v).take(order, axis=0) for v in (displacement, heading, up, body))
-        back = np.empty(n, np.int64)
-        back[order] = np.arange(n)
-        return self._moved(footing.take(order), wish, ahead, above, bodies, threads).take(back)
 
     def _moved(
         self, footing: Footing, displacement: Floats, heading: Floats, up: Floats, body: Floats, threads: int
@@ -196,10 +196,13 @@ class Ground:
         """As `move`, one body for each agent, in the order given."""
         n = len(footing)
         face, known = self._faces_of(footing)
-        up_t, heading_t, wish = (np.array(np.asarray(v, np.float64).T, order="C") for v in (up, heading, displacement))
+        up_t, heading_t = (np.ascontiguousarray(np.asarray(v, np.float64).T) for v in (up, heading))
+        wish = np.array(np.asarray(displacement, np.float64).T, order="C")
         if not self._faces.size or not n:
             return _unmoved(footing, up, heading)
-        wish[:, ~np.isfinite(wish).all(axis=0)] = 0.0
+        sound = np.isfinite(wish[0] + wish[1] + wish[2])
+        if not sound.all():
+            wish[:, ~np.isfinite(wish).all(axis=0)] = 0.0
         t = self._table
         side = np.where(dot(up_t, t.normal.take(face, axis=1)) < 0, -1.0, 1.0)
         b1, b2 = inside(np.where(known, footing.b1, 0.0), np.where(known, footing.b2, 0.0))
@@ -209,7 +212,7 @@ class Ground:
         heading_c, heading_s, _ = _laid_down(axes, heading_t, c, s)
         w = Walkers(face, b1, b2, side, c, s, heading_c, heading_s, way, np.zeros(n), np.zeros(n, bool))
         around = Around(t, self._cast, self._weights, self.extent, body, threads)
-        near = self._nearness.of(w, t, float(way.max(initial=0.0) + body.max(initial=0.0)))
+        near = self._nearness.of(w.face, float(way.max(initial=0.0) + body.max(initial=0.0)))
         walk(t, w, near, around)
         smooth = self._smooth(w.face, w.b1, w.b2) * w.side
         axis1, axis2 = t.axis1.take(w.face, axis=1), t.axis2.take(w.face, axis=1)
@@ -219,7 +222,7 @@ class Ground:
         ahead /= np.sqrt(dot(ahead, ahead))
         rows = np.where(known, w.face, -1)
         moved = self._footing(rows, w.b1, w.b2)
-        result = [np.ascontiguousarray(v.T) for v in (w.place(t), smooth, ahead, axis1 * w.c + axis2 * w.s)]
+        result = [v.T for v in (w.place(t), smooth, ahead, axis1 * w.c + axis2 * w.s)]
         if not known.all():
             for vectors, kept in zip(result, (np.zeros((n, 3)), up, heading, heading), strict=True):
                 vectors[~known] = kept[~known]
@@ -262,10 +265,15 @@ class Ground:
     def _faces_of(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
         """Number over all meshes, 0 where nowhere, and whether it is somewhere."""
         known = (footing.face >= 0) & (footing.mesh >= 0)
+        if known.all():
+            return self._first.take(footing.mesh) + footing.face, known
         return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
 
     def _footing(self, face: Index, b1: Floats, b2: Floats) -> Footing:
         known = face >= 0
+        if known.all():
+            mesh = self._mesh.take(face)
+            return Footing(mesh, (face - self._first.take(mesh)).astype(np.int32), b1, b2)
         mesh = np.where(known, self._mesh.take(np.maximum(face, 0)) if self._mesh.size else -1, -1).astype(np.int32)
         local = np.where(known, face - self._first.take(np.maximum(mesh, 0)), -1).astype(np.int32)
         return Footing(mesh, local, np.where(known, b1, 0.0), np.where(known, b2, 0.0))

@@ -25,36 +25,41 @@ _GRID_CELLS = 400_000
 class Nearness:
     """Which places have a second, unlinked piece of surface around: a coarse grid of the pieces in each cell."""
 
-    def __init__(self, corners: Floats, piece: NDArray[np.int32], low: Floats, extent: float) -> None:
+    def __init__(self, corners: Floats, piece: NDArray[np.int32], low: Floats) -> None:
         self._several = len(np.unique(piece[piece >= 0])) > 1
         if not self._several:
             return
         size = corners.max(axis=(0, 1)) - low
         self._width = cell_width(size, _GRID_CELLS)
-        self._low = low
+        self._scaled = (corners - low) / self._width
         self._size = np.floor(size / self._width).astype(np.int64) + 1
         self._least = np.full(int(self._size.prod()), np.iinfo(np.int32).max, np.int32)
         self._most = np.full(int(self._size.prod()), -1, np.int32)
         live = np.flatnonzero(piece >= 0)
-        for cell, which in triangle_cells((corners[live] - low) / self._width, exact=False):
+        for cell, which in triangle_cells(self._scaled[live], exact=False):
             flat = self._flat(np.minimum(cell, self._size - 1))
             np.minimum.at(self._least, flat, piece[live[which]])
             np.maximum.at(self._most, flat, piece[live[which]])
-        self._mixed: dict[int, NDArray[np.bool_]] = {}
+        self._mixed: dict[int, NDArray[np.bool_]] = {}  # by how many cells one reaches: faces
 
     def _flat(self, cell: Index) -> Index:
         return (cell[..., 0] * self._size[1] + cell[..., 1]) * self._size[2] + cell[..., 2]
 
-    def of(self, w: Walkers, table: Topology, reach: float) -> NDArray[np.bool_]:
-        """Walkers who may meet another piece within `reach` mm."""
+    def of(self, face: Index, reach: float) -> NDArray[np.bool_]:
+        """Walkers, by their faces, who may meet another piece within `reach` mm."""
         if not self._several:
-            return np.zeros(w.face.size, bool)
+            return np.zeros(face.size, bool)
         rings = int(min(np.ceil(reach / self._width), self._size.max()))
         if rings not in self._mixed:
-            self._mixed[rings] = self._spread(rings)
-        cell = ((w.place(table) - self._low[:, None]) / self._width).astype(np.int64)
-        cell = np.clip(cell, 0, (self._size - 1)[:, None])
-        return self._mixed[rings].take((cell[0] * self._size[1] + cell[1]) * self._size[2] + cell[2])
+            self._mixed[rings] = self._faces(self._spread(rings))
+        return self._mixed[rings].take(face)
+
+    def _faces(self, mixed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Faces that lie in some mixed cell."""
+        found = np.zeros(len(self._scaled), bool)
+        for cell, which in triangle_cells(self._scaled, exact=False):
+            found[which[mixed[self._flat(np.clip(cell, 0, self._size - 1))]]] = True
+        return found
 
     def _spread(self, rings: int) -> NDArray[np.bool_]:
         from scipy.ndimage import maximum_filter, minimum_filter

@@ -208,3 +208,10 @@ def _creased(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Flo
     total: Floats = np.stack([np.bincount(one, share * normal[other][:, axis], corner.size) for axis in range(3)], axis=1)
     size = _length(total)
     return np.where(size[:, None] > 0, total / np.maximum(size, 1e-300)[:, None], normal[corner])
+
+
+def facing(normals: Floats) -> NDArray[np.int64]:
+    """Which of six ways normals [n,3] face most: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; the first of equals."""
+    n = np.asarray(normals)
+    axis = np.abs(n).argmax(axis=1)
+    return 2 * axis + (n[np.arange(len(n)), axis] < 0)

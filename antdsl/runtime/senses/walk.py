@@ -116,24 +116,34 @@ def _stretch(
     b1, b2, c, s, left = (v if everyone else v.take(rows) for v in (w.b1, w.b2, w.c, w.s, w.left))
     rate1 = c * table.rate1.take(f) - s * table.shear.take(f)
     rate2 = s * table.rate2.take(f)
-    b, rate = np.stack([1.0 - b1 - b2, b1, b2]), np.stack([-(rate1 + rate2), rate1, rate2])
-    leaving = rate < 0
-    until = np.where(leaving, np.maximum(b, 0.0) / np.where(leaving, -rate, 1.0), np.inf)
-    edge = until.argmin(axis=0)
-    until = until.min(axis=0)
+    until, edge = _way_out((1.0 - b1 - b2, b1, b2), (-(rate1 + rate2), rate1, rate2))
     length = np.minimum(until, left)
     met = _climb(table, w, rows, near, length, hops, around)
-    on = rows if met is None else rows[~met]
+    on: Index | slice = slice(None) if everyone else rows
     if met is not None:
-        edge = edge[~met]
-        until, length, left, rate1, rate2, b1, b2 = (v[~met] for v in (until, length, left, rate1, rate2, b1, b2))
+        stays = np.flatnonzero(~met)
+        on = rows.take(stays)
+        until, edge, length, left, rate1, rate2, b1, b2 = (
+            v.take(stays) for v in (until, edge, length, left, rate1, rate2, b1, b2)
+        )
     w.b1[on], w.b2[on] = inside(b1 + rate1 * length, b2 + rate2 * length)
     across = np.flatnonzero(until < left)  # before `left`, which may be the walkers' own array, is written
     w.left[on] = np.where(until >= left, 0.0, left - length)
     w.gone[on] += length
     if across.size:
-        _cross(table, w, on[across], edge[across], hops, around)
-    return rows[w.left[rows] > 0]
+        _cross(table, w, across if isinstance(on, slice) else on.take(across), edge.take(across), hops, around)
+    return rows[w.left.take(rows) > 0]
+
+
+def _way_out(weights: tuple[Floats, Floats, Floats], rates: tuple[Floats, Floats, Floats]) -> tuple[Floats, Index]:
+    """How far it is to the edge of the face, given weights of its corners and their change per mm, and which edge: the first
+    of those opposite corners 0, 1, 2 that are as near."""
+    first, second, third = (np.where(r < 0, np.maximum(b, 0.0) / -r, np.inf) for b, r in zip(weights, rates, strict=True))
+    nearer = second < first
+    until = np.minimum(first, second)
+    edge = nearer.astype(np.int64)
+    edge[third < until] = 2
+    return np.minimum(until, third), edge
 
 
 def inside(b1: Floats, b2: Floats) -> tuple[Floats, Floats]:
