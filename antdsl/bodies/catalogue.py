@@ -13,7 +13,6 @@ _WORDS: tuple[tuple[str, str], ...] = (
     ("person", "person"),
     ("people", "person"),
     ("human", "person"),
-    ("walker", "person"),
     ("pedestrian", "person"),
     ("bird", "arrow"),
     ("boid", "arrow"),

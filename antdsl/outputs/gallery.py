@@ -4,28 +4,24 @@ ground."""
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.body import turned
 from antdsl.bodies.catalogue import BODIES, body_of
-from antdsl.outputs.cache import Arrays, Cache
+from antdsl.bodies.placed import shape_of
+from antdsl.outputs.cache import Arrays, Cache, CacheError
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.manifest import SpeciesEntry
 from antdsl.outputs.pictures.model import Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
+from antdsl.outputs.pictures.trails import robust_full
 
-_SHAPES: tuple[tuple[str, Shape], ...] = (
-    ("apple", "apple"),
-    ("donut", "ring"),
-    ("ring", "ring"),
-    ("nest", "mound"),
-    ("home", "mound"),
-)
 _KINDS: tuple[tuple[str, Kind], ...] = (("boulder", "boulder"), ("rock", "boulder"), ("hill", "hill"), ("stone", "stone"))
 _UPS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 WANTED = ("P", "orient", "pscale")
+_LOOKED_AT = 8  # frames that say how strong a field grows
 
 
 class NoPicture(Exception):
@@ -44,13 +40,16 @@ class Gallery:
         self.dt = int(below) / int(above)
         self.static = cache.static()
         self.solids = tuple(self._solid(mesh.name, mesh.kind) for mesh in self.manifest.meshes)
-        self.full: dict[str, float] = {}
         self._walked: dict[str, tuple[int, NDArray[np.int64], NDArray[np.float64]]] = {}
         self._first: Arrays | None = None
+        self._full: dict[str, float] | None = None
 
     def picture(self, frame: int, *, agents: frozenset[int] = frozenset()) -> Picture:
         """One frame. With `agents` only those ids have what `ids` and `velocity` show."""
         arrays = self.cache.frame(frame)
+        if self._first is None:
+            frames = self.cache.frames()
+            self._first = self.cache.frame(frames[0]) if frames else arrays
         crowds, legend = self._crowds(frame, arrays, agents)
         return Picture(
             solids=self.solids,
@@ -60,6 +59,7 @@ class Gallery:
             up=_UPS[self.manifest.up],
             legend=legend,
             frame=frame,
+            grain=self._grain(self._first),
         )
 
     def camera(self) -> Camera | None:
@@ -123,13 +123,10 @@ class Gallery:
         return walked
 
     def _items(self, arrays: Arrays) -> tuple[Item, ...]:
-        if self._first is None:
-            frames = self.cache.frames()
-            self._first = self.cache.frame(frames[0]) if frames else arrays
         made = []
         for group in self.manifest.items:
             for number, (name, position, radius) in enumerate(zip(group.names, group.position, group.radius, strict=True)):
-                shape: Shape = next((s for word, s in _SHAPES if word in name.lower() or word in group.name.lower()), "sphere")
+                shape = cast(Shape, shape_of(group.name, name))
                 made.append(Item(name, position, radius, self._left(group.name, group.attributes, number, arrays), shape))
         return tuple(made)
 
@@ -149,8 +146,30 @@ class Gallery:
             cells, values = arrays.get(f"field.{field.name}.cells"), arrays.get(f"field.{field.name}.values")
             if cells is not None and values is not None and len(cells):
                 places = np.asarray(self.static[f"field.{field.name}.P"], np.float64)
-                made.append(Trail(field.name, places[cells], np.asarray(values, np.float64), field.cell))
+                full = self._strongest().get(field.name) or None
+                made.append(Trail(field.name, places[cells], np.asarray(values, np.float64), field.cell, full=full))
         return tuple(made)
+
+    def _strongest(self) -> dict[str, float]:
+        """By field, the strength drawn strongest: one for the whole cache, so that scent is seen to grow and to fade."""
+        if self._full is None:
+            frames, self._full = self.cache.frames(), {}
+            chosen = {frames[round(k * (len(frames) - 1) / (_LOOKED_AT - 1))] for k in range(_LOOKED_AT)} if frames else set()
+            for frame in sorted(chosen):
+                try:
+                    arrays = self.cache.frame(frame)
+                except CacheError:  # a damaged frame keeps no other from being drawn
+                    continue
+                for field in self.manifest.fields:
+                    values = np.asarray(arrays.get(f"field.{field.name}.values", ()), np.float64)
+                    self._full[field.name] = max(self._full.get(field.name, 0.0), robust_full(values))
+        return self._full
+
+    def _grain(self, first: Arrays) -> float | None:
+        """What the ground's grain goes by: the body length in the middle of the first frame, so that no birth changes it."""
+        lengths = np.asarray(first["pscale"], np.float64)
+        lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
+        return float(np.median(lengths)) if len(lengths) else None
 
 
 def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:

@@ -9,9 +9,9 @@ from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.noise import value_noise
 from antdsl.outputs.pictures.vectors import Floats, dots, units
 
-KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain")
-GROUND, STONE, BOULDER, HILL, TABLE, EDGE, GRAIN = range(len(KINDS))
-TRAILED = (GROUND, BOULDER, HILL)  # where a field's colour may lie
+KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain", "figure")
+GROUND, STONE, BOULDER, HILL, TABLE, EDGE, GRAIN, FIGURE = range(len(KINDS))
+TRAILED = (GROUND, BOULDER, HILL, FIGURE)  # where a field's colour may lie
 
 _SOIL = decoded((0.68, 0.60, 0.48))
 _DRY = decoded((0.755, 0.70, 0.59))
@@ -22,6 +22,8 @@ _BOULDER = decoded((0.60, 0.575, 0.545))
 _LICHEN = decoded((0.70, 0.70, 0.58))
 _HILL = decoded((0.55, 0.42, 0.30))
 _EARTH = decoded((0.42, 0.33, 0.25))
+_CLAY = decoded((0.78, 0.70, 0.61))
+_PALE = decoded((0.84, 0.775, 0.69))
 _TABLE = decoded((0.80, 0.80, 0.79))
 
 
@@ -61,7 +63,7 @@ def surface(
 
 def _grained(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: Scales) -> Surface:
     """Bumps and specks, each size only where a pixel is small enough to show it."""
-    rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9, 0.5], np.float32)[kind]
+    rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9, 0.5, 0.45], np.float32)[kind]
     for wavelength, height, speck, seed in (
         (2.4, 0.30, 0.10, 5),
         (0.6, 0.34, 0.14, 6),
@@ -123,4 +125,8 @@ def _grain(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Flo
     return _mixed(_mixed(_SOIL, _ROCK, 0.45 - 1.4 * tone), _DRY * 1.1, 1.6 * tone)
 
 
-_COLOURS = (_ground, _stone, _boulder, _hill, _table, _edge, _grain)
+def _figure(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+    return _mixed(_CLAY, _PALE, 0.5 + 0.5 * large + 0.25 * patch)
+
+
+_COLOURS = (_ground, _stone, _boulder, _hill, _table, _edge, _grain, _figure)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Kind = Literal["ground", "stone", "boulder", "hill"]
+Kind = Literal["ground", "stone", "boulder", "hill"]  # a ground that is no floor is drawn as a figure of clay
 Shape = Literal["apple", "ring", "mound", "sphere", "none"]
 
 
@@ -58,13 +58,13 @@ class Item:
 @dataclass(frozen=True, slots=True, eq=False)
 class Trail:
     """A field on the ground: cells at `position` (n, 3) of edge `cell` with `strength` (n,); `full` is the strength drawn
-    strongest (None: that of the strongest hundredth of the cells that hold any)."""
+    strongest (None: what a twentieth of the cells that hold any lie above)."""
 
     name: str
     position: Array
     strength: Array
     cell: float
-    colour: tuple[float, float, float] = (0.52, 0.16, 0.62)
+    colour: tuple[float, float, float] = (0.68, 0.10, 0.46)
     full: float | None = None
 
 

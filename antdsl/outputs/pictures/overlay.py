@@ -101,7 +101,7 @@ def _draw_ids(draw: ImageDraw.ImageDraw, view: View, crowd: Crowd, rows: NDArray
 
 
 def _draw_legend(draw: ImageDraw.ImageDraw, picture: Picture, view: View) -> None:
-    size = max(10, view.height // 36)
+    size = max(10, view.height // 42)
     gap = size // 2
     if picture.legend:
         _draw_states(draw, picture.legend, size, gap)

@@ -120,7 +120,7 @@ class Renderer:
         for trail in trails:
             if trail.cell not in kept.cloths:
                 kept.cloths[trail.cell] = TrailCloth(_places(kept.stage)[kept.ground], trail.cell)
-            colours = dyed(colours, kept.cloths[trail.cell].strength(trail), trail)
+            colours = dyed(colours, kept.cloths[trail.cell].share(trail), trail)
         albedo = albedo.copy()
         albedo[kept.ground] = colours
         return albedo
@@ -141,9 +141,10 @@ def render_frame(
 
 
 def _grain(picture: Picture, extent: float) -> float:
-    """The length that grain and shade go by: the body length of the first crowd, rounded so that growth keeps the stage."""
+    """The length that grain and shade go by: the picture's own, else the body length of the first crowd, rounded so that growth
+    keeps the stage; within what suits the extent."""
     if picture.grain is not None and picture.grain > 0:
-        return picture.grain
+        return float(min(max(picture.grain, extent / 2000), extent / 20))
     lengths = [float(np.median(crowd.scale)) for crowd in picture.crowds if len(crowd.scale)]
     length = next((v for v in lengths if v > 0), extent / 250)
     return float(2.0 ** (round(2 * np.log2(min(max(length, extent / 2000), extent / 20))) / 2))

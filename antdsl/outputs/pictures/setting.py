@@ -18,7 +18,8 @@ from antdsl.runtime.senses.rays import RayScene
 Array = NDArray[np.float64]
 
 
-BELOW = 0.03  # how far the table lies below the lowest point, as a share of the extent
+BELOW = 0.03  # how far the table lies below the lowest point, as a share of the extent: room for the cut edge of a floor
+_STANDS = 0.001  # the same where there is no floor: things stand on the table
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,8 +55,9 @@ def setting(solids: tuple[Solid, ...], up: Array) -> Setting:
     everything = np.concatenate([solid.vertices for solid in solids if len(solid.vertices)] or [np.zeros((1, 3))])
     low, high = everything.min(axis=0), everything.max(axis=0)
     extent = float(np.linalg.norm(high - low)) or 1.0
-    base = float((everything @ up).min()) - BELOW * extent
-    for solid in solids:
+    floors = [solid.kind == "ground" and is_floor(solid.vertices, solid.faces, up) for solid in solids]
+    base = float((everything @ up).min()) - (BELOW if any(floors) else _STANDS) * extent
+    for solid, floor in zip(solids, floors, strict=True):
         if not len(solid.faces):
             continue
         painted = None
@@ -63,8 +65,9 @@ def setting(solids: tuple[Solid, ...], up: Array) -> Setting:
             painted = np.ones((len(solid.vertices), 4), np.float32)
             painted[:, :3] = decoded(np.asarray(solid.colour, np.float32))
         vertices = np.asarray(solid.vertices, np.float64)
-        parts.append(Part(vertices, solid.faces, looks.KINDS.index(solid.kind), painted))
-        if solid.kind == "ground":
+        kind = "figure" if solid.kind == "ground" and not floor else solid.kind
+        parts.append(Part(vertices, solid.faces, looks.KINDS.index(kind), painted))
+        if floor:
             parts += _edges(vertices, solid.faces, up, base)
     middle = (low + high) / 2
     parts.append(_table(middle, up, base, 30 * extent))
@@ -91,12 +94,15 @@ def _assembled(parts: tuple[Part, ...], middle: Array, extent: float, base: floa
     return Setting(RayScene(vertices, faces), faces, normal, painted, kind, middle, extent, base, up.astype(np.float32), parts)
 
 
-def _edges(vertices: Array, faces: NDArray[np.int32], up: Array, base: float) -> list[Part]:
-    """Walls from the open border of a ground down to the table; none for closed meshes and for those that are no floor."""
-    corners = vertices[faces]
+def is_floor(vertices: Array, faces: NDArray[np.int32], up: Array) -> bool:
+    """Whether most of a surface faces up; one that closes on itself, as an animal does, is none."""
+    corners = np.asarray(vertices, np.float64)[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    if float((across @ up).sum()) < 0.5 * float(np.linalg.norm(across, axis=1).sum()):
-        return []
+    return float((across @ up).sum()) >= 0.5 * float(np.linalg.norm(across, axis=1).sum())
+
+
+def _edges(vertices: Array, faces: NDArray[np.int32], up: Array, base: float) -> list[Part]:
+    """Walls from the open border of a floor down to the table."""
     pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     key = np.minimum(pairs[:, 0], pairs[:, 1]) * len(vertices) + np.maximum(pairs[:, 0], pairs[:, 1])
     _, first, count = np.unique(key, return_index=True, return_counts=True)

@@ -47,26 +47,32 @@ class TrailCloth:
         between: Floats = (rows[0] + (rows[1] - rows[0]) * y) * (1 - x) + (rows[2] + (rows[3] - rows[2]) * y) * x
         return between
 
-    def strength(self, trail: Trail) -> Floats:
-        """The trail's strength (n,) at the samples: cells where no sample lies do not thin out those beside them."""
+    def share(self, trail: Trail) -> Floats:
+        """How much of the ground (n,) the trail covers at the samples, 0..1: cells where no sample lies do not thin out those
+        beside them."""
         inside = (trail.position >= self.low) & (trail.position < self.low + self.cell * np.asarray(self.shape))
         kept = np.flatnonzero(inside.all(axis=1) & (trail.strength > 0))
         at = ((trail.position[kept] - self.low) / self.cell).astype(np.int64)
         _, b, c = self.shape
         voxels = np.zeros(len(self.taken), np.float32)
-        np.maximum.at(voxels, (at[:, 0] * b + at[:, 1]) * c + at[:, 2], trail.strength[kept].astype(np.float32))
+        np.maximum.at(voxels, (at[:, 0] * b + at[:, 1]) * c + at[:, 2], cover(trail)[kept])
         return self._between(voxels * self.taken) / self.weight
 
 
-def full_strength(trail: Trail) -> float:
-    """The strength drawn strongest: the trail's own, else that of the strongest hundredth of its cells that hold any."""
-    if trail.full is not None:
-        return max(trail.full, 1e-30)
-    held = trail.strength[trail.strength > 0]
-    return float(np.quantile(held, 0.99)) if len(held) else 1.0
+def robust_full(strength: Array) -> float:
+    """The strength to be drawn strongest: what a twentieth of the cells that hold any lie above; 0 when none does."""
+    held = strength[strength > 0]
+    return float(np.quantile(held, 0.95)) if len(held) else 0.0
 
 
-def dyed(albedo: Floats, strength: Floats, trail: Trail) -> Floats:
+def cover(trail: Trail) -> Floats:
+    """Share of the ground (n,) that each cell's scent covers. Scent spans many powers of ten, of which the faint ones lead
+    the way too: the 0.4th power shows a thousandth of the strongest as a sixteenth."""
+    full = trail.full if trail.full is not None else robust_full(trail.strength)
+    share = np.clip(np.asarray(trail.strength, np.float64) / max(full, 1e-30), 0.0, 1.0) ** 0.4
+    return np.asarray(share, np.float32)
+
+
+def dyed(albedo: Floats, share: Floats, trail: Trail) -> Floats:
     """Ground colours (n, 3) with the trail on them; its strongest covers most of the ground's own colour."""
-    share = 1 - np.exp(-2.6 * np.clip(strength / full_strength(trail), 0, 1.5))
-    return albedo + (decoded(trail.colour) - albedo) * (0.80 * share)[:, None]
+    return albedo + (decoded(trail.colour) - albedo) * (0.85 * share)[:, None]
