@@ -40,7 +40,8 @@ def _along(
     clear: NDArray[np.float32],
     threads: int,
 ) -> Vector:
-    met, free, normal = _ahead(scene, place, step, radius, threads, clear)
+    step, within = _keep_off(scene, place, step, up, radius, clear, threads)
+    met, free, normal = _ahead(scene, place, step, radius, threads, np.where(within, _F(np.inf), clear))
     if not len(met):
         return step
     u, wanted = vec.take(up, met), vec.take(step, met)
@@ -61,6 +62,30 @@ def _along(
     for component, value in zip(result, bent, strict=True):
         component[met] = value
     return result  # type: ignore[return-value]
+
+
+def _keep_off(
+    scene: Any, place: Vector, step: Vector, up: Vector, radius: NDArray[np.float32], clear: NDArray[np.float32], threads: int
+) -> tuple[Vector, NDArray[np.bool_]]:
+    """Steps that keep the margin from the nearest face, or win it back by at most half a step; and who is inside, so that no
+    face may hold them there. A ray along a round wall sees nothing of it, and the ground may carry one sideways."""
+    size, margin = vec.length(step), np.maximum(radius, _F(0)) * _MARGIN
+    within = np.zeros(len(size), np.bool_)
+    near = np.flatnonzero((size > _F(1e-9)) & may_touch(clear, size + margin))
+    if not len(near):
+        return step, within
+    gap, out = scene.apart(*vec.take(place, near), threads)
+    within[near] = gap < 0
+    wanted, size = vec.take(step, near), size[near]
+    wall = vec.unit(vec.flat((out[0], out[1], out[2]), vec.take(up, near)), (_F(0) * size,) * 3)
+    least = np.minimum(margin[near] - gap, size * _F(0.5))
+    bent = vec.add(wanted, vec.scale(wall, np.maximum(least - vec.dot(wanted, wall), _F(0))))
+    long = vec.length(bent)
+    bent = vec.scale(bent, np.where(long > size, size / np.where(long > 0, long, _F(1)), _F(1)))
+    result = tuple(component.copy() for component in step)
+    for component, value in zip(result, bent, strict=True):
+        component[near] = value
+    return result, within  # type: ignore[return-value]
 
 
 def _ahead(

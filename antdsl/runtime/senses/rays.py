@@ -258,6 +258,23 @@ class RayScene:
             normal[:, asked[met]] = away.T
         return FeelerHits(np.isfinite(t), t, *normal)
 
+    def apart(
+        self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """How far (mm, float32[n]) places are out of the meshes, below 0 inside, and the unit way out, float32[3,n].
+
+        Inside is behind the nearest face; slow far from the surface."""
+        points = np.stack([x, y, z], axis=1).astype(np.float64)
+        mesh, face, place, distance = self.closest(points, threads)
+        if self._scene is None or not len(points):
+            return distance.astype(np.float32), np.zeros((3, len(points)), np.float32)
+        normal = self._normals[face + self._first_face[mesh]].astype(np.float64)
+        away = points - place
+        side = np.where((away * normal).sum(axis=1) < 0, -1.0, 1.0)
+        touching = distance < 1e-6
+        out = np.where(touching[:, None], normal, away * (side / np.maximum(distance, 1e-6))[:, None])
+        return (distance * side).astype(np.float32), np.ascontiguousarray(out.T, np.float32)
+
     def _reachable(
         self,
         x: NDArray[Any],
