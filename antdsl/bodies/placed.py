@@ -83,9 +83,9 @@ def _mound() -> Painted:
     turn = np.arange(around) * 2 * np.pi / around
     r, t = np.meshgrid(reach, turn, indexing="ij")
     crest = 0.52
-    outside = 0.30 * np.exp(-(((r - crest) / 0.34) ** 2))
-    inside = 0.30 * np.exp(-(((r - crest) / 0.22) ** 2)) - 0.30 * np.exp(-((r / 0.20) ** 2))
-    high = np.where(r > crest, outside, inside)
+    outside = 0.19 * np.exp(-(((r - crest) / 0.34) ** 2))
+    inside = 0.19 * np.exp(-(((r - crest) / 0.22) ** 2)) - 0.19 * np.exp(-((r / 0.20) ** 2))
+    high = np.where(r > crest, outside, np.maximum(inside, 0.02))  # the ground goes on below: a hole in it would not be seen
     points = np.stack([r * np.cos(t), high, r * np.sin(t)], axis=2).reshape(-1, 3)
     soft = np.clip(r.reshape(-1) / 0.25, 0, 1)
     points[:, 1] += 0.025 * waves(points * np.array([1, 0, 1]), 61, 0.35, 2) * soft

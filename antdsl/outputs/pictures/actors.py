@@ -44,8 +44,9 @@ class Actors:
     size: float
 
 
-def actors(picture: Picture, view: View, least: float = 0.0) -> Actors:
-    """The moving part of `picture`, agents that are large in `view` with their close-up bodies, those out of sight left out.
+def actors(picture: Picture, view: View, least: float = 0.0, ground: RayScene | None = None) -> Actors:
+    """The moving part of `picture`, agents that are large in `view` with their close-up bodies, those out of sight left out;
+    what is of loose soil follows `ground`.
 
     Bodies shorter than `least` pixels are drawn that long, though never more than MOST_ENLARGED times their size."""
     parts: list[Mesh] = []
@@ -54,7 +55,11 @@ def actors(picture: Picture, view: View, least: float = 0.0) -> Actors:
         if len(crowd.position):
             parts += _crowd(crowd, view, least)
             longest = max(longest, float(np.max(crowd.scale)))
-    parts += [item_mesh(item, picture.up) for item in picture.items if item.shape != "none" and item.left > 0 and item.radius > 0]
+    parts += [
+        item_mesh(item, picture.up, ground)
+        for item in picture.items
+        if item.shape != "none" and item.left > 0 and item.radius > 0
+    ]
     widest = max((item.radius for item in picture.items), default=0.0)
     if not parts:
         none = np.zeros((0, 3), np.float32)
@@ -118,11 +123,21 @@ def _posed(crowd: Crowd, shape: Body, rows: NDArray[np.int64], size: Array, plai
     return Mesh(vertices.reshape(-1, 3), faces, normal.reshape(-1, 3), colour.reshape(-1, 3), gloss)
 
 
-def item_mesh(item: Item, up: tuple[float, float, float]) -> Mesh:
+def item_mesh(item: Item, up: tuple[float, float, float], ground: RayScene | None = None) -> Mesh:
     vertices, faces, colour = placed(item.shape)
     size = item.radius * min(max(item.left, 0.0), 1.0) ** (1 / 3)
-    upward = np.array([up])
+    upward = np.array([up]) / np.linalg.norm(up)
     turn = rotation(orientation(np.array([[0.83, 0.31, 0.46]]), upward))[0]
     points = (vertices * size) @ turn.T + np.asarray(item.position, np.float64)
+    if item.shape == "mound" and ground is not None:
+        points += _slump(points, np.asarray(item.position, np.float64), upward[0], size, ground)[:, None] * upward
     gloss = np.full(len(points), 0.0 if item.shape == "mound" else 0.5, np.float32)
     return Mesh(points, faces, vertex_normals(points, faces), decoded(colour), gloss)
+
+
+def _slump(points: Array, foot: Array, up: Array, size: float, ground: RayScene) -> Array:
+    """How much higher than at `foot` the ground is below each point (n,); 0 where it is not within `size` of it."""
+    level = points - ((points - foot) @ up)[:, None] * up
+    start = (level + size * up).astype(np.float32)
+    down = ground.cast(start, np.broadcast_to(-up, start.shape).astype(np.float32)).t.astype(np.float64)
+    return np.where(down <= 2 * size, size - down, 0.0)

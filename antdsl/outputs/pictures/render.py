@@ -65,7 +65,7 @@ class Renderer:
         still = self._setting(picture, up)
         scales = Scales(still.extent, _grain(picture, still.extent))
         kept = self._stage(picture, camera, still, seen, sun, scales)
-        cast = actors(picture, seen, self.least)
+        cast = actors(picture, seen, self.least, still.rays)
         image = self._light(picture, kept, cast, still, sun, scales, "trail" in wanted)
         return draw_overlay(image, picture, seen, kept.stage.far, self.samples, wanted)
 
