@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -118,16 +118,18 @@ def _fancy() -> bool:
     return True
 
 
+def _each(spent: Mapping[str, float], steps: int) -> str:
+    """Milliseconds a step, the longest first; what is next to nothing is left out."""
+    shares = sorted(((value / max(steps, 1), name) for name, value in spent.items()), reverse=True)
+    return ", ".join(f"{name} {1000 * share:.1f}" for share, name in shares if share > 5e-5)
+
+
 def _tell_end(recording: Recording) -> None:
-    steps = max(recording.steps, 1)
     spent = {**recording.seconds, **recording.world.timings}
     bind = spent.pop("bind", 0.0)
-    parts = ", ".join(
-        f"{name} {1000 * value / steps:.1f}"
-        for name, value in sorted(spent.items(), key=lambda pair: -pair[1])
-        if value / steps > 5e-5
-    )
+    parts, behind = _each(spent, recording.steps), _each(recording.behind, recording.steps)
     print(f"{len(recording.world):,} agents; set up in {bind:.1f} s; milliseconds a frame: {parts or 'none'}")
+    print(f"meanwhile, in the thread that writes: {behind or 'none'}")
     if recording.world.faults.count:
         print(f"{recording.world.faults.count} faults: agents that got a number that is none")
     print(f"the cache is in {recording.folder}")

@@ -1,6 +1,6 @@
 """Writes a cache so that a crash at any instant leaves one that can be continued: frames are put in place whole by a thread
-behind the
-simulation, checkpoints only after all frames before them are on the disk, hashes line by line."""
+behind the simulation,
+checkpoints only after all frames before them are on the disk, hashes line by line."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import json
 import os
 import queue
 import threading
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -33,7 +34,7 @@ from antdsl.outputs.manifest import Manifest, ManifestError, write_manifest
 from antdsl.outputs.npz import sync_file, sync_folder, to_bytes, write_whole
 
 Arrays = Mapping[str, NDArray[Any]]
-_BEHIND = 4  # frames that may wait to be written
+_BEHIND = 2  # frames that may wait to be written
 
 
 class ForeignFolder(Exception):
@@ -120,8 +121,9 @@ class CacheWriter:
     def __init__(self, folder: Path, manifest: Manifest) -> None:
         self.folder, self.manifest = folder, manifest
         self._lock = FolderLock(folder)
-        self._queue: queue.Queue[tuple[int, Arrays, str] | None] = queue.Queue(maxsize=_BEHIND)
+        self._queue: queue.Queue[tuple[int, Callable[[], tuple[Arrays, str]]] | None] = queue.Queue(maxsize=_BEHIND)
         self._unsynced: list[Path] = []
+        self.seconds = 0.0  # spent on writing frames behind the caller's back
         self._problem: BaseException | None = None
         self._thread = threading.Thread(target=self._write_behind, name="cache writer", daemon=True)
 
@@ -148,10 +150,12 @@ class CacheWriter:
         write_manifest(self.folder, self.manifest)
         self._thread.start()
 
-    def put(self, frame: int, arrays: Arrays, state_hash: str) -> None:
-        """Hand over a frame; it is written behind the caller's back, in order. The arrays must not be changed afterwards."""
+    def put(self, frame: int, make: Callable[[], tuple[Arrays, str]]) -> None:
+        """Hand over a frame; behind the caller's back it is made (its arrays and the state's hash) and written, in order.
+
+        An error of `make` or of the disk is raised by what is called next."""
         self._raise()
-        self._queue.put((frame, arrays, state_hash))
+        self._queue.put((frame, make))
 
     def checkpoint(self, frame: int, arrays: Arrays) -> None:
         """Write a checkpoint, durably, after everything before it."""
@@ -177,12 +181,15 @@ class CacheWriter:
             while (entry := self._queue.get()) is not None:
                 try:
                     if self._problem is None:
-                        frame, arrays, state_hash = entry
+                        frame, make = entry
+                        arrays, state_hash = make()
+                        began = time.perf_counter()
                         path = frame_path(self.folder, frame)
                         write_whole(path, to_bytes(arrays), sync=False)
                         self._unsynced.append(path)
                         hashes.write(_line(frame, state_hash))
                         hashes.flush()
+                        self.seconds += time.perf_counter() - began
                 except BaseException as problem:  # handed to the caller of the next `put`
                     self._problem = problem
                 finally:

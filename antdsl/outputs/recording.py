@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from antdsl.outputs.cache import Cache
 from antdsl.outputs.cache_writer import CacheWriter, prepare_folder, read_checkpoint, resume_points
@@ -17,7 +18,7 @@ from antdsl.outputs.frames import FrameMaker, describe, static_arrays
 from antdsl.outputs.manifest import CameraEntry
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
-from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, state_hash, step
+from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, snapshot, state_hash, step
 from antdsl.scene.model import millimetres
 
 
@@ -30,22 +31,24 @@ class Recording:
     world: World
     inputs: Mapping[str, str]
     resumed_from: int | None = None
-    frame: int | None = None  # the last that was written
+    frame: int | None = None  # the last that was handed over to be written
     stop: bool = False
-    hash: str = ""
+    hash: str = ""  # of the last frame that was written, once all are
     surface_error: float = 0.0  # in body lengths
     steps: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
+    behind: dict[str, float] = field(default_factory=dict)  # of the writer's thread, while the next frames are simulated
     started: float = field(default_factory=time.perf_counter)
 
     @property
     def complete(self) -> bool:
         return self.frame == self.shot.frames.last
 
-    def spend(self, what: str, since: float) -> float:
-        """Count the time since `since` under a name; gives the time now."""
+    def spend(self, what: str, since: float, *, behind: bool = False) -> float:
+        """Count the time since `since` under a name; gives the time now. `behind`: spent by the writer's thread."""
         now = time.perf_counter()
-        self.seconds[what] = self.seconds.get(what, 0.0) + now - since
+        spent = self.behind if behind else self.seconds
+        spent[what] = spent.get(what, 0.0) + now - since
         return now
 
 
@@ -127,17 +130,18 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
                 recording.spend("step", began)
                 watch("preroll", world.frame)
             world.motion.reset()
-            _write(recording, writer, maker, last=recording.stop)
+            _write(recording, writer, maker)
             yield recording
         while recording.frame is not None and recording.frame < shot.frames.last and not recording.stop:
             began = time.perf_counter()
             step(world)
             recording.steps += 1
             recording.spend("step", began)
-            _write(recording, writer, maker, last=False)
+            _write(recording, writer, maker)
             yield recording
         if recording.frame is not None and not _is_checkpoint(recording, recording.frame):
             writer.checkpoint(recording.frame, checkpoint(world))
+    recording.behind["write"] = writer.seconds
 
 
 def _is_checkpoint(recording: Recording, frame: int) -> bool:
@@ -145,18 +149,27 @@ def _is_checkpoint(recording: Recording, frame: int) -> bool:
     return (frame - recording.shot.frames.first) % recording.shot.scene.model.output.checkpoint == 0
 
 
-def _write(recording: Recording, writer: CacheWriter, maker: FrameMaker, *, last: bool) -> None:
+def _write(recording: Recording, writer: CacheWriter, maker: FrameMaker) -> None:
     world = recording.world
     began = time.perf_counter()
+    still = snapshot(world)
+    writer.put(world.frame, lambda: _made(recording, maker, still))
     recording.frame = world.frame
-    recording.surface_error = max(recording.surface_error, surface_error(world))
-    began = recording.spend("measure", began)
-    recording.hash = state_hash(world)
-    began = recording.spend("hash", began)
-    writer.put(world.frame, maker.frame(world), recording.hash)
     if _is_checkpoint(recording, world.frame):
         writer.checkpoint(world.frame, checkpoint(world))
-    recording.spend("write", began)
+    recording.spend("hand_over", began)
+
+
+def _made(recording: Recording, maker: FrameMaker, still: World) -> tuple[dict[str, NDArray[Any]], str]:
+    """A frame's arrays and the state's hash, and what is measured on the way; called by the writer's thread."""
+    began = time.perf_counter()
+    recording.surface_error = max(recording.surface_error, surface_error(still))
+    began = recording.spend("measure", began, behind=True)
+    recording.hash = state_hash(still)
+    began = recording.spend("hash", began, behind=True)
+    arrays = maker.frame(still)
+    recording.spend("frame", began, behind=True)
+    return arrays, recording.hash
 
 
 def surface_error(world: World) -> float:

@@ -14,13 +14,13 @@ from antdsl.outputs.recording import Recording
 def summary(recording: Recording) -> dict[str, Any]:
     """Counts, speeds and measures of a run; everything but `seconds`, `fps` and `peak_memory` is the same for the same inputs."""
     world = recording.world
-    stepping = recording.seconds.get("step", 0.0) + recording.seconds.get("hash", 0.0) + recording.seconds.get("write", 0.0)
+    stepping = recording.seconds.get("step", 0.0) + recording.seconds.get("hand_over", 0.0)
     steps = recording.steps
     return {
         "agents": len(world),
         "frames": 0 if recording.frame is None else recording.frame - recording.shot.frames.first + 1,
         "fps": round(steps / stepping, 3) if stepping > 0 else 0.0,
-        "seconds": {name: round(value, 6) for name, value in {**recording.seconds, **world.timings}.items()},
+        "seconds": {name: round(value, 6) for name, value in {**recording.seconds, **recording.behind, **world.timings}.items()},
         "states": states(recording),
         "transitions": dict(world.transitions),
         "items": {

@@ -4,6 +4,7 @@ from antdsl.runtime.binding import BindError, bind, set_param
 from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore
 from antdsl.runtime.faults import Fault, FaultStop
 from antdsl.runtime.hashing import state_hash
+from antdsl.runtime.snapshots import snapshot
 from antdsl.runtime.stepping import step
 from antdsl.runtime.world import Items, Options, Population, World
 from antdsl.scene.setting import CrowdData, FieldStart, ItemData, MeshData, PlaceData, Setting
@@ -27,6 +28,7 @@ __all__ = [
     "checkpoint",
     "restore",
     "set_param",
+    "snapshot",
     "state_hash",
     "step",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cached_property
 from typing import Any, Literal
 
@@ -41,6 +42,13 @@ class PheromoneField:
     def values(self) -> NDArray[np.float64]:
         """What each cell holds; write into it to restore a state."""
         return self._padded[:-1]
+
+    def snapshot(self) -> PheromoneField:
+        """This field with a copy of what its cells hold; deposits that have not landed are left out."""
+        found = copy(self)
+        found._padded = self._padded.copy()
+        found._pending, found._touched = np.zeros(0, np.int64), False
+        return found
 
     def state_bytes(self) -> bytes:
         """What a hash of the state has to cover, the same on every machine."""

@@ -1,0 +1,39 @@
+"""A world as it is now, to be looked at while the world goes on."""
+
+from __future__ import annotations
+
+from copy import copy
+
+from antdsl.runtime.world import Population, World
+
+
+def snapshot(world: World) -> World:
+    """A world that shares what never changes and has copies of the rest: agents, items and fields between two steps.
+
+    It can be measured, hashed and written, not stepped."""
+    found = copy(world)
+    found.populations = {name: _population(population) for name, population in world.populations.items()}
+    found.items = {}
+    for name, items in world.items.items():
+        found.items[name] = copy(items)
+        found.items[name].amounts = {attribute: amounts.copy() for attribute, amounts in items.amounts.items()}
+    found.fields = {name: field.snapshot() for name, field in world.fields.items()}
+    found.grids, found.clearances = {}, {}
+    return found
+
+
+def _population(population: Population) -> Population:
+    population.in_id_order()  # found once, for the world and for all that look at it
+    found = copy(population)
+    for name in ("ids", "born", "quarantined", "position"):
+        setattr(found, name, getattr(population, name).copy())
+    # What is no value of one step only and has one array for its start and now never changes.
+    lasting = {name for name, register in population.plan.registers.items() if register.role != "temp"}
+    found.now = {
+        name: array if name in lasting and population.start[name] is array else array.copy()
+        for name, array in population.now.items()
+    }
+    found.start = found.now
+    found.events = {name: flags.copy() for name, flags in population.events.items()}
+    found.raised = found.events
+    return found
