@@ -139,13 +139,23 @@ def test_turn_back_turns_at_the_rim() -> None:
     assert places[-1, 0, 2] > places[:, 0, 2].min() + 10
 
 
-def test_climb_keeps_to_a_trail() -> None:
-    def inside(steer: str) -> float:
-        places, _ = run(scene(steer, crowd("ant", *[(float(x), 55.0) for x in range(-20, 20, 4)])), 72)
-        return float((far(places, 0, 60) < 36).mean())
+def test_climb_keeps_to_a_winding_trail() -> None:
+    def beside(steer: str) -> NDArray[np.float64]:
+        world = scene(steer, crowd("ant", *[(-90.0, 105.0 + offset) for offset in range(-8, 9, 4)]))
+        trail = world.fields["trail"]
+        x, _, z = (trail.cells.position + world.origin).T
+        trail.values[:] = np.where(np.abs(z - _way(x)) < 10, 1 + (x + 200) / 400, 0.0)
+        places, _ = run(world, 144)
+        assert (places[-1, :, 0] > 20).all()  # not round and round on it
+        return np.abs(places[..., 2] - _way(places[..., 0]))
 
-    assert inside("climb(trail)") > 0.4
-    assert inside("climb(trail)") > inside("toward(heading)") + 0.05
+    assert np.quantile(beside("climb(trail)"), 0.95) < 14
+    assert np.quantile(beside("toward(heading)"), 0.95) > 20
+
+
+def _way(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """z of a trail that winds along x."""
+    return 100 + 15 * np.sin(x / 25)
 
 
 def test_follow_goes_along_a_curve_as_it_was_drawn() -> None:
@@ -163,6 +173,21 @@ def test_separate_spreads_and_cohere_gathers() -> None:
         places, _ = run(scene(steer, crowd("ant", *points)), 60)
         size = [np.linalg.norm(p - p.mean(axis=0), axis=1).mean() for p in (places[0], places[-1])]
         assert (size[1] > 1.2 * size[0]) if wider else (size[1] < 0.8 * size[0])
+
+
+def test_give_way_lets_two_that_meet_pass_without_touching() -> None:
+    def nearest(steer: str) -> float:
+        world = scene(steer, crowd("ant", (-60, 100), (60, 100.3)))
+        ants = world.populations["ant"]
+        for name in ("heading", "velocity"):  # the second comes the other way
+            ants.now[f"{name}.x"][1] *= -1
+            ants.start[f"{name}.x"][1] = ants.now[f"{name}.x"][1]
+        places, speeds = run(world, 110)
+        assert speeds[-1, 0, 0] > 15 and speeds[-1, 1, 0] < -15  # both still go their way
+        return float(np.linalg.norm(places[:, 0] - places[:, 1], axis=1).min())
+
+    assert nearest("toward(heading)") < 0.5
+    assert nearest("give_way(radius: 12 mm) + toward(heading)") > 1.6  # room for the bodies of both
 
 
 def test_align_makes_them_go_the_same_way() -> None:
