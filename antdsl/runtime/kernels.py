@@ -35,15 +35,17 @@ _ATAN = tuple((-1.0) ** k / (2 * k + 1) for k in range(15))
 
 def _series(x: Value, coefficients: tuple[float, ...]) -> Value:
     value = x * 0.0 + coefficients[-1]
-    for c in coefficients[-2::-1]:
-        value = value * x + c
+    for c in coefficients[-2::-1]:  # in place for arrays
+        value *= x
+        value += c
     return value
 
 
 def _quarter_turns(x: Value) -> tuple[Value, Value]:
     """The angle as (remainder within an eighth of a turn, number of quarter turns 0 .. 3)."""
     whole = _widen(x)
-    wide: Value = np.where(np.abs(whole) < _FAR, whole, np.fmod(whole, 2.0 * _PI))
+    usual = np.abs(whole) < _FAR
+    wide: Value = whole if np.all(usual) else np.where(usual, whole, np.fmod(whole, 2.0 * _PI))
     turns = np.rint(wide * _TWO_OVER_PI)
     rest = (wide - turns * _HALF_PI_HIGH) - turns * _HALF_PI_LOW
     return rest, turns - np.floor(turns * 0.25) * 4.0

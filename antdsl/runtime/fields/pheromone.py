@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.fields.cells import NEAREST, Cells, SurfaceCells
+from antdsl.runtime.senses.sorting import stable_order
 
 Floats = NDArray[np.float32]
 
 UNIT = 2.0**-24  # deposits are whole numbers of this
 LARGEST_DEPOSIT = 2.0**16  # so that five million of them in one cell stay within 63 bits
 FLUSH = 1e-12
+_SPARSE = 0.2  # share of cells that hold scent above which looking for who may smell any does not pay
 _SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
@@ -37,6 +39,7 @@ class PheromoneField:
         self._pending = np.zeros(len(cells), np.int64)
         self._touched = False
         self._blocks: dict[int, Cells] = {}
+        self._askers: dict[int, tuple[NDArray[np.int64], Cells]] = {}
 
     @property
     def values(self) -> NDArray[np.float64]:
@@ -122,16 +125,34 @@ class PheromoneField:
 
         Of equal cells the first. Where none holds anything the value is 0 and the place is the own cell's; (0, 0, 0) for -1.
         """
-        own = np.asarray(cells, np.int64)
-        known = own >= 0
-        block = self._block(k).take(np.where(known, own, 0), axis=0) if len(self.cells) else np.empty((own.size, 0), np.int32)
-        best, value = own, np.zeros(own.size)
-        for column in np.ascontiguousarray(block.T).astype(np.int64):
-            held = self._padded.take(column)
-            more = held > value
-            best, value = np.where(more, column, best), np.where(more, held, value)
-        x, y, z = self._places.take(np.where(known, best, len(self.cells)), axis=1).astype(np.float32)
-        return np.where(known, value, 0.0).astype(np.float32), x, y, z
+        none = len(self.cells)
+        own = np.where(np.asarray(cells) < 0, none, cells).astype(np.int64)
+        best, value = own.copy(), np.zeros(own.size)
+        asked = np.flatnonzero(self._scented(k).take(own))
+        if asked.size:
+            most, where = np.zeros(asked.size), own.take(asked)
+            for column in np.ascontiguousarray(self._block(k).take(where, axis=0).T).astype(np.int64):
+                held = self._padded.take(column)
+                more = held > most
+                where, most = np.where(more, column, where), np.where(more, held, most)
+            best[asked], value[asked] = where, most
+        x, y, z = (place.take(best) for place in self._seen)
+        return value.astype(np.float32), x, y, z
+
+    def _scented(self, k: int) -> NDArray[np.bool_]:
+        """Cells of which some of the nearest `k` hold anything, bool[cells + 1]; where most do, all but the last."""
+        found = np.zeros(len(self.cells) + 1, np.bool_)
+        holding = np.flatnonzero(self.values)
+        if holding.size > len(self.cells) * _SPARSE:
+            found[:-1] = True
+        elif holding.size:
+            if k not in self._askers:
+                self._askers[k] = _askers(self._block(k), len(self.cells))
+            start, cell = self._askers[k]
+            first, count = start.take(holding), start.take(holding + 1) - start.take(holding)
+            each = np.arange(int(count.sum())) + np.repeat(first - (np.cumsum(count) - count), count)
+            found[cell.take(each)] = True
+        return found
 
     def gradient(self, cells: Cells, k: int = NEAREST) -> tuple[Floats, Floats, Floats]:
         """Direction and strength in which scent grows along the surface, per mm: least squares over the nearest `k` cells."""
@@ -169,9 +190,22 @@ class PheromoneField:
         return self._blocks[k]
 
     @cached_property
+    def _seen(self) -> NDArray[np.float32]:
+        """Positions as agents see them: `_places` in float32."""
+        return self._places.astype(np.float32)
+
+    @cached_property
     def _places(self) -> NDArray[np.float64]:
         """Positions of cells, float64[3, cells + 1], the last one for no cell."""
         return np.concatenate([self.cells.position.T, np.zeros((3, 1))], axis=1)
+
+
+def _askers(block: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:
+    """For each cell those whose block [cells, k] it is in, as rows of a table: cell a's are `cell[start[a]:start[a+1]]`."""
+    flat = block.ravel()
+    start = np.zeros(cells + 2, np.int64)
+    np.cumsum(np.bincount(flat, minlength=cells + 1), out=start[1:])
+    return start, (stable_order(flat) // block.shape[1]).astype(np.int32)
 
 
 class _Flow:
