@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,11 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.plan import ir
 from antdsl.runtime.effects import EmitEntry
-from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows
+from antdsl.runtime.reading import reach, statement_nodes, walk
+from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows, shares_start, stored_registers
 
 _BLOCK = 1 << 22  # pairs of emitter and receiver that are measured at once
+_CARRIED = (*(f"{vector}.{axis}" for vector in ("up", "heading", "velocity") for axis in AXES), "group")  # from parent to child
 
 
 def find_cells(world: World, population: Population) -> None:
@@ -88,8 +91,8 @@ def deaths_and_births(world: World) -> None:
             select_rows(population, np.flatnonzero(~dead))
     generation = 0
     while coming and generation < limits.BIRTHS_IN_A_ROW:
-        for name, births in coming.items():
-            _bear(world, world.populations[name], births)
+        newborn = {name: _bear(world, world.populations[name], births) for name, births in coming.items()}
+        come_alive(world, {name: rows for name, rows in newborn.items() if len(rows)})
         coming = _coming(world)
         generation += 1
     for population in world.populations.values():
@@ -110,12 +113,14 @@ def _coming(world: World) -> dict[str, Births]:
             order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.species == species])
             rows = rows[np.lexsort((order, population.ids[rows]))]
             footing = type(population.footing)(*(getattr(population.footing, f)[rows] for f in population.footing.__slots__))
-            carried = {f"{v}.{a}": population.now[f"{v}.{a}"][rows].copy() for v in ("up", "heading", "velocity") for a in AXES}
+            carried = {name: population.now[name][rows].copy() for name in _CARRIED}
             found.setdefault(species, []).append((population, rows, population.position[rows], footing, carried))
     return found
 
 
-def _bear(world: World, population: Population, births: Births) -> None:
+def _bear(world: World, population: Population, births: Births) -> NDArray[np.intp]:
+    """Put newborn agents into the world; gives their rows."""
+    old = len(population)
     for _, rows, position, footing, carried in births:
         room = limits.AGENTS - len(world)
         count = min(len(rows), max(0, room))
@@ -129,23 +134,42 @@ def _bear(world: World, population: Population, births: Births) -> None:
         new = add_rows(population, ids, world.frame + 1, position[:count], footing)
         for name, value in carried.items():
             population.now[name][new] = value[:count]
-        come_alive(world, population, np.arange(new.start, new.stop))
+    return np.arange(old, len(population))
 
 
-def come_alive(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Fill the registers of new rows, whose place, up, heading and velocity are there already, and run the block `born`."""
-    for k, axis in enumerate(AXES):
-        population.now[f"position.{axis}"][rows] = population.position[rows, k]
-    for name in population.now:
-        _copy(population, name, rows)
-    world.backend.run(world, population, "born", rows)
-    for name in population.now:
-        _copy(population, name, rows)
+def come_alive(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
+    """Fill the registers of new rows, by species, whose place, up, heading and velocity are there already: the block `born`.
+
+    Those born together see each other's place and movement; all else of each other is still 0 or none, whoever is worked out
+    first."""
+    world.grids.clear()  # rows have changed
+    for name, rows in newborn.items():
+        population = world.populations[name]
+        for k, axis in enumerate(AXES):
+            population.now[f"position.{axis}"][rows] = population.position[rows, k]
+        for register, array in population.now.items():
+            if population.start[register] is array:
+                population.start[register] = array.copy()
+            else:
+                population.start[register][rows] = array[rows]
+        if _smells(population):
+            find_cells(world, population)
+    for name, rows in newborn.items():
+        world.backend.run(world, world.populations[name], "born", rows)
+    for name, rows in newborn.items():
+        population = world.populations[name]
+        stored = stored_registers(population.plan)
+        for register, array in population.now.items():
+            if shares_start(population.plan, register, stored):
+                population.start[register] = array
+            else:
+                population.start[register][rows] = array[rows]
 
 
-def _copy(population: Population, name: str, rows: NDArray[np.intp]) -> None:
-    if population.start[name] is not population.now[name]:
-        population.start[name][rows] = population.now[name][rows]
+def _smells(population: Population) -> bool:
+    """Whether somebody asks for a field at birth."""
+    nodes = reach(tuple(node for _, statement in walk(population.plan.born) for node in statement_nodes(statement)))
+    return any(node.op.startswith("field.") for node in nodes)
 
 
 def _forget_the_dead(world: World, population: Population) -> None:

@@ -57,21 +57,21 @@ class FaultStop(RuntimeError):
 
 
 def gather(world: World) -> None:
-    """Count the faults of this step, tell the first ones, set the agents aside if so asked."""
+    """Count the faults since the last time, tell the first ones, set the agents aside if so asked."""
     log = world.faults
-    log.latest = None
     for population in world.populations.values():
         met: dict[tuple[int, str, str], list[FaultEntry]] = {}
         for entry in population.effects.faults:
             place = -1 if entry.span is None else entry.span.start
-            met.setdefault((place, entry.block, entry.register), []).append(entry)
+            met.setdefault((place, entry.block, _word(entry.register)), []).append(entry)
         population.effects.faults = []
-        for _, entries in sorted(met.items(), key=lambda pair: pair[0]):
-            rows = np.concatenate([entry.rows for entry in entries])
+        for (_, _, word), entries in sorted(met.items(), key=lambda pair: pair[0]):
+            rows = np.unique(np.concatenate([entry.rows for entry in entries]))  # a vector has three parts and one fault
             rows = rows[np.argsort(population.ids[rows])]
             log.count += len(rows)
             for row in rows[: max(_TOLD - len(log.told), 0 if log.latest else 1)]:
-                fault = _tell(world, population, int(row), entries[0])
+                entry = min((e for e in entries if row in e.rows), key=lambda e: e.register)
+                fault = _tell(world, population, int(row), entry, word)
                 log.latest = log.latest or fault
                 if len(log.told) < _TOLD:
                     log.told.append(fault)
@@ -79,8 +79,14 @@ def gather(world: World) -> None:
                 population.quarantined[rows] = True
 
 
-def _tell(world: World, population: Population, row: int, entry: FaultEntry) -> Fault:
+def _word(register: str) -> str:
+    """What the author calls a register: a vector without its axis, the plan's own temps by what they serve."""
+    name = register.removesuffix(".x").removesuffix(".y").removesuffix(".z")
+    return {"~steer": "steer", "~left": "push", "~held": "the vector"}.get(name, name)
+
+
+def _tell(world: World, population: Population, row: int, entry: FaultEntry, word: str) -> Fault:
     from antdsl.runtime.backends.reference import operands_of
 
     operands = operands_of(world, population, row, entry.block, entry.register, entry.span)
-    return Fault(world.frame, population.name, int(population.ids[row]), entry.register, entry.span, operands)
+    return Fault(world.frame, population.name, int(population.ids[row]), word, entry.span, operands)

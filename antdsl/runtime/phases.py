@@ -22,6 +22,7 @@ def sense(world: World) -> None:
     """Forget what was sensed, show the items' amounts, find each agent's cells. Senses themselves run when first needed."""
     world.grids.clear()
     world.clearances.clear()
+    world.faults.latest = None
     for items in world.items.values():
         items.show()
     for population in world.populations.values():
@@ -86,6 +87,7 @@ def bear(world: World) -> None:
     world.motion.observe(world)
     births.deaths_and_births(world)
     births.settle_newborn(world)
+    faults.gather(world)  # of births, while their rows and the frame are still these
 
 
 def commit(world: World) -> None:

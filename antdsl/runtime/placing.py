@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.plan import ir
 from antdsl.runtime import kernels, randomness
 from antdsl.runtime import vectors as vec
 from antdsl.runtime.births import come_alive, deaths_and_births, settle_newborn
+from antdsl.runtime.reading import walk
 from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows
 from antdsl.scene.setting import MeshData, PlaceData
 
@@ -34,8 +36,8 @@ def populate(world: World) -> None:
     for population in alive:
         _shuffle(world, population)
         _stand(world, population)
+    come_alive(world, {population.name: np.arange(len(population)) for population in alive})
     for population in alive:
-        come_alive(world, population, np.arange(len(population)))
         _set_out(world, population)
     if any(p.effects.spawns or p.effects.deaths for p in alive):
         deaths_and_births(world)
@@ -133,10 +135,11 @@ def _stand(world: World, population: Population) -> None:
 
 
 def _set_out(world: World, population: Population) -> None:
-    """A drawn share of full speed along the heading (T02), for those who were not given a velocity at birth."""
-    velocity = [population.now[f"velocity.{axis}"] for axis in AXES]
-    standing = (velocity[0] == 0) & (velocity[1] == 0) & (velocity[2] == 0)
+    """A drawn share of full speed along the heading (T02), unless the species says at birth how it moves."""
+    if any(isinstance(s, ir.Store) and s.register.startswith("velocity.") for _, s in walk(population.plan.born)):
+        return
     speed = population.now["max_speed"] * _draw(world, population.name, 1, population.ids, "heading")
-    for axis, v in zip(AXES, velocity, strict=True):
-        v[standing] = (population.now[f"heading.{axis}"] * speed)[standing]
-        population.start[f"velocity.{axis}"][:] = v
+    for axis in AXES:
+        velocity = population.now[f"velocity.{axis}"]
+        velocity[:] = population.now[f"heading.{axis}"] * speed
+        population.start[f"velocity.{axis}"][:] = velocity

@@ -63,7 +63,8 @@ def _id(world: World, population: Population, node: ir.Node, rows: Rows) -> Valu
 
 
 def _age(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
-    return ((world.frame - population.born[rows]) * world.dt).astype(np.float32)
+    steps = np.maximum(world.frame - population.born[rows], 0)  # at birth itself it is the frame before
+    return (steps * world.dt).astype(np.float32)
 
 
 def _draw(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:

@@ -174,14 +174,16 @@ def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
     return frozenset(found)
 
 
+def shares_start(plan: ir.SpeciesPlan, register: str, stored: frozenset[str]) -> bool:
+    """Whether one array will do for a register at the start of a step and now: it never changes, or is of this step only."""
+    return register not in stored or plan.registers[register].role == "temp"
+
+
 def empty_population(plan: ir.SpeciesPlan, ground: Any) -> Population:
     """A species without agents; `grow` adds rows."""
     now = {name: np.empty(0, DTYPES[r.kind]) for name, r in plan.registers.items()}
     stored = stored_registers(plan)
-    start = {
-        name: np.empty(0, array.dtype) if name in stored and plan.registers[name].role != "temp" else array
-        for name, array in now.items()
-    }
+    start = {name: array if shares_start(plan, name, stored) else np.empty(0, array.dtype) for name, array in now.items()}
     events = {name: np.empty(0, np.bool_) for name in plan.handles}
     return Population(
         plan=plan,

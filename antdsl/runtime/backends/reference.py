@@ -350,7 +350,7 @@ def _culprit(agent: Agent, node: ir.Node) -> tuple[tuple[str, str], ...]:
         if not worse:
             break
         node = worse[0]
-    shown = {(a.span.text if a.span else a.op): agent.values.get(a) for a in node.args if a.kind is not ir.Kind.SET}
+    shown = {a.span.text: agent.values.get(a) for a in node.args if a.span and a.kind is not ir.Kind.SET and a.op != "const"}
     place = node.span.text if node.span else node.op
     told = [(place, agent.values.get(node))] + [(text, value) for text, value in shown.items() if text != place]
     return tuple((text, f"{float(value):g}") for text, value in told if value is not None and not isinstance(value, tuple))

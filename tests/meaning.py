@@ -1,0 +1,104 @@
+"""From a program's text to what its agents have become: run on both backends in several ways, all of which must agree to the bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from plan_text import WORLD, plan_of
+
+from antdsl.passes import optimise
+from antdsl.plan import ir
+from antdsl.runtime import CrowdData, ItemData, Options, PlaceData, Setting, World, bind, state_hash, step
+
+WAYS = (
+    Options(),
+    Options(chunk=7, threads=2, shuffle_rows=3),
+    Options(backend="reference"),
+    Options(backend="reference", shuffle_rows=1),
+)
+Points = Sequence[tuple[float, float]]
+
+
+def crowd(count: int = 1, species: str = "a", at: Points | None = None, radius: float = 0.0, group: int = 0) -> CrowdData:
+    """Agents on the plane: at points (x, z), or in a disc about the origin."""
+    if at is None:
+        return CrowdData(species, count, PlaceData(around=(0.0, 0.0, 0.0), radius=radius), group)
+    return CrowdData(species, len(at), PlaceData(points=np.array([(x, 0.0, z) for x, z in at])), group)
+
+
+def item(name: str, x: float, z: float, radius: float = 1.0, **attributes: float) -> ItemData:
+    return ItemData(name, (x, 0.0, z), radius, attributes)
+
+
+class Seen:
+    """What one run showed: `[name]` is a register of species `a` by id at the end, `at(name, frame)` at a frame, `world` the end."""
+
+    def __init__(self, species: str) -> None:
+        self.species = species
+        self.frames: list[dict[str, dict[str, np.ndarray]]] = []
+        self.world: World
+
+    def take(self, world: World) -> None:
+        self.world = world
+        frame = {}
+        for name, population in world.populations.items():
+            rows = population.in_id_order()
+            frame[name] = {register: array[rows].copy() for register, array in population.now.items()}
+            frame[name]["id"] = population.ids[rows].copy()
+        self.frames.append(frame)
+
+    def at(self, name: str, frame: int, species: str | None = None) -> list[Any]:
+        return self.frames[frame][species or self.species][name].tolist()
+
+    def __getitem__(self, name: str) -> list[Any]:
+        return self.at(name, -1)
+
+    def every(self, name: str, number: int = 0) -> list[Any]:
+        """A register of the agent with a row number (in order of ids), frame by frame."""
+        return [frame[self.species][name].tolist()[number] for frame in self.frames]
+
+    def states(self, number: int = 0, machine: str = "main") -> list[str]:
+        names = next(m.states for m in self.world.plan.species[self.species].machines if m.name == machine)
+        return [names[k] for k in self.every(f"{machine}.state", number)]
+
+    def amounts(self, items: str, attribute: str = "load") -> list[float]:
+        return self.world.items[items].amounts[attribute].tolist()
+
+
+def played(
+    plan: ir.Plan, setting: Setting, steps: int, species: str = "a", ways: Sequence[Options] = WAYS,
+    each: Callable[[World], None] | None = None,
+) -> Seen:  # fmt: skip
+    """Run a plan in several ways; the hashes of all frames must be the same. `each` looks at every frame of the first way."""
+    seen = Seen(species)
+    first: list[str] = []
+    for way in ways:
+        world = bind(plan, setting, way)
+        hashes = [state_hash(world)]
+        if way is ways[0]:
+            seen.take(world)
+        for _ in range(steps):
+            step(world)
+            hashes.append(state_hash(world))
+            if way is ways[0]:
+                seen.take(world)
+                if each is not None:
+                    each(world)
+        first = first or hashes
+        differing = [k for k, (one, other) in enumerate(zip(first, hashes, strict=True)) if one != other]
+        assert not differing, f"{way} differs at frame {differing[0]}"
+    return seen
+
+
+def play(
+    text: str, *crowds: CrowdData, steps: int = 1, world: str = WORLD, species: str = "a", fps: int = 10,
+    ways: Sequence[Options] = WAYS, each: Callable[[World], None] | None = None,
+    orders: Mapping[str, Sequence[str]] | None = None, **more: Any,
+) -> Seen:  # fmt: skip
+    """Run a program on the endless plane, ten frames a second, by default with one agent of the species `a`."""
+    plan = optimise(plan_of(text, world, **({} if orders is None else {"orders": orders})))
+    setting = Setting(fps=Fraction(fps), crowds=crowds or (crowd(),), **more)
+    return played(plan, setting, steps, species, ways, each)
