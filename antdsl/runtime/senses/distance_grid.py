@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from antdsl.runtime.senses.rasterise import triangle_cells
 
-_CELLS = 300_000
+_CELLS = 2_000_000
 
 
 class DistanceGrid:
