@@ -1,4 +1,4 @@
-"""From a program's text to what its agents have become: run on both backends in several ways, all of which must agree to the bit."""
+"""From a program to what its agents have become: run on both backends in several ways, all of which must agree to the bit."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def item(name: str, x: float, z: float, radius: float = 1.0, **attributes: float
 
 
 class Seen:
-    """What one run showed: `[name]` is a register of species `a` by id at the end, `at(name, frame)` at a frame, `world` the end."""
+    """What one run showed: `[name]` is a register of the species by id at the end, `at(…)` at a frame."""
 
     def __init__(self, species: str) -> None:
         self.species = species

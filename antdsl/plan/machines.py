@@ -109,12 +109,18 @@ class MachineWriter:
                 holds = w.b("and", passed(w, self.name, t.after), holds)
             if change.state.at_least is not None and not t.interrupt:
                 holds = w.b("and", passed(w, self.name, change.state.at_least), holds)
+            if self._anywhere(t) and t.target is None:
+                holds = w.b("and", holds, w.b("ne", self._target(change), w.read(f"{self.name}.state")))
             if t.take is not None:
                 holds = w.b("and", holds, present(w, lower(w, t.take.source), t.take.source))
             return holds
         except NotYet as missing:
             complain(w, missing)
             return w.b.false
+
+    def _anywhere(self, t: model.Transition) -> bool:
+        """It was written `from any`: it never leads into the state one is in, also where only the run shows which that is."""
+        return t.key.startswith(f"{self.site}.any->")
 
     def _held(self, t: model.Transition, holds: Node, duration: model.Expr) -> Node:
         """The condition holds and has held for so many steps before this one, without a break."""

@@ -68,7 +68,7 @@ def effects(world: World) -> None:
 
 
 def fields(world: World) -> None:
-    """Deposits land; fields fade and spread."""
+    """Fields spread and fade; then deposits land."""
     for name, field in world.fields.items():
         keep, diffusion = world.field_rates[name]
         field.step(keep, diffusion, world.dt)
@@ -140,7 +140,7 @@ PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
     ("act", act),
     ("blend", blend),  # after acting: the new state steers at once
     ("effects", effects),  # after every read of this step
-    ("fields", fields),  # deposits land, then fade: what is laid at t has faded once at t+1
+    ("fields", fields),  # what is there spreads and fades, then deposits land: what is laid at t is whole at t+1
     ("move", move),
     ("births", bear),  # after moving: a child starts where its parent is now
     ("commit", commit),
