@@ -1,0 +1,249 @@
+"""States, changes and time: small programs on the real runtime, both backends, against what their text says (decisions 3 to 12)."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from meaning import FAST, crowd, item, play
+
+
+def test_interrupt_before_from_any_before_the_others_and_never_into_the_own_state():
+    text = """species a {{
+n = 0
+start p
+from any except r when frame == 1 -> q {{ n += 100 }}
+state p {{
+  when frame == 1 -> r {{ n += 1 }}
+  {line}
+}}
+state q {{ when frame == 3 -> r {{ n += 10 }} }}
+state r {{ enter {{ n += 1000 }}; when frame == 5 -> previous; when false -> p }}
+}}"""
+    plain = play(text.format(line=""), steps=7)
+    assert plain.states() == ["p", "p", "q", "q", "r", "r", "q", "q"]
+    assert plain["n"] == [1110]
+    sudden = play(text.format(line="interrupt when frame == 1 -> r { n += 7 }"), steps=7)
+    assert sudden.states() == ["p", "p", "r", "r", "r", "r", "p", "p"]
+    assert sudden["n"] == [1007]
+
+
+@pytest.mark.parametrize("target", ["previous", "choose { p: 1; q: 0 }"])
+def test_from_any_does_not_enter_the_own_state_by_a_target_that_only_the_run_knows(target):
+    seen = play(
+        f"species a {{ n = 0\nstart p\nfrom any when frame == 1 or frame == 4 -> {target} {{ n += 1 }}\n"
+        "state p { when frame == 2 -> q }\nstate q { when false -> p } }",
+        steps=6,
+    )
+    assert seen.states() == ["p", "p", "p", "q", "q", "p", "p"]
+    assert seen["n"] == [1]
+
+
+def test_parts_of_a_step_run_in_their_order_and_each_line_sees_the_one_above():
+    seen = play(
+        """species a {
+n = 1
+log = 0
+let before = n
+on ping { n += 1 }
+start p
+state p {
+  exit { log = log * 10 + n }
+  when frame == 0 -> p2
+  when ping -> q { n = n * 2; log = log * 10 + n }
+}
+state p2 { enter { emit ping }; when false -> q }
+state q {
+  enter { n += 1; log = log * 10 + n }
+  n += 10 /s
+  log = log * 10 + n
+  when false -> p
+}
+from any except p, q when ping -> q { n = n * 2; log = log * 10 + before }
+}""",
+        steps=2,
+    )
+    # frame 0: exit of p logs 1. frame 1: handler 2, action 4 (logs the start's 1), enter 5, body 6
+    assert seen.every("log") == [0, 1, 1 * 1000 + 156]
+    assert seen.every("n") == [1, 1, 6]
+
+
+@pytest.mark.parametrize("fps", [10, 24, 25, 30, 48, 60])
+@pytest.mark.parametrize("seconds", [0.1, 0.5, 0.7, 1.0])
+def test_durations_are_whole_steps_rounded_up(fps, seconds):
+    seen = play(
+        f"""species a {{
+machine one {{ start p
+  state p {{ when after {seconds} s -> q }}
+  state q {{ when false -> p }} }}
+machine two {{ start p2
+  state p2 {{ when frame >= 2 held {seconds} s -> q2 }}
+  state q2 {{ when false -> p2 }} }}
+machine three {{ start p3
+  state p3 for at least {seconds} s {{ when true -> q3 }}
+  state q3 {{ when false -> p3 }} }}
+}}""",
+        steps=math.ceil(1.0 * fps) + 4, fps=fps,
+    )  # fmt: skip
+    steps = math.ceil(round(seconds * fps, 9))
+    assert seen.states(machine="one").index("q") == steps + 1
+    assert seen.states(machine="two").index("q2") == steps + 3
+    assert seen.states(machine="three").index("q3") == steps + 1
+
+
+def test_a_break_starts_held_again_and_at_least_is_left_by_interrupt_only():
+    seen = play(
+        """species a {
+start p
+state p { when frame != 3 held 0.3 s -> q }
+state q for at least 0.4 s { when true -> r; interrupt when frame == 9 -> s }
+state r { when false -> s }
+state s { when false -> p } }""",
+        steps=12,
+    )
+    assert seen.states() == ["p"] * 4 + ["p"] * 4 + ["q"] * 2 + ["s"] * 3
+
+
+def test_machines_look_at_each_other_as_they_were_and_steer_together():
+    seen = play(
+        """species a {
+x = 0
+y = 0
+response 1 step
+max_speed 10 mm/s
+machine one { start p
+  state p { x += 10 /s; when two.state == r -> q }
+  state q { y += 10 /s; steer vector(0.25, 0, 0); when false -> p } }
+machine two { start s
+  state s { when frame == 2 -> r }
+  state r { when one.state == q -> s2 }
+  state s2 { steer vector(0, 0, 0.25); when false -> s } }
+on spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s) }
+}""",
+        steps=7,
+    )
+    assert seen.states(machine="two") == ["s"] * 3 + ["r"] * 2 + ["s2"] * 3
+    assert seen.states(machine="one") == ["p"] * 4 + ["q"] * 4
+    assert (seen.every("x")[-1], seen.every("y")[-1]) == (3, 4)
+    # a kinematic push of 1 is twice the full speed: 0.25 twice over is 5 mm/s a step, 4 steps of q, 3 of s2, cut to 10 mm/s
+    assert seen.every("velocity.x")[4:6] == pytest.approx([5, 10 / math.hypot(10, 5) * 10])
+
+
+def test_latch_relax_and_events_come_once_a_step_later():
+    seen = play(
+        """species a {
+n = 0
+heard = 0
+told = 0
+calm = 0 relax to 1 over 1 s
+latch high = n > 2.5 until n < 0.5
+on ping { heard += 1 }
+start up
+state up { n += 10 /s; when high -> down; when frame == 1 -> up2 { emit ping(within: 5 mm) } }
+state up2 { n += 10 /s; when high -> down }
+state down { n -= 10 /s; when not high -> up }
+from any except up, up2, down when ping -> up
+}
+species b { heard = 0
+on ping { heard += 1 }
+start s
+state s { when ping -> t }
+state t { when false -> s } }""",
+        crowd(2, at=[(0, 0), (3, 0)]), crowd(species="b", at=[(4, 0), (20, 0), (-4.9, 0)]), steps=10,
+    )  # fmt: skip
+    # A latch is set before the lines of its step: above 2.5 after three steps, seen in the fourth
+    assert seen.every("n") == [0, 1, 2, 3, 2, 1, 0, 1, 2, 3, 2]
+    assert seen.every("heard")[:4] == [0, 0, 0, 1] and seen["heard"] == [1, 1]  # two called, it is noticed once
+    assert seen.at("main.state", -1, "b") == [1, 0, 1] and seen.at("heard", -1, "b") == [1, 0, 1]
+    assert seen["calm"][0] == pytest.approx(1 - math.exp(-1), rel=1e-5)
+
+
+def test_choose_and_chance_have_their_shares_and_a_share_needs_no_rate():
+    text = "start p\nstate p { when true -> choose { q: 3; r: 1 } }\nstate q { when false -> p }\nstate r { when false -> p }"
+    states = play(f"species a {{ {text} }}", crowd(400), steps=1, ways=FAST)["main.state"]
+    assert states.count(1) == pytest.approx(300, abs=40) and states.count(0) == 0
+    rate = "species a {{ start p\nstate p {{ when chance 50 %/s -> q }}\nstate q {{ when false -> p }} }}"
+    for fps in (5, 30):
+        gone = play(rate.format(), crowd(400), steps=2 * fps, fps=fps, ways=FAST)["main.state"].count(1)
+        assert gone == pytest.approx(400 * (1 - math.exp(-1)), abs=45)
+    share = (
+        "species a { on spawn { emit ping }\non ping { n += 1 }\nn = 0\n"
+        "start p\nstate p { when ping and chance 30 % -> q }\nstate q { when false -> p } }"
+    )
+    assert play(share, crowd(400), steps=9, ways=FAST)["main.state"].count(1) == pytest.approx(120, abs=40)
+
+
+def test_keep_is_memory_of_one_call_that_rests_where_it_is_not_asked():
+    seen = play(
+        """behaviour tally() -> number { keep n = 1 then n + 1
+n }
+species a {
+x = 0
+y = 0
+start p
+state p { x = tally(); when frame == 3 -> q }
+state q { y = tally() + tally(); when frame == 5 -> p } }""",
+        steps=8,
+    )
+    assert seen.every("x") == [0, 1, 2, 3, 3, 3, 4, 5, 6]
+    assert seen.every("y") == [0, 0, 0, 0, 2, 4, 4, 4, 4]
+
+
+# --- taking and giving ------------------------------------------------------------------------------------------------
+
+FEAST = """species a {
+load = 0
+start p
+state p { when nearest(food) take 1 load from nearest(food) -> q }
+state q { when after 0.2 s -> r { give all load to nest } }
+state r { when false -> p }
+}"""
+
+
+def test_crumbs_are_conserved_and_each_has_one_winner():
+    totals = []
+
+    def each(world):
+        items = sum(float(i.amounts["load"].sum()) for i in world.items.values())
+        totals.append(items + float(world.populations["a"].now["load"].astype(float).sum()))
+
+    items = {"food": (item("f", 0, 0, 5, load=3), item("g", 50, 0, 5, load=2.5)), "nest": (item("n", 0, 10),)}
+    seen = play(FEAST, crowd(10, radius=3), steps=6, items=items, each=each)
+    assert seen["main.state"].count(2) == 3 and seen["main.state"].count(0) == 7
+    assert (seen.amounts("food"), seen.amounts("nest"), set(totals)) == ([0, 2.5], [3], {5.5})
+
+
+def test_who_loses_does_nothing_of_the_change():
+    text = """species a {
+load = 0
+n = 0
+start p
+state p { exit { n += 1 }; when true take 1 load from nearest(food) -> q { n += 1 } }
+state q { enter { n += 1; load = load + 10 }; when false -> p } }"""
+    seen = play(text, crowd(5), steps=4, items={"food": (item("f", 0, 0, load=2),)})
+    assert sorted(seen["n"]) == [0, 0, 0, 3, 3] and sorted(seen["load"]) == [0, 0, 0, 11, 11]
+    assert seen.amounts("food") == [0]
+
+
+def test_machines_that_take_in_the_same_step_win_apart():
+    text = """species a {
+load = 0
+k = 0
+m = 0
+machine one { start p
+  state p { when true take 1 load from nearest(food) -> q { k += 1 } }
+  state q { when false -> p } }
+machine two { start u
+  state u { when true take 2 load from nearest(food) -> v { m += 1 } }
+  state v { when false -> u } } }"""
+    for load in (3, 4, 9):
+        seen = play(text, crowd(2), steps=3, items={"food": (item("f", 0, 0, load=load),)})
+        assert seen["load"] == [k + 2 * m for k, m in zip(seen["k"], seen["m"], strict=True)]
+        assert sum(seen["load"]) + seen.amounts("food")[0] == load and sum(seen["load"]) >= min(load, 6) - 1
+
+
+def test_giving_is_a_rate_in_a_body_and_never_more_than_there_is():
+    text = "species a { load = 1\nstart p\nstate p { give 4 /s load to nest; when false -> q }\nstate q { when false -> p } }"
+    seen = play(text, crowd(3), steps=4, items={"nest": (item("n", 0, 9), item("far", 90, 0))})
+    assert seen["load"] == [0, 0, 0] and seen.amounts("nest") == [3, 0]
+    assert seen.every("load")[1:3] == pytest.approx([0.6, 0.2])
