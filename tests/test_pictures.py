@@ -20,11 +20,16 @@ from antdsl.outputs.pictures import (
     camera_over,
     contact_sheet,
     film,
+    looks,
     render,
     render_frame,
     still,
 )
+from antdsl.outputs.pictures.actors import item_mesh
 from antdsl.outputs.pictures.camera import view
+from antdsl.outputs.pictures.setting import is_floor, setting
+from antdsl.outputs.pictures.trails import TrailCloth, cover, robust_full
+from antdsl.runtime.senses.rays import RayScene
 
 ABOVE = Camera((0.0, 60.0, 0.01), (0.0, 0.0, 0.0), focal=30.0)
 W, H = 160, 90
@@ -95,6 +100,44 @@ def test_trails_colour_the_ground_where_they_lie():
     assert on[2] > 1.5 * on[0]
     assert np.array_equal(off, at(plain, picture, ABOVE, (4, 0, 12)))
     assert np.array_equal(plain, render_frame(Picture((floor(),)), ABOVE, W, H))
+
+
+def test_even_scent_on_uneven_cells_shows_no_pattern():
+    draw = np.random.default_rng(5)
+    grid = np.stack(np.meshgrid(np.arange(-30, 31, 3.0), np.arange(-30, 31, 3.0), indexing="ij"), -1).reshape(-1, 2)
+    flat = grid + draw.uniform(-1.4, 1.4, grid.shape)
+    slope = np.array([[1.0, 0.7, 0.2], [0.0, 0.3, 1.0]])  # ground that lies across the lattice
+    trail = Trail("trail", flat @ slope, np.ones(len(flat)), 3.0)
+    places = (draw.uniform(-24, 24, (4000, 2)) @ slope).astype(np.float32)
+    assert np.allclose(TrailCloth(places, 3.0).share(trail), 1.0, atol=1e-3)
+
+
+def test_a_thin_veil_of_scent_everywhere_does_not_hide_a_trail():
+    path = np.geomspace(0.5, 300, 150)
+    alone, veiled = robust_full(path), robust_full(np.concatenate([np.full(30_000, 3e-3), path]))
+    assert veiled == pytest.approx(alone, rel=0.1) and alone > 30
+    assert robust_full(np.zeros(4)) == 0
+    faint, strong = cover(Trail("trail", np.zeros((2, 3)), np.array([3e-3, 300.0]), 6.0, full=alone))
+    assert faint < 0.04 and strong == 1
+
+
+def test_what_closes_on_itself_is_a_figure_that_stands_on_the_table():
+    vertices, faces = sphere(2)
+    up = np.array([0.0, 1.0, 0.0])
+    assert is_floor(floor().vertices, floor().faces, up) and not is_floor(vertices, faces, up)
+    figure, ground = setting((Solid("ground", vertices * 20, faces),), up), setting((floor(),), up)
+    assert figure.base == pytest.approx(-20, abs=0.1) and ground.base < -2
+    assert looks.FIGURE in figure.kind and looks.EDGE not in figure.kind and looks.EDGE in ground.kind
+
+
+def test_the_soil_of_a_nest_follows_the_ground():
+    plain = floor(60.0, 3)
+    up = np.array([0.0, 1.0, 0.0])
+    steep = plain.vertices + up * 0.5 * plain.vertices[:, :1]
+    ground = RayScene(steep, plain.faces)
+    nest = Item("home", (0.0, 0.0, 0.0), 10.0, 1.0, "mound")
+    flat, laid = item_mesh(nest, (0.0, 1.0, 0.0)).vertices, item_mesh(nest, (0.0, 1.0, 0.0), ground).vertices
+    assert np.allclose(laid - flat, up * 0.5 * flat[:, :1], atol=1e-3) and np.ptp(flat[:, 0]) > 20
 
 
 def test_food_shrinks_with_what_is_left():

@@ -21,6 +21,7 @@ from antdsl.outputs.pictures.trails import robust_full
 _KINDS: tuple[tuple[str, Kind], ...] = (("boulder", "boulder"), ("rock", "boulder"), ("hill", "hill"), ("stone", "stone"))
 _UPS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 WANTED = ("P", "orient", "pscale")
+_DYES = ((0.68, 0.10, 0.46), (0.05, 0.46, 0.62), (0.80, 0.40, 0.05), (0.30, 0.22, 0.66))  # fields in their order
 _LOOKED_AT = 8  # frames that say how strong a field grows
 
 
@@ -43,6 +44,7 @@ class Gallery:
         self._walked: dict[str, tuple[int, NDArray[np.int64], NDArray[np.float64]]] = {}
         self._first: Arrays | None = None
         self._full: dict[str, float] | None = None
+        self._places: dict[str, NDArray[np.float64]] = {}
 
     def picture(self, frame: int, *, agents: frozenset[int] = frozenset()) -> Picture:
         """One frame. With `agents` only those ids have what `ids` and `velocity` show."""
@@ -142,12 +144,14 @@ class Gallery:
 
     def _trails(self, arrays: Arrays) -> tuple[Trail, ...]:
         made = []
-        for field in self.manifest.fields:
+        for number, field in enumerate(self.manifest.fields):
             cells, values = arrays.get(f"field.{field.name}.cells"), arrays.get(f"field.{field.name}.values")
             if cells is not None and values is not None and len(cells):
-                places = np.asarray(self.static[f"field.{field.name}.P"], np.float64)
+                places = self._places.setdefault(field.name, np.asarray(self.static[f"field.{field.name}.P"], np.float64))
+                strength = np.zeros(len(places))
+                strength[cells] = values
                 full = self._strongest().get(field.name) or None
-                made.append(Trail(field.name, places[cells], np.asarray(values, np.float64), field.cell, full=full))
+                made.append(Trail(field.name, places, strength, field.cell, _DYES[number % len(_DYES)], full))
         return tuple(made)
 
     def _strongest(self) -> dict[str, float]:

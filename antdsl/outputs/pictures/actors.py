@@ -138,6 +138,6 @@ def item_mesh(item: Item, up: tuple[float, float, float], ground: RayScene | Non
 def _slump(points: Array, foot: Array, up: Array, size: float, ground: RayScene) -> Array:
     """How much higher than at `foot` the ground is below each point (n,); 0 where it is not within `size` of it."""
     level = points - ((points - foot) @ up)[:, None] * up
-    start = (level + size * up).astype(np.float32)
-    down = ground.cast(start, np.broadcast_to(-up, start.shape).astype(np.float32)).t.astype(np.float64)
+    start = level + size * up
+    down = ground.cast(start, np.broadcast_to(-up, start.shape)).t.astype(np.float64)
     return np.where(down <= 2 * size, size - down, 0.0)

@@ -57,8 +57,9 @@ class Item:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trail:
-    """A field on the ground: cells at `position` (n, 3) of edge `cell` with `strength` (n,); `full` is the strength drawn
-    strongest (None: what a twentieth of the cells that hold any lie above)."""
+    """A field on the ground: all its cells, at `position` (n, 3) on the surface, of edge `cell`, with `strength` (n,), 0 where
+    there is no scent: towards those beside it it fades. `full` is the strength drawn strongest (None: 70 % of the scent lies in
+    cells at least so strong)."""
 
     name: str
     position: Array

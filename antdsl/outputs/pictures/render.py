@@ -36,7 +36,7 @@ class _Kept:
 
     stage: Stage
     ground: NDArray[np.int64]
-    cloths: dict[float, TrailCloth]
+    cloths: dict[tuple[str, float], TrailCloth]
 
 
 class Renderer:
@@ -118,9 +118,10 @@ class Renderer:
             return albedo
         colours = albedo[kept.ground]
         for trail in trails:
-            if trail.cell not in kept.cloths:
-                kept.cloths[trail.cell] = TrailCloth(_places(kept.stage)[kept.ground], trail.cell)
-            colours = dyed(colours, kept.cloths[trail.cell].share(trail), trail)
+            own = (trail.name, trail.cell)
+            if own not in kept.cloths:
+                kept.cloths[own] = TrailCloth(_places(kept.stage)[kept.ground], trail.cell)
+            colours = dyed(colours, kept.cloths[own].share(trail), trail)
         albedo = albedo.copy()
         albedo[kept.ground] = colours
         return albedo
