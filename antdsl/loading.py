@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,19 +15,23 @@ from antdsl.scene.paths import PathRefused, Roots
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
 
+Parsed = dict[str, tuple[nodes.File, Report]]
+
 
 @dataclass(slots=True)
 class Loaded:
     """Programs and what they use. `modules` is by the path as written in `use`; `texts` are all sources by their path below
-    `folder`,
-    library files as `<steering>`."""
+    `folder`, library files as `<steering>`; `parsed`
+    may be shared by several of these, so that a file is read once and has one place."""
 
     folder: Path
     files: list[nodes.File] = field(default_factory=list)
     modules: dict[str, nodes.File] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
     report: Report = field(default_factory=Report)
+    parsed: Parsed = field(default_factory=dict)
     _library: dict[str, nodes.File | None] = field(default_factory=dict)
+    _module_paths: dict[str, Path] = field(default_factory=dict)
     _bytes: int = 0
 
     def library(self, name: str) -> nodes.File | None:
@@ -75,18 +80,24 @@ class Loaded:
             return None
 
     def _parse(self, path: Path, name: str, span: Span | None = None) -> nodes.File | None:
-        source, report = syntax.read(path)
-        self.report.extend(report)
-        if source is None:
-            return None
-        source = Source(name, source.text)
+        place = os.path.realpath(path)
+        if place in self.parsed:
+            file, report = self.parsed[place]
+        else:
+            source, report = syntax.read(path)
+            if source is None:
+                self.report.extend(report)
+                return None
+            file, findings = syntax.parse(Source(name, source.text))
+            report.extend(findings)
+            self.parsed[place] = file, report
+        source = file.source
         if not name.startswith("<"):
             self._bytes += len(source.text)
             if self._bytes > limits.PROJECT_BYTES:
                 self.report.error("too-large", f"the programs together have more than {limits.PROJECT_BYTES:,} bytes", span)
                 return None
         self.texts[name if name.startswith("<") else self._key(path)] = source.text
-        file, report = syntax.parse(source)
         self.report.extend(report)
         return file
 
@@ -107,7 +118,7 @@ class Loaded:
                 continue
             known = self.modules.get(text)
             if known is not None:
-                if known.source.path != shown(path):
+                if self._module_paths[text] != path:
                     labels = (Label(Span(known.source, 0, 1), "the other file"),)
                     self.report.error(
                         "use-cycle",
@@ -119,7 +130,7 @@ class Loaded:
                 continue
             module = self._parse(path, shown(path), span)
             if module is not None:
-                self.modules[text] = module
+                self.modules[text], self._module_paths[text] = module, path
                 self._uses(module, Roots(path.parent, roots.granted), depth + 1, (*chain, path))
 
 

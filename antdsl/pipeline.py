@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from antdsl import __version__
 from antdsl.diagnostics import Report
-from antdsl.loading import Loaded, shown
+from antdsl.loading import Loaded, Parsed, shown
 
 if TYPE_CHECKING:
     from antdsl.plan.ir import Plan
@@ -51,16 +51,17 @@ class Shot:
         return self.scene.model.frames
 
 
-def compile_files(paths: Iterable[Path]) -> tuple[Program | None, Report]:
-    """Parse and check programs together, with the library and all files that they use."""
+def compile_files(paths: Iterable[Path], *, strict: bool = False, parsed: Parsed | None = None) -> tuple[Program | None, Report]:
+    """Parse and check programs together, with the library and all files that they use. `strict` adds what only `check --strict`
+    tells; `parsed` keeps what was parsed, for the next call."""
     paths = list(paths)
-    loaded = Loaded(paths[0].resolve().parent if paths else Path.cwd())
+    loaded = Loaded(paths[0].resolve().parent if paths else Path.cwd(), parsed={} if parsed is None else parsed)
     for path in paths:
         loaded.add_file(path)
-    return _checked(loaded)
+    return _checked(loaded, strict)
 
 
-def _checked(loaded: Loaded, strict: bool = False) -> tuple[Program | None, Report]:
+def _checked(loaded: Loaded, strict: bool) -> tuple[Program | None, Report]:
     from antdsl.program import check
 
     report = Report()
@@ -97,13 +98,15 @@ def open_scene(path: Path, choices: Choices | None = None) -> tuple[Shot | None,
     return Shot(scene, program, passes.optimise(lowered), setting, inputs), report
 
 
-def _read_scene(path: Path, choices: Choices) -> tuple[Scene | None, Program | None, Loaded, Report]:
+def _read_scene(
+    path: Path, choices: Choices, strict: bool = False, parsed: Parsed | None = None
+) -> tuple[Scene | None, Program | None, Loaded, Report]:
     """The scene, the programs of its crowd checked together, and how they match."""
     from antdsl.scene import load
     from antdsl.scene.matching import match
 
     scene, report = load(path, choices.grants)
-    loaded = Loaded(path.resolve().parent)
+    loaded = Loaded(path.resolve().parent, parsed={} if parsed is None else parsed)
     if scene is None:
         return None, None, loaded, report
     scene = scene.changed(frames=choices.frames, seed=choices.seed)
@@ -114,7 +117,7 @@ def _read_scene(path: Path, choices: Choices) -> tuple[Scene | None, Program | N
         report.error(
             "no-crowd", "the scene has no crowd, so there is nothing to simulate", scene.span("antdsl", key=True), _CROWD_HELP
         )
-    program, findings = _checked(loaded)
+    program, findings = _checked(loaded, strict)
     report.extend(findings)
     if program is not None and findings.ok:
         report.extend(match(scene, program))
@@ -167,11 +170,19 @@ def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
         yield world
 
 
-def check_path(path: Path, choices: Choices | None = None) -> tuple[Program | None, Report]:
-    """All that can be known about one file without running it: a program by itself, or a scene with its programs."""
+def check_path(
+    path: Path, choices: Choices | None = None, *, strict: bool = False, parsed: Parsed | None = None
+) -> tuple[Program | None, Report]:
+    """All that can be known about one file without running it: a program by itself, or a scene with its programs and meshes.
+    With one `parsed` for many files, what is wrong with a program is at the same place whoever names it."""
     if path.suffix == ".ant":
-        return compile_files([path])
-    _, program, _, report = _read_scene(path, choices or Choices())
+        return compile_files([path], strict=strict, parsed=parsed)
+    choices = choices or Choices()
+    scene, program, _, report = _read_scene(path, choices, strict, parsed)
+    if scene is not None and program is not None and report.ok and scene.model.world:
+        from antdsl.scene.staging import stage
+
+        report.extend(stage(scene, program, _overrides(scene, program, choices, Report()))[1])
     return program, report
 
 

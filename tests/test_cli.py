@@ -183,3 +183,38 @@ def test_pictures_sheets_and_films_are_drawn(tmp_path: Path) -> None:
     assert done.stdout.split() == ["eye/picture.0006.png"], done.stderr
     wrong = antdsl("render", "cache", "--show", "smell", *small, cwd=tmp_path)
     assert wrong.returncode == 2 and "cannot show" in wrong.stderr
+
+
+def test_a_mistake_is_told_once_whoever_names_the_file(folder: Path) -> None:
+    (folder / "walker.ant").write_text(GOOD.replace("wander", "wonder"))
+    done = antdsl("check", ".", str(folder), "--format", "concise", cwd=folder)
+    assert done.returncode == 1 and done.stdout.count("unknown-behaviour") == 1
+
+
+def test_strict_tells_what_depends_on_the_frame_rate(folder: Path) -> None:
+    porting = GOOD.replace("wander()", "wander(); size += 0.1 mm/step").replace("  start", "  size 4 mm\n  start")
+    (folder / "walker.ant").write_text(porting)
+    assert antdsl("check", "walker.ant", cwd=folder).returncode == 0
+    done = antdsl("check", "walker.ant", "--strict", "--format", "concise", cwd=folder)
+    assert done.returncode == 1 and "per-step" in done.stdout, done.stdout
+
+
+def test_check_reads_meshes_through_granted_roots_without_rays(tmp_path: Path) -> None:
+    assert antdsl("new", "set", cwd=tmp_path).returncode == 0
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "set" / "ground.ply").rename(tmp_path / "assets" / "ground.ply")
+    scene = tmp_path / "set" / "scene.yaml"
+    scene.write_text(scene.read_text().replace("ground.ply", "'assets:ground.ply'"))
+    assert "root-not-granted" in antdsl("check", "set/scene.yaml", cwd=tmp_path).stdout
+    assert antdsl("check", "set/scene.yaml", "--root", "assets=assets", cwd=tmp_path).returncode == 0
+    mesh = tmp_path / "assets" / "ground.ply"
+    mesh.write_bytes(mesh.read_bytes()[:20_000])
+    done = antdsl("check", "set/scene.yaml", "--root", "assets=assets", cwd=tmp_path)
+    assert done.returncode == 1 and "error[bad-mesh]" in done.stdout and "scene.yaml:8:18" in done.stdout
+
+
+def test_params_are_listed_once(tmp_path: Path) -> None:
+    assert antdsl("new", "ants", cwd=tmp_path).returncode == 0
+    done = antdsl("check", "ants", "--params", cwd=tmp_path)
+    assert done.stdout.count("walker.pace = 30 mm/s  in 5 mm/s .. 100 mm/s  How fast") == 1
+    assert antdsl("check", "ants", "--params", "--format", "json", cwd=tmp_path).returncode == 2

@@ -87,7 +87,7 @@ def test_texts_of_lines_know_their_words() -> None:
     words = {word for words in LINE_WORDS.values() for word in words}
     assert words == set(FORMS) and words - {"ant"} <= set(BELONGS)
     assert set(LINE_WORDS) == set(STARTS) and {body for body in BODIES.values()} <= set(STARTS)
-    terminals = {str(t.pattern.value) for t in load_parser(Builder()).terminals}
+    terminals = {str(t.pattern.value).partition("(?!")[0] for t in load_parser(Builder()).terminals}
     assert words <= terminals
 
 

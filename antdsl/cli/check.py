@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+
+if TYPE_CHECKING:
+    from antdsl.diagnostics import Report
+    from antdsl.loading import Parsed
+    from antdsl.program.model import Program
 
 
 class Format(StrEnum):
@@ -33,18 +39,20 @@ def check(
     if explain is not None:
         _explain(explain)
         return
+    if params and format not in (Format.full, Format.concise):
+        raise typer.BadParameter("params are listed as text; ask for them without `--format`", param_hint="--params")
     if not paths:
         raise typer.BadParameter("name a file or a folder", param_hint="PATH")
     from antdsl.cli.arguments import grants
     from antdsl.cli.reports import show
-    from antdsl.diagnostics import Report
-    from antdsl.pipeline import check_path, find_files
+    from antdsl.pipeline import Choices, check_path, find_files
 
     files, report = find_files(paths)
-    granted = grants(root)
-    programs = []
+    choices = Choices(grants(root))
+    programs: list[tuple[Path, Program]] = []
+    parsed: Parsed = {}
     for file in files:
-        program, findings = check_path(file, granted)
+        program, findings = check_path(file, choices, strict=strict, parsed=parsed)
         report.extend(findings)
         if program is not None:
             programs.append((file, program))
@@ -52,18 +60,16 @@ def check(
         report = _strict(report)
     show(report, format.value)
     if params:
-        for file, program in programs:
-            _params(file, program)
+        _params(programs)
     if not report.ok:
         raise Stop(Exit.FINDINGS)
     if format is Format.full:
         warnings = len(report.diagnostics)
         tail = f", {warnings} warning{'s' if warnings > 1 else ''}" if warnings else ", nothing to complain about"
         typer.echo(f"checked {len(files)} file{'' if len(files) == 1 else 's'}{tail}")
-    assert isinstance(report, Report)
 
 
-def _strict(report):  # type: ignore[no-untyped-def]
+def _strict(report: Report) -> Report:
     from dataclasses import replace
 
     from antdsl.diagnostics import Report
@@ -83,9 +89,15 @@ def _explain(code: str) -> None:
     typer.echo(f"{code}: {CODES[code]}")
 
 
-def _params(file, program) -> None:  # type: ignore[no-untyped-def]
-    typer.echo(f"{file}:")
-    for param in program.params.values():
-        low, high = (p.span.text if p is not None else "" for p in (param.low, param.high))
-        bounds = f"  in {low} .. {high}" if low or high else ""
-        typer.echo(f"  {param.name} = {param.default.span.text}{bounds}  {param.help}".rstrip())
+def _params(programs: list[tuple[Path, Program]]) -> None:
+    """Each param under the first file that brings it."""
+    listed = set()
+    for file, program in programs:
+        new = [param for param in program.params.values() if param.span not in listed]
+        if new:
+            typer.echo(f"{file}:")
+        for param in new:
+            listed.add(param.span)
+            low, high = (p.span.text if p is not None else "" for p in (param.low, param.high))
+            bounds = f"  in {low} .. {high}" if low or high else ""
+            typer.echo(f"  {param.name} = {param.default.span.text}{bounds}  {param.help}".rstrip())

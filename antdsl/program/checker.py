@@ -9,6 +9,7 @@ from antdsl.program import model
 from antdsl.program.behaviours import check_behaviour
 from antdsl.program.checks import CHECKS, Checked
 from antdsl.program.collect import Library, Loader, declare
+from antdsl.program.consequences import without_consequences
 from antdsl.program.rules import RULES
 from antdsl.program.scope import Declared, FileNames
 from antdsl.program.species import complete, draft
@@ -46,7 +47,7 @@ def check(
     checked = Checked(program, declared, names)
     for look in CHECKS:
         look(checked, report)
-    return program, report
+    return program, without_consequences(report, [span for each in loader.known.values() for span in each.node.doubtful])
 
 
 def _program(

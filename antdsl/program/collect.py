@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 from antdsl import limits
 from antdsl.diagnostics import Report
+from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.scope import BehaviourInfo, Declared, FileNames, MachineNames, SpeciesNames, did_you_mean, duplicate
 from antdsl.program.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
 from antdsl.source import Span
@@ -81,6 +82,7 @@ class Loader:
             self.libraries[name.text] = None if node is None else self.file(node, above)
         found = self.libraries[name.text]
         if found is None:
+            names.wanting.add(nearest_name(name.text, LIBRARIES) or "")  # what is missing from there was told with this
             self.report.error(
                 "unknown-library",
                 f"no library `{name.text}`",

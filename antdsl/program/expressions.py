@@ -26,6 +26,7 @@ from antdsl.program.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_N
 from antdsl.program.wording import fits, mismatch, quoted, type_words
 from antdsl.source import Span
 from antdsl.syntax import nodes
+from antdsl.syntax.words import UNIT_NAMES
 
 THINGS = frozenset(
     {Kind.ITEMS, Kind.SPECIES, Kind.SURFACE, Kind.OBSTACLE, Kind.SOLID, Kind.CURVE, Kind.FIELD, Kind.FLOW, Kind.MAP}
@@ -209,6 +210,8 @@ def visible(scope: Scope) -> set[str]:
 
 def _unknown(scope: Scope, node: nodes.NameRef) -> Expr:
     name, report = node.name.text, scope.report
+    if name in scope.declared.unclear:
+        return bad(node.span)
     where = (scope.file.node.source.path, scope.species.name if scope.species else "", scope.behaviour or "", name)
     if where in scope.declared.told:
         return bad(node.span)  # what is not there is missing everywhere: that is one mistake
@@ -226,6 +229,9 @@ def _unknown(scope: Scope, node: nodes.NameRef) -> Expr:
         )
     elif name in BUILTINS or name in REDUCERS or scope.file.behaviour(name) is not None:
         report.error("call-without-brackets", f"`{name}` wants brackets", node.span, f"write `{name}(…)`")
+    elif name in UNIT_NAMES:
+        advice = "a unit stands behind its number, without blanks inside: `30 mm/s`"
+        report.error("unknown-name", f"no `{name}` is known here", node.span, advice)
     else:
         advice = did_you_mean(name, visible(scope), f"declare it, or use one of {listed(visible(scope) - set(GIVEN))}")
         report.error("unknown-name", f"no `{name}` is known here", node.span, advice)
@@ -312,7 +318,8 @@ def index_of(scope: Scope, node: nodes.Index, want: Type | None) -> Expr:
         if not fits(index.type, wanted):
             mismatch(scope.report, node.index, index.type, wanted, f"`{name}[…]`")
         return Attribute(species.attributes[name], max(index.rate, Rate.AGENT), node.span, index, name)
-    scope.typed(owner)
+    if scope.typed(owner).type.kind is Kind.BAD:
+        return bad(node.span)
     scope.report.error(
         "wrong-kind",
         f"{quoted(owner.span)} has no value per agent",

@@ -91,6 +91,7 @@ class Declared:
     events: dict[str, Span] = field(default_factory=dict)
     used: set[tuple[str, str]] = field(default_factory=set)
     written: set[str] = field(default_factory=set)  # attributes, as `species.name`
+    unclear: set[str] = field(default_factory=set)  # things of the world of which the kind is not known, told already
     told: set[tuple[str, ...]] = field(default_factory=set)  # unknown names, by where they are missing
     expanded: int = 0  # operations of all behaviours that were put in place
 

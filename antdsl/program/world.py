@@ -56,6 +56,7 @@ def _thing(declared: Declared, names: FileNames, item: nodes.WorldItem) -> None:
         report.error(
             "unknown-kind", f"no kind of thing `{kind}`", item.kind.span, did_you_mean(kind, KINDS, f"kinds are {listed(KINDS)}")
         )
+        declared.unclear.add(name)
         return
     if kind in _NOT_YET:
         report.error(
@@ -209,6 +210,8 @@ def _is_ground(declared: Declared, name: nodes.Name) -> bool:
     if thing is not None and thing.kind in ("surface", "solid", "obstacle"):
         declared.used.add(("thing", name.text))
         return True
+    if thing is None and name.text in declared.unclear:
+        return False
     grounds = [t.name for t in declared.things.values() if t.kind in ("surface", "solid")]
     if thing is None:
         declared.report.error(

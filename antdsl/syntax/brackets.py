@@ -67,7 +67,13 @@ class _Parentheses:
         return tokens[index + 1].kind == "word" and text_of(self.scan, tokens[index + 1]) not in _JOINING
 
     def step(self, index: int, token: Token, text: str) -> None:
-        if text in ("(", "["):
+        tokens = self.scan.tokens
+        if text in ("(", "[") and not self.open and self.opens_block(index):
+            first = text_of(self.scan, tokens[self.line_start(index)])
+            message = f"`{first}` with `{text}` in place of `{{`"
+            self.scan.error("missing-brace", message, token.start, token.end, "write `{`", "{")
+            self.scan.replace(token.start, "{")
+        elif text in ("(", "["):
             self.open.append(len(self.out))
         elif text in (")", "]"):
             if not self.open:
@@ -83,6 +89,21 @@ class _Parentheses:
             token = replace(token, kind="soft")
         self.out.append(token)
         self.origin.append(index)
+
+    def line_start(self, index: int) -> int:
+        while index and self.scan.tokens[index].indent < 0:
+            index -= 1
+        return index
+
+    def opens_block(self, index: int) -> bool:
+        """Whether a parenthesis ends the first line of a block that has no brace, and the next line is set in more."""
+        tokens = self.scan.tokens
+        if index + 2 >= len(tokens) or tokens[index + 1].kind != "end":
+            return False
+        first, below = tokens[self.line_start(index)], tokens[index + 2]
+        if text_of(self.scan, first) not in BLOCK_WORDS or below.indent <= first.indent:
+            return False
+        return text_of(self.scan, below) in _LINE_WORDS
 
     def matches(self, index: int, token: Token, text: str) -> bool:
         """Pairs a closing bracket with an open one of its kind; what was opened after that one is never closed."""

@@ -441,9 +441,7 @@ class Machine:
     help: Text | None = None
 
 
-SpeciesMember = (
-    ParamDecl | Declaration | Given | Let | Latch | Fuzzy | Start | On | Layers | Machine | State | Change
-)
+SpeciesMember = ParamDecl | Declaration | Given | Let | Latch | Fuzzy | Start | On | Layers | Machine | State | Change
 
 
 # --- the top of a file -----------------------------------------------------------------------------------------------
@@ -558,10 +556,12 @@ TopItem = Use | World | FieldDecl | Species | Behaviour | Spec
 
 @node
 class File:
-    """One parsed file. `items` holds what could be read, in text order, even where other parts were broken."""
+    """One parsed file. `items` holds what could be read, in text order, even where other parts were broken; `doubtful` are the
+    places where a line was not understood as it stands, of which the report of parsing tells."""
 
     source: Source
     edition: Number | None
     help: Text | None
     items: tuple[TopItem, ...]
     comments: tuple[Comment, ...] = field(default=())
+    doubtful: tuple[Span, ...] = field(default=())

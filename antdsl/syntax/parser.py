@@ -23,7 +23,7 @@ from antdsl.syntax.builder import Builder, Header, Result
 from antdsl.syntax.depth import deep_places
 from antdsl.syntax.scan import UNREADABLE, Scan, scan
 from antdsl.syntax.tables import load_parser
-from antdsl.syntax.wording import Surprise, begins_line, better_first_word, complain, plain_complaint
+from antdsl.syntax.wording import Surprise, begins_line, better_first_word, complain, gives_with_two, plain_complaint
 from antdsl.syntax.words import BODIES, LINE_WORDS
 
 if TYPE_CHECKING:
@@ -32,6 +32,21 @@ if TYPE_CHECKING:
 EDITIONS = (1,)
 _MENDED = 100  # after so many complaints in a file, broken lines are dropped instead of mended
 _lock = Lock()  # the builder holds the place of the line that is being parsed
+
+# Complaints after which a line does not say for certain what was meant; after others it was put right, or plainly cut out.
+_DOUBTFUL = frozenset(
+    (
+        "missing-brace",
+        "missing-line-end",
+        "misplaced-line",
+        "unclosed-bracket",
+        "unclosed-text",
+        "unexpected-text",
+        "unfinished-line",
+        "unknown-line",
+        "unopened-bracket",
+    )
+)
 
 # Words and signs that part a line into slots, one of which is left out when it cannot be read.
 _SEPARATORS = frozenset(
@@ -116,7 +131,10 @@ class _Reading:
         if not items and self.report.ok:
             help_text = "write a `species`, or a `behaviour` that other files can use"
             self.report.error("empty-file", "file declares nothing", Span(self.source, 0, 0), help_text)
-        return n.File(self.source, edition, help, items, tuple(self.scan.comments))
+        return n.File(self.source, edition, help, items, tuple(self.scan.comments), self.doubtful())
+
+    def doubtful(self) -> tuple[Span, ...]:
+        return tuple(d.span for d in self.report.diagnostics if d.code in _DOUBTFUL and d.span is not None)
 
     def header(self, lines: list[Line]) -> tuple[n.Number | None, list[Line]]:
         """The edition. Without one the current edition holds, with a warning."""
@@ -268,7 +286,10 @@ class _Reading:
         if better is not None:
             yield text.splice(0, len(surprise.first), better)
         if surprise.found == "=" and "SAME" in surprise.wanted:
+            yield text.splice(position, position + 1, ":")
             yield text.splice(position, position + 1, "==")
+        if gives_with_two(surprise):
+            yield text.splice(position, position + 2, "=")
         lefts, rights, clause = self.slots(line, text, position)
         for left in lefts:
             for right in rights:

@@ -14,6 +14,7 @@ from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
 from antdsl.syntax.lookalikes import DOUBLE_QUOTES, SINGLE_QUOTES, WRONG_SIGNS, ascii_for
 from antdsl.syntax.nodes import Comment
+from antdsl.syntax.pasted import blank_lines, look_over
 from antdsl.syntax.words import UNIT_NAMES, UNIT_SLIPS
 
 UNREADABLE = "\ufffd"
@@ -59,9 +60,6 @@ class Scan:
         return found < len(self.faults) and self.faults[found] <= end
 
 
-_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
-_CONFLICT = re.compile(r"^(<{7}|\|{7}|={7}|>{7})(?=[ \r\n]|$).*$", re.MULTILINE)
-_FENCE = re.compile(r"^[ \t]*(```|~~~).*$", re.MULTILINE)
 _UNIT = rf"(?:{'|'.join(UNIT_NAMES)})(?:\^[0-9]+)?(?![A-Za-z0-9_])"
 _PIECE = re.compile(
     r"""(?P<blank>[ \t\r]+)
@@ -80,6 +78,10 @@ _PIECE = re.compile(
 _QUANTITY = re.compile(rf"[ \t]*(?:%|{_UNIT}|/(?:{_UNIT}))(?:[/*](?:{_UNIT}))*")
 _GLUED = re.compile(r"[A-Za-z_][A-Za-z_0-9]*|\.[0-9][0-9.]*|\.(?!\.)")
 _WORD = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
+_HYPHENED = re.compile(r"[A-Za-z][A-Za-z_0-9]*(?:-[A-Za-z][A-Za-z_0-9]*)+(?![A-Za-z_0-9])")
+_NAMING = frozenset(
+    ("state", "species", "param", "let", "latch", "field", "machine", "behaviour", "start", "->")
+)  # a name follows
 _ANY_WORD = re.compile(r"\w+")
 _TAIL = re.compile(r"[ \t\r]*[{};]*[ \t\r]*(#[^\n]*)?$")  # what a text that is not closed has swallowed
 _COLON = re.compile(r"[ \t]*:")
@@ -91,64 +93,10 @@ _NO_NUMBERS = ("nan", "inf", "infinity")
 def scan(source: Source, report: Report) -> Scan:
     """The tokens of a whole text. Complaints go into `report`; whatever the text, no exception."""
     found = Scan(source, report, list(source.text))
-    _forbidden(found)
-    _markers(found)
-    _long_lines(found)
+    look_over(found)
     _Scanner(found).run()
     found.faults.sort()
     return found
-
-
-def _forbidden(found: Scan) -> None:
-    for match in _FORBIDDEN.finditer(found.source.text):
-        character = match.group()
-        name = f"U+{ord(character):04X}"
-        if "\u202a" <= character <= "\u2069" and character not in "\u2028\u2029":
-            message, help = f"hidden text direction mark {name}", "delete it: it can make text look like something else"
-            found.error("hidden-direction", message, match.start(), match.end(), help, "")
-        else:
-            found.error("control-character", f"control character {name}", match.start(), match.end(), "delete it", "")
-        found.blank(match.start(), match.end())
-
-
-def _markers(found: Scan) -> None:
-    """Of a merge conflict the first side is kept, so that the rest of the file can be checked."""
-    if "<<<<<<<" in found.source.text or ">>>>>>>" in found.source.text:
-        drop_from = -1
-        for match in _CONFLICT.finditer(found.source.text):
-            sign = match.group()[0]
-            if sign in "<" or (sign == ">" and drop_from < 0):
-                help = "keep one of the two versions and delete the lines with `<<<<<<<`, `=======` and `>>>>>>>`"
-                found.error("merge-conflict", "merge conflict left in the file", match.start(), match.end(), help)
-            elif sign in "|=" and drop_from < 0:
-                drop_from = match.start()
-            elif sign == ">":
-                _blank_lines(found, drop_from, match.end())
-                drop_from = -1
-            _blank_lines(found, match.start(), match.end())
-    for index, match in enumerate(_FENCE.finditer(found.source.text)):
-        if index == 0:
-            found.error("markdown-fence", "markdown code fence in the file", match.start(), match.end(), "delete this line", "")
-        _blank_lines(found, match.start(), match.end())
-
-
-def _blank_lines(found: Scan, start: int, end: int) -> None:
-    for offset in range(start, end):
-        if found.clean[offset] != "\n":
-            found.clean[offset] = " "
-
-
-def _long_lines(found: Scan) -> None:
-    if len(found.source.text) <= limits.LINE_CHARACTERS:
-        return
-    start = 0
-    for line in found.source.text.split("\n"):
-        if len(line) > limits.LINE_CHARACTERS:
-            message = f"line of {len(line)} characters, at most {limits.LINE_CHARACTERS} are allowed"
-            end = start + len(line)
-            found.error("line-too-long", message, end - 1, end, "break the line inside parentheses, or at `;`")
-            return
-        start += len(line) + 1
 
 
 class _Scanner:
@@ -219,6 +167,9 @@ class _Scanner:
             message = f"name of {len(piece)} characters, at most {limits.NAME_CHARACTERS} are allowed"
             self.found.error("name-too-long", message, start, end, "choose a shorter name")
             self.told.add(piece)
+        hyphened = _HYPHENED.match(self.characters, start)
+        if hyphened and self.found.tokens and text_before(self.found) in _NAMING:
+            return self.hyphens(start, hyphened.end(), hyphened.group())
         if not re.fullmatch(r"[a-z][a-z_0-9]*", piece):
             better = re.sub(r"[^a-z0-9_]", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", piece).lower()).strip("_") or "name"
             if piece not in self.told:
@@ -228,6 +179,16 @@ class _Scanner:
                 help = f"write `{better[:80]}`; names are small letters, digits and `_`, and begin with a letter"
                 self.found.error("bad-name", message, start, end, help, better)
             self.found.replace(start, re.sub("^_+", lambda under: "x" * len(under.group()), piece.lower()))
+        return self.token("word", start, end)
+
+    def hyphens(self, start: int, end: int, piece: str) -> int:
+        """`turn-home` where a name is declared or a state is named."""
+        better = piece.replace("-", "_").lower()
+        if piece not in self.told:
+            self.told.add(piece)
+            help = f"write `{better[:80]}`; names are small letters, digits and `_`, and begin with a letter"
+            self.found.error("bad-name", f"name `{piece[:80]}` has a `-` in it", start, end, help, better)
+        self.found.replace(start, better)
         return self.token("word", start, end)
 
     def foreign_word(self, start: int) -> int:
@@ -321,7 +282,7 @@ class _Scanner:
                 stop = self.characters.find("\n", end)
                 stop = len(self.characters) if stop < 0 else stop
             self.found.error("unknown-sign", f"`{piece}` does not begin a comment", start, end, help)
-            _blank_lines(self.found, start, stop)
+            blank_lines(self.found, start, stop)
             return stop
         self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help)
         if repair is None:
@@ -341,6 +302,12 @@ class _Scanner:
             return self.blank(start, end, piece)
         if piece.isalnum() and piece not in "\u00b2\u00b3":
             return self.foreign_word(start)
+        tokens = self.found.tokens
+        if piece in "\u00b0\u00ba" and tokens and tokens[-1].kind == "number" and tokens[-1].end == self.last_end:
+            number = tokens.pop()
+            self.found.error("unknown-sign", f"`{piece}` is not a unit", start, end, "write `deg`")
+            self.found.blank(start, end)
+            return max(end, self.unreadable(number.start, number.end))
         help, repair = WRONG_SIGNS.get(piece, ("delete it", None))
         self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help)
         self.found.replace(start, repair or " ")
@@ -382,6 +349,12 @@ class _Scanner:
             return start + 1
         self.found.replace(stop - 1, '"')
         return self.token("text", start, stop)
+
+
+def text_before(found: Scan) -> str:
+    """The text of the token that was read last."""
+    last = found.tokens[-1]
+    return found.source.text[last.start : last.end]
 
 
 def unit_help(word: str) -> str:

@@ -8,7 +8,7 @@ from antdsl.diagnostics.model import Diagnostic, Fix
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Span
 from antdsl.syntax.scan import unit_help
-from antdsl.syntax.words import BELONGS, FIELD_SETTINGS, FORMS, LINE_WORDS, RULE_FORMS, WORLD_KINDS
+from antdsl.syntax.words import BELONGS, FIELD_SETTINGS, FORMS, LINE_WORDS, OTHER_WORDS, RULE_FORMS, WORLD_KINDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,12 +108,13 @@ _NEEDED = (
 )
 _VALUE = frozenset({"NUMBER", "QUANTITY", "NAME", "LPAR"})
 _ASSIGNING = {"=", "+=", "-=", "[", "."}
+_WRITING = ("=", "+=", "-=")
 _COMPARISONS = {"==", "!=", "<", ">", "<=", ">=", "is"}
 
 
 def complain(surprise: Surprise) -> Diagnostic:
     """The complaint about a line that cannot be read; the first kind of mistake that fits."""
-    for kind in (_misspelt, _misplaced, _no_line, _label, _unit, _equals, _compared_twice, _second_line, _unfinished):
+    for kind in (_misspelt, _misplaced, _comma, _no_line, _label, _unit, _equals, _compared_twice, _second_line, _unfinished):
         found = kind(surprise)
         if found is not None:
             return found
@@ -144,7 +145,11 @@ def plain_complaint(surprise: Surprise) -> Diagnostic:
 def better_first_word(surprise: Surprise) -> str | None:
     """The word that the first word of a line is a slip of, when the line fits no other reading."""
     words = LINE_WORDS[surprise.rule]
-    if surprise.first in words or not surprise.first.isidentifier() or surprise.found in ("=", "+=", "-=", "("):
+    other = OTHER_WORDS.get(surprise.first)
+    if other in words and surprise.found not in _WRITING:
+        return other
+    declares = surprise.earlier == surprise.first and surprise.found == "="  # `parm smell = …`
+    if surprise.first in words or not surprise.first.isidentifier() or (surprise.found in (*_WRITING, "(") and not declares):
         return None
     return nearest_name(surprise.first, words)
 
@@ -179,11 +184,24 @@ def _no_line(surprise: Surprise) -> Diagnostic | None:
 
 def _label(surprise: Surprise) -> Diagnostic | None:
     """`f(a b: 1)`, where the word before the colon was taken for something else."""
-    names = surprise.before_kind == "word" and surprise.found == ":" and surprise.earlier not in ("(", ",", "{", "")
+    names = (
+        surprise.before_kind == "word"
+        and surprise.found == ":"
+        and surprise.earlier not in ("(", ",", "{", "", "let", "param", "keep", "latch")
+    )
     if not names or surprise.rule in ("spec_line", "weight", "top"):
         return None
     message = f"found `{surprise.before}:` after {_shown(surprise.earlier)}, expected `,` or `)`"
     return Diagnostic("unexpected-text", message, surprise.span, help=f"write a comma before `{surprise.before}:`")
+
+
+def _comma(surprise: Surprise) -> Diagnostic | None:
+    """`0,15 s`, as numbers are written in many countries."""
+    parts = (surprise.before, surprise.next)
+    if surprise.found != "," or surprise.before_kind != "number" or not parts[0].isdigit() or not parts[1][:1].isdigit():
+        return None
+    message = f"found `,` in the number `{parts[0]},{parts[1]}`"
+    return Diagnostic("unexpected-text", message, surprise.span, help=f"write a dot: `{parts[0]}.{parts[1]}`")
 
 
 def _unit(surprise: Surprise) -> Diagnostic | None:
@@ -200,11 +218,23 @@ def _keywords() -> frozenset[str]:
 
 
 def _equals(surprise: Surprise) -> Diagnostic | None:
+    if gives_with_two(surprise):
+        message, help = f"found `==` after {_shown(surprise.before)}", "to give a value, write `=`"
+        return Diagnostic("unexpected-text", message, surprise.span, help=help, fix=Fix(surprise.span, "="))
     if surprise.found != "=" or "SAME" not in surprise.wanted:
         return None
+    if surprise.before_kind == "word" and surprise.earlier in ("(", ",") and "RPAR" in surprise.wanted:
+        message, help = f"found `=` after the argument's name `{surprise.before}`", f"write `{surprise.before}: …`"
+        return Diagnostic("unexpected-text", message, surprise.span, help=help, fix=Fix(surprise.span, ":"))
     return Diagnostic(
         "unexpected-text", "found `=` in a condition", surprise.span, help="to compare, write `==`", fix=Fix(surprise.span, "==")
     )
+
+
+def gives_with_two(surprise: Surprise) -> bool:
+    """`let x == 1`: the first sign was taken for the one that is meant."""
+    names = surprise.before_kind == "word" and surprise.earlier in ("let", "param", "latch", "keep")
+    return surprise.found == "==" and (names or surprise.before == surprise.first)
 
 
 def _compared_twice(surprise: Surprise) -> Diagnostic | None:

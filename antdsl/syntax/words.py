@@ -63,6 +63,22 @@ LINE_WORDS: dict[str, tuple[str, ...]] = {
     "spec_line": ("for", "seeds", "set", "always", "never", "eventually", "until", "within", "each"),
 }
 
+# First words of other languages, and the word that is meant.
+OTHER_WORDS: dict[str, str] = {
+    "agent": "species",
+    "class": "species",
+    "const": "param",
+    "def": "behaviour",
+    "fn": "behaviour",
+    "function": "behaviour",
+    "if": "when",
+    "import": "use",
+    "include": "use",
+    "parameter": "param",
+    "transition": "when",
+    "var": "let",
+}
+
 # What a person may write after `items NAME …` and so on, shown when the word is missing.
 WORLD_KINDS = ("surface", "obstacle", "solid", "items", "curve", "flow", "map", "species")
 FIELD_SETTINGS = ("cell", "half_life", "evaporate", "keeps", "diffuse", "combine", "limit")
