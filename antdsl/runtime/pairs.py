@@ -51,8 +51,51 @@ class PairRows:
         return PairRows(self.of, len(rows), i.take(keep), *rest)
 
 
-def find(world: World, population: Population, node: ir.Node, rows: Any, args: tuple[Any, ...]) -> PairRows:
-    """The pairs of a set for some rows (a slice or an array); `args` are the values of the set's operands."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Nearby:
+    """All neighbours of some rows within a radius each: a set within a lesser one is a part of it."""
+
+    rows: Any
+    radius: Floats
+    pairs: PairRows
+
+    def part(self, rows: Any, radius: Floats) -> PairRows | None:
+        """The pairs of some of the rows (a slice or ascending) within lesser radii; None where that is not what is asked."""
+        number = _places(self.rows, rows)
+        if number is None or not np.all(radius <= self.radius[number]):
+            return None
+        every, count = self.pairs, len(radius)
+        reach = np.full(every.count, -1, np.float32)
+        reach[number] = radius
+        found = every.pick(np.flatnonzero(every.distance <= reach.take(every.i)))
+        if count == every.count:
+            return found
+        new = np.empty(every.count, np.int32)
+        new[number] = np.arange(count, dtype=np.int32)
+        return PairRows(found.of, count, new.take(found.i), found.j, found.dx, found.dy, found.dz, found.distance)
+
+
+def _places(known: Any, rows: Any) -> Any:
+    """Where ascending rows stand among known ones, or None where some are not among them; rows are slices or arrays."""
+    if rows is known:
+        return slice(None)
+    if isinstance(known, slice):
+        first, last = (rows.start, rows.stop) if isinstance(rows, slice) else (int(rows.min()), int(rows.max()) + 1)
+        if first < known.start or last > known.stop:
+            return None
+        return slice(first - known.start, last - known.start) if isinstance(rows, slice) else rows - known.start
+    if isinstance(rows, slice):
+        return None
+    at = np.minimum(np.searchsorted(known, rows), len(known) - 1)
+    return at if np.array_equal(known[at], rows) else None
+
+
+def find(
+    world: World, population: Population, node: ir.Node, rows: Any, args: tuple[Any, ...], nearby: dict[str, Nearby]
+) -> PairRows:
+    """The pairs of a set for some rows (a slice or an array); `args` are the values of the set's operands.
+
+    `nearby` is what was found for a chunk before, by species; this adds to it."""
     own = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     if node.op == "set.items":
         return _items(world.items[node.attrs[0]], own, args[0])
@@ -61,7 +104,14 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
     if node.op == "set.every":
         return _every(other, own, ids)
     radius, cosine = args
-    found = _near(world, other, own, ids, radius)
+    reaches = np.full(len(own[0]), radius) if np.ndim(radius) == 0 else radius
+    known = nearby.get(other.name)
+    part = known.part(rows, reaches) if known is not None else None
+    if part is None:
+        found = _near(world, other, own, ids, radius)
+        nearby[other.name] = Nearby(rows, reaches.copy(), found)
+    else:
+        found = part
     if node.attrs[1]:
         return found
     i = found.i

@@ -17,7 +17,7 @@ from antdsl.runtime.world import DTYPES
 
 Slots = list[Any]
 Run = Callable[[Slots], None]
-WORLD, POPULATION, EFFECTS, BUFFERS, LAZY, PAIRS, FIRST_SLOT = 0, 1, 2, 3, 4, 5, 6
+WORLD, POPULATION, EFFECTS, BUFFERS, LAZY, PAIRS, NEARBY, FIRST_SLOT = 0, 1, 2, 3, 4, 5, 6, 7
 
 
 @dataclass(slots=True, eq=False)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.plan import ir
 from antdsl.runtime.backends import numpy_calls
-from antdsl.runtime.backends.compile import BUFFERS, EFFECTS, LAZY, PAIRS, POPULATION, WORLD, BlockCompiler
+from antdsl.runtime.backends.compile import BUFFERS, EFFECTS, LAZY, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler
 from antdsl.runtime.backends.numpy_statements import statement
 from antdsl.runtime.effects import Effects
 from antdsl.runtime.elementwise import ELEMENTWISE
@@ -96,6 +96,7 @@ class NumpyBackend:
         v: list[Any] = [None] * compiler.slots
         v[WORLD], v[POPULATION], v[EFFECTS], v[LAZY] = world, population, effects, self._kept.get(population.name)
         v[PAIRS] = {} if compiler.name == "born" else self._pairs[population.name]
+        v[NEARBY] = {}
         values = self._values[population.name]
         for node, slot in compiler.uniforms.items():
             v[slot] = values[node]

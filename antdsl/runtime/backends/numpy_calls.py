@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from antdsl.plan import ir
 from antdsl.runtime import pairs as sets
 from antdsl.runtime import randomness
-from antdsl.runtime.backends.compile import BUFFERS, LAZY, PAIRS, POPULATION, WORLD, BlockCompiler, Run, Scope, Slots
+from antdsl.runtime.backends.compile import BUFFERS, LAZY, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Run, Scope, Slots
 from antdsl.runtime.elementwise import ELEMENTWISE, UFUNCS
 from antdsl.runtime.sensing import SENSES
 
@@ -209,7 +209,7 @@ def pairs(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
             if known is not None:
                 v[out] = known if mine is chunk else known.of_rows(row_numbers(mine) - chunk.start)
                 return
-            v[out] = sets.find(v[WORLD], v[POPULATION], node, mine, tuple(v[a] for a in inputs))
+            v[out] = sets.find(v[WORLD], v[POPULATION], node, mine, tuple(v[a] for a in inputs), v[NEARBY])
             if mine is chunk and isinstance(chunk, slice) and shared.get(node, 0) > 1:
                 kept[node, chunk.start] = v[out]
 

@@ -19,6 +19,7 @@ _QUERIES_PER_CHUNK = 16_384
 _CANDIDATES_PER_CHUNK = 1 << 16  # arrays of this length stay in the cache
 _MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
 _AGENTS_PER_COLUMN = 6
+_LAYERS_PER_COLUMN = 2
 _SLACK = 1.0 + 1e-6  # float32 distances err by a few 2**-24; candidates must be a superset
 
 
@@ -63,7 +64,7 @@ class CellGrid:
         least = max(extent[0] / (_MAX_CELLS_ALONG - 4), 1e-30)
         width = [max(cell / 4, least), max(cell, least), max(cell, least)]
         cells = [np.floor((p - b) / w).astype(np.int64) for p, b, w in zip(places, low, width, strict=True)]
-        if extent[2] > 0 and self._is_sheet(cells, rows.size, extent[0] / width[1], extent[1] / width[1]):
+        if extent[2] > 0 and self._is_sheet(cells, rows.size, [e / width[1] for e in extent]):
             cells[2][:] = 0
             width[2] = 2 * extent[2]
         self._low, self._width = low, width
@@ -76,13 +77,18 @@ class CellGrid:
         self._starts = self._start_table()
 
     @staticmethod
-    def _is_sheet(cells: list[NDArray[np.int64]], n: int, long: float, broad: float) -> bool:
-        """Whether a crowd on ground has so few agents above each other that its layers need not be told apart."""
-        across = int(long) + 2  # columns along the longest axis
-        if across * (broad + 2) <= max(1 << 16, 16 * n):
-            taken = np.zeros(across * (int(broad) + 2), np.bool_)
-            taken[cells[1] * across + (cells[0] >> 2)] = True
-            return n <= _AGENTS_PER_COLUMN * int(np.count_nonzero(taken))
+    def _is_sheet(cells: list[NDArray[np.int64]], n: int, size: list[float]) -> bool:
+        """Whether a crowd, as on ground, has so few agents or layers above each other that these need not be told apart.
+
+        `size` is the number of columns along the crowd's longest and middle axis, and of layers."""
+        across, broad, deep = (s + 2 for s in size)
+        if across * broad * deep <= max(1 << 16, 64 * n):
+            column = cells[1] * int(across) + (cells[0] >> 2)
+            columns = _distinct(column, int(across) * int(broad))
+            if n <= _AGENTS_PER_COLUMN * columns:
+                return True
+            cell = column * int(deep) + cells[2]
+            return _distinct(cell, int(across) * int(broad) * int(deep)) <= _LAYERS_PER_COLUMN * columns
         column = np.sort((cells[1] << 32) | (cells[0] >> 2))
         return n <= _AGENTS_PER_COLUMN * (1 + int(np.count_nonzero(column[1:] != column[:-1])))
 
@@ -108,7 +114,7 @@ class CellGrid:
         """Neighbours of the agents `rows` (all when None) within `radius` (one, or one for each of `rows`).
 
         Without `qx qy qz` the grid's own agents ask, and nobody is their own neighbour. With them those agents ask: `rows`
-        selects from them, and `qid` says who they are when they are of the grid's species. At most
+        selects from them, and `qid` says who they are when they are the grid's own, where the grid has them. At most
         `limits.NEIGHBOURS` of an agent are kept, the nearest by (distance, id).
         """
         if qx is None or qy is None or qz is None:
@@ -218,11 +224,12 @@ class CellGrid:
         dx, dy, dz = (s.take(at) - q.repeat(each) for s, q in zip(self._sorted, query, strict=True))
         with np.errstate(over="ignore"):  # beyond float32 is beyond any radius but an infinite one
             distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
-        keep = np.flatnonzero(distance <= radius.repeat(each))
-        i, j = i.take(keep), self._rows.take(at.take(keep))
+        inside = distance <= radius.repeat(each)
         if who is not None:
-            other = np.flatnonzero(self.ids.take(j) != who.take(i))
-            keep, i, j = keep.take(other), i.take(other), j.take(other)
+            here = np.flatnonzero(distance == 0)  # oneself is one of these
+            inside[here[self.ids.take(self._rows.take(at.take(here))) == who.take(i.take(here))]] = False
+        keep = np.flatnonzero(inside)
+        i, j = i.take(keep), self._rows.take(at.take(keep))
         chosen = self._nearest(i, j, distance.take(keep))
         if chosen is not None:
             keep, i, j = keep[chosen], i[chosen], j[chosen]
@@ -234,6 +241,13 @@ class CellGrid:
             return None
         order = np.lexsort((self.ids[j], distance, i))
         return np.sort(order[_rank(i[order]) < NEIGHBOURS])
+
+
+def _distinct(numbers: NDArray[np.int64], limit: int) -> int:
+    """How many different ones there are of whole numbers from 0 to below a limit."""
+    seen = np.zeros(limit, np.bool_)
+    seen[numbers] = True
+    return int(np.count_nonzero(seen))
 
 
 def _rank(i: Rows) -> NDArray[np.int64]:
