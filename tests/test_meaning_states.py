@@ -1,4 +1,4 @@
-"""States, changes and time: small programs on the real runtime, both backends, against what their text says (decisions 3 to 12)."""
+"""States, changes and time: small programs on the real runtime, on both backends, against what their text says."""
 
 from __future__ import annotations
 

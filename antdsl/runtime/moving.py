@@ -79,31 +79,33 @@ def _velocity(world: World, population: Population, up: Vector, dt: np.float32, 
     push = vec.scale(push, _F(1) / np.maximum(size, _F(1)))
     before = vec.flat(_read(population, "velocity"), up)
     max_speed = np.maximum(now["max_speed"], _F(0))
-    velocity = vec.add(before, vec.scale(push, _gain(now, max_speed, _F(world.dt), dt, substep)))
+    time = _time(now, _F(world.dt), dt, substep)
+    velocity = vec.add(before, vec.scale(push, _gain(now, time)))
     speed = vec.length(velocity)
     velocity = vec.scale(velocity, np.where(speed > max_speed, max_speed / np.where(speed > 0, speed, _F(1)), _F(1)))
     velocity = tuple(np.where(np.isfinite(v), v, _F(0)) for v in velocity)  # type: ignore[assignment]
     turning = np.flatnonzero(np.isfinite(now["max_turn"]))
     if len(turning):
-        _limit_turn(velocity, before, up, now["max_turn"], dt, turning)
+        _limit_turn(velocity, before, up, np.maximum(now["max_turn"], _F(0)) * time, turning)
     return velocity
 
 
-def _gain(
-    now: dict[str, NDArray[Any]], max_speed: NDArray[np.float32], step: np.float32, dt: np.float32, substep: int
-) -> NDArray[np.float32]:
+def _time(now: dict[str, NDArray[Any]], step: np.float32, dt: np.float32, substep: int) -> NDArray[np.float32]:
+    """Seconds that a push acts in this substep: for who answers at once the whole step, in the first."""
+    at_once = now["response"] <= step * _F(1.0001)
+    return np.where(at_once, step if substep == 0 else _F(0), dt)
+
+
+def _gain(now: dict[str, NDArray[Any]], time: NDArray[np.float32]) -> NDArray[np.float32]:
     """Change of velocity by a push of 1 in this substep, mm/s."""
     per_second = now["max_force"] / now["mass"]
-    per_second = np.where(np.isfinite(per_second), per_second, _F(0))
-    at_once = now["response"] <= step * _F(1.0001)
-    return per_second * np.where(at_once, step if substep == 0 else _F(0), dt)
+    gain: NDArray[np.float32] = np.where(np.isfinite(per_second), per_second, _F(0)) * time
+    return gain
 
 
-def _limit_turn(
-    velocity: Vector, before: Vector, up: Vector, max_turn: NDArray[np.float32], dt: np.float32, rows: NDArray[np.intp]
-) -> None:
-    """Turn the velocity by at most max_turn * dt, at its new speed; changes it in place."""
-    rows = rows[_may_turn_more(vec.take(velocity, rows), vec.take(before, rows), max_turn[rows] * dt)]
+def _limit_turn(velocity: Vector, before: Vector, up: Vector, most: NDArray[np.float32], rows: NDArray[np.intp]) -> None:
+    """Turn the velocity by at most `most` (radians), at its new speed; changes it in place."""
+    rows = rows[_may_turn_more(vec.take(velocity, rows), vec.take(before, rows), most[rows])]
     if not len(rows):
         return
     v, b, u = vec.take(velocity, rows), vec.take(before, rows), vec.take(up, rows)
@@ -111,8 +113,7 @@ def _limit_turn(
     direction = vec.unit(v, ahead)
     side = vec.unit(vec.flat(direction, ahead), vec.cross(u, ahead))
     angle = kernels.atan2(vec.length(vec.cross(ahead, direction)), vec.dot(ahead, direction))
-    most = np.maximum(max_turn[rows], _F(0)) * dt
-    most = np.where(vec.length(b) > 0, most, _F(4))  # who stands may set out in any direction
+    most = np.where(vec.length(b) > 0, most[rows], _F(4))  # who stands may set out in any direction
     turned = vec.add(vec.scale(ahead, kernels.cos(most)), vec.scale(side, kernels.sin(most)))
     limited = vec.choose(angle > most, vec.scale(turned, speed), v)
     for component, value in zip(velocity, limited, strict=True):
