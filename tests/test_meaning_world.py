@@ -258,7 +258,7 @@ state q { when age > 100 s -> p } }"""
     seen = play(text, crowd(10, radius=5, group=3), steps=4)
     assert seen["id"] == [4, 5, 6, 7, 8, 9, 10, 11]
     assert seen["seen"] == [9] * 6 + [7] * 2 and seen["others"] == [0] * 6 + [5 + 6 + 7 + 8 + 9 + 10] * 2
-    assert seen["at_birth"] == [0] * 8 and seen["group"] == [3] * 8 and seen["now"] == [7] * 8
+    assert seen["at_birth"] == [0] * 8 and seen["group"] == [3] * 8 and seen["now"] == [7, 9] + [7] * 6
 
 
 def test_references_to_the_dead_become_none_and_all_may_die():
@@ -268,7 +268,8 @@ had = none of a
 has = 0
 start p
 on spawn { pal = nearest(a); had = random(a) }
-state p { has = if pal then 1 + distance(pal) / 1 mm else 0; when frame == 2 and id >= 2 -> q { die }; when frame == 4 -> q { die } }
+state p { has = if pal then 1 + distance(pal) / 1 mm else 0
+  when frame == 2 and id >= 2 or frame == 4 -> q { die } }
 state q { when age > 100 s -> p } }
 species b { prey = none of a
 on spawn { prey = nearest(a) }
@@ -319,7 +320,8 @@ def test_nobody_one_and_two_on_a_point(count):
     ],
 )
 def test_a_fault_is_told_in_the_words_of_the_text_and_nothing_is_kept(line, what, operand):
-    text = f"species a {{ x = 7\nv = vector(0, 0, 0)\nstart s\nstate s {{ {line}; when false -> t }}\nstate t {{ when false -> s }} }}"
+    text = f"species a {{ x = 7\nv = vector(0, 0, 0)\nstart s\nstate s {{ {line}; when false -> t }}\n"
+    text += "state t { when false -> s } }"
     for way in (Options(), Options(backend="reference")):
         with pytest.raises(FaultStop) as stop:
             play(text, crowd(3), steps=2, ways=[way])
@@ -347,7 +349,9 @@ state q { when age > 100 s -> p } }"""
 def test_a_condition_that_is_no_number_is_false():
     text = """species a { x = 0
 start s
-state s { x = count(n in neighbours(50 mm): sqrt(-n.size / 1 mm) > 0); when sqrt(-size / 1 mm) > 0 -> t; when not (sqrt(-size / 1 mm) > 0) -> u }
+state s { x = count(n in neighbours(50 mm): sqrt(-n.size / 1 mm) > 0)
+  when sqrt(-size / 1 mm) > 0 -> t
+  when not (sqrt(-size / 1 mm) > 0) -> u }
 state t { when false -> s }
 state u { when false -> s } }"""
     seen = play(text, crowd(4, radius=5), steps=2)
