@@ -58,7 +58,7 @@ def render(
     folder.mkdir(parents=True, exist_ok=True)
     if film:
         _ready_for_films()
-    drawn = _draw(gallery, wanted, camera, followed, words, width, height, threads or _cores())
+    drawn = _draw(gallery, wanted, camera, followed, words, width, height, threads or _cores(), rest=film and not followed)
     if film:
         _film(drawn, gallery, folder)
     elif sheet:
@@ -124,7 +124,9 @@ def _draw(
     width: int,
     height: int,
     threads: int,
+    rest: bool,
 ) -> Iterator[tuple[int, Any]]:
+    """Frames with their pictures; with `rest` a camera at eye level stays where the first frame put it, as a film needs it."""
     from antdsl.outputs.cache import CacheError
     from antdsl.outputs.pictures.render import Renderer
 
@@ -135,7 +137,7 @@ def _draw(
             picture = gallery.picture(frame, agents=frozenset(agents))
         except CacheError as why:
             raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
-        if standing is None or camera is View.eye:
+        if standing is None or (camera is View.eye and not rest):
             standing = _camera(gallery, picture, camera, agents, width / height)
         try:
             image = renderer.draw(picture, standing, show=show)
