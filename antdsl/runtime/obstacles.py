@@ -21,7 +21,9 @@ def slide(world: World, population: Population, step: Vector, up: Vector, radius
     place: Vector = tuple(population.now[f"position.{axis}"] for axis in AXES)  # type: ignore[assignment]
     for name in world.plan.obstacles:
         if name in world.obstacles:
-            clear = clearance(world, population, name) if _where_they_were(population) else world.obstacles[name].clearance(*place)
+            clear = (
+                clearance(world, population, name) if _where_they_were(population) else world.obstacles[name].clearance(*place)
+            )
             step = _along(world.obstacles[name], place, step, up, radius, clear, world.options.threads)
     return step
 

@@ -6,7 +6,7 @@ Pairs are sorted by the asking row. Every reduction gives the same bits whatever
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -75,6 +75,14 @@ class Nearby:
         return PairRows(found.of, count, new.take(found.i), found.j, found.dx, found.dy, found.dz, found.distance)
 
 
+@dataclass(slots=True, eq=False)
+class NearbySets:
+    """What was found for a chunk of rows, by species, and in how many threads to look for more."""
+
+    threads: int
+    known: dict[str, Nearby] = field(default_factory=dict)
+
+
 def _places(known: Any, rows: Any) -> Any:
     """Where ascending rows stand among known ones, or None where some are not among them; rows are slices or arrays."""
     if rows is known:
@@ -91,11 +99,11 @@ def _places(known: Any, rows: Any) -> Any:
 
 
 def find(
-    world: World, population: Population, node: ir.Node, rows: Any, args: tuple[Any, ...], nearby: dict[str, Nearby]
+    world: World, population: Population, node: ir.Node, rows: Any, args: tuple[Any, ...], nearby: NearbySets
 ) -> PairRows:
     """The pairs of a set for some rows (a slice or an array); `args` are the values of the set's operands.
 
-    `nearby` is what was found for a chunk before, by species; this adds to it."""
+    `nearby` is what was found for the chunk before; this adds to it."""
     own = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     if node.op == "set.items":
         return _items(world.items[node.attrs[0]], own, args[0])
@@ -105,11 +113,11 @@ def find(
         return _every(other, own, ids)
     radius, cosine = args
     reaches = np.full(len(own[0]), radius) if np.ndim(radius) == 0 else radius
-    known = nearby.get(other.name)
+    known = nearby.known.get(other.name)
     part = known.part(rows, reaches) if known is not None else None
     if part is None:
-        found = _near(world, other, own, ids, radius)
-        nearby[other.name] = Nearby(rows, reaches.copy(), found)
+        found = _near(world, other, own, ids, radius, nearby.threads)
+        nearby.known[other.name] = Nearby(rows, reaches.copy(), found)
     else:
         found = part
     if node.attrs[1]:
@@ -121,7 +129,9 @@ def find(
     return found.pick(np.flatnonzero(ahead >= least))
 
 
-def _near(world: World, other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any) -> PairRows:
+def _near(
+    world: World, other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any, threads: int
+) -> PairRows:
     widest = float(np.max(radius, initial=0.0)) if np.size(radius) else 0.0
     widest = widest if np.isfinite(widest) and widest > 0 else 1.0
     key = (other.name, float(np.ceil(np.log2(widest))))
@@ -130,7 +140,7 @@ def _near(world: World, other: Population, own: tuple[Floats, ...], ids: NDArray
         x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
         grid = CellGrid(x, y, z, other.ids, widest)
         world.grids[key] = grid
-    p = grid.pairs(None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids)
+    p = grid.pairs(None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, threads=threads)
     return PairRows(other, len(own[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
 
 

@@ -14,7 +14,7 @@ from antdsl.runtime.backends.compile import BUFFERS, EFFECTS, LAZY, NEARBY, PAIR
 from antdsl.runtime.backends.numpy_statements import statement
 from antdsl.runtime.effects import Effects
 from antdsl.runtime.elementwise import ELEMENTWISE
-from antdsl.runtime.pairs import MOST_PAIRS
+from antdsl.runtime.pairs import MOST_PAIRS, NearbySets
 from antdsl.runtime.reading import kept_senses, places, reach
 from antdsl.runtime.sensing import uniform_leaf
 from antdsl.runtime.world import DTYPES, Population, World
@@ -67,14 +67,14 @@ class NumpyBackend:
         effects = [Effects() for _ in chunks]
         if threads <= 1:
             for chunk, into in zip(chunks, effects, strict=True):
-                self._chunk(world, population, compiler, chunk, into, 0)
+                self._chunk(world, population, compiler, chunk, into, 0, True)
         else:
             self._pool = self._pool or ThreadPoolExecutor(world.options.threads)
             lanes = [range(k, len(chunks), threads) for k in range(threads)]
 
             def lane(number: int) -> None:
                 for k in lanes[number]:
-                    self._chunk(world, population, compiler, chunks[k], effects[k], number)
+                    self._chunk(world, population, compiler, chunks[k], effects[k], number, False)
 
             list(self._pool.map(lane, range(threads)))
         for each in effects:
@@ -91,12 +91,19 @@ class NumpyBackend:
         return parts if rows is None else [rows[part] for part in parts]
 
     def _chunk(
-        self, world: World, population: Population, compiler: BlockCompiler, rows: Any, effects: Effects, lane: int
+        self,
+        world: World,
+        population: Population,
+        compiler: BlockCompiler,
+        rows: Any,
+        effects: Effects,
+        lane: int,
+        alone: bool,
     ) -> None:
         v: list[Any] = [None] * compiler.slots
         v[WORLD], v[POPULATION], v[EFFECTS], v[LAZY] = world, population, effects, self._kept.get(population.name)
         v[PAIRS] = {} if compiler.name == "born" else self._pairs[population.name]
-        v[NEARBY] = {}
+        v[NEARBY] = NearbySets(world.options.threads if alone else 1)
         values = self._values[population.name]
         for node, slot in compiler.uniforms.items():
             v[slot] = values[node]

@@ -55,9 +55,10 @@ class Footing:
 class MoveResult:
     """Where a step led. Vectors are float64[n,3], lengths mm.
 
-    `up` is the smooth normal on the agent's side, `heading` a unit vector at right angles to it. `direction` is the unit
-    direction of travel at the end, in the face: a velocity is carried along by taking its length times this. `travelled` is
-    the way walked. Of vectors each component is contiguous. `blocked` says that an open border ended the way, `lost` that there was no footing to walk from.
+    Of vectors each component is contiguous. `up` is the smooth normal on the agent's side, `heading` a unit vector at right
+    angles to it. `direction` is the unit direction of travel at the end, in the face: a velocity is carried along by taking
+    its length times this. `travelled` is the way walked. `blocked` says that an open border ended the way, `lost` that there
+    was no footing to walk from.
     """
 
     footing: Footing
@@ -86,7 +87,7 @@ class Ground:
             (np.asarray(v, np.float64).reshape(-1, 3), np.asarray(f, np.int32).reshape(-1, 3)) for v, f in surfaces.values()
         ]
         counts = [len(f) for _, f in meshes]
-        self._first = np.cumsum([0, *counts])
+        self._first: Index = np.cumsum([0, *counts])
         self._mesh = np.repeat(np.arange(len(meshes), dtype=np.int32), counts)
         shift = np.cumsum([0, *(len(v) for v, _ in meshes)])[:-1]
         self._vertices = np.concatenate([v for v, _ in meshes]) if meshes else np.empty((0, 3))
@@ -266,7 +267,8 @@ class Ground:
         """Number over all meshes, 0 where nowhere, and whether it is somewhere."""
         known = (footing.face >= 0) & (footing.mesh >= 0)
         if known.all():
-            return self._first.take(footing.mesh) + footing.face, known
+            face: Index = self._first.take(footing.mesh) + footing.face
+            return face, known
         return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
 
     def _footing(self, face: Index, b1: Floats, b2: Floats) -> Footing:

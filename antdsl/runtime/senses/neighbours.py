@@ -3,7 +3,9 @@ The pairs are the same bits, in the same order, whatever the rows' order, the ch
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -110,6 +112,7 @@ class CellGrid:
         qy: Floats | None = None,
         qz: Floats | None = None,
         qid: NDArray[np.int64] | None = None,
+        threads: int = 1,
     ) -> Pairs:
         """Neighbours of the agents `rows` (all when None) within `radius` (one, or one for each of `rows`).
 
@@ -124,7 +127,7 @@ class CellGrid:
             qid = None if qid is None else qid[rows]
         qx, qy, qz = (np.asarray(q, np.float32) for q in (qx, qy, qz))
         reach = np.broadcast_to(np.asarray(radius, np.float32), qx.shape)
-        found: list[tuple[NDArray[Any], ...]] = []
+        jobs: list[tuple[Any, ...]] = []
         for a in range(0, qx.size, _QUERIES_PER_CHUNK):
             part = slice(a, a + _QUERIES_PER_CHUNK)
             query = (qx[part], qy[part], qz[part])
@@ -137,9 +140,12 @@ class CellGrid:
                 e = max(b + 1, int(np.searchsorted(ends, limit, side="right")))
                 sub = tuple(q[b:e] for q in query)
                 who = None if qid is None else qid[part][b:e]
-                i, *rest = self._within(sub, reach[part][b:e], who, first[b:e], count[b:e], each[b:e])
-                found.append((i + np.int32(a + b), *rest))
+                jobs.append((a + b, sub, reach[part][b:e], who, first[b:e], count[b:e], each[b:e]))
                 b = e
+        if threads > 1 and len(jobs) > 1:
+            found = list(_pool(threads).map(lambda job: self._within(*job), jobs))
+        else:
+            found = [self._within(*job) for job in jobs]
         if not found:
             empty = np.empty(0, np.float32)
             return Pairs(np.empty(0, np.int32), np.empty(0, np.int32), empty, empty, empty, empty)
@@ -207,6 +213,7 @@ class CellGrid:
 
     def _within(
         self,
+        before: int,
         query: tuple[Floats, ...],
         radius: Floats,
         who: NDArray[np.int64] | None,
@@ -214,15 +221,15 @@ class CellGrid:
         count: NDArray[np.int32],
         each: NDArray[np.int64],
     ) -> tuple[NDArray[Any], ...]:
-        """Measure the candidates of some queries and keep those in reach."""
+        """Measure the candidates of some queries, that come after `before` others, and keep those in reach."""
         flat = count.ravel()
         total = int(each.sum())
-        before = np.cumsum(flat) - flat
-        at = np.repeat(first.ravel() - before, flat)  # int64: an index of another type is converted at every use
+        # int64: an index of another type is converted at every use
+        at = np.repeat(first.ravel() - (np.cumsum(flat) - flat), flat)
         at += np.arange(total)
         i = np.repeat(np.arange(each.size, dtype=np.int32), each)
-        dx, dy, dz = (s.take(at) - q.repeat(each) for s, q in zip(self._sorted, query, strict=True))
-        with np.errstate(over="ignore"):  # beyond float32 is beyond any radius but an infinite one
+        with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is beyond any radius but an infinite one
+            dx, dy, dz = (s.take(at) - q.repeat(each) for s, q in zip(self._sorted, query, strict=True))
             distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
         inside = distance <= radius.repeat(each)
         if who is not None:
@@ -230,9 +237,10 @@ class CellGrid:
             inside[here[self.ids.take(self._rows.take(at.take(here))) == who.take(i.take(here))]] = False
         keep = np.flatnonzero(inside)
         i, j = i.take(keep), self._rows.take(at.take(keep))
-        chosen = self._nearest(i, j, distance.take(keep))
+        chosen = self._nearest(i, j, distance.take(keep)) if int(each.max(initial=0)) > NEIGHBOURS else None
         if chosen is not None:
             keep, i, j = keep[chosen], i[chosen], j[chosen]
+        i += np.int32(before)
         return i, j, dx.take(keep), dy.take(keep), dz.take(keep), distance.take(keep)
 
     def _nearest(self, i: Rows, j: Rows, distance: Floats) -> NDArray[np.int64] | None:
@@ -241,6 +249,11 @@ class CellGrid:
             return None
         order = np.lexsort((self.ids[j], distance, i))
         return np.sort(order[_rank(i[order]) < NEIGHBOURS])
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, "neighbours")
 
 
 def _distinct(numbers: NDArray[np.int64], limit: int) -> int:

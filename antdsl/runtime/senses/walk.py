@@ -123,9 +123,8 @@ def _stretch(
     if met is not None:
         stays = np.flatnonzero(~met)
         on = rows.take(stays)
-        until, edge, length, left, rate1, rate2, b1, b2 = (
-            v.take(stays) for v in (until, edge, length, left, rate1, rate2, b1, b2)
-        )
+        edge = edge.take(stays)
+        until, length, left, rate1, rate2, b1, b2 = (v.take(stays) for v in (until, length, left, rate1, rate2, b1, b2))
     w.b1[on], w.b2[on] = inside(b1 + rate1 * length, b2 + rate2 * length)
     across = np.flatnonzero(until < left)  # before `left`, which may be the walkers' own array, is written
     w.left[on] = np.where(until >= left, 0.0, left - length)
