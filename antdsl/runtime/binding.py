@@ -76,7 +76,8 @@ def set_param(world: World, name: str, value: float) -> None:
 
 def _origin(setting: Setting) -> NDArray[np.float64]:
     """What to take from all positions, whole metres; nothing where the scene lies about its zero."""
-    places = [m.vertices for m in (*setting.surfaces.values(), *setting.obstacles.values()) if len(m.vertices)]
+    meshes = setting.surfaces or setting.obstacles  # one more stone moves nothing
+    places = [m.vertices for m in meshes.values() if len(m.vertices)]
     places = places or [np.array([i.position for items in setting.items.values() for i in items], np.float64).reshape(-1, 3)]
     points = np.concatenate(places)
     if not len(points):

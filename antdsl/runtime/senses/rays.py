@@ -16,6 +16,7 @@ Vectors = NDArray[np.float64]
 Mesh = tuple[Vectors, NDArray[np.int32]]
 
 _NO_FACE = 0xFFFFFFFF
+_FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +65,7 @@ def _open3d() -> Any:
 class RayScene:
     """Triangle meshes that rays can be cast at. Vertices are float64[n,3], faces int[m,3]; lengths in millimetres.
 
-    The scene works in float32 around the middle of its meshes, so a set far from the world's origin loses nothing.
+    The scene works in float32, far from the world's origin around the middle of its meshes, so that nothing is lost.
     """
 
     def __init__(self, vertices: Vectors, faces: NDArray[np.int32]) -> None:
@@ -91,7 +92,9 @@ class RayScene:
         self._mesh_of_face = np.repeat(np.arange(len(arrays), dtype=np.int32), counts)
         self._faces = faces.astype(np.int32)
         used = vertices[faces.ravel()]
-        self.origin = (used.min(axis=0) + used.max(axis=0)) / 2 if used.size else np.zeros(3)
+        middle = (used.min(axis=0) + used.max(axis=0)) / 2 if used.size else np.zeros(3)
+        # Whole metres, and none at all near zero: one more stone at the rim moves no bit of a ray at the others.
+        self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > _FAR else np.zeros(3)
         self._vertices = vertices
         corners = vertices[faces]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
