@@ -70,8 +70,8 @@ class Nearby:
         found = every.pick(np.flatnonzero(every.distance <= reach.take(every.i)))
         if count == every.count:
             return found
-        new = np.empty(every.count, np.int32)
-        new[number] = np.arange(count, dtype=np.int32)
+        new = np.empty(every.count, np.intp)
+        new[number] = np.arange(count)
         return PairRows(found.of, count, new.take(found.i), found.j, found.dx, found.dy, found.dz, found.distance)
 
 
@@ -98,9 +98,7 @@ def _places(known: Any, rows: Any) -> Any:
     return at if np.array_equal(known[at], rows) else None
 
 
-def find(
-    world: World, population: Population, node: ir.Node, rows: Any, args: tuple[Any, ...], nearby: NearbySets
-) -> PairRows:
+def find(world: World, population: Population, node: ir.Node, rows: Any, args: tuple[Any, ...], nearby: NearbySets) -> PairRows:
     """The pairs of a set for some rows (a slice or an array); `args` are the values of the set's operands.
 
     `nearby` is what was found for the chunk before; this adds to it."""

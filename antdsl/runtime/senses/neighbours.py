@@ -15,7 +15,7 @@ from antdsl.limits import NEIGHBOURS
 from antdsl.runtime.senses.sorting import stable_order
 
 Floats = NDArray[np.float32]
-Rows = NDArray[np.int32]
+Rows = NDArray[np.intp]  # an index of another type is converted at every use
 
 _QUERIES_PER_CHUNK = 16_384
 _CANDIDATES_PER_CHUNK = 1 << 16  # arrays of this length stay in the cache
@@ -73,7 +73,7 @@ class CellGrid:
         self._size = [int(e / w) + 1 for e, w in zip(extent, width, strict=True)]
         key = (cells[2] * self._size[1] + cells[1]) * self._size[0] + cells[0]
         order = stable_order(key)
-        self._rows = rows[order].astype(np.int32)
+        self._rows = rows.take(order)
         self._keys = key[order]
         self._sorted = [np.ascontiguousarray(a[self._rows], np.float32) for a in (x, y, z)]
         self._starts = self._start_table()
@@ -148,7 +148,7 @@ class CellGrid:
             found = [self._within(*job) for job in jobs]
         if not found:
             empty = np.empty(0, np.float32)
-            return Pairs(np.empty(0, np.int32), np.empty(0, np.int32), empty, empty, empty, empty)
+            return Pairs(np.empty(0, np.intp), np.empty(0, np.intp), empty, empty, empty, empty)
         if len(found) == 1:
             return Pairs(*found[0])
         return Pairs(*(np.concatenate(column) for column in zip(*found, strict=True)))
@@ -168,7 +168,8 @@ class CellGrid:
         largest = max(float(np.abs(q).max(initial=0.0)) for q in (qx, qy, qz))
         r = np.where(usable, r * _SLACK + 1e-14 * largest + 1e-18, -1.0)
         y0, y1 = self._span(qy, r, 1)
-        z0, z1 = self._span(qz, r, 2)
+        sheet = self._size[2] == 1 and float(np.abs(qz - self._low[2]).max(initial=0.0)) <= self._width[2]
+        z0, z1 = (np.zeros(m, np.int64),) * 2 if sheet else self._span(qz, r, 2)
         tall = int((y1 - y0).max(initial=-1)) + 1
         deep = int((z1 - z0).max(initial=-1)) + 1
         if self._rows.size == 0 or tall <= 0 or deep <= 0:
@@ -176,7 +177,7 @@ class CellGrid:
         firsts, counts = [], []
         for dz in range(deep):
             cz = z0 + dz
-            off_z = self._off(qz, cz, 2)
+            off_z = np.zeros(m) if sheet else self._off(qz, cz, 2)
             for dy in range(tall):
                 cy = y0 + dy
                 off_y = self._off(qy, cy, 1)
@@ -224,10 +225,9 @@ class CellGrid:
         """Measure the candidates of some queries, that come after `before` others, and keep those in reach."""
         flat = count.ravel()
         total = int(each.sum())
-        # int64: an index of another type is converted at every use
         at = np.repeat(first.ravel() - (np.cumsum(flat) - flat), flat)
         at += np.arange(total)
-        i = np.repeat(np.arange(each.size, dtype=np.int32), each)
+        i = np.repeat(np.arange(each.size), each)
         with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is beyond any radius but an infinite one
             dx, dy, dz = (s.take(at) - q.repeat(each) for s, q in zip(self._sorted, query, strict=True))
             distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
@@ -240,7 +240,7 @@ class CellGrid:
         chosen = self._nearest(i, j, distance.take(keep)) if int(each.max(initial=0)) > NEIGHBOURS else None
         if chosen is not None:
             keep, i, j = keep[chosen], i[chosen], j[chosen]
-        i += np.int32(before)
+        i += before
         return i, j, dx.take(keep), dy.take(keep), dz.take(keep), distance.take(keep)
 
     def _nearest(self, i: Rows, j: Rows, distance: Floats) -> NDArray[np.int64] | None:
