@@ -61,9 +61,13 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
     if python.exists() and stamp.exists() and stamp.read_text() == wanted:
         return python
     print(f"setting up {folder} (Python packages, about 1 GB with Open3D; some minutes the first time)", flush=True)
-    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
+    stamp.unlink(missing_ok=True)
+    if subprocess.run([sys.executable, "-m", "venv", str(folder)]).returncode:
+        sys.exit("no virtual environment could be made; on Debian or Ubuntu, run as root:\n  apt-get install -y python3-venv")
     pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
     subprocess.run([*pip, "--editable", f"{ROOT}[test]", *requirements], check=True)
+    # An editable install compiles nothing, and where no bytecode may be written every command would compile it all anew.
+    subprocess.run([str(python), "-m", "compileall", "-q", str(ROOT / "antdsl")], check=False)
     stamp.write_text(wanted)
     return python
 
@@ -95,10 +99,16 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "foraging", help="where the example's cache goes")
     parser.add_argument("--require", action="append", default=[], help="a further requirement, such as open3d-cpu==0.18.0")
     arguments, rest = parser.parse_known_args()
-    if sys.version_info < (3, 11):
+    if sys.version_info < (3, 11):  # noqa: UP036 - whoever starts this may have any Python
         sys.exit("antdsl needs Python 3.11 or newer")
-    install_system_packages()
-    python = ensure_environment(arguments.env.resolve(), arguments.require)
+    if rest and arguments.job != "test":
+        parser.error(f"unknown: {' '.join(rest)}")
+    try:
+        install_system_packages()
+        python = ensure_environment(arguments.env.resolve(), arguments.require)
+    except subprocess.CalledProcessError as failed:
+        words = " ".join(map(str, failed.cmd))
+        sys.exit(f"this did not work, for the reason above; start again when it is mended:\n  {words}")
     return run_example(python, arguments.out.resolve()) if arguments.job == "example" else run_tests(python, rest)
 
 

@@ -85,9 +85,9 @@ def test_strict_makes_warnings_errors_and_explain_says_what_a_code_means(folder:
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["run", "none.yaml"], 1, "there is no file `none.yaml`"),
-        (["check", "none.ant"], 1, "none.ant"),
-        (["check", "walker.txt"], 1, "neither a program"),
+        (["run", "none.yaml"], 3, "there is no file `none.yaml`"),
+        (["check", "none.ant"], 3, "none.ant"),
+        (["check", "walker.txt"], 3, "neither a program"),
         (["check"], 2, "name a file or a folder"),
         (["run", "scene.yaml", "--frames", "9..1"], 2, "ends before it begins"),
         (["run", "scene.yaml", "--set", "pace"], 2, "NAME=VALUE"),
@@ -218,3 +218,24 @@ def test_params_are_listed_once(tmp_path: Path) -> None:
     done = antdsl("check", "ants", "--params", cwd=tmp_path)
     assert done.stdout.count("walker.pace = 30 mm/s  in 5 mm/s .. 100 mm/s  How fast") == 1
     assert antdsl("check", "ants", "--params", "--format", "json", cwd=tmp_path).returncode == 2
+
+
+def test_what_cannot_be_read_is_input_and_output_not_a_finding(folder: Path) -> None:
+    for words in (("check", "none.ant"), ("check", "none.yaml"), ("run", "none.yaml"), ("plan", "none.ant"), ("run", ".")):
+        done = antdsl(*words, cwd=folder)
+        assert done.returncode == 3 and "error[" in done.stdout + done.stderr, words
+    (folder / "bad.ant").write_text("ant 1\n")
+    assert antdsl("check", "none.ant", "bad.ant", cwd=folder).returncode == 1
+
+
+def test_wrong_use_is_told_before_anything_is_simulated(folder: Path) -> None:
+    done = antdsl("run", "walker.ant", cwd=folder)
+    assert done.returncode == 2 and "is a program" in done.stderr
+    done = antdsl("run", "scene.yaml", "--summary", "none/summary.json", cwd=folder)
+    assert done.returncode == 2 and "no folder `none`" in done.stderr and not (folder / "out").exists()
+
+
+def test_the_set_up_tells_wrong_words_and_what_failed(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "antdsl.bootstrap", "example", "--ouz", "x"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and "--ouz" in done.stderr

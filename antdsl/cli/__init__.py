@@ -82,7 +82,7 @@ def _run() -> int:
         print("error: out of memory; fewer agents, larger cells or a lighter mesh need less", file=sys.stderr)
         return Exit.INPUT_OUTPUT
     except OSError as problem:
-        print(f"error: {problem.strerror or problem}: {problem.filename or ''}".rstrip(": "), file=sys.stderr)
+        print(f"error: {(problem.strerror or str(problem)).lower()}: {problem.filename or ''}".rstrip(": "), file=sys.stderr)
         return Exit.INPUT_OUTPUT
     except Exception:
         import traceback

@@ -44,7 +44,7 @@ def check(
     if not paths:
         raise typer.BadParameter("name a file or a folder", param_hint="PATH")
     from antdsl.cli.arguments import grants
-    from antdsl.cli.reports import show
+    from antdsl.cli.reports import show, verdict
     from antdsl.pipeline import Choices, check_path, find_files
 
     files, report = find_files(paths)
@@ -62,7 +62,7 @@ def check(
     if params:
         _params(programs)
     if not report.ok:
-        raise Stop(Exit.FINDINGS)
+        raise Stop(verdict(report))
     if format is Format.full:
         warnings = len(report.diagnostics)
         tail = f", {warnings} warning{'s' if warnings > 1 else ''}" if warnings else ", nothing to complain about"

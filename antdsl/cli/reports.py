@@ -7,6 +7,8 @@ import sys
 from antdsl.cli.exits import Exit, Stop
 from antdsl.diagnostics import Report
 
+_UNREAD = frozenset(("cannot-read", "no-such-file", "not-a-file", "file-too-large"))
+
 
 def show(report: Report, format: str = "full", *, to_stderr: bool = False) -> None:
     """Print the complaints; machine formats are printed even when there is none, so that a reader always gets its document."""
@@ -22,7 +24,15 @@ def show(report: Report, format: str = "full", *, to_stderr: bool = False) -> No
 
 
 def demand(report: Report) -> None:
-    """Print warnings and errors to standard error; leave with exit code 1 when there is an error."""
+    """Print warnings and errors to standard error; leave with the exit code for errors when there are any."""
     show(report, to_stderr=True)
     if not report.ok:
-        raise Stop(Exit.FINDINGS)
+        raise Stop(verdict(report))
+
+
+def verdict(report: Report) -> Exit:
+    """The exit code for a report: nothing to read is input and output, everything else is something found in a file."""
+    errors = [d for d in report.diagnostics if d.severity == "error"]
+    if errors and all(d.span is None and d.code in _UNREAD for d in errors):
+        return Exit.INPUT_OUTPUT
+    return Exit.FINDINGS if errors else Exit.FINE

@@ -54,6 +54,10 @@ def run(
     from antdsl.cli.reports import demand
     from antdsl.pipeline import Choices, open_scene
 
+    if scene.suffix == ".ant":
+        raise typer.BadParameter(f"`{scene}` is a program; name a scene that uses it, such as scene.yaml", param_hint="SCENE")
+    if summary is not None and not summary.absolute().parent.is_dir():
+        raise typer.BadParameter(f"there is no folder `{summary.parent}`", param_hint="--summary")
     choices = Choices(grants(root), frame_range(frames), seed, pairs(set_, "--set"))
     shot, report = open_scene(scene, choices)
     demand(report)

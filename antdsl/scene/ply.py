@@ -85,8 +85,9 @@ def _property(words: list[str]) -> Property | None:
 
 def _fits(header: Header, size: int) -> None:
     counts = {element.name: element.count for element in header.elements}
-    if counts.get("face", 0) > limits.MESH_FACES or counts.get("vertex", 0) > 3 * limits.MESH_FACES:
-        raise HeaderError(f"says it has {counts.get('face', 0):,} faces, more than {limits.MESH_FACES:,}")
+    for name, words, most in (("face", "faces", limits.MESH_FACES), ("vertex", "vertices", 3 * limits.MESH_FACES)):
+        if counts.get(name, 0) > most:
+            raise HeaderError(f"says it has {counts[name]:,} {words}, more than {most:,}")
     least = sum(element.count * (element.least() if header.order else 1) for element in header.elements)
     if least > size - header.body:
         raise HeaderError(f"says it has {sum(counts.values()):,} elements, too many for a file of {size:,} bytes")
