@@ -247,3 +247,27 @@ def test_giving_is_a_rate_in_a_body_and_never_more_than_there_is():
     seen = play(text, crowd(3), steps=4, items={"nest": (item("n", 0, 9), item("far", 90, 0))})
     assert seen["load"] == [0, 0, 0] and seen.amounts("nest") == [3, 0]
     assert seen.every("load")[1:3] == pytest.approx([0.6, 0.2])
+
+
+def test_two_lines_that_look_alike_have_draws_and_memories_of_their_own():
+    text = """species a {
+x = 0
+y = 0
+n = 0
+on ping { x += uniform(0, 1) }
+on ping { y += uniform(0, 1) }
+start p
+from any except q when chance 500 %/s -> any { n += 1 }
+from any except any when chance 500 %/s -> any { n += 10 }
+from any except q, any when frame < 5 held 0.2 s -> q { n += 100 }
+from any except p, any when frame > 99 held 0.2 s -> q
+state p { emit ping; when false -> q }
+state q { when false -> p }
+state any { when false -> previous }
+}"""
+    seen = play(text, crowd(60), steps=2, ways=FAST)
+    drawn = [(x, y) for x, y in zip(seen["x"], seen["y"], strict=True) if x > 0]
+    assert len(drawn) > 10 and all(x != y for x, y in drawn)
+    assert {n % 100 for n in seen["n"]} == {0, 1, 10} and seen.states(0)[0] == "p"
+    late = play(text.replace("500 %/s", "0 %/s"), steps=4)
+    assert late.states() == ["p", "p", "p", "q", "q"] and late["n"] == [100]

@@ -221,7 +221,7 @@ def test_changes_are_in_the_order_in_which_they_are_looked_at() -> None:
     )
     assert complaints(report) == []
     s, r, q = program.species["a"].machines[0].states
-    assert [c.key for c in s.transitions] == ["a.main.s->q#1", "a.main.any->r#1", "a.main.s->r#1"]
+    assert [c.key for c in s.transitions] == ["a.main.s->q#1", "a.main.from any->r#1", "a.main.s->r#1"]
     assert [c.key for c in r.transitions] == ["a.main.r->previous#1"]  # never into the state one is in
     assert q.transitions[0].choices[0][0] == 0
     assert len(q.transitions) == 1

@@ -120,7 +120,7 @@ class MachineWriter:
 
     def _anywhere(self, t: model.Transition) -> bool:
         """It was written `from any`: it never leads into the state one is in, also where only the run shows which that is."""
-        return t.key.startswith(f"{self.site}.any->")
+        return t.key.startswith(f"{self.site}.{model.ANYWHERE}->")
 
     def _held(self, t: model.Transition, holds: Node, duration: model.Expr) -> Node:
         """The condition holds and has held for so many steps before this one, without a break."""

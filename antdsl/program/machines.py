@@ -24,7 +24,8 @@ def machine(scope: Scope, names: MachineNames, members: Sequence[object], span: 
     """A machine with its states; `span` is where it is named."""
     scope = scope.inside(machine=names)
     states = [m for m in members if isinstance(m, nodes.State)]
-    anywhere = [(node, _from_any(scope, names, node)) for node in members if isinstance(node, nodes.Change)]
+    general_keys = scope.inside(keys=Keys(f"{names.key}.{model.ANYWHERE}"))
+    anywhere = [(node, _from_any(general_keys, names, node)) for node in members if isinstance(node, nodes.Change)]
     made: list[model.State] = []
     for index, state in enumerate(_once(states)):
         general = [change for node, change in anywhere if change is not None and _applies(node, change, state.name.text, index)]
@@ -143,7 +144,7 @@ def _from_any(scope: Scope, names: MachineNames, node: nodes.Change) -> model.Tr
     for name in node.any_except or ():
         if name.text not in names.states:
             unknown_state(scope.report, name, names.key.partition(".")[0], list(names.states))
-    return _change(scope.inside(keys=Keys(f"{names.key}.any")), names, node, f"{names.key}.any")
+    return _change(scope, names, node, scope.keys.path)
 
 
 def _applies(node: nodes.Change, change: model.Transition, state: str, index: int) -> bool:

@@ -233,6 +233,9 @@ class Take:
     span: Span
 
 
+ANYWHERE = "from any"  # in the keys of those changes: no state can have this name
+
+
 @value
 class Transition:
     """`condition` None is always true. All parts given must hold: `after` (time in the state), `condition` for `held`."""

@@ -104,7 +104,8 @@ def complete(work: Draft) -> model.Species:
     attributes = [_relaxing(scope, a, _declaration(node, a.name)) for a in work.attributes]
     bindings = _bindings(scope, node)
     machines = _machines(scope.inside(no_keep=None), node)
-    handlers = [_handler(scope.inside(no_keep=None), m) for m in node.members if isinstance(m, nodes.On)]
+    events: dict[str, Keys] = {}
+    handlers = [_handler(scope.inside(no_keep=None), m, events) for m in node.members if isinstance(m, nodes.On)]
     return model.Species(
         names.name, node.help.text if node.help else "", tuple(attributes), tuple(work.params),
         tuple(b for b in bindings if b.role == "let"), tuple(b for b in bindings if b.role == "latch"),
@@ -213,10 +214,12 @@ def _machines(scope: Scope, node: nodes.Species) -> list[model.Machine]:
     return made
 
 
-def _handler(scope: Scope, node: nodes.On) -> model.Handler:
+def _handler(scope: Scope, node: nodes.On, events: dict[str, Keys]) -> model.Handler:
+    """`events`: keys of the handlers so far, by event; two of one event must not share their draws."""
     names, event = scope.species, node.event.text
     assert names is not None
-    scope = scope.inside(keys=Keys(f"{names.name}.on.{event}"), no_keep="an event happens now and then")
+    keys = events.setdefault(event, Keys(f"{names.name}.on.{event}"))
+    scope = scope.inside(keys=keys, no_keep="an event happens now and then")
     other = None
     if event == "collision" and node.variable is not None:
         other = Binding(node.variable.text, "element", Type(Kind.AGENT, Dim(), names.name), Rate.AGENT, node.variable.span)
