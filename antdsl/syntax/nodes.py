@@ -15,7 +15,7 @@ _N = TypeVar("_N")
 
 @dataclass_transform(frozen_default=True, eq_default=False)
 def node(cls: type[_N]) -> type[_N]:
-    return dataclass(frozen=True, slots=True, eq=False)(cls)
+    return dataclass(frozen=True, slots=True, eq=False, repr=False)(cls)
 
 
 @node
