@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import random
 
+import meshes
+import numpy as np
 import pytest
-from meaning import FAST, WAYS, crowd, play
+import random_sensing
+from meaning import WAYS, crowd, item, play
 from random_programs import NAMES, NUMBERS, Author, Reading
+
+from antdsl.runtime import FieldStart, MeshData, Options
 
 FRAMES = 14
 
@@ -22,3 +27,29 @@ def test_a_program_does_what_it_says(seed: int) -> None:
         told = (reading.state, [float(reading.now[name]) for name in NUMBERS])
         assert (state, numbers) == told, f"frame {frame}\n{program.text}"
         reading.step()
+
+
+@pytest.fixture(scope="module")
+def place() -> dict[str, object]:
+    """Hills with a boulder, a road, two sources and a nest, some scent to begin with."""
+    return {
+        "surfaces": {"ground": MeshData(*meshes.terrain(200.0, 12))},
+        "obstacles": {"stones": MeshData(*meshes.ball(15.0, (40, 5, 10), 6))},
+        "curves": {"way_in": np.array([[-80.0, 0, -80], [0, 0, 10], [80, 0, 60]])},
+        "items": {"food": (item("f", 20, -20, 8, load=5), item("g", -40, 10, 8, load=2.5)), "nest": (item("n", 0, 0, 12),)},
+        "field_start": {"trail": FieldStart(0.5, (0.0, 0.0, 0.0), 40.0)},
+        "seed": 9,
+    }
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_backends_agree_on_what_agents_sense_and_do(seed: int, place: dict[str, object]) -> None:
+    text = random_sensing.Sensing(seed).text
+    ways = (
+        Options(on_fault="quarantine"),
+        Options(on_fault="quarantine", chunk=3, threads=2, shuffle_rows=3),
+        Options(on_fault="quarantine", backend="reference", shuffle_rows=2),
+    )
+    agents = (crowd(9, radius=60), crowd(3, species="other", radius=60))
+    seen = play(text, *agents, world=random_sensing.WORLD, steps=6, ways=ways, **place)
+    assert seen.world.frame == 6 and seen.world.faults.count == 0  # what is no number loses against its bounds
