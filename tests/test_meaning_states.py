@@ -271,3 +271,9 @@ state any { when false -> previous }
     assert {n % 100 for n in seen["n"]} == {0, 1, 10} and seen.states(0)[0] == "p"
     late = play(text.replace("500 %/s", "0 %/s"), steps=4)
     assert late.states() == ["p", "p", "p", "q", "q"] and late["n"] == [100]
+
+
+def test_a_change_into_a_state_that_kills_is_counted():
+    text = "species a { start s\nstate s { when after 2 step -> gone }\nstate gone { enter { die }; when false -> s } }"
+    seen = play(text, crowd(at=[(0, 0), (9, 0), (18, 0)]), steps=4)
+    assert len(seen.world.populations["a"]) == 0 and seen.world.transitions == {"a.s->gone": 3}

@@ -44,8 +44,10 @@ def claim(world: World) -> None:
 
 
 def act(world: World) -> None:
-    """Transitions' actions, and the body of the state that one is in now."""
+    """Transitions' actions, and the body of the state that one is in now. Changes are counted while the dying are still there."""
     _run(world, "act")
+    for population in world.populations.values():
+        _count_transitions(world, population)
 
 
 def blend(world: World) -> None:
@@ -93,7 +95,6 @@ def bear(world: World) -> None:
 def commit(world: World) -> None:
     """What was written becomes what everybody sees."""
     for population in world.populations.values():
-        _count_transitions(world, population)
         for name, array in population.now.items():
             if population.start[name] is not array:
                 np.copyto(population.start[name], array)
