@@ -18,7 +18,7 @@ from antdsl.syntax import nodes
 
 @dataclass_transform(eq_default=False, frozen_default=True)
 def value(cls: type) -> type:
-    return dataclass(frozen=True, slots=True, eq=False)(cls)
+    return dataclass(frozen=True, slots=True, eq=False, repr=False)(cls)
 
 
 # --- expressions -----------------------------------------------------------------------------------------------------
