@@ -1,0 +1,49 @@
+"""Foraging with 1 and 2 threads, chunks of 1,000 and 100,000, rows shuffled, both backends: one state hash a frame."""
+
+from __future__ import annotations
+
+import pytest
+from foraging_shots import EXAMPLE, world
+
+from antdsl.runtime import Options, state_hash, step
+
+WAYS = (
+    Options(threads=2, chunk=1000),
+    Options(threads=1, chunk=100_000, shuffle_rows=1),
+    Options(threads=2, chunk=100_000, shuffle_rows=2),
+)
+
+
+def hashes(options: Options, frames: int, **changes: object) -> list[str]:
+    under_way = world(options, **changes)  # type: ignore[arg-type]
+    found = [state_hash(under_way)]
+    for _ in range(frames):
+        step(under_way)
+        found.append(state_hash(under_way))
+    return found
+
+
+@pytest.mark.parametrize("options", WAYS, ids=str)
+def test_the_same_hashes_in_many_ways(options: Options) -> None:
+    crowd = dict(count=2200, around=(70.0, 0.0, 50.0), radius=110.0)
+    assert hashes(options, 10, **crowd) == hashes(Options(threads=1, chunk=1000), 10, **crowd)
+
+
+def test_the_reference_backend_agrees() -> None:
+    near = dict(count=20, around=(105.0, 0.0, 80.0), radius=25.0)
+    found = hashes(Options(backend="reference", shuffle_rows=3), 30, **near)
+    assert found == hashes(Options(threads=2), 30, **near)
+    assert len(set(found)) == 31
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", WAYS, ids=str)
+def test_the_same_hashes_with_fifteen_thousand(options: Options) -> None:
+    many = EXAMPLE / "many.yaml"
+    assert hashes(options, 60, scene=many) == hashes(Options(threads=1, chunk=1000), 60, scene=many)
+
+
+@pytest.mark.slow
+def test_the_reference_backend_agrees_on_a_longer_way() -> None:
+    near = dict(count=40, around=(70.0, 0.0, 50.0), radius=80.0)
+    assert hashes(Options(backend="reference"), 200, **near) == hashes(Options(), 200, **near)
