@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from antdsl.runtime import World, step
 
 # turn_p99 is degrees a step at 24 fps; max_turn of 400 deg/s allows 16.7 in the plane.
-BOUNDS = dict(turn_p99=17.0, circling=0.02, standing=0.005, overlap_p99=0.6, straightness=0.75)
-CROWDED = dict(turn_p99=17.0, circling=0.03, standing=0.02, overlap_p99=0.8, straightness=0.7)
+BOUNDS = dict(turn_p99=17.0, circling=0.01, standing=0.005, overlap_p99=0.6, straightness=0.75)
+CROWDED = dict(turn_p99=17.0, circling=0.01, standing=0.02, overlap_p99=0.8, straightness=0.7)
 
 
 def nothing_lost(seen: Watched) -> None:
