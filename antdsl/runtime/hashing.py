@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hashlib import blake2b
+from hashlib import sha256
 
 import numpy as np
 
@@ -10,8 +10,10 @@ from antdsl.runtime.world import World
 
 
 def state_hash(world: World) -> str:
-    """BLAKE2b of 128 bits, in hexadecimal: species by name with rows in id order, then items, then fields."""
-    digest = blake2b(digest_size=16)
+    """First 128 bits of a SHA-256, in hexadecimal: species by name with rows in id order, then items, then fields.
+
+    SHA-256 because processors have instructions for it: half the time of BLAKE2b for the megabytes of a large crowd."""
+    digest = sha256()
     digest.update(np.int64(world.frame).tobytes())
     for name in sorted(world.populations):
         population = world.populations[name]
@@ -33,4 +35,4 @@ def state_hash(world: World) -> str:
             digest.update(f"\0{name}\0{attribute}\0".encode() + amounts.tobytes())
     for name in sorted(world.fields):
         digest.update(f"\0{name}\0".encode() + world.fields[name].state_bytes())
-    return digest.hexdigest()
+    return digest.hexdigest()[:32]

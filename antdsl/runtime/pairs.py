@@ -132,7 +132,7 @@ def _near(
 ) -> PairRows:
     widest = float(np.max(radius, initial=0.0)) if np.size(radius) else 0.0
     widest = widest if np.isfinite(widest) and widest > 0 else 1.0
-    key = (other.name, float(np.ceil(np.log2(widest))))
+    key = (other.name, float(np.ceil(4 * np.log2(widest))))
     grid = world.grids.get(key)
     if grid is None:
         x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
