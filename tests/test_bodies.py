@@ -76,7 +76,7 @@ def test_bodies_face_outwards_and_stand_on_the_ground(name, fine):
 @pytest.mark.parametrize("shape", sorted(PLACED))
 def test_placed_shapes_face_outwards_with_colours(shape):
     vertices, faces, colour = placed(shape)
-    assert volume(vertices, faces) > 0.5
+    assert volume(vertices, faces) > (0.2 if shape == "mound" else 0.5)  # a nest lies flat, lower than an ant
     assert colour.shape == vertices.shape and colour.min() >= 0 and colour.max() <= 1
     assert 0.9 < np.hypot(vertices[:, 0], vertices[:, 2]).max() < 1.3
 

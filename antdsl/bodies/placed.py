@@ -77,18 +77,18 @@ def _ring() -> Painted:
 
 
 def _mound() -> Painted:
-    """A crater of loose soil with a dark hole, as ants throw it up around their door."""
+    """A low ring of loose soil with a dark hole, as ants throw it up around their door; lower than an ant, so that none is buried."""
     rings, around = 22, 40
     reach = np.linspace(0, 1.25, rings)
     turn = np.arange(around) * 2 * np.pi / around
     r, t = np.meshgrid(reach, turn, indexing="ij")
     crest = 0.52
-    outside = 0.19 * np.exp(-(((r - crest) / 0.34) ** 2))
-    inside = 0.19 * np.exp(-(((r - crest) / 0.22) ** 2)) - 0.19 * np.exp(-((r / 0.20) ** 2))
-    high = np.where(r > crest, outside, np.maximum(inside, 0.02))  # the ground goes on below: a hole in it would not be seen
+    outside = 0.07 * np.exp(-(((r - crest) / 0.34) ** 2))
+    inside = 0.07 * np.exp(-(((r - crest) / 0.22) ** 2)) - 0.07 * np.exp(-((r / 0.20) ** 2))
+    high = np.where(r > crest, outside, np.maximum(inside, 0.012))  # the ground goes on below: a hole in it would not be seen
     points = np.stack([r * np.cos(t), high, r * np.sin(t)], axis=2).reshape(-1, 3)
     soft = np.clip(r.reshape(-1) / 0.25, 0, 1)
-    points[:, 1] += 0.025 * waves(points * np.array([1, 0, 1]), 61, 0.35, 2) * soft
+    points[:, 1] += 0.012 * waves(points * np.array([1, 0, 1]), 61, 0.35, 2) * soft
     points[:, 1] -= np.clip(r.reshape(-1) - 0.9, 0, None) * 0.35
     row, column = np.meshgrid(np.arange(rings - 1), np.arange(around), indexing="ij")
     a, b = (row * around + column).reshape(-1), (row * around + (column + 1) % around).reshape(-1)
