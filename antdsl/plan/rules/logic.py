@@ -57,11 +57,6 @@ def _is_none(w: Writer, e: model.Op) -> Value:
     return w.b("not", present(w, lower(w, argument), argument))
 
 
-def _to_bool(w: Writer, e: model.Op) -> Value:
-    assert e.args[0] is not None
-    return truth(w, e.args[0])
-
-
 def _first(w: Writer, e: model.Op) -> Value:
     choices = [(a, lower(w, a)) for a in e.args if a is not None]
     result = choices[-1][1]
@@ -72,5 +67,5 @@ def _first(w: Writer, e: model.Op) -> Value:
 
 RULES = {
     "and": _joined("and", "min"), "or": _joined("or", "max"), "not": _not, "if": _if, "is_some": _is_some, "is_none": _is_none,
-    "to_bool": _to_bool, "first": _first,
+    "first": _first,
 }  # fmt: skip
