@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime import compiled
+from antdsl.runtime.senses.clearances import Clearances, Parts
 from antdsl.runtime.senses.rays import Mesh, RayScene
-from antdsl.runtime.senses.surroundings import Around, Nearness
+from antdsl.runtime.senses.surroundings import LIFT, NOISE, Around
 from antdsl.runtime.senses.topology import Topology, build, facing
 from antdsl.runtime.senses.walk import Walkers, dot, in_frame, inside, turned, walk
 
@@ -102,7 +104,8 @@ class Ground:
         self._table: Topology = build(self._vertices, self._faces, self._mesh, self.extent)
         self._side = facing(self._table.normal.T)
         self._scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
-        self._nearness = Nearness(self._vertices[self._faces], self._table.piece, self.low)
+        self._clearances = Clearances(self._vertices[self._faces], self._table.piece, self.low, self.extent * NOISE)
+        self._packed: Floats | None = None
 
     # ---- asking
 
@@ -187,33 +190,70 @@ class Ground:
         Of the two readings of the thesis's surface pass (longer ray, nearest hit) this takes the nearest surface along the way.
         """
         n = len(footing)
-        body = np.broadcast_to(np.asarray(body, np.float64), (n,))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return self._moved(footing, displacement, heading, up, body, threads)
-
-    def _moved(
-        self, footing: Footing, displacement: Floats, heading: Floats, up: Floats, body: Floats, threads: int
-    ) -> MoveResult:
-        """As `move`, one body for each agent, in the order given."""
-        n = len(footing)
-        face, known = self._faces_of(footing)
-        up_t, heading_t = (np.ascontiguousarray(np.asarray(v, np.float64).T) for v in (up, heading))
-        wish = np.array(np.asarray(displacement, np.float64).T, order="C")
         if not self._faces.size or not n:
             return _unmoved(footing, up, heading)
-        sound = np.isfinite(wish[0] + wish[1] + wish[2])
-        if not sound.all():
-            wish[:, ~np.isfinite(wish).all(axis=0)] = 0.0
+        body = np.ascontiguousarray(np.broadcast_to(np.asarray(body, np.float64), (n,)))
+        wish, heading_t, up_t = (np.ascontiguousarray(np.asarray(v, np.float64).T) for v in (displacement, heading, up))
+        with np.errstate(all="ignore"):
+            parts = self._clearances.within(self._reach(wish, body))
+            if compiled.wanted(n):
+                return self._moved_fast(footing, wish, heading_t, up_t, body, parts, threads)
+            return self._moved(footing, wish, heading_t, up_t, body, parts, threads)
+
+    def _reach(self, wish: Floats, body: Floats) -> float:
+        """How far (mm) anybody looks out for other surfaces on a way."""
+        square = dot(wish, wish)
+        way = float(np.sqrt(square.max(initial=0.0, where=np.isfinite(square))))
+        return way + LIFT * float(np.fmax.reduce(body)) + 3 * self._clearances.noise
+
+    def _moved_fast(
+        self, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, parts: Parts, threads: int
+    ) -> MoveResult:
+        """As `_moved`, to the same bits: most by the compiled walk, and those that it leaves by `_moved`."""
+        from antdsl.runtime.senses import walk_compiled
+
+        if self._packed is None:
+            self._packed = walk_compiled.packed(self._table)
+        n, noise = len(footing), self._clearances.noise
+        done, blocked, lost = np.empty(n, np.bool_), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+        moved = Footing(np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n), np.empty(n))
+        place, above, ahead, direction, gone = *np.empty((4, 3, n)), np.empty(n)
+        at = (footing.mesh, footing.face, footing.b1, footing.b2)
+        to = (moved.mesh, moved.face, moved.b1, moved.b2)
+        near = (parts.first, parts.count, parts.least, parts.reach, noise, body, LIFT)
+        walk_compiled.walk_all(
+            self._packed, self._table.link, self._mesh, self._first, *near, *at, wish, heading, up,
+            done, *to, place, above, ahead, direction, gone,
+        )  # fmt: skip
+        result = MoveResult(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, lost)
+        left = np.flatnonzero(~done)
+        if left.size:
+            inputs = (v.take(left, axis=1) for v in (wish, heading, up))
+            rest = self._moved(footing.take(left), *inputs, body.take(left), parts, threads)
+            for whole, part in ((result.footing, rest.footing), (result, rest)):
+                for name in (f.name for f in fields(whole) if f.name != "footing"):
+                    getattr(whole, name)[left] = getattr(part, name)
+        return result
+
+    def _moved(
+        self, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, parts: Parts, threads: int
+    ) -> MoveResult:
+        """As `move`, vectors (3, n), one body for each agent."""
+        n = len(footing)
+        face, known = self._faces_of(footing)
+        if not np.isfinite(wish[0] + wish[1] + wish[2]).all():
+            wish = np.where(np.isfinite(wish).all(axis=0), wish, 0.0)
         t = self._table
-        side = np.where(dot(up_t, t.normal.take(face, axis=1)) < 0, -1.0, 1.0)
-        b1, b2 = inside(np.where(known, footing.b1, 0.0), np.where(known, footing.b2, 0.0))
+        side = np.where(dot(up, t.normal.take(face, axis=1)) < 0, -1.0, 1.0)
+        b1, b2 = inside(np.where(known, footing.b1, 0.0) + 0.0, np.where(known, footing.b2, 0.0) + 0.0)  # no -0.0
         axes = t.axis1.take(face, axis=1), t.axis2.take(face, axis=1)
         c, s, way = _laid_down(axes, wish, 1.0, 0.0)
         way[~known] = 0.0
-        heading_c, heading_s, _ = _laid_down(axes, heading_t, c, s)
+        heading_c, heading_s, _ = _laid_down(axes, heading, c, s)
         w = Walkers(face, b1, b2, side, c, s, heading_c, heading_s, way, np.zeros(n), np.zeros(n, bool))
         around = Around(t, self._cast, self._weights, self.extent, body, threads)
-        near = self._nearness.of(w.face, float(way.max(initial=0.0) + body.max(initial=0.0)))
+        noise = self._clearances.noise
+        near = parts.of(face, b1, b2) <= way + np.fmax(LIFT * body, noise) + noise
         walk(t, w, near, around)
         smooth = self._smooth(w.face, w.b1, w.b2) * w.side
         axis1, axis2 = t.axis1.take(w.face, axis=1), t.axis2.take(w.face, axis=1)
@@ -225,7 +265,7 @@ class Ground:
         moved = self._footing(rows, w.b1, w.b2)
         result = [v.T for v in (w.place(t), smooth, ahead, axis1 * w.c + axis2 * w.s)]
         if not known.all():
-            for vectors, kept in zip(result, (np.zeros((n, 3)), up, heading, heading), strict=True):
+            for vectors, kept in zip(result, (np.zeros((n, 3)), up.T, heading.T, heading.T), strict=True):
                 vectors[~known] = kept[~known]
         position, above, forward, direction = result
         return MoveResult(moved, position, above, forward, direction, w.gone, w.blocked, ~known)
@@ -286,7 +326,7 @@ class Ground:
         if not self._faces.size:
             return np.zeros(len(face)), np.zeros(len(face))
         c, s = in_frame(t, face, place - t.corner.take(face, axis=1))
-        return inside(c * t.rate1.take(face) - s * t.shear.take(face), s * t.rate2.take(face))
+        return inside(c * t.rate1.take(face) - s * t.shear.take(face) + 0.0, s * t.rate2.take(face) + 0.0)  # no -0.0
 
     def _smooth(self, face: Index, b1: Floats, b2: Floats) -> Floats:
         """Smooth unit normals (3, n) by how the faces are wound."""

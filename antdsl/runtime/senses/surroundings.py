@@ -1,4 +1,4 @@
-"""What lies around walkers besides the surface that they are on: who is near another one, and rays that find it."""
+"""What lies around walkers besides the surface that they are on: rays that find it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime.senses.distance_grid import cell_width
-from antdsl.runtime.senses.rasterise import triangle_cells
 from antdsl.runtime.senses.topology import Topology
 from antdsl.runtime.senses.walk import Landing, Walkers, dot
 
@@ -17,57 +15,8 @@ Index = NDArray[np.int64]
 Cast = Callable[[Floats, Floats, int], tuple[Floats, Index]]
 Weights = Callable[[Index, Floats], tuple[Floats, Floats]]
 
-_LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
-_NOISE = 1e-4  # of the extent: float32 rays err by less
-_GRID_CELLS = 400_000
-
-
-class Nearness:
-    """Which places have a second, unlinked piece of surface around: a coarse grid of the pieces in each cell."""
-
-    def __init__(self, corners: Floats, piece: NDArray[np.int32], low: Floats) -> None:
-        self._several = len(np.unique(piece[piece >= 0])) > 1
-        if not self._several:
-            return
-        size = corners.max(axis=(0, 1)) - low
-        self._width = cell_width(size, _GRID_CELLS)
-        self._scaled = (corners - low) / self._width
-        self._size = np.floor(size / self._width).astype(np.int64) + 1
-        self._least = np.full(int(self._size.prod()), np.iinfo(np.int32).max, np.int32)
-        self._most = np.full(int(self._size.prod()), -1, np.int32)
-        live = np.flatnonzero(piece >= 0)
-        for cell, which in triangle_cells(self._scaled[live], exact=False):
-            flat = self._flat(np.minimum(cell, self._size - 1))
-            np.minimum.at(self._least, flat, piece[live[which]])
-            np.maximum.at(self._most, flat, piece[live[which]])
-        self._mixed: dict[int, NDArray[np.bool_]] = {}  # by how many cells one reaches: faces
-
-    def _flat(self, cell: Index) -> Index:
-        return (cell[..., 0] * self._size[1] + cell[..., 1]) * self._size[2] + cell[..., 2]
-
-    def of(self, face: Index, reach: float) -> NDArray[np.bool_]:
-        """Walkers, by their faces, who may meet another piece within `reach` mm."""
-        if not self._several:
-            return np.zeros(face.size, bool)
-        rings = int(min(np.ceil(reach / self._width), self._size.max()))
-        if rings not in self._mixed:
-            self._mixed[rings] = self._faces(self._spread(rings))
-        return self._mixed[rings].take(face)
-
-    def _faces(self, mixed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Faces that lie in some mixed cell."""
-        found = np.zeros(len(self._scaled), bool)
-        for cell, which in triangle_cells(self._scaled, exact=False):
-            found[which[mixed[self._flat(np.clip(cell, 0, self._size - 1))]]] = True
-        return found
-
-    def _spread(self, rings: int) -> NDArray[np.bool_]:
-        from scipy.ndimage import maximum_filter, minimum_filter
-
-        shape, window = tuple(self._size), 2 * rings + 1
-        least = minimum_filter(self._least.reshape(shape), window, mode="nearest")
-        most = maximum_filter(self._most.reshape(shape), window, mode="nearest")
-        return ((least != most) & (most >= 0)).ravel()
+LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
+NOISE = 1e-4  # of the extent: float32 rays err by less
 
 
 class Around:
@@ -76,13 +25,13 @@ class Around:
     def __init__(self, table: Topology, cast: Cast, weights: Weights, extent: float, body: Floats, threads: int) -> None:
         self._table, self._cast, self._weights = table, cast, weights
         self._body, self._threads = body, threads
-        self._noise = extent * _NOISE
+        self._noise = extent * NOISE
 
     def ahead(self, walkers: Walkers, rows: Index, length: Floats) -> Landing:
         """Another piece of surface within the way, seen from just above the ground; below a low ceiling from half its height."""
         t = self._table
         place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
-        lift = np.maximum(_LIFT * self._body[rows], self._noise)
+        lift = np.maximum(LIFT * self._body[rows], self._noise)
         piece = t.piece[walkers.face[rows]]
         part, face = self._cast(place, up * lift, self._threads)
         # What shows its back is not above the agent: the agent is a hair below it, at the foot of a gentle climb.

@@ -14,9 +14,10 @@ from antdsl.runtime.senses.topology import NO_LINK, Topology
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
+CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
+STUCK = 24  # crossings after which a walker is moved off the corner that it may be circling
+GRAIN = 1e-7  # of a face: how far it is moved
 _HOPS = 6  # from surface to surface, or turns along a border, in one step
-_STUCK = 24  # crossings after which a walker is moved off the corner that it may be circling
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,13 +96,14 @@ def cross(a: Floats, b: Floats) -> Floats:
 
 
 def walk(table: Topology, walkers: Walkers, near: NDArray[np.bool_], around: Surroundings) -> None:
-    """Use up the way left of all walkers. Only those `near` other surfaces look out for what is in their way."""
+    """Use up the way left of all walkers. Only those `near` other surfaces look out for what is in their way, and those who come
+    to stand on another: `near` is changed."""
     rows = np.flatnonzero(walkers.left > 0)
     hops = np.zeros(walkers.face.size, np.int8)
-    for turn in range(_CROSSINGS):
+    for turn in range(CROSSINGS):
         if not rows.size:
             return
-        if turn >= _STUCK and turn % _STUCK == 0:
+        if turn >= STUCK and turn % STUCK == 0:
             _leave_corner(walkers, rows)
         rows = _stretch(table, walkers, rows, near, hops, around)
     walkers.left[rows] = 0.0
@@ -130,7 +132,7 @@ def _stretch(
     w.left[on] = np.where(until >= left, 0.0, left - length)
     w.gone[on] += length
     if across.size:
-        _cross(table, w, across if isinstance(on, slice) else on.take(across), edge.take(across), hops, around)
+        _cross(table, w, across if isinstance(on, slice) else on.take(across), edge.take(across), near, hops, around)
     return rows[w.left.take(rows) > 0]
 
 
@@ -153,9 +155,8 @@ def inside(b1: Floats, b2: Floats) -> tuple[Floats, Floats]:
 
 
 def _leave_corner(w: Walkers, rows: Index) -> None:
-    grain = 1e-7
-    w.b1[rows] = w.b1[rows] * (1 - grain) + grain / 3
-    w.b2[rows] = w.b2[rows] * (1 - grain) + grain / 3
+    w.b1[rows] = w.b1[rows] * (1 - GRAIN) + GRAIN / 3
+    w.b2[rows] = w.b2[rows] * (1 - GRAIN) + GRAIN / 3
 
 
 def _climb(
@@ -216,7 +217,15 @@ def _spend_hop(w: Walkers, rows: Index, hops: NDArray[np.int8]) -> None:
     w.blocked[spent] = True
 
 
-def _cross(table: Topology, w: Walkers, rows: Index, edge: Index, hops: NDArray[np.int8], around: Surroundings) -> None:
+def _cross(
+    table: Topology,
+    w: Walkers,
+    rows: Index,
+    edge: Index,
+    near: NDArray[np.bool_],
+    hops: NDArray[np.int8],
+    around: Surroundings,
+) -> None:
     """Unfold walkers who stand on the edge opposite a corner of their face into the faces beyond."""
     half = 3 * w.face.take(rows) + edge
     side = w.side.take(rows)
@@ -225,7 +234,7 @@ def _cross(table: Topology, w: Walkers, rows: Index, edge: Index, hops: NDArray[
         link = np.where(side < 0, table.link[1].take(half), link)
     shut = link == NO_LINK
     if shut.any():
-        _border(table, w, rows[shut], half[shut], hops, around)
+        _border(table, w, rows[shut], half[shut], near, hops, around)
         rows, half, link, edge, side = (v[~shut] for v in (rows, half, link, edge, side))
     there, k2, flip = (link >> 3).astype(np.int64), (link >> 1) & 3, (link & 1).astype(bool)
     half2 = 3 * there + k2
@@ -246,12 +255,21 @@ def _cross(table: Topology, w: Walkers, rows: Index, edge: Index, hops: NDArray[
     w.face[rows] = there
 
 
-def _border(table: Topology, w: Walkers, rows: Index, half: Index, hops: NDArray[np.int8], around: Surroundings) -> None:
+def _border(
+    table: Topology,
+    w: Walkers,
+    rows: Index,
+    half: Index,
+    near: NDArray[np.bool_],
+    hops: NDArray[np.int8],
+    around: Surroundings,
+) -> None:
     """Step over an open border where something lies beyond it, else walk along it as far as the way leads along."""
     landing = around.beyond(w, rows)
     stays = np.ones(rows.size, bool)
     stays[landing.who] = False
     if landing.who.size:
+        near[rows[landing.who]] = True
         _land(table, w, rows, landing, hops)
     rows, half = rows[stays], half[stays]
     c, s = table.edge_c[half], table.edge_s[half]
