@@ -129,7 +129,7 @@ def _tell_end(recording: Recording) -> None:
     bind = spent.pop("bind", 0.0)
     parts, behind = _each(spent, recording.steps), _each(recording.behind, recording.steps)
     print(f"{len(recording.world):,} agents; set up in {bind:.1f} s; milliseconds a frame: {parts or 'none'}")
-    print(f"meanwhile, in the thread that writes: {behind or 'none'}")
+    print(f"meanwhile, behind the simulation: {behind or 'none'}")
     if recording.world.faults.count:
         print(f"{recording.world.faults.count} faults: agents that got a number that is none")
     print(f"the cache is in {recording.folder}")

@@ -1,22 +1,17 @@
-"""Writes a cache so that a crash at any instant leaves one that can be continued: frames are put in place whole by a thread
-behind the simulation,
-checkpoints only after all frames before them are on the disk, hashes line by line."""
+"""Writes a cache so that a crash at any instant leaves one that can be continued: frames are put in place whole behind the
+simulation, checkpoints only after all frames before them are on the disk, hashes line by line."""
 
 from __future__ import annotations
 
-import json
 import os
-import queue
-import threading
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.outputs.behind import Behind
 from antdsl.outputs.cache import (
     HASHES,
     MARKER,
@@ -29,12 +24,14 @@ from antdsl.outputs.cache import (
     open_cache,
     read_hashes,
 )
+from antdsl.outputs.frames import FrameMaker
 from antdsl.outputs.lock import LOCK, FolderLock
 from antdsl.outputs.manifest import Manifest, ManifestError, write_manifest
-from antdsl.outputs.npz import sync_file, sync_folder, to_bytes, write_whole
+from antdsl.outputs.npz import to_bytes, write_whole
+from antdsl.outputs.scribe import Scribe, hash_line
+from antdsl.runtime import World, snapshot, state
 
 Arrays = Mapping[str, NDArray[Any]]
-_BEHIND = 2  # frames that may wait to be written
 
 
 class ForeignFolder(Exception):
@@ -78,11 +75,7 @@ def clear(folder: Path, above: int | None = None) -> None:
     for part in (part for place in (folder, folder / "frames", folder / "checkpoints") for part in list(place.glob(".*.part"))):
         part.unlink(missing_ok=True)
     kept = {} if above is None else {f: h for f, h in read_hashes(folder / HASHES).items() if f <= above}
-    write_whole(folder / HASHES, b"".join(_line(frame, value) for frame, value in kept.items()), sync=True)
-
-
-def _line(frame: int, value: str) -> bytes:
-    return json.dumps({"frame": frame, "hash": value}).encode() + b"\n"
+    write_whole(folder / HASHES, b"".join(hash_line(frame, value) for frame, value in kept.items()), sync=True)
 
 
 def resume_points(folder: Path, inputs: Mapping[str, str], first: int, last: int) -> tuple[Cache, list[int]] | None:
@@ -116,16 +109,16 @@ def read_checkpoint(cache: Cache, frame: int) -> Arrays | None:
 
 class CacheWriter:
     """Between `__enter__` and `__exit__` the folder is locked and frames can be put in. After an error nothing more is
-    written."""
+    written.
 
-    def __init__(self, folder: Path, manifest: Manifest) -> None:
+    `told` gets what a `Scribe` found out about each frame, some frames later, all when `__exit__` is through."""
+
+    def __init__(self, folder: Path, manifest: Manifest, told: Callable[[dict[str, Any]], None]) -> None:
         self.folder, self.manifest = folder, manifest
+        self.peak_memory = 0  # of the process that writes, in bytes; known at the end
+        self._told = told
         self._lock = FolderLock(folder)
-        self._queue: queue.Queue[tuple[int, Callable[[], tuple[Arrays, str]]] | None] = queue.Queue(maxsize=_BEHIND)
-        self._unsynced: list[Path] = []
-        self.seconds = 0.0  # spent on writing frames behind the caller's back
-        self._problem: BaseException | None = None
-        self._thread = threading.Thread(target=self._write_behind, name="cache writer", daemon=True)
+        self._behind: Behind | None = None
 
     def __enter__(self) -> CacheWriter:
         self._lock.__enter__()
@@ -133,68 +126,37 @@ class CacheWriter:
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         try:
-            if self._thread.is_alive():
-                self._queue.put(None)
-                self._thread.join()
-            if kind is None:
-                self._raise()
-                self._sync()
-        finally:
+            if self._behind is not None:
+                self._end(self._behind, whole=kind is None)
+        except Exception:
             self._lock.__exit__(kind, value, trace)
+            raise
+        # Where a second Ctrl-C broke off the waiting the folder stays locked: somebody still writes to it.
+        self._lock.__exit__(kind, value, trace)
 
-    def begin(self, static: Arrays | None, kept_up_to: int | None) -> None:
+    def _end(self, behind: Behind, *, whole: bool) -> None:
+        try:
+            if whole:
+                behind.hand_over(["sync"], {})
+        finally:
+            behind.finish()
+            self.peak_memory = behind.peak_memory
+        if whole:
+            behind.check()
+
+    def begin(self, world: World, static: Arrays, maker: FrameMaker, kept_up_to: int | None) -> None:
         """Write what stands for the whole run. Frames above `kept_up_to` (all if None) of an earlier run are removed first."""
         clear(self.folder, kept_up_to)
-        if static is not None:
-            write_whole(self.folder / STATIC, to_bytes(static), sync=True)
+        write_whole(self.folder / STATIC, to_bytes(static), sync=True)
         write_manifest(self.folder, self.manifest)
-        self._thread.start()
+        self._behind = Behind(Scribe(self.folder, snapshot(world), maker).work, self._told)
 
-    def put(self, frame: int, make: Callable[[], tuple[Arrays, str]]) -> None:
-        """Hand over a frame; behind the caller's back it is made (its arrays and the state's hash) and written, in order.
+    def put(self, world: World, *jobs: str) -> None:
+        """Hand over the state between two steps; behind the caller's back the jobs (of `scribe.JOBS`) are done with it.
 
-        An error of `make` or of the disk is raised by what is called next."""
-        self._raise()
-        self._queue.put((frame, make))
-
-    def checkpoint(self, frame: int, arrays: Arrays) -> None:
-        """Write a checkpoint, durably, after everything before it."""
-        self._queue.join()
-        self._raise()
-        self._sync()
-        whole = {"frame": np.array(frame, np.int64), **{f"world.{name}": array for name, array in arrays.items()}}
-        write_whole(checkpoint_path(self.folder, frame), to_bytes(whole), sync=True)
-
-    def _sync(self) -> None:
-        for path in self._unsynced:
-            sync_file(path)
-        self._unsynced.clear()
-        sync_folder(self.folder / "frames")
-        sync_file(self.folder / HASHES)
-
-    def _raise(self) -> None:
-        if self._problem is not None:
-            raise self._problem
-
-    def _write_behind(self) -> None:
-        with open(self.folder / HASHES, "ab") as hashes:
-            while (entry := self._queue.get()) is not None:
-                try:
-                    if self._problem is None:
-                        frame, make = entry
-                        arrays, state_hash = make()
-                        began = time.perf_counter()
-                        path = frame_path(self.folder, frame)
-                        write_whole(path, to_bytes(arrays), sync=False)
-                        self._unsynced.append(path)
-                        hashes.write(_line(frame, state_hash))
-                        hashes.flush()
-                        self.seconds += time.perf_counter() - began
-                except BaseException as problem:  # handed to the caller of the next `put`
-                    self._problem = problem
-                finally:
-                    self._queue.task_done()
-            self._queue.task_done()
+        An error there or of the disk is raised by what is called next."""
+        assert self._behind is not None, "begin comes first"
+        self._behind.hand_over(jobs, state(world, history="checkpoint" in jobs))
 
 
 def free_bytes(folder: Path) -> int:

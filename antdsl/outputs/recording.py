@@ -8,9 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from antdsl.outputs.cache import Cache
 from antdsl.outputs.cache_writer import CacheWriter, prepare_folder, read_checkpoint, resume_points
 from antdsl.outputs.feelers import feelers_of
@@ -18,7 +15,7 @@ from antdsl.outputs.frames import FrameMaker, describe, static_arrays
 from antdsl.outputs.manifest import CameraEntry
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
-from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, snapshot, state_hash, step
+from antdsl.runtime import CheckpointError, Options, World, bind, restore, state_hash, step
 from antdsl.scene.model import millimetres
 
 
@@ -33,23 +30,28 @@ class Recording:
     resumed_from: int | None = None
     frame: int | None = None  # the last that was handed over to be written
     stop: bool = False
-    hash: str = ""  # of the last frame that was written, once all are
+    hash: str = ""  # of the last frame that is known to be written
     surface_error: float = 0.0  # in body lengths
     steps: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
-    behind: dict[str, float] = field(default_factory=dict)  # of the writer's thread, while the next frames are simulated
+    behind: dict[str, float] = field(default_factory=dict)  # of who writes, while the next frames are simulated
+    writer_memory: int = 0  # the most that the process that writes has used, in bytes; 0 where a thread does
     started: float = field(default_factory=time.perf_counter)
 
     @property
     def complete(self) -> bool:
         return self.frame == self.shot.frames.last
 
-    def spend(self, what: str, since: float, *, behind: bool = False) -> float:
-        """Count the time since `since` under a name; gives the time now. `behind`: spent by the writer's thread."""
-        now = time.perf_counter()
-        spent = self.behind if behind else self.seconds
-        spent[what] = spent.get(what, 0.0) + now - since
-        return now
+    def spend(self, what: str, since: float) -> None:
+        """Count the time since `since` under a name."""
+        self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - since
+
+    def written(self, found: Mapping[str, Any]) -> None:
+        """Take in what was found out about a frame as it was written."""
+        for what, seconds in found["seconds"].items():
+            self.behind[what] = self.behind.get(what, 0.0) + seconds
+        self.hash = found.get("hash", self.hash)
+        self.surface_error = max(self.surface_error, found.get("surface_error", 0.0))
 
 
 class NothingToResume(Exception):
@@ -119,8 +121,8 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         },
         camera=_camera(shot),
     )
-    with CacheWriter(recording.folder, manifest) as writer:
-        writer.begin(static_arrays(world, shot.setting), recording.resumed_from)
+    with CacheWriter(recording.folder, manifest, recording.written) as writer:
+        writer.begin(world, static_arrays(world, shot.setting), maker, recording.resumed_from)
         if recording.resumed_from is None:
             for _ in range(model.preroll):
                 if recording.stop:
@@ -130,18 +132,18 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
                 recording.spend("step", began)
                 watch("preroll", world.frame)
             world.motion.reset()
-            _write(recording, writer, maker)
+            _write(recording, writer)
             yield recording
         while recording.frame is not None and recording.frame < shot.frames.last and not recording.stop:
             began = time.perf_counter()
             step(world)
             recording.steps += 1
             recording.spend("step", began)
-            _write(recording, writer, maker)
+            _write(recording, writer)
             yield recording
         if recording.frame is not None and not _is_checkpoint(recording, recording.frame):
-            writer.checkpoint(recording.frame, checkpoint(world))
-    recording.behind["write"] = writer.seconds
+            writer.put(world, "checkpoint")
+    recording.writer_memory = writer.peak_memory
 
 
 def _is_checkpoint(recording: Recording, frame: int) -> bool:
@@ -149,41 +151,12 @@ def _is_checkpoint(recording: Recording, frame: int) -> bool:
     return (frame - recording.shot.frames.first) % recording.shot.scene.model.output.checkpoint == 0
 
 
-def _write(recording: Recording, writer: CacheWriter, maker: FrameMaker) -> None:
+def _write(recording: Recording, writer: CacheWriter) -> None:
     world = recording.world
     began = time.perf_counter()
-    still = snapshot(world)
-    writer.put(world.frame, lambda: _made(recording, maker, still))
+    writer.put(world, "frame", *(["checkpoint"] if _is_checkpoint(recording, world.frame) else []))
     recording.frame = world.frame
-    if _is_checkpoint(recording, world.frame):
-        writer.checkpoint(world.frame, checkpoint(world))
     recording.spend("hand_over", began)
-
-
-def _made(recording: Recording, maker: FrameMaker, still: World) -> tuple[dict[str, NDArray[Any]], str]:
-    """A frame's arrays and the state's hash, and what is measured on the way; called by the writer's thread."""
-    began = time.perf_counter()
-    recording.surface_error = max(recording.surface_error, surface_error(still))
-    began = recording.spend("measure", began, behind=True)
-    recording.hash = state_hash(still)
-    began = recording.spend("hash", began, behind=True)
-    arrays = maker.frame(still)
-    recording.spend("frame", began, behind=True)
-    return arrays, recording.hash
-
-
-def surface_error(world: World) -> float:
-    """The greatest distance of an agent, as it is written (float32), from the triangle that it stands on, in body lengths."""
-    worst = 0.0
-    for population in world.populations.values():
-        if len(population):
-            exact = world.ground.position(population.footing)
-            away = population.position.astype(np.float32) - exact
-            size = np.maximum(population.now["size"].astype(np.float64), 1e-9)
-            clearance = population.now["clearance"].astype(np.float64) if "clearance" in population.now else 0.0
-            distance = np.abs(np.linalg.norm(away, axis=1) - clearance)
-            worst = max(worst, float((distance / size).max()))
-    return worst
 
 
 def _camera(shot: Shot) -> CameraEntry | None:

@@ -32,7 +32,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "max_surface_error": recording.surface_error,
         "motion": world.motion.summary(),
         "state_hash": recording.hash,
-        "peak_memory": peak_memory(),
+        "peak_memory": peak_memory() + recording.writer_memory,
     }
 
 

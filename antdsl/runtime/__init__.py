@@ -1,7 +1,7 @@
 """Plan and setting become a world that steps."""
 
 from antdsl.runtime.binding import BindError, bind, set_param
-from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore
+from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore, show, state
 from antdsl.runtime.faults import Fault, FaultStop
 from antdsl.runtime.hashing import state_hash
 from antdsl.runtime.snapshots import snapshot
@@ -28,7 +28,9 @@ __all__ = [
     "checkpoint",
     "restore",
     "set_param",
+    "show",
     "snapshot",
+    "state",
     "state_hash",
     "step",
 ]

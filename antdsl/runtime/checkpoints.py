@@ -20,22 +20,51 @@ class CheckpointError(ValueError):
 
 def checkpoint(world: World) -> Arrays:
     """The state between two steps, by name; the arrays are copies."""
+    return {name: array.copy() for name, array in state(world, history=True).items()}
+
+
+def state(world: World, *, history: bool) -> Arrays:
+    """The state between two steps, by name. The arrays are the world's own: to be copied before it goes on.
+
+    `history` adds what has no part in a frame but belongs to a checkpoint: what was counted and measured so far."""
     found: Arrays = {"frame": np.array(world.frame, np.int64), "faults": np.array(world.faults.count, np.int64)}
     for name, value in world.params.items():
         found[f"param.{name}"] = np.array(value)
     for name, population in world.populations.items():
         for key, array in _arrays(population).items():
-            found[f"species.{name}.{key}"] = array.copy()
+            found[f"species.{name}.{key}"] = array
         found[f"species.{name}.next_id"] = np.array(population.next_id, np.int64)
     for name, items in world.items.items():
         for attribute, amounts in items.amounts.items():
-            found[f"items.{name}.{attribute}"] = amounts.copy()
+            found[f"items.{name}.{attribute}"] = amounts
     for name, field in world.fields.items():
-        found[f"field.{name}"] = field.values.copy()
-    names = sorted(world.transitions)
-    found["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8).copy()
-    found["transitions.counts"] = np.array([world.transitions[name] for name in names], np.int64)
-    return found | {f"motion.{name}": array for name, array in world.motion.arrays().items()}
+        found[f"field.{name}"] = field.values
+    if history:
+        names = sorted(world.transitions)
+        found["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8)
+        found["transitions.counts"] = np.array([world.transitions[name] for name in names], np.int64)
+        found |= {f"motion.{name}": array for name, array in world.motion.arrays().items()}
+    return found
+
+
+def show(still: World, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Let a snapshot show another state of its world, given as by `state`. It shows these arrays for as long as they last: only
+    who lives and what is in fields is copied. Values of one step only stay as they were."""
+    still.frame = int(arrays["frame"])
+    for name, population in still.populations.items():
+        shown = {key: arrays[f"species.{name}.{key}"] for key in _arrays(population)}
+        if not np.array_equal(population.ids, shown["ids"]):
+            population.ids = shown["ids"].copy()
+            population.version += 1
+        population.born, population.quarantined, population.position = shown["born"], shown["quarantined"], shown["position"]
+        population.footing = _footing(population, shown)
+        population.events = {event: shown[f"event.{event}"] for event in population.events}
+        population.now |= {key.removeprefix("register."): shown[key] for key in shown if key.startswith("register.")}
+        population.next_id = int(arrays[f"species.{name}.next_id"])
+    for name, items in still.items.items():
+        items.amounts = {attribute: arrays[f"items.{name}.{attribute}"] for attribute in items.amounts}
+    for name, field in still.fields.items():
+        field.values[:] = arrays[f"field.{name}"]
 
 
 def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -70,6 +99,12 @@ def _arrays(population: Population) -> Arrays:
     return found | {f"register.{name}": population.now[name] for name in kept}
 
 
+def _footing(population: Population, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    """A footing on the same ground, from arrays with the names of `_arrays`."""
+    footing = type(population.footing)
+    return footing(*(arrays[f"footing.{name}"] for name in footing.__dataclass_fields__))
+
+
 def _restore_population(population: Population, arrays: Mapping[str, NDArray[Any]], prefix: str) -> None:
     count = len(_take(arrays, f"{prefix}ids"))
     now = _arrays(population)
@@ -81,8 +116,7 @@ def _restore_population(population: Population, arrays: Mapping[str, NDArray[Any
         taken[key] = array.copy()
     population.ids, population.born = taken["ids"], taken["born"]
     population.quarantined, population.position = taken["quarantined"], taken["position"]
-    footing = type(population.footing)
-    population.footing = footing(*(taken[f"footing.{name}"] for name in footing.__dataclass_fields__))
+    population.footing = _footing(population, taken)
     for name in population.events:
         population.events[name] = taken[f"event.{name}"]
         population.raised[name] = np.zeros(count, np.bool_)

@@ -1,0 +1,103 @@
+"""What is done with a state behind the simulation: measured, hashed, made into a frame and written; kept as a checkpoint."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.cache import HASHES, checkpoint_path, frame_path
+from antdsl.outputs.frames import FrameMaker
+from antdsl.outputs.npz import sync_file, sync_folder, to_bytes, write_whole
+from antdsl.runtime import World, show, state_hash
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+class Scribe:
+    """Writes states into a cache's folder, in order: frames whole, a line with the hash after each, checkpoints only when all
+    frames before them are on the disk. `still` is a snapshot of the world that is simulated."""
+
+    def __init__(self, folder: Path, still: World, maker: FrameMaker) -> None:
+        self.folder, self.still, self.maker = folder, still, maker
+        self._unsynced: list[Path] = []
+
+    def work(self, jobs: Sequence[str], arrays: Arrays) -> dict[str, Any]:
+        """Do these of JOBS with a state's arrays; gives `seconds` by name and what else they found out."""
+        found: dict[str, Any] = {"seconds": {}}
+        for job in jobs:
+            JOBS[job](self, arrays, found)
+        return found
+
+    def frame(self, arrays: Arrays, found: dict[str, Any]) -> None:
+        """Write the frame and its line; finds `hash` and `surface_error`."""
+        began = time.perf_counter()
+        show(self.still, arrays)
+        found["surface_error"] = surface_error(self.still)
+        began = _spend(found, "measure", began)
+        found["hash"] = state_hash(self.still)
+        began = _spend(found, "hash", began)
+        made = self.maker.frame(self.still)
+        began = _spend(found, "frame", began)
+        path = frame_path(self.folder, self.still.frame)
+        write_whole(path, to_bytes(made), sync=False)
+        self._unsynced.append(path)
+        with open(self.folder / HASHES, "ab") as hashes:
+            hashes.write(hash_line(self.still.frame, found["hash"]))
+        _spend(found, "write", began)
+
+    def checkpoint(self, arrays: Arrays, found: dict[str, Any]) -> None:
+        """Write a checkpoint, durably, after everything before it."""
+        self.sync(arrays, found)
+        began = time.perf_counter()
+        whole = {"frame": arrays["frame"], **{f"world.{name}": array for name, array in arrays.items()}}
+        write_whole(checkpoint_path(self.folder, int(arrays["frame"])), to_bytes(whole), sync=True)
+        _spend(found, "checkpoint", began)
+
+    def sync(self, arrays: Arrays, found: dict[str, Any]) -> None:
+        """See that all that was written is on the disk."""
+        began = time.perf_counter()
+        for path in self._unsynced:
+            sync_file(path)
+        self._unsynced.clear()
+        sync_folder(self.folder / "frames")
+        sync_file(self.folder / HASHES)
+        _spend(found, "sync", began)
+
+
+JOBS: Mapping[str, Callable[[Scribe, Arrays, dict[str, Any]], None]] = {
+    "frame": Scribe.frame,
+    "checkpoint": Scribe.checkpoint,
+    "sync": Scribe.sync,
+}
+
+
+def hash_line(frame: int, value: str) -> bytes:
+    """What the file of hashes has for a frame."""
+    return json.dumps({"frame": frame, "hash": value}).encode() + b"\n"
+
+
+def surface_error(world: World) -> float:
+    """The greatest distance of an agent, as it is written (float32), from the triangle that it stands on, in body lengths."""
+    worst = 0.0
+    for population in world.populations.values():
+        if len(population):
+            away = population.position.astype(np.float32) - world.ground.position(population.footing)
+            x, y, z = away.T
+            distance = np.sqrt((x * x + y * y) + z * z)
+            if "clearance" in population.now:
+                distance = np.abs(distance - population.now["clearance"])
+            size = np.maximum(population.now["size"].astype(np.float64), 1e-9)
+            worst = max(worst, float((distance / size).max()))
+    return worst
+
+
+def _spend(found: dict[str, Any], what: str, since: float) -> float:
+    now = time.perf_counter()
+    found["seconds"][what] = found["seconds"].get(what, 0.0) + now - since
+    return now
