@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _GRID_CELLS = 400_000
-_PARTS = 60_000  # of all faces near other pieces, at most
+_PARTS = 100_000  # of all faces near other pieces, at most
 _FINEST = 8  # parts along each edge of a face
 _MOST_PIECES = 500  # above it a face is a part, and is taken to be in touch
 
@@ -36,10 +36,10 @@ class Parts:
             return np.full(face.size, self.reach)
         count = self.count.take(face)
         some = np.flatnonzero(count)
-        n = count[some].astype(np.int64)
-        one, two = (np.minimum((b[some] * n).astype(np.int64), n - 1) for b in (b1, b2))
-        clear = np.full(face.size, self.reach)
-        clear[some] = self.least.take(self.first.take(face[some]) + one * n + two)
+        n = count.take(some).astype(np.int64)
+        one, two = (np.minimum((b.take(some) * n).astype(np.int64), n - 1) for b in (b1, b2))
+        clear: Floats = np.full(face.size, self.reach)
+        clear[some] = self.least.take(self.first.take(face.take(some)) + one * n + two)
         return clear
 
 

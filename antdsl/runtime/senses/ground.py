@@ -251,10 +251,8 @@ class Ground:
         way[~known] = 0.0
         heading_c, heading_s, _ = _laid_down(axes, heading, c, s)
         w = Walkers(face, b1, b2, side, c, s, heading_c, heading_s, way, np.zeros(n), np.zeros(n, bool))
-        around = Around(t, self._cast, self._weights, self.extent, body, threads)
-        noise = self._clearances.noise
-        near = parts.of(face, b1, b2) <= way + np.fmax(LIFT * body, noise) + noise
-        walk(t, w, near, around)
+        around = Around(t, self._cast, self._weights, parts, self._clearances.noise, body, threads)
+        walk(t, w, around.near(w, slice(None), way), around)
         smooth = self._smooth(w.face, w.b1, w.b2) * w.side
         axis1, axis2 = t.axis1.take(w.face, axis=1), t.axis2.take(w.face, axis=1)
         ahead = axis1 * w.heading_c + axis2 * w.heading_s

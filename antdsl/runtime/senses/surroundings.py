@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime.senses.clearances import Parts
 from antdsl.runtime.senses.topology import Topology
 from antdsl.runtime.senses.walk import Landing, Walkers, dot
 
@@ -16,31 +17,48 @@ Cast = Callable[[Floats, Floats, int], tuple[Floats, Index]]
 Weights = Callable[[Index, Floats], tuple[Floats, Floats]]
 
 LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
-NOISE = 1e-4  # of the extent: float32 rays err by less
+NOISE = 1e-4  # of the extent of a ground: float32 rays err by less
 
 
 class Around:
     """Rays of walkers against all surfaces of a ground: what stands in their way and what continues beyond a border."""
 
-    def __init__(self, table: Topology, cast: Cast, weights: Weights, extent: float, body: Floats, threads: int) -> None:
-        self._table, self._cast, self._weights = table, cast, weights
+    def __init__(
+        self, table: Topology, cast: Cast, weights: Weights, parts: Parts, noise: float, body: Floats, threads: int
+    ) -> None:
+        self._table, self._cast, self._weights, self._parts = table, cast, weights, parts
         self._body, self._threads = body, threads
-        self._noise = extent * NOISE
+        self._noise = noise
+
+    def near(self, walkers: Walkers, rows: Index | slice, length: Floats) -> NDArray[np.bool_]:
+        """Who of `rows` may meet another piece of surface within `length`."""
+        clear = self._parts.of(walkers.face[rows], walkers.b1[rows], walkers.b2[rows])
+        return clear <= length + np.fmax(LIFT * self._body[rows], self._noise) + self._noise
 
     def ahead(self, walkers: Walkers, rows: Index, length: Floats) -> Landing:
         """Another piece of surface within the way, seen from just above the ground; below a low ceiling from half its height."""
         t = self._table
+        asked = np.flatnonzero(self.near(walkers, rows, length))
+        if not asked.size:
+            return Landing(asked, asked, *np.empty((4, 0)))
+        rows, length = rows.take(asked), length.take(asked)
         place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
-        lift = np.maximum(LIFT * self._body[rows], self._noise)
-        piece = t.piece[walkers.face[rows]]
-        part, face = self._cast(place, up * lift, self._threads)
-        # What shows its back is not above the agent: the agent is a hair below it, at the foot of a gentle climb.
-        low = (face >= 0) & (t.piece[face] != piece) & (dot(t.normal.take(face, axis=1), up) < 0)
-        eye = place + up * np.where(low, lift * np.where(low, part, 0.0) / 2, lift)
+        lift = np.fmax(LIFT * self._body.take(rows), self._noise)
+        piece = t.piece.take(walkers.face.take(rows))
+        high = lift.copy()
+        below = np.flatnonzero(self.near(walkers, rows, np.zeros(rows.size)))
+        if below.size:
+            part, face = self._cast(place.take(below, axis=1), (up * lift).take(below, axis=1), self._threads)
+            # What shows its back is not above the agent: the agent is a hair below it, at the foot of a gentle climb.
+            low = (face >= 0) & (t.piece[face] != piece[below]) & (dot(t.normal.take(face, axis=1), up[:, below]) < 0)
+            high[below[low]] = lift[below[low]] * part[low] / 2
+        eye = place + up * high
         part, face = self._cast(eye, way * length, self._threads)
-        who = np.flatnonzero((face >= 0) & (t.piece[face] != piece) & (length > 0))
+        who = np.flatnonzero((face >= 0) & (t.piece.take(face) != piece) & (length > 0))
+        if not who.size:
+            return Landing(who, who, *np.empty((4, 0)))
         gone = part[who] * length[who]
-        return self._landing(who, face[who], eye[:, who] + way[:, who] * gone, way[:, who], gone)
+        return self._landing(asked[who], face[who], eye[:, who] + way[:, who] * gone, way[:, who], gone)
 
     def beyond(self, walkers: Walkers, rows: Index) -> Landing:
         """Past an open border: what a ray down just beyond it meets, else what a ray back from below it meets."""

@@ -14,6 +14,7 @@ Floats = NDArray[np.float64]
 
 # Columns of the packed table: one face's numbers lie side by side, since agents stand on faces in no order.
 _WIDTH = 36
+_AHEAD = 16  # agents whose rows are fetched at once
 _CORNER, _EDGE1, _EDGE2, _NORMAL, _AXIS1, _AXIS2, _RATE1, _RATE2, _SHEAR, _EDGE_C, _EDGE_S, _SMOOTH = (
     0, 3, 6, 9, 12, 15, 18, 19, 20, 21, 24, 27,
 )  # fmt: skip
@@ -41,6 +42,8 @@ def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the 
     of its `body` and `slack`. Then where agents stand, their wish, heading and up (3, n), and where the results go.
     """
     for i in range(done.size):
+        if i % _AHEAD == 0:
+            gone[i] = _touch(table, mesh, face, first, i, min(i + _AHEAD, done.size))
         done[i] = False
         if mesh[i] < 0 or face[i] < 0:
             continue
@@ -54,19 +57,16 @@ def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the 
         b1, b2 = _inside(b1s[i] + 0.0, b2s[i] + 0.0)
         c, s, left = _laid_down(table, row, wish_x, wish_y, wish_z, 1.0, 0.0)
         heading_c, heading_s, _ = _laid_down(table, row, heading[0, i], heading[1, i], heading[2, i], c, s)
-        free = reach
-        if sub_count[f] > 0:
-            n = sub_count[f]
-            free = clear[sub_first[f] + min(int(b1 * n), n - 1) * n + min(int(b2 * n), n - 1)]
         high = lift * body[i]
         if not high > slack:
             high = slack
-        if free <= left + high + slack:
-            continue
-        f, b1, b2, side, c, s, heading_c, heading_s, way, open_border = _walk(
-            table, link, f, b1, b2, side, c, s, heading_c, heading_s, left
+        high += slack
+        if not _free(sub_first, sub_count, clear, reach, f, b1, b2) <= left + high:
+            high = -np.inf  # has nothing to look out for on the whole way
+        f, b1, b2, side, c, s, heading_c, heading_s, way, held_up = _walk(
+            table, link, sub_first, sub_count, clear, reach, high, f, b1, b2, side, c, s, heading_c, heading_s, left
         )
-        if open_border or not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
+        if held_up or not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
             continue
         done[i] = True
         row = _WIDTH * f
@@ -76,11 +76,25 @@ def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the 
         _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, i, place, above, ahead, direction)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _touch(table, mesh, face, first, start, stop):  # type: ignore[no-untyped-def]
+    """Reads what the next agents will need of the table. These reads wait for memory all at once, and not one after another."""
+    total = 0.0
+    for i in range(start, stop):
+        if mesh[i] >= 0 and face[i] >= 0:
+            row = _WIDTH * (first[mesh[i]] + face[i])
+            for k in range(0, _WIDTH, 8):
+                total += table[row + k]
+    return total
+
+
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _inside(b1, b2):  # type: ignore[no-untyped-def]
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
-    total = max(b1 + b2, 1.0)
-    return b1 / total, b2 / total
+    total = b1 + b2
+    if total > 1.0:
+        return b1 / total, b2 / total
+    return b1, b2
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -93,9 +107,21 @@ def _laid_down(table, row, x, y, z, c0, s0):  # type: ignore[no-untyped-def]
     return c / flat, s / flat, min(np.sqrt(x * x + y * y + z * z), 2 * flat)
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _free(sub_first, sub_count, clear, reach, f, b1, b2):  # type: ignore[no-untyped-def]
+    """As `Parts.of`."""
+    n = sub_count[f]
+    if n == 0:
+        return reach
+    return clear[sub_first[f] + min(int(b1 * n), n - 1) * n + min(int(b2 * n), n - 1)]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def _walk(table, link, f, b1, b2, side, c, s, heading_c, heading_s, left):  # type: ignore[no-untyped-def]
-    """Across faces until the way is used up; the last value says that an open border was met instead."""
+def _walk(  # type: ignore[no-untyped-def]
+    table, link, sub_first, sub_count, clear, reach, high, f, b1, b2, side, c, s, heading_c, heading_s, left
+):
+    """Across faces until the way is used up; the last value says that an open border was met instead, or a stretch within
+    whose length and `high` there may be another piece."""
     gone = 0.0
     for turn in range(CROSSINGS):
         if not left > 0:
@@ -120,6 +146,8 @@ def _walk(table, link, f, b1, b2, side, c, s, heading_c, heading_s, left):  # ty
             if way < until:
                 until, edge = way, 2
         length = min(until, left)
+        if high > 0 and _free(sub_first, sub_count, clear, reach, f, b1, b2) <= length + high:
+            return f, b1, b2, side, c, s, heading_c, heading_s, gone, True
         b1, b2 = _inside(b1 + rate1 * length, b2 + rate2 * length)
         gone += length
         if until >= left:
