@@ -16,6 +16,7 @@ from contextlib import suppress
 from typing import NoReturn
 
 from antdsl.outputs.handover import Arrays, Channel, Message, Pipes, Slot, two_pipes, two_queues
+from antdsl.outputs.memory import own_peak_memory
 
 # Windows has no fork; on macOS the system's own libraries may break in a process that was forked and did not begin anew.
 OWN_PROCESS = sys.platform == "linux"
@@ -36,7 +37,7 @@ class Behind:
     def __init__(self, work: Work, told: Callable[[Message], None]) -> None:
         self._told = told
         self._problem: Exception | None = None
-        self.peak_memory = 0  # of the process of its own, in bytes; known at the end
+        self.memory = 0  # the most that the process of its own used besides what it shares, in bytes; known at the end
         self._child: int | None = None
         self._slots: list[Slot] = []
         try:
@@ -87,6 +88,9 @@ class Behind:
                 return
             if message is None:
                 return
+            if "memory" in message:
+                self.memory = message["memory"]
+                continue
             self._free.append(message.pop("slot"))
             if "problem" in message:
                 self._problem = self._problem or _problem(message["problem"])
@@ -101,8 +105,7 @@ class Behind:
             return
         if isinstance(self._channel, Pipes):
             self._channel.drop()
-        _, status, used = os.wait4(self._child, 0)
-        self.peak_memory = used.ru_maxrss * 1024
+        _, status = os.waitpid(self._child, 0)
         code = os.waitstatus_to_exitcode(status)
         if code:
             how = f"was ended by signal {-code}" if code < 0 else f"ended with {code}"
@@ -116,7 +119,14 @@ class Behind:
     def _start_thread(self, work: Work) -> None:
         self._channel: Channel
         self._channel, there = two_queues()
-        self._thread = threading.Thread(target=_serve, args=(there, self._slots, work), name="cache writer", daemon=True)
+
+        def live() -> None:
+            try:
+                _serve(there, self._slots, work)
+            finally:
+                there.close()
+
+        self._thread = threading.Thread(target=live, name="cache writer", daemon=True)
         self._thread.start()
 
     def _fork(self, work: Work) -> None:
@@ -160,6 +170,8 @@ def _live(here: Pipes, there: Pipes, slots: list[Slot], work: Work) -> NoReturn:
         os.dup2(nothing, 0)
         os.dup2(nothing, 1)  # who reads the caller's words need not wait for this process
         _serve(there, slots, work)
+        with suppress(BrokenPipeError):
+            there.send({"memory": own_peak_memory()})
         code = 0
     finally:
         os._exit(code)
@@ -168,24 +180,21 @@ def _live(here: Pipes, there: Pipes, slots: list[Slot], work: Work) -> NoReturn:
 def _serve(channel: Channel, slots: list[Slot], work: Work) -> None:
     """Do what comes in until nothing more can come, because the caller is done or gone."""
     failed = False
-    try:
-        while True:
+    while True:
+        try:
+            message = channel.receive()
+        except EOFError:
+            return
+        assert message is not None
+        answer: Message = {"slot": message["slot"]}
+        if not failed:
             try:
-                message = channel.receive()
-            except EOFError:
-                return
-            assert message is not None
-            answer: Message = {"slot": message["slot"]}
-            if not failed:
-                try:
-                    answer |= work(message["jobs"], slots[message["slot"]].read(message["layout"]))
-                except BaseException as problem:  # told to the caller
-                    answer["problem"] = _told(problem)
-                    failed = True
-            with suppress(BrokenPipeError):  # the caller was killed: what it handed over is finished all the same
-                channel.send(answer)
-    finally:
-        channel.close()
+                answer |= work(message["jobs"], slots[message["slot"]].read(message["layout"]))
+            except BaseException as problem:  # told to the caller
+                answer["problem"] = _told(problem)
+                failed = True
+        with suppress(BrokenPipeError):  # the caller was killed: what it handed over is finished all the same
+            channel.send(answer)
 
 
 def _told(problem: BaseException) -> Message:

@@ -115,7 +115,7 @@ class CacheWriter:
 
     def __init__(self, folder: Path, manifest: Manifest, told: Callable[[dict[str, Any]], None]) -> None:
         self.folder, self.manifest = folder, manifest
-        self.peak_memory = 0  # of the process that writes, in bytes; known at the end
+        self.memory = 0  # the most that a process that writes used besides what it shares, in bytes; known at the end
         self._told = told
         self._lock = FolderLock(folder)
         self._behind: Behind | None = None
@@ -140,7 +140,7 @@ class CacheWriter:
                 behind.hand_over(["sync"], {})
         finally:
             behind.finish()
-            self.peak_memory = behind.peak_memory
+            self.memory = behind.memory
         if whole:
             behind.check()
 

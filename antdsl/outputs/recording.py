@@ -35,7 +35,7 @@ class Recording:
     steps: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     behind: dict[str, float] = field(default_factory=dict)  # of who writes, while the next frames are simulated
-    writer_memory: int = 0  # the most that the process that writes has used, in bytes; 0 where a thread does
+    writer_memory: int = 0  # the most that the process that writes has used besides what it shares, in bytes; 0 for a thread
     started: float = field(default_factory=time.perf_counter)
 
     @property
@@ -143,7 +143,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
             yield recording
         if recording.frame is not None and not _is_checkpoint(recording, recording.frame):
             writer.put(world, "checkpoint")
-    recording.writer_memory = writer.peak_memory
+    recording.writer_memory = writer.memory
 
 
 def _is_checkpoint(recording: Recording, frame: int) -> bool:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
+from antdsl.outputs.memory import peak_memory
 from antdsl.outputs.npz import write_whole
 from antdsl.outputs.recording import Recording
 
@@ -66,13 +66,3 @@ def carried(recording: Recording) -> dict[str, float]:
 def write_summary(path: Path, recording: Recording) -> None:
     """Write the summary to a file."""
     write_whole(path, (json.dumps(summary(recording), indent=1) + "\n").encode(), sync=True)
-
-
-def peak_memory() -> int:
-    """The most memory that this process has used at once, in bytes; 0 where the system does not say."""
-    try:
-        import resource
-    except ImportError:
-        return 0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return int(peak if sys.platform == "darwin" else peak * 1024)

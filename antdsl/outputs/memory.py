@@ -1,0 +1,43 @@
+"""How much memory a process has used."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+_ABOUT = Path("/proc/self")  # Linux
+
+
+def peak_memory() -> int:
+    """The most memory that this process has used at once, in bytes; 0 where the system does not say."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(peak if sys.platform == "darwin" else peak * 1024)
+
+
+def own_peak_memory() -> int:
+    """The most memory that this process, forked from another, has used besides what it shares with that one, in bytes.
+
+    What is its own now, and what it has used at most beyond what it uses now: no less than the most, and next to it for a
+    process that does the same again and again. Without word of what is shared, all."""
+    try:
+        shared = _kilobytes(_ABOUT / "smaps_rollup")
+        whole = _kilobytes(_ABOUT / "status")
+        own = shared["Private_Clean"] + shared["Private_Dirty"]
+        return 1024 * (own + max(0, whole["VmHWM"] - whole["VmRSS"]))
+    except (OSError, KeyError):
+        return peak_memory()
+
+
+def _kilobytes(path: Path) -> dict[str, int]:
+    """The amounts in a file with lines such as `VmRSS:  123 kB`."""
+    found = {}
+    for line in path.read_text(encoding="ascii", errors="replace").splitlines():
+        name, _, value = line.partition(":")
+        words = value.split()
+        if len(words) == 2 and words[1] == "kB" and words[0].isdigit():
+            found[name] = int(words[0])
+    return found
