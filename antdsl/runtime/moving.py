@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime import kernels
+from antdsl.runtime import compiled, kernels
 from antdsl.runtime import vectors as vec
 from antdsl.runtime.obstacles import slide
+from antdsl.runtime.senses.ground import MoveResult
 from antdsl.runtime.vectors import Vector
 from antdsl.runtime.world import AXES, Population, World
 
@@ -35,10 +36,9 @@ def move(world: World, population: Population, substep: int) -> None:
         velocity = vec.choose(population.quarantined, (_F(0),) * 3, velocity)  # type: ignore[arg-type]
     wanted = vec.scale(velocity, dt)
     step = slide(world, population, wanted, up, now["radius"])
-    stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
-    if stopped.any():
+    if step is not wanted:
+        stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
         velocity = vec.choose(stopped, vec.scale(step, _F(1) / dt), velocity)
-    old = population.position
     moved = world.ground.move(
         population.footing,
         vec.rows(step),
@@ -47,16 +47,30 @@ def move(world: World, population: Population, substep: int) -> None:
         now["size"].astype(np.float64),
         world.options.threads,
     )
+    if compiled.wanted(len(population)):
+        from antdsl.runtime.moving_compiled import arrive
+
+        walked = (moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
+        arrive(
+            velocity, step, population.position, *walked, now["max_speed"], now["max_turn"], dt, _share(dt), _SLOW, _BOUNCE,
+            *(_read(population, name) for name in ("position", "velocity", "heading", "up")),
+        )  # fmt: skip
+    else:
+        _arrive(population, velocity, step, moved, dt)
+    population.footing, population.position = moved.footing, moved.position
+
+
+def _arrive(population: Population, velocity: Vector, step: Vector, moved: MoveResult, dt: np.float32) -> None:
+    """Velocity and heading where the walk has led, with place and up."""
     new_up = vec.columns(moved.up, np.float32)
     speed = vec.length(velocity)
     velocity = vec.scale(vec.columns(moved.direction, np.float32), speed)
     if moved.blocked.any():
-        gone = vec.scale(vec.columns(moved.position - old, np.float32), _F(1) / dt)
+        gone = vec.scale(vec.columns(moved.position - population.position, np.float32), _F(1) / dt)
         lost = vec.sub(vec.scale(step, _F(1) / dt), gone)
         velocity = vec.choose(moved.blocked, vec.sub(gone, vec.scale(lost, _BOUNCE)), velocity)
     velocity = vec.flat(velocity, new_up)
     heading = _face(population, vec.columns(moved.heading, np.float32), velocity, new_up, dt)
-    population.footing, population.position = moved.footing, moved.position
     for name, value in (
         ("velocity", velocity),
         ("heading", heading),
@@ -64,7 +78,7 @@ def move(world: World, population: Population, substep: int) -> None:
         ("position", vec.columns(moved.position, np.float32)),
     ):
         for axis, component in zip(AXES, value, strict=True):
-            now[f"{name}.{axis}"][:] = component
+            population.now[f"{name}.{axis}"][:] = component
 
 
 def _read(population: Population, name: str) -> Vector:
@@ -74,20 +88,35 @@ def _read(population: Population, name: str) -> Vector:
 def _velocity(world: World, population: Population, up: Vector, dt: np.float32, substep: int) -> Vector:
     """Velocity after the push, along the ground, within the limits of speed and turn."""
     now = population.now
-    push = vec.flat(_read(population, "push"), up)
-    size = vec.length(push)
-    push = vec.scale(push, _F(1) / np.maximum(size, _F(1)))
-    before = vec.flat(_read(population, "velocity"), up)
+    before, push = _read(population, "velocity"), _read(population, "push")
+    if compiled.wanted(len(population)):
+        from antdsl.runtime.moving_compiled import velocities
+
+        found, may_turn_more = np.empty((3, len(population)), np.float32), np.empty(len(population), np.bool_)
+        limits = (now[name] for name in ("max_speed", "max_force", "mass", "response", "max_turn"))
+        step = _F(world.dt)
+        velocities(push, before, up, *limits, step * _F(1.0001), step if substep == 0 else _F(0), dt, found, may_turn_more)
+        velocity: Vector = (found[0], found[1], found[2])
+        turning = np.flatnonzero(may_turn_more)
+    else:
+        velocity = _pushed(now, push, vec.flat(before, up), up, _time(now, _F(world.dt), dt, substep))
+        turning = np.flatnonzero(np.isfinite(now["max_turn"]))
+    if len(turning):
+        time = _time({"response": now["response"][turning]}, _F(world.dt), dt, substep)
+        u = vec.take(up, turning)
+        _limit_turn(velocity, vec.flat(vec.take(before, turning), u), u, np.maximum(now["max_turn"][turning], _F(0)) * time, turning)
+    return velocity
+
+
+def _pushed(now: dict[str, NDArray[Any]], push: Vector, before: Vector, up: Vector, time: NDArray[np.float32]) -> Vector:
+    """Velocity after the push for a time each, along the ground, within the limit of speed."""
+    push = vec.flat(push, up)
+    push = vec.scale(push, _F(1) / np.maximum(vec.length(push), _F(1)))
     max_speed = np.maximum(now["max_speed"], _F(0))
-    time = _time(now, _F(world.dt), dt, substep)
     velocity = vec.add(before, vec.scale(push, _gain(now, time)))
     speed = vec.length(velocity)
     velocity = vec.scale(velocity, np.where(speed > max_speed, max_speed / np.where(speed > 0, speed, _F(1)), _F(1)))
-    velocity = tuple(np.where(np.isfinite(v), v, _F(0)) for v in velocity)  # type: ignore[assignment]
-    turning = np.flatnonzero(np.isfinite(now["max_turn"]))
-    if len(turning):
-        _limit_turn(velocity, before, up, np.maximum(now["max_turn"], _F(0)) * time, turning)
-    return velocity
+    return tuple(np.where(np.isfinite(v), v, _F(0)) for v in velocity)  # type: ignore[return-value]
 
 
 def _time(now: dict[str, NDArray[Any]], step: np.float32, dt: np.float32, substep: int) -> NDArray[np.float32]:
@@ -104,16 +133,17 @@ def _gain(now: dict[str, NDArray[Any]], time: NDArray[np.float32]) -> NDArray[np
 
 
 def _limit_turn(velocity: Vector, before: Vector, up: Vector, most: NDArray[np.float32], rows: NDArray[np.intp]) -> None:
-    """Turn the velocity by at most `most` (radians), at its new speed; changes it in place."""
-    rows = rows[_may_turn_more(vec.take(velocity, rows), vec.take(before, rows), most[rows])]
-    if not len(rows):
+    """Turn the velocity of `rows`, whose are all others, by at most `most` (radians), at its new speed; changes it in place."""
+    some = np.flatnonzero(_may_turn_more(vec.take(velocity, rows), before, most))
+    if not len(some):
         return
-    v, b, u = vec.take(velocity, rows), vec.take(before, rows), vec.take(up, rows)
+    rows, most = rows[some], most[some]
+    v, b, u = vec.take(velocity, rows), vec.take(before, some), vec.take(up, some)
     speed, ahead = vec.length(v), vec.unit(b, vec.unit(v, vec.across(u)))
     direction = vec.unit(v, ahead)
     side = vec.unit(vec.flat(direction, ahead), vec.cross(u, ahead))
     angle = kernels.atan2(vec.length(vec.cross(ahead, direction)), vec.dot(ahead, direction))
-    most = np.where(vec.length(b) > 0, most[rows], _F(4))  # who stands may set out in any direction
+    most = np.where(vec.length(b) > 0, most, _F(4))  # who stands may set out in any direction
     turned = vec.add(vec.scale(ahead, kernels.cos(most)), vec.scale(side, kernels.sin(most)))
     limited = vec.choose(angle > most, vec.scale(turned, speed), v)
     for component, value in zip(velocity, limited, strict=True):
@@ -128,6 +158,11 @@ def _may_turn_more(velocity: Vector, before: Vector, most: NDArray[np.float32]) 
     return np.logical_not(clearly)
 
 
+def _share(dt: np.float32) -> np.float32:
+    """Of the turn towards the movement: how much is done within a substep."""
+    return _F(1.0 - float(kernels.exp(_F(-float(dt) / _HEADING_TIME))))
+
+
 def _face(population: Population, heading: Vector, velocity: Vector, up: Vector, dt: np.float32) -> Vector:
     """Turn the heading towards the movement: exponentially within _HEADING_TIME, and no faster than max_turn."""
     now = population.now
@@ -139,7 +174,7 @@ def _face(population: Population, heading: Vector, velocity: Vector, up: Vector,
         left = vec.cross(up, heading)
         side = vec.unit(vec.flat(direction, heading), left)
         direction = vec.choose(behind, vec.unit(vec.flat(side, up), left), direction)
-    share = _F(1.0 - float(kernels.exp(_F(-float(dt) / _HEADING_TIME))))
+    share = _share(dt)
     eager = np.minimum(speed / np.maximum(now["max_speed"] * _SLOW, _F(1e-6)), _F(1))
     change = vec.scale(vec.sub(direction, heading), share * eager)
     turn = now["max_turn"]
