@@ -1,12 +1,15 @@
-"""One run at a time in a cache's folder: a lock that ends with the process that holds it, however that ends."""
+"""One run at a time in a cache's folder: a lock that ends with the processes that hold it, however those end."""
 
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 from types import TracebackType
 
 LOCK = "lock"
+_PATIENCE = 30.0  # seconds for the writer of a run that was killed to finish what it had been given
+_AGAIN = 0.01
 
 
 class Locked(Exception):
@@ -14,7 +17,10 @@ class Locked(Exception):
 
 
 class FolderLock:
-    """Held from `__enter__` to `__exit__`. The file has the process id in it, for people; the system's own lock on it decides."""
+    """Held from `__enter__` to `__exit__`, and by processes forked in between until they end. The file has the process id in it,
+    for people; the system's own lock on it decides.
+
+    Where the run that holds it is gone and its writer is not yet, that is waited for."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / LOCK
@@ -23,21 +29,60 @@ class FolderLock:
     def __enter__(self) -> FolderLock:
         handle = os.open(self.path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0), 0o644)
         try:
-            _take(handle)
-        except OSError:
-            holder = os.read(handle, 32).decode("ascii", "replace").strip()
+            self._wait(handle)
+        except BaseException:
             os.close(handle)
-            raise Locked(f"process {holder or '?'} is writing to `{self.path.parent}`") from None
+            raise
         os.ftruncate(handle, 0)
+        os.lseek(handle, 0, os.SEEK_SET)
         os.write(handle, f"{os.getpid()}\n".encode())
         self._handle = handle
         return self
 
+    def _wait(self, handle: int) -> None:
+        began = time.monotonic()
+        while True:
+            try:
+                _take(handle)
+                return
+            except OSError:
+                holder = _holder(handle)
+                if not _gone(holder) or time.monotonic() - began > _PATIENCE:
+                    raise Locked(f"process {holder or '?'} is writing to `{self.path.parent}`") from None
+            time.sleep(_AGAIN)
+
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         if self._handle is not None:
             os.ftruncate(self._handle, 0)
+            _leave(self._handle)
             os.close(self._handle)
             self._handle = None
+
+
+def _holder(handle: int) -> str:
+    """What the file says; nothing where the system keeps that from others too (Windows)."""
+    try:
+        os.lseek(handle, 0, os.SEEK_SET)
+        return os.read(handle, 32).decode("ascii", "replace").strip()
+    except OSError:
+        return ""
+
+
+def _gone(holder: str) -> bool:
+    """Whether a process is known to have ended, or has and nobody has asked for its exit code yet."""
+    if os.name == "nt" or not (holder.isascii() and holder.isdigit()):
+        return False  # Windows frees a lock with the one process that holds it
+    try:
+        os.kill(int(holder), 0)
+    except (ProcessLookupError, OverflowError):
+        return True
+    except OSError:
+        return False
+    try:
+        words = Path(f"/proc/{holder}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return False
+    return words.rpartition(")")[2].split()[:1] == ["Z"]
 
 
 def _take(handle: int) -> None:
@@ -50,3 +95,12 @@ def _take(handle: int) -> None:
         import fcntl
 
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _leave(handle: int) -> None:
+    """Unlock at once for all who have the file open from the same opening: a process of another run may have been forked
+    meanwhile, and would hold the lock on."""
+    if os.name != "nt":
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_UN)

@@ -20,15 +20,15 @@ def state_hash(world: World) -> str:
         rows = population.in_id_order()
         digest.update(f"\0{name}\0{len(rows)}".encode())
         for array in (population.ids, population.born, population.quarantined, population.position):
-            digest.update(array[rows].tobytes())
+            digest.update(array.take(rows, axis=0).data)
         for field_name in type(population.footing).__dataclass_fields__:
-            digest.update(getattr(population.footing, field_name)[rows].tobytes())
+            digest.update(getattr(population.footing, field_name).take(rows, axis=0).data)
         for register in sorted(population.now):
             if population.plan.registers[register].role != "temp":
                 digest.update(register.encode() + b"\0")
-                digest.update(population.now[register][rows].tobytes())
+                digest.update(population.now[register].take(rows).data)
         for event in sorted(population.events):
-            digest.update(population.events[event][rows].tobytes())
+            digest.update(population.events[event].take(rows).data)
         digest.update(np.int64(population.next_id).tobytes())
     for name in sorted(world.items):
         for attribute, amounts in sorted(world.items[name].amounts.items()):
