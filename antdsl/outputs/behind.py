@@ -62,7 +62,8 @@ class Behind:
         try:
             self._channel.send({"slot": number, "jobs": list(jobs), "layout": self._slots[number].fill(arrays)})
         except BrokenPipeError:
-            self._hear(wait=True)
+            while self._open:
+                self._hear(wait=True)
             self.check()
 
     def finish(self) -> None:
