@@ -203,10 +203,20 @@ def project(folder: Path, hills: bool = False) -> Path:
     return scene
 
 
-def start(scene: Path, *words: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "antdsl", "run", str(scene), "--threads", "1", *words]
+# How runs are started that write by a process of its own where that can be, and that never do.
+WAYS = {
+    "process": ["-m", "antdsl"],
+    "thread": ["-c", "from antdsl.outputs import behind; behind.OWN_PROCESS = False; from antdsl.cli import main; main()"],
+}
+both_ways = pytest.mark.parametrize("way", WAYS)
+
+
+def start(scene: Path, *words: str, way: str = "process") -> subprocess.Popen[str]:
+    command = [sys.executable, *WAYS[way], "run", str(scene), "--threads", "1", *words]
     env = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1"}
-    return subprocess.Popen(command, env=env, cwd=scene.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        command, env=env, cwd=scene.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
 
 
 def finished(run: subprocess.Popen[str]) -> tuple[int, str]:
@@ -263,14 +273,14 @@ def test_a_damaged_frame_is_told_and_written_again(unbroken: tuple[Path, dict[in
     assert frame_path(folder, 12).read_bytes() == whole
 
 
-@pytest.mark.parametrize("after", [0, 7, 43])
+@pytest.mark.parametrize(("way", "after"), [("process", 0), ("process", 7), ("process", 43), ("thread", 0), ("thread", 22)])
 def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
-    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, after: int
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, way: str, after: int
 ) -> None:
     """Killed as soon as some frame is there, in the midst of whatever comes next; a half-written file is left behind as well."""
     scene = project(tmp_path / "p")
     folder = scene.parent / "out" / "scene"
-    run = start(scene)
+    run = start(scene, way=way)
     began = time.monotonic()
     wanted = folder if after == 0 else frame_path(folder, after)
     while not wanted.exists() and run.poll() is None and time.monotonic() - began < 30:
@@ -290,13 +300,15 @@ def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
     assert not list((folder / "frames").glob(".*"))
 
 
-def test_ctrl_c_leaves_a_cache_that_goes_on(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
+@both_ways
+def test_ctrl_c_leaves_a_cache_that_goes_on(unbroken: tuple[Path, dict[int, str]], tmp_path: Path, way: str) -> None:
+    """Ctrl-C in a terminal, which reaches all processes of the run."""
     scene = project(tmp_path / "p")
     folder = scene.parent / "out" / "scene"
-    run = start(scene, "--frames", "1..4000")
+    run = start(scene, "--frames", "1..4000", way=way)
     while not frame_path(folder, 12).exists() and run.poll() is None:
         time.sleep(0.001)
-    run.send_signal(signal.SIGINT)
+    os.killpg(run.pid, signal.SIGINT)
     code, words = finished(run)
     assert code == 130 and "--resume" in words, words
     cache = open_cache(folder)
@@ -328,11 +340,14 @@ def test_a_run_begins_where_another_cache_was(unbroken: tuple[Path, dict[int, st
     assert code == 1 and "write one of" in words and "57" in words
 
 
-def test_a_full_disk_ends_in_words_and_the_run_goes_on_later(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
+@both_ways
+def test_a_full_disk_ends_in_words_and_the_run_goes_on_later(
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, way: str
+) -> None:
     """The system refuses to let any file grow beyond what a few frames' hashes need."""
     scene = project(tmp_path / "p")
     scene.write_text(SCENE.replace("count: 40", "count: 400"))
-    command = [sys.executable, "-m", "antdsl", "run", "scene.yaml", "--threads", "1"]
+    command = [sys.executable, *WAYS[way], "run", "scene.yaml", "--threads", "1"]
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     limit = f"import resource as r, os; r.setrlimit(r.RLIMIT_FSIZE, (20000, 20000)); os.execv({sys.executable!r}, {command!r})"
     done = subprocess.run([sys.executable, "-c", limit], env=env, cwd=scene.parent, capture_output=True, text=True, timeout=60)
