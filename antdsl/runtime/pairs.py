@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.plan import ir
-from antdsl.runtime import exact
-from antdsl.runtime.senses.neighbours import CellGrid
+from antdsl.runtime import compiled, exact
+from antdsl.runtime.senses.neighbours import CellGrid, View, seen
 from antdsl.runtime.world import AXES, Items, Population, World
 
 Floats = NDArray[np.float32]
@@ -110,25 +110,32 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
     if node.op == "set.every":
         return _every(other, own, ids)
     radius, cosine = args
+    view = None if node.attrs[1] else _view(population, rows, cosine, len(own[0]))
+    if compiled.wanted(max(len(other), len(own[0]))):  # asking again costs less than sharing
+        return _near(world, other, own, ids, radius, view, nearby.threads)
     reaches = np.full(len(own[0]), radius) if np.ndim(radius) == 0 else radius
     known = nearby.known.get(other.name)
-    part = known.part(rows, reaches) if known is not None else None
-    if part is None:
-        found = _near(world, other, own, ids, radius, nearby.threads)
+    found = known.part(rows, reaches) if known is not None else None
+    if found is None:
+        found = _near(world, other, own, ids, radius, None, nearby.threads)
         nearby.known[other.name] = Nearby(rows, reaches.copy(), found)
-    else:
-        found = part
-    if node.attrs[1]:
-        return found
-    i = found.i
-    hx, hy, hz = (population.start[f"heading.{axis}"][rows].take(i) for axis in AXES)
-    ahead = (found.dx * hx + found.dy * hy) + found.dz * hz
-    least = (cosine if np.ndim(cosine) == 0 else cosine.take(i)) * found.distance
-    return found.pick(np.flatnonzero(ahead >= least))
+    return found if view is None else found.pick(seen(found, view))
+
+
+def _view(population: Population, rows: Any, cosine: Any, count: int) -> View:
+    """Heading of each asking row, and the cosine of half its field of view."""
+    hx, hy, hz = (population.start[f"heading.{axis}"][rows] for axis in AXES)
+    return hx, hy, hz, np.full(count, cosine) if np.ndim(cosine) == 0 else cosine
 
 
 def _near(
-    world: World, other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any, threads: int
+    world: World,
+    other: Population,
+    own: tuple[Floats, ...],
+    ids: NDArray[np.int64] | None,
+    radius: Any,
+    view: View | None,
+    threads: int,
 ) -> PairRows:
     widest = float(np.max(radius, initial=0.0)) if np.size(radius) else 0.0
     widest = widest if np.isfinite(widest) and widest > 0 else 1.0
@@ -138,7 +145,7 @@ def _near(
         x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
         grid = CellGrid(x, y, z, other.ids, widest)
         world.grids[key] = grid
-    p = grid.pairs(None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, threads=threads)
+    p = grid.pairs(None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, view=view, threads=threads)
     return PairRows(other, len(own[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
 
 

@@ -12,12 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.limits import NEIGHBOURS
+from antdsl.runtime import compiled
 from antdsl.runtime.senses.sorting import stable_order
 
 Floats = NDArray[np.float32]
 Rows = NDArray[np.intp]  # an index of another type is converted at every use
 
+View = tuple[Floats, Floats, Floats, Floats]
+
 _QUERIES_PER_CHUNK = 16_384
+_QUERIES_PER_THREAD = 16_384
 _CANDIDATES_PER_CHUNK = 1 << 16  # arrays of this length stay in the cache
 _MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
 _AGENTS_PER_COLUMN = 6
@@ -41,6 +45,10 @@ class Pairs:
     dy: Floats
     dz: Floats
     distance: Floats
+
+    def pick(self, keep: Rows) -> Pairs:
+        arrays: Any = (a.take(keep) for a in (self.i, self.j, self.dx, self.dy, self.dz, self.distance))
+        return Pairs(*arrays)
 
 
 class CellGrid:
@@ -112,13 +120,15 @@ class CellGrid:
         qy: Floats | None = None,
         qz: Floats | None = None,
         qid: NDArray[np.int64] | None = None,
+        view: View | None = None,
         threads: int = 1,
     ) -> Pairs:
         """Neighbours of the agents `rows` (all when None) within `radius` (one, or one for each of `rows`).
 
         Without `qx qy qz` the grid's own agents ask, and nobody is their own neighbour. With them those agents ask: `rows`
         selects from them, and `qid` says who they are when they are the grid's own, where the grid has them. At most
-        `limits.NEIGHBOURS` of an agent are kept, the nearest by (distance, id).
+        `limits.NEIGHBOURS` of an agent are kept, the nearest by (distance, id). `view`, one value for each query, leaves
+        those of them in its field of view.
         """
         if qx is None or qy is None or qz is None:
             qx, qy, qz, qid = self.x, self.y, self.z, self.ids
@@ -127,6 +137,44 @@ class CellGrid:
             qid = None if qid is None else qid[rows]
         qx, qy, qz = (np.asarray(q, np.float32) for q in (qx, qy, qz))
         reach = np.broadcast_to(np.asarray(radius, np.float32), qx.shape)
+        if compiled.wanted(max(qx.size, self.ids.size)):
+            pairs = self._compiled((qx, qy, qz), reach, qid, view, threads)
+            if pairs is not None:
+                return pairs
+        pairs = self._searched((qx, qy, qz), reach, qid, threads)
+        return pairs if view is None else pairs.pick(seen(pairs, view))
+
+    def _compiled(
+        self, query: tuple[Floats, Floats, Floats], reach: Floats, qid: NDArray[np.int64] | None, view: View | None, threads: int
+    ) -> Pairs | None:
+        """`pairs` by a compiled kernel; None where somebody has more neighbours than the cap."""
+        from antdsl.runtime.senses.neighbours_compiled import find
+
+        none = np.empty(0, np.float32)
+        starts = np.empty(0, np.int32) if self._starts is None else self._starts
+        cells = tuple(self._low), tuple(self._width), tuple(self._size)
+        grid = (*self._sorted, self._rows, self.ids.take(self._rows), self._keys, starts, self._axes, *cells)
+        who = np.empty(0, np.int64) if qid is None else qid
+        values: tuple[NDArray[Any], ...] = (*query, who, reach, *(view or (none,) * 4))
+
+        def part(k: slice) -> tuple[NDArray[Any], ...] | None:
+            return find(grid, tuple(np.ascontiguousarray(value[k]) for value in values), NEIGHBOURS)
+
+        m = query[0].size
+        count = min(threads, max(1, m // _QUERIES_PER_THREAD))
+        bounds = [m * k // count for k in range(count + 1)]
+        parts = list(map(slice, bounds[:-1], bounds[1:]))
+        found = [part(parts[0])] if count == 1 else list(_pool(threads).map(part, parts))
+        good = [columns for columns in found if columns is not None]
+        if len(good) < count:
+            return None
+        for columns, before in zip(good, bounds, strict=False):
+            columns[0][:] += before
+        return Pairs(*good[0]) if count == 1 else Pairs(*(np.concatenate(column) for column in zip(*good, strict=True)))
+
+    def _searched(self, query: tuple[Floats, ...], reach: Floats, qid: NDArray[np.int64] | None, threads: int) -> Pairs:
+        """`pairs` with NumPy, chunk by chunk."""
+        qx, qy, qz = query
         jobs: list[tuple[Any, ...]] = []
         for a in range(0, qx.size, _QUERIES_PER_CHUNK):
             part = slice(a, a + _QUERIES_PER_CHUNK)
@@ -203,8 +251,8 @@ class CellGrid:
     def _off(self, q: NDArray[Any], cell: NDArray[Any], axis: int) -> NDArray[Any]:
         """Least distance along an axis from q to a cell, rounded down."""
         low = self._low[axis] + cell * self._width[axis]
-        gap = np.maximum(np.maximum(low - q, q - (low + self._width[axis])), 0.0)
-        return gap * (1.0 - 1e-6)
+        gap: NDArray[Any] = np.maximum(np.maximum(low - q, q - (low + self._width[axis])), 0.0) * (1.0 - 1e-6)
+        return gap
 
     def _lookup(self, key: NDArray[np.int64]) -> NDArray[np.int32]:
         """How many sorted agents lie in cells before `key`."""
@@ -249,6 +297,13 @@ class CellGrid:
             return None
         order = np.lexsort((self.ids[j], distance, i))
         return np.sort(order[_rank(i[order]) < NEIGHBOURS])
+
+
+def seen(pairs: Any, view: View) -> Rows:
+    """Which pairs lie in the field of view of who asks: heading x, y, z and the cosine of half its angle, for each query."""
+    hx, hy, hz, cosine = (part.take(pairs.i) for part in view)
+    ahead = (pairs.dx * hx + pairs.dy * hy) + pairs.dz * hz
+    return np.flatnonzero(ahead >= cosine * pairs.distance)
 
 
 @cache
