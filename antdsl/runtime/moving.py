@@ -47,6 +47,13 @@ def move(world: World, population: Population, substep: int) -> None:
         now["size"].astype(np.float64),
         world.options.threads,
     )
+    _arrive(population, velocity, step, moved, dt)
+    population.footing, population.position = moved.footing, moved.position
+
+
+def _arrive(population: Population, velocity: Vector, step: Vector, moved: MoveResult, dt: np.float32) -> None:
+    """Velocity and heading where the walk has led, with place and up."""
+    now = population.now
     if compiled.wanted(len(population)):
         from antdsl.runtime.moving_compiled import arrive
 
@@ -55,13 +62,7 @@ def move(world: World, population: Population, substep: int) -> None:
             velocity, step, population.position, *walked, now["max_speed"], now["max_turn"], dt, _share(dt), _SLOW, _BOUNCE,
             *(_read(population, name) for name in ("position", "velocity", "heading", "up")),
         )  # fmt: skip
-    else:
-        _arrive(population, velocity, step, moved, dt)
-    population.footing, population.position = moved.footing, moved.position
-
-
-def _arrive(population: Population, velocity: Vector, step: Vector, moved: MoveResult, dt: np.float32) -> None:
-    """Velocity and heading where the walk has led, with place and up."""
+        return
     new_up = vec.columns(moved.up, np.float32)
     speed = vec.length(velocity)
     velocity = vec.scale(vec.columns(moved.direction, np.float32), speed)
@@ -78,7 +79,7 @@ def _arrive(population: Population, velocity: Vector, step: Vector, moved: MoveR
         ("position", vec.columns(moved.position, np.float32)),
     ):
         for axis, component in zip(AXES, value, strict=True):
-            population.now[f"{name}.{axis}"][:] = component
+            now[f"{name}.{axis}"][:] = component
 
 
 def _read(population: Population, name: str) -> Vector:
@@ -103,8 +104,9 @@ def _velocity(world: World, population: Population, up: Vector, dt: np.float32, 
         turning = np.flatnonzero(np.isfinite(now["max_turn"]))
     if len(turning):
         time = _time({"response": now["response"][turning]}, _F(world.dt), dt, substep)
+        most = np.maximum(now["max_turn"][turning], _F(0)) * time
         u = vec.take(up, turning)
-        _limit_turn(velocity, vec.flat(vec.take(before, turning), u), u, np.maximum(now["max_turn"][turning], _F(0)) * time, turning)
+        _limit_turn(velocity, vec.flat(vec.take(before, turning), u), u, most, turning)
     return velocity
 
 

@@ -37,9 +37,10 @@ class Parts:
         count = self.count.take(face)
         some = np.flatnonzero(count)
         n = count.take(some).astype(np.int64)
-        one, two = (np.minimum((b.take(some) * n).astype(np.int64), n - 1) for b in (b1, b2))
+        one, two = (np.clip((b.take(some) * n).astype(np.int64), 0, n - 1) for b in (b1, b2))
         clear: Floats = np.full(face.size, self.reach)
-        clear[some] = self.least.take(self.first.take(face.take(some)) + one * n + two)
+        part: Index = self.first.take(face.take(some)) + one * n + two
+        clear[some] = self.least.take(part)
         return clear
 
 
@@ -111,10 +112,12 @@ class Clearances:
         scene = RayScene(there[beside].reshape(-1, 3), np.arange(3 * int(beside.sum()), dtype=np.int32).reshape(-1, 3))
         _, _, _, distance = scene.closest(centre.reshape(-1, 3))
         apart = distance.reshape(centre.shape[:2]) - radius[:, None] - 2 * self.noise
-        return np.clip(apart, 0.0, reach)
+        clear: Floats = np.clip(apart, 0.0, reach)
+        return clear
 
     def _flat(self, cell: Index) -> Index:
-        return (cell[..., 0] * self._size[1] + cell[..., 1]) * self._size[2] + cell[..., 2]
+        flat: Index = (cell[..., 0] * self._size[1] + cell[..., 1]) * self._size[2] + cell[..., 2]
+        return flat
 
     def _near(self, reach: float) -> NDArray[np.bool_]:
         """Faces that may have another piece within `reach` mm: those that lie in some cell that has two pieces around."""
@@ -130,4 +133,5 @@ class Clearances:
         shape, window = tuple(self._size), 2 * rings + 1
         least = minimum_filter(self._least.reshape(shape), window, mode="nearest")
         most = maximum_filter(self._most.reshape(shape), window, mode="nearest")
-        return ((least != most) & (most >= 0)).ravel()
+        mixed: NDArray[np.bool_] = ((least != most) & (most >= 0)).ravel()
+        return mixed

@@ -228,8 +228,8 @@ class Ground:
         result = MoveResult(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, lost)
         left = np.flatnonzero(~done)
         if left.size:
-            inputs = (v.take(left, axis=1) for v in (wish, heading, up))
-            rest = self._moved(footing.take(left), *inputs, body.take(left), parts, threads)
+            wish, heading, up = (v.take(left, axis=1) for v in (wish, heading, up))
+            rest = self._moved(footing.take(left), wish, heading, up, body.take(left), parts, threads)
             for whole, part in ((result.footing, rest.footing), (result, rest)):
                 for name in (f.name for f in fields(whole) if f.name != "footing"):
                     getattr(whole, name)[left] = getattr(part, name)

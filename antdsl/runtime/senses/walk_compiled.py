@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 # Columns of the packed table: one face's numbers lie side by side, since agents stand on faces in no order.
 _WIDTH = 36
-_AHEAD = 16  # agents whose rows are fetched at once
+_AHEAD = 64  # agents whose rows are fetched at once
 _CORNER, _EDGE1, _EDGE2, _NORMAL, _AXIS1, _AXIS2, _RATE1, _RATE2, _SHEAR, _EDGE_C, _EDGE_S, _SMOOTH = (
     0, 3, 6, 9, 12, 15, 18, 19, 20, 21, 24, 27,
 )  # fmt: skip
@@ -157,9 +157,7 @@ def _walk(  # type: ignore[no-untyped-def]
         beyond = link[1, half] if side < 0 else link[0, half]
         if beyond == NO_LINK:
             return f, b1, b2, side, c, s, heading_c, heading_s, gone, True
-        f, b1, b2, side, c, s, heading_c, heading_s = _cross(
-            table, row, beyond, edge, b1, b2, side, c, s, heading_c, heading_s
-        )
+        f, b1, b2, side, c, s, heading_c, heading_s = _cross(table, row, beyond, edge, b1, b2, side, c, s, heading_c, heading_s)
     return f, b1, b2, side, c, s, heading_c, heading_s, gone, False
 
 
