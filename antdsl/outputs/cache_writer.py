@@ -3,7 +3,6 @@ simulation, checkpoints only after all frames before them are on the disk, hashe
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -157,9 +156,3 @@ class CacheWriter:
         An error there or of the disk is raised by what is called next."""
         assert self._behind is not None, "begin comes first"
         self._behind.hand_over(jobs, state(world, history="checkpoint" in jobs))
-
-
-def free_bytes(folder: Path) -> int:
-    """What the disk of a folder has left."""
-    about = os.statvfs(folder) if hasattr(os, "statvfs") else None
-    return 2**62 if about is None else about.f_bavail * about.f_frsize
