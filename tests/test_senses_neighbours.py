@@ -1,4 +1,5 @@
-"""Neighbours: the cell grid against SciPy's tree, whatever the order of rows, with crowds on one spot and odd input."""
+"""Neighbours: the cell grid against SciPy's tree, whatever the order of rows, with crowds on one spot and odd input; all of it
+with NumPy and compiled."""
 
 from __future__ import annotations
 
@@ -7,8 +8,17 @@ import pytest
 from scipy.spatial import cKDTree
 
 from antdsl import limits
+from antdsl.runtime import compiled
 from antdsl.runtime.senses import neighbours
 from antdsl.runtime.senses.neighbours import CellGrid, Pairs
+
+
+@pytest.fixture(autouse=True, params=["numpy", "compiled"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    if request.param == "compiled" and not compiled.available():
+        pytest.skip("needs numba")
+    monkeypatch.setattr(compiled, "wanted", lambda count: request.param == "compiled")
+    return request.param
 
 
 def crowd(n: int, extent: tuple[float, float, float], seed: int = 1) -> tuple[np.ndarray, ...]:
@@ -117,3 +127,33 @@ def test_nothing_wrong_with_nobody_and_with_places_that_are_not_numbers():
     pairs = CellGrid(x, zero, zero, np.arange(6, dtype=np.int64), 5.0).pairs(None, np.float32(np.inf))
     assert {(0, 1), (1, 0), (0, 5), (5, 4)} <= set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
     assert not np.isin([2, 3], pairs.j).any() and not np.isin([2, 3], pairs.i).any()
+
+
+def test_the_field_of_view_leaves_who_is_in_it() -> None:
+    n = 600
+    x, y, z = crowd(n, (90, 10, 90))
+    ids = np.arange(n, dtype=np.int64)
+    angle = np.random.default_rng(4).uniform(0, 2 * np.pi, n)
+    view = (
+        np.cos(angle).astype(np.float32),
+        np.zeros(n, np.float32),
+        np.sin(angle).astype(np.float32),
+        np.full(n, 0.5, np.float32),
+    )
+    grid = CellGrid(x, y, z, ids, 12.0)
+    every, seen = grid.pairs(None, 12.0), grid.pairs(None, 12.0, view=view)
+    turned = np.abs(np.arctan2(every.dz, every.dx) - np.float32(angle[every.i]))
+    inside = np.cos(turned) * np.hypot(every.dx, every.dz) >= 0.5 * every.distance  # a sixth of the way round to either side
+    assert 0.2 < inside.mean() < 0.5
+    assert set(zip(seen.i.tolist(), seen.j.tolist(), strict=True)) == set(
+        zip(every.i[inside].tolist(), every.j[inside].tolist(), strict=True)
+    )
+
+
+def test_the_cap_comes_before_the_field_of_view() -> None:
+    n = 1000
+    x = np.linspace(-20, 20, n).astype(np.float32)
+    zero, one = np.zeros(n, np.float32), np.ones(n, np.float32)
+    pairs = CellGrid(x, zero, zero, np.arange(n, dtype=np.int64), 50.0).pairs(None, 50.0, view=(one, zero, zero, zero))
+    assert np.bincount(pairs.i)[n // 2] == limits.NEIGHBOURS // 2  # the nearest, half of which are in front
+    assert np.bincount(pairs.i)[0] == limits.NEIGHBOURS

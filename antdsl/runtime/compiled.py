@@ -12,13 +12,16 @@ LEAST = 2_000  # agents; below this a step takes few milliseconds, and loading t
 
 def wanted(count: int) -> bool:
     """Whether work on so many agents goes to compiled kernels."""
-    return count >= LEAST and _available()
+    return count >= LEAST and available()
 
 
 @cache
-def _available() -> bool:
+def available() -> bool:
+    """Whether kernels can be compiled here, and kept for the next run: compiling takes seconds."""
     try:
         import numba
-    except Exception:  # not installed, or made for another NumPy: it says so in different ways
+
+        numba.njit(cache=True)(wanted)  # nothing is compiled, but it is an error where no folder can be written to
+    except Exception:  # also where it is not installed, or made for another NumPy: it says so in different ways
         return False
     return not numba.config.DISABLE_JIT

@@ -21,6 +21,7 @@ Floats = NDArray[np.float32]
 Index = NDArray[np.integer[Any]]
 NO_AGENT = np.int64(-1)
 NO_ITEM = np.int32(-1)
+_COARSER = 4  # quarters of an octave
 MOST_PAIRS = 1 << 22  # of one chunk, where everybody is asked about everybody
 
 
@@ -139,14 +140,20 @@ def _near(
 ) -> PairRows:
     widest = float(np.max(radius, initial=0.0)) if np.size(radius) else 0.0
     widest = widest if np.isfinite(widest) and widest > 0 else 1.0
-    key = (other.name, float(np.ceil(4 * np.log2(widest))))
-    grid = world.grids.get(key)
-    if grid is None:
-        x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
-        grid = CellGrid(x, y, z, other.ids, widest)
-        world.grids[key] = grid
+    grid = _grid(world, other, widest)
     p = grid.pairs(None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, view=view, threads=threads)
     return PairRows(other, len(own[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
+
+
+def _grid(world: World, other: Population, widest: float) -> CellGrid:
+    """Where the others are, in cells that suit a radius: finding them in wider ones costs less than sorting them again."""
+    size = float(np.ceil(4 * np.log2(widest)))
+    known = [(k, grid) for (name, k), grid in list(world.grids.items()) if name == other.name and size <= k <= size + _COARSER]
+    if known:
+        return min(known, key=lambda each: each[0])[1]
+    x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
+    grid = world.grids[other.name, size] = CellGrid(x, y, z, other.ids, widest)
+    return grid
 
 
 def _every(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairRows:

@@ -21,7 +21,7 @@ Rows = NDArray[np.intp]  # an index of another type is converted at every use
 View = tuple[Floats, Floats, Floats, Floats]
 
 _QUERIES_PER_CHUNK = 16_384
-_QUERIES_PER_THREAD = 16_384
+_QUERIES_PER_THREAD = 4_096
 _CANDIDATES_PER_CHUNK = 1 << 16  # arrays of this length stay in the cache
 _MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
 _AGENTS_PER_COLUMN = 6

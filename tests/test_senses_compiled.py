@@ -1,0 +1,120 @@
+"""Compiled neighbours against those found with NumPy: the same pairs, bits and order; and whole steps of a crowd."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from foraging_shots import world
+
+from antdsl.runtime import Options, compiled, state_hash, step
+from antdsl.runtime.senses import neighbours
+from antdsl.runtime.senses.neighbours import CellGrid, Pairs
+
+pytestmark = pytest.mark.skipif(not compiled.available(), reason="needs numba")
+COLUMNS = Pairs.__slots__
+EXTENTS = ((400, 10, 400), (100, 100, 100), (3000, 0, 0), (0, 900, 0), (9e6, 4e4, 9e6), (60, 1, 60))
+RADII = {
+    "one": 6.5,
+    "each": np.random.default_rng(7).uniform(0, 25, 2000).astype(np.float32),
+    "odd": np.resize(np.array([5, np.nan, -1, 0, 12.5, 1e-30], np.float32), 2000),
+    "wide": 18.0,
+}
+
+
+def crowd(extent: tuple[float, ...], n: int = 2000) -> tuple[list[np.ndarray], np.ndarray]:
+    rng = np.random.default_rng(n)
+    places = [rng.uniform(-0.5 * e, 0.5 * e, n).astype(np.float32) for e in extent]
+    places[0][::500] = np.nan
+    places[2][1::700] = np.inf
+    for place in places:
+        place[10:13] = place[9]  # four on one spot
+    return places, rng.permutation(n).astype(np.int64) * 5
+
+
+def view_of(n: int) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(2)
+    heading = rng.normal(size=(3, n))
+    return (*(heading / np.linalg.norm(heading, axis=0)).astype(np.float32), np.cos(rng.uniform(0, np.pi, n)).astype(np.float32))
+
+
+def both(monkeypatch: pytest.MonkeyPatch, grid: CellGrid, *args: object, **named: object) -> tuple[Pairs, Pairs]:
+    found = []
+    for on in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, on=on: on)
+        found.append(grid.pairs(*args, **named))
+    return found[0], found[1]
+
+
+def same(a: Pairs, b: Pairs) -> None:
+    for name in COLUMNS:
+        assert getattr(a, name).dtype == getattr(b, name).dtype
+        assert np.array_equal(getattr(a, name), getattr(b, name)), name
+
+
+@pytest.mark.parametrize("radius", RADII)
+@pytest.mark.parametrize("extent", EXTENTS, ids=str)
+def test_the_same_pairs_in_the_same_order(monkeypatch, extent, radius) -> None:
+    places, ids = crowd(extent)
+    for cell in (6.0, 80.0):
+        grid = CellGrid(*places, ids, cell)
+        plain, fast = both(monkeypatch, grid, None, RADII[radius])
+        same(plain, fast)
+        assert fast.i.size > 0
+        same(*both(monkeypatch, grid, None, RADII[radius], view=view_of(2000)))
+
+
+def test_a_cell_table_too_large_to_list_is_searched(monkeypatch) -> None:
+    places, ids = crowd(EXTENTS[4])
+    grid = CellGrid(*places, ids, 2e4)
+    assert grid._starts is None
+    plain, fast = both(monkeypatch, grid, None, 1e5)
+    same(plain, fast)
+    assert fast.i.size > 1000
+
+
+def test_others_ask_and_some_rows_of_them(monkeypatch) -> None:
+    places, ids = crowd(EXTENTS[0])
+    asking, _ = crowd((500, 60, 300), 900)
+    grid = CellGrid(*places, ids, 20.0)
+    named = dict(zip(("qx", "qy", "qz"), asking, strict=True))
+    rows = np.array([5, 800, 800, 3, 77])
+    for chosen, m in ((None, 900), (rows, 5)):
+        plain, fast = both(monkeypatch, grid, chosen, 30.0, **named, view=view_of(m))
+        same(plain, fast)
+        assert fast.i.size > 0
+    nobody = CellGrid(*(np.empty(0, np.float32),) * 3, np.empty(0, np.int64), 5.0)
+    assert both(monkeypatch, nobody, None, 5.0, **named)[1].i.size == 0
+    assert both(monkeypatch, grid, np.empty(0, np.intp), 5.0)[1].i.size == 0
+
+
+def test_arrays_that_grow_and_several_threads(monkeypatch) -> None:
+    monkeypatch.setattr(neighbours, "_QUERIES_PER_THREAD", 500)
+    places, ids = crowd((90, 2, 90))
+    for named in ({}, {"threads": 3}, {"threads": 3, "view": view_of(2000)}):
+        plain, fast = both(monkeypatch, CellGrid(*places, ids, 3.0), None, 12.0, **named)
+        same(plain, fast)
+        assert fast.i.size > 3 * 8 * 2000 / (2 if "view" in named else 1)
+
+
+def test_more_than_the_cap_is_left_to_numpy(monkeypatch) -> None:
+    places, ids = crowd((30, 1, 30))
+    grid = CellGrid(*places, ids, 8.0)
+    for named in ({}, {"view": view_of(2000)}, {"view": view_of(2000), "threads": 2}):
+        same(*both(monkeypatch, grid, None, 8.0, **named))
+    monkeypatch.setattr(neighbours, "NEIGHBOURS", int(np.bincount(grid.pairs(None, 3.0).i).max()))
+    compiled_only = grid._compiled(tuple(places), np.full(2000, 3.0, np.float32), ids, None, 1)
+    assert compiled_only is not None  # as many as the cap, and no more
+    monkeypatch.setattr(neighbours, "NEIGHBOURS", neighbours.NEIGHBOURS - 1)
+    assert grid._compiled(tuple(places), np.full(2000, 3.0, np.float32), ids, None, 1) is None
+
+
+def test_a_crowd_goes_the_same_way_compiled_and_not(monkeypatch) -> None:
+    hashes = []
+    for on in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, on=on: on)
+        under_way = world(Options(threads=2), count=600, around=(70.0, 0.0, 50.0), radius=60.0)
+        hashes.append([])
+        for _ in range(12):
+            step(under_way)
+            hashes[-1].append(state_hash(under_way))
+    assert hashes[0] == hashes[1]
