@@ -18,7 +18,7 @@ def velocities(  # type: ignore[no-untyped-def]  # numba takes the types from th
     push, velocity, up, max_speed, max_force, mass, response, max_turn, at_once, first, dt, to, turning
 ):  # fmt: skip
     """Velocities after the push, into `to` (3, n), and in `turning` who may have turned too far. `at_once` is the longest
-    response that takes its whole time, `first`, in one substep; `dt` the time of the others. All float32, vectors as three arrays."""
+    response that takes its whole time, `first`, in one substep; `dt` the time of others. All float32, vectors three arrays."""
     last, cosine = _ZERO, _ONE
     for i in range(turning.size):
         u = (up[0][i], up[1][i], up[2][i])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from antdsl.runtime.senses.rasterise import triangle_cells
 
 _CELLS = 2_000_000
+_MEASURED = 150_000  # cells: about 2 microseconds each
 
 
 class DistanceGrid:
@@ -31,6 +33,20 @@ class DistanceGrid:
         away = distance_transform_edt(free) if len(corners) else np.full(tuple(self._size), np.inf)
         # Both the asker and the triangle may stand anywhere in their cells: two half diagonals.
         self._least = np.maximum((away - np.sqrt(3.0)) * self._width * (1 - 1e-6), 0.0).astype(np.float32).ravel()
+
+    def refine(self, distance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> None:
+        """Measure the distance (mm) from the middles [n,3] of the cells near triangles: left is one half diagonal of two.
+
+        Nothing is measured where that would take longer than a crowd saves in a few hundred steps.
+        """
+        near = np.flatnonzero(self._least < 2 * self._width)
+        if near.size > _MEASURED:
+            return
+        cells = np.stack(np.unravel_index(near, tuple(self._size)), axis=1)
+        apart = distance(self._low + (cells + 0.5) * self._width)
+        error = 2e-3 + 2e-6 * float((self._high - self._low).max())  # mm, of float32
+        least = apart - np.sqrt(0.75) * self._width * (1 + 1e-6) - error
+        self._least[near] = np.maximum(self._least[near], least.astype(np.float32))
 
     def at_least(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.float32]:
         """A distance (mm, float32[n]) within which there is no triangle; 0 near the triangles."""

@@ -213,7 +213,7 @@ class Ground:
         from antdsl.runtime.senses import walk_compiled
 
         if self._packed is None:
-            self._packed = walk_compiled.packed(self._table)
+            self._packed = walk_compiled.packed(self._table, self._mesh)
         n, noise = len(footing), self._clearances.noise
         done, blocked, lost = np.empty(n, np.bool_), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
         moved = Footing(np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n), np.empty(n))
@@ -222,7 +222,7 @@ class Ground:
         to = (moved.mesh, moved.face, moved.b1, moved.b2)
         near = (parts.first, parts.count, parts.least, parts.reach, noise, body, LIFT)
         walk_compiled.walk_all(
-            self._packed, self._table.link, self._mesh, self._first, *near, *at, wish, heading, up,
+            self._packed, self._table.link, self._table.forked, self._first, *near, *at, wish, heading, up,
             done, *to, place, above, ahead, direction, gone,
         )  # fmt: skip
         result = MoveResult(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, lost)

@@ -16,6 +16,7 @@ Vectors = NDArray[np.float64]
 Mesh = tuple[Vectors, NDArray[np.int32]]
 
 _NO_FACE = 0xFFFFFFFF
+_CROWD = 2_000  # places asked about at once, from which on finer distances pay
 _FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
 
 
@@ -102,6 +103,7 @@ class RayScene:
         self._normals = (normal / np.where(length > 0, length, 1.0)).astype(np.float32)
         self._scene: Any = None
         self._grid: DistanceGrid | None = None
+        self._refined = False
         if len(faces):
             # Built by one thread, so that the tree is the same on every machine.
             self._scene = _open3d().t.geometry.RaycastingScene(nthreads=1)
@@ -187,6 +189,9 @@ class RayScene:
             return np.full(len(x), np.inf, np.float32)
         if self._grid is None:
             self._grid = DistanceGrid(self._vertices, self._faces)
+        if len(x) >= _CROWD and not self._refined:
+            self._refined = True
+            self._grid.refine(lambda places: self.closest(places)[3])
         return self._grid.at_least(x, y, z)
 
     def feelers(

@@ -13,30 +13,36 @@ from antdsl.runtime.senses.walk import CROSSINGS, GRAIN, STUCK
 Floats = NDArray[np.float64]
 
 # Columns of the packed table: one face's numbers lie side by side, since agents stand on faces in no order.
-_WIDTH = 36
-_AHEAD = 64  # agents whose rows are fetched at once
-_CORNER, _EDGE1, _EDGE2, _NORMAL, _AXIS1, _AXIS2, _RATE1, _RATE2, _SHEAR, _EDGE_C, _EDGE_S, _SMOOTH = (
-    0, 3, 6, 9, 12, 15, 18, 19, 20, 21, 24, 27,
+_WIDTH = 40  # five whole lines of a cache
+_AHEAD = 16  # agents whose rows are fetched at once
+_CORNER, _EDGE1, _EDGE2, _NORMAL, _AXIS1, _AXIS2, _RATE1, _RATE2, _SHEAR, _EDGE_C, _EDGE_S, _SMOOTH, _LINK, _MESH = (
+    0, 3, 6, 9, 12, 15, 18, 19, 20, 21, 24, 27, 36, 39,
 )  # fmt: skip
 
 
-def packed(table: Topology) -> Floats:
-    """All numbers of each face side by side, float64[36 m]."""
+def packed(table: Topology, mesh_of: NDArray[np.int32]) -> Floats:
+    """All numbers of each face side by side, float64[40 m], with the links of the normal's side and the mesh it is of."""
     m = table.rate1.size
+    space = np.empty(_WIDTH * m + 8)
+    start = -space.ctypes.data % 64 // 8
+    result = space[start : start + _WIDTH * m]
+    rows = result.reshape(m, _WIDTH)
     vectors = (table.corner, table.edge1, table.edge2, table.normal, table.axis1, table.axis2)
     parts = [v.T for v in vectors] + [v.reshape(m, 1) for v in (table.rate1, table.rate2, table.shear)]
-    return np.concatenate([*parts, table.edge_c.reshape(m, 3), table.edge_s.reshape(m, 3), table.smooth.T], axis=1).ravel()
+    parts += [table.edge_c.reshape(m, 3), table.edge_s.reshape(m, 3), table.smooth.T, table.link[0].reshape(m, 3)]
+    np.concatenate([*parts, mesh_of.reshape(m, 1)], axis=1, out=rows)
+    return result
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the call
-    table, link, mesh_of, first, sub_first, sub_count, clear, reach, slack, body, lift,
+    table, link, forked, first, sub_first, sub_count, clear, reach, slack, body, lift,
     mesh, face, b1s, b2s, wish, heading, up,
     done, to_mesh, to_face, to_b1, to_b2, place, above, ahead, direction, gone,
 ):  # fmt: skip
     """One step of all agents; sets `done` for those that it moved and leaves the others as they are.
 
-    `table` is `packed`, `link` of the topology, `mesh_of` the mesh of each face and `first` the first face of each mesh.
+    `table` is `packed`, `link` and `forked` of the topology and `first` the first face of each mesh.
     `sub_first`, `sub_count`, `clear` and `reach` are `first`, `count`, `least` and `reach` of
     `Parts`; an agent stays away from what is nearer than its way, `lift`
     of its `body` and `slack`. Then where agents stand, their wish, heading and up (3, n), and where the results go.
@@ -64,14 +70,14 @@ def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the 
         if not _free(sub_first, sub_count, clear, reach, f, b1, b2) <= left + high:
             high = -np.inf  # has nothing to look out for on the whole way
         f, b1, b2, side, c, s, heading_c, heading_s, way, held_up = _walk(
-            table, link, sub_first, sub_count, clear, reach, high, f, b1, b2, side, c, s, heading_c, heading_s, left
+            table, link, forked, sub_first, sub_count, clear, reach, high, f, b1, b2, side, c, s, heading_c, heading_s, left
         )
         if held_up or not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
             continue
         done[i] = True
         row = _WIDTH * f
-        to_mesh[i] = mesh_of[f]
-        to_face[i] = f - first[mesh_of[f]]
+        on = int(table[row + _MESH])
+        to_mesh[i], to_face[i] = on, f - first[on]
         to_b1[i], to_b2[i], gone[i] = b1, b2, way
         _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, i, place, above, ahead, direction)
 
@@ -118,7 +124,7 @@ def _free(sub_first, sub_count, clear, reach, f, b1, b2):  # type: ignore[no-unt
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _walk(  # type: ignore[no-untyped-def]
-    table, link, sub_first, sub_count, clear, reach, high, f, b1, b2, side, c, s, heading_c, heading_s, left
+    table, link, forked, sub_first, sub_count, clear, reach, high, f, b1, b2, side, c, s, heading_c, heading_s, left
 ):
     """Across faces until the way is used up; the last value says that an open border was met instead, or a stretch within
     whose length and `high` there may be another piece."""
@@ -153,8 +159,7 @@ def _walk(  # type: ignore[no-untyped-def]
         if until >= left:
             break
         left = left - length
-        half = 3 * f + edge
-        beyond = link[1, half] if side < 0 else link[0, half]
+        beyond = link[1, 3 * f + edge] if forked and side < 0 else int(table[row + _LINK + edge])
         if beyond == NO_LINK:
             return f, b1, b2, side, c, s, heading_c, heading_s, gone, True
         f, b1, b2, side, c, s, heading_c, heading_s = _cross(table, row, beyond, edge, b1, b2, side, c, s, heading_c, heading_s)
