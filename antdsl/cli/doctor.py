@@ -8,7 +8,10 @@ from antdsl.cli.exits import Exit, Stop
 
 PACKAGES = ("numpy", "scipy", "lark", "pydantic", "yaml", "typer", "rich", "trimesh", "PIL", "open3d")
 _NAMES = {"yaml": "pyyaml", "PIL": "pillow"}
-EXTRAS = {"imageio_ffmpeg": "films: pip install 'antdsl[video]'"}
+EXTRAS = {
+    "imageio_ffmpeg": "films: pip install 'antdsl[video]'",
+    "numba": "speed with thousands of agents: pip install 'antdsl[fast]'",
+}
 
 
 def doctor() -> None:
@@ -81,6 +84,11 @@ def _optional(package: str, purpose: str) -> None:
     from importlib.util import find_spec
 
     words = "installed" if find_spec(package) is not None else f"not installed; wanted for {purpose}"
+    if package == "numba" and words == "installed":
+        from antdsl.runtime import compiled
+
+        if not compiled.available():
+            words = "of no use here: turned off, made for another NumPy, or no folder to keep compiled kernels in"
     typer.echo(f"{'ok     ' if words == 'installed' else '-      '} {package:<16} {words}")
 
 
