@@ -234,3 +234,15 @@ def test_arriving_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
             moving._arrive(crowd_, velocity, step, moved, np.float32(1 / 24))
         found.append(crowd_.now)
     assert_same_arrays(*found)
+
+
+def test_finer_distances_of_an_obstacle_are_still_below_the_true_ones() -> None:
+    (one, faces), (two, _) = ball(3, (300, 5, 0), 5), ball(3, (420, 90, 80), 5)
+    scene = RayScene(np.concatenate([one, two]), np.concatenate([faces, faces + len(one)]))
+    places = (
+        one[np.random.default_rng(11).integers(0, len(one), 3000)] * 1.01 + np.random.default_rng(12).normal(size=(3000, 3)) * 2
+    )
+    coarse = np.concatenate([scene.clearance(*some_.T) for some_ in np.split(places, 6)])
+    fine = scene.clearance(*places.T)
+    distance = scene.closest(places)[3]
+    assert (fine <= distance).all() and (fine >= coarse).all() and (fine > coarse).mean() > 0.2
