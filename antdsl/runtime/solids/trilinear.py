@@ -1,4 +1,4 @@
-"""The field between the nodes: trilinear in each cell, continuous everywhere, with its exact gradient."""
+"""The field between the nodes: trilinear in each cell, continuous everywhere, with its exact gradient. Worked out in float64."""
 
 from __future__ import annotations
 
@@ -8,51 +8,73 @@ from numpy.typing import NDArray
 from antdsl.runtime.solids.bricks import Bricks
 
 Floats = NDArray[np.float64]
-Distances = NDArray[np.float32]
-Corners = tuple[Distances, Distances, Distances, Distances, Distances, Distances, Distances, Distances]
+Index = NDArray[np.int64]
+Vector = tuple[Floats, Floats, Floats]
+
+_OFFSETS = (0, 1, 16, 17, 256, 257, 272, 273)  # of a cell's corners, in a brick
+_LEAN = 0.4  # voxels: how far around a place the smooth normal looks, each way
 
 
-def sample(bricks: Bricks, points: Floats) -> Distances:
-    """Signed distance float32[n] at points [n,3]."""
-    (v000, v001, v010, v011, v100, v101, v110, v111), (fx, fy, fz) = _corners(bricks, points)
-    v00, v01, v10, v11 = _mix(v000, v001, fz), _mix(v010, v011, fz), _mix(v100, v101, fz), _mix(v110, v111, fz)
-    return _mix(_mix(v00, v01, fy), _mix(v10, v11, fy), fx)
+def distance(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Floats:
+    """Signed distance at places (mm)."""
+    (v000, v001, v010, v011, v100, v101, v110, v111), (fx, fy, fz) = _corners(bricks, x, y, z)
+    v0 = _mix(_mix(v000, v001, fz), _mix(v010, v011, fz), fy)
+    return _mix(v0, _mix(_mix(v100, v101, fz), _mix(v110, v111, fz), fy), fx)
 
 
-def sample_and_gradient(bricks: Bricks, points: Floats) -> tuple[Distances, Distances]:
-    """Signed distance float32[n] and gradient float32[n,3] at points [n,3]."""
-    (v000, v001, v010, v011, v100, v101, v110, v111), (fx, fy, fz) = _corners(bricks, points)
-    v00, v01, v10, v11 = _mix(v000, v001, fz), _mix(v010, v011, fz), _mix(v100, v101, fz), _mix(v110, v111, fz)
-    v0, v1 = _mix(v00, v01, fy), _mix(v10, v11, fy)
-    gradient = np.empty((3, len(fx)), np.float32)
-    scale = np.float32(1.0 / bricks.voxel)
-    gradient[0] = (v1 - v0) * scale
-    gradient[1] = _mix(v01 - v00, v11 - v10, fx) * scale
-    along = _mix(v001 - v000, v011 - v010, fy), _mix(v101 - v100, v111 - v110, fy)
-    gradient[2] = _mix(along[0], along[1], fx) * scale
-    return _mix(v0, v1, fx), gradient.T
+def field(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Signed distance at places (mm), and its gradient."""
+    (v000, v001, v010, v011, v100, v101, v110, v111), (fx, fy, fz) = _corners(bricks, x, y, z)
+    d00, d01, d10, d11 = v001 - v000, v011 - v010, v101 - v100, v111 - v110
+    v00, v01, v10, v11 = v000 + d00 * fz, v010 + d01 * fz, v100 + d10 * fz, v110 + d11 * fz
+    e0, e1 = v01 - v00, v11 - v10
+    v0, v1 = v00 + e0 * fy, v10 + e1 * fy
+    gx = v1 - v0
+    scale = 1.0 / bricks.voxel
+    gz = _mix(_mix(d00, d01, fy), _mix(d10, d11, fy), fx) * scale
+    return v0 + gx * fx, gx * scale, _mix(e0, e1, fx) * scale, gz
 
 
-def _mix(a: Distances, b: Distances, t: Distances) -> Distances:
+def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Vector:
+    """A gradient that changes steadily from place to place, unlike the field's own: differences between four places around."""
+    a = _LEAN * bricks.voxel
+    low, high = (x - a, y - a, z - a), (x + a, y + a, z + a)
+    d1, d2 = distance(bricks, high[0], low[1], low[2]), distance(bricks, low[0], low[1], high[2])
+    d3, d4 = distance(bricks, low[0], high[1], low[2]), distance(bricks, high[0], high[1], high[2])
+    far, near = d4 + d1, d2 + d3
+    scale = 0.25 / a
+    return (far - near) * scale, ((d4 - d1) + (d3 - d2)) * scale, ((d4 - d1) - (d3 - d2)) * scale
+
+
+def _mix(a: Floats, b: Floats, t: Floats) -> Floats:
     return a + (b - a) * t
 
 
-def _corners(bricks: Bricks, points: Floats) -> tuple[Corners, tuple[Distances, Distances, Distances]]:
-    """Values at the corners of the cells that points [n,3] lie in, and where in them, 0 .. 1."""
-    low: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
-    parts: list[Distances] = []
-    strides = ((bricks.shape[1] * bricks.shape[2], 256), (bricks.shape[2], 16), (1, 1))
-    for axis, (brick_stride, stride) in enumerate(strides):
-        place = (points[:, axis] - bricks.origin[axis]) * (1.0 / bricks.voxel)
-        place = np.fmin(np.fmax(place, 0.0), bricks.nodes[axis] - 1.0)
-        node = np.minimum(place.astype(np.int64), bricks.nodes[axis] - 2)
-        parts.append((place - node).astype(np.float32))
-        for n in (node, node + 1):
-            low.append(((n >> 4) * brick_stride, (n & 15) * stride))
+def _corners(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[list[Floats], list[Floats]]:
+    """Values at the corners of the cells that places lie in, and where in them, 0 .. 1. Places outside count as on the rim."""
+    parts, nodes = [], []
+    for axis, place in enumerate((x, y, z)):
+        far = bricks.nodes[axis]
+        # fmax and fmin take what is not a number to the rim.
+        at = np.fmin(np.fmax((place - bricks.origin[axis]) * (1.0 / bricks.voxel), 0.0), far - 1.0)
+        node = np.minimum(at.astype(np.int32), far - 2)
+        parts.append(at - node)
+        nodes.append(node)
+    at = _place(bricks, nodes)
+    local = [n & 15 for n in nodes]
+    astride = np.flatnonzero((local[0] == 15) | (local[1] == 15) | (local[2] == 15))
+    across = [n.take(astride) for n in nodes]
     found = []
-    for x in low[0:2]:
-        for y in low[2:4]:
-            for z in low[4:6]:
-                slot = bricks.table.take(x[0] + y[0] + z[0])
-                found.append(bricks.values.take(slot.astype(np.int64) * 4096 + (x[1] + y[1] + z[1])))
-    return tuple(found), tuple(parts)  # type: ignore[return-value]
+    for corner, offset in enumerate(_OFFSETS):
+        place = at + offset
+        if astride.size:
+            place[astride] = _place(bricks, [n + ((corner >> (2 - axis)) & 1) for axis, n in enumerate(across)])
+        found.append(bricks.values.take(place).astype(np.float64))
+    return found, parts
+
+
+def _place(bricks: Bricks, nodes: list[NDArray[np.int32]]) -> Index:
+    """Where the values of nodes are kept."""
+    i, j, k = nodes
+    slot = bricks.table.take(((i >> 4) * bricks.shape[1] + (j >> 4)) * bricks.shape[2] + (k >> 4)).astype(np.int64)
+    return (slot << 12) + (((i & 15) << 8) + ((j & 15) << 4) + (k & 15))

@@ -62,15 +62,26 @@ class Volume:
 
     def sample(self, points: Floats) -> Distances:
         """Signed distance float32[n] at points [n,3], trilinear; the band's ends far from the surface."""
-        return trilinear.sample(self.bricks, np.asarray(points, np.float64))
+        return trilinear.distance(self.bricks, *_columns(points)).astype(np.float32)
 
     def gradient(self, points: Floats) -> Distances:
         """Gradient float32[n,3] of the trilinear field at points [n,3]: about 1 long near the surface, 0 where it is flat."""
-        return trilinear.sample_and_gradient(self.bricks, np.asarray(points, np.float64))[1]
+        return self.sample_and_gradient(points)[1]
 
     def sample_and_gradient(self, points: Floats) -> tuple[Distances, Distances]:
         """Both at once, for little more than one of them."""
-        return trilinear.sample_and_gradient(self.bricks, np.asarray(points, np.float64))
+        distance, *gradient = trilinear.field(self.bricks, *_columns(points))
+        return distance.astype(np.float32), np.stack(gradient).astype(np.float32).T
+
+    def upright(self, points: Floats, otherwise: Floats) -> Floats:
+        """Unit normals float64[n,3] out of the solid that change steadily along the surface, for bodies to stand by.
+
+        `otherwise` ([3] or [n,3]) where the field is flat."""
+        slope = trilinear.smooth(self.bricks, *_columns(points))
+        size = np.sqrt((slope[0] * slope[0] + slope[1] * slope[1]) + slope[2] * slope[2])
+        clear = size > 1e-3
+        unit = np.stack([s / np.where(clear, size, 1.0) for s in slope], axis=1)
+        return np.where(clear[:, None], unit, np.asarray(otherwise, np.float64))
 
     def project(self, points: Floats, hints: Floats, reach: float | None = None) -> projecting.Projected:
         """Places on the surface near points [n,3], with normals out of the solid.
@@ -128,3 +139,8 @@ class Volume:
     def nbytes(self) -> int:
         """Memory of the arrays, bytes."""
         return self.bricks.nbytes
+
+
+def _columns(points: Floats) -> tuple[Floats, Floats, Floats]:
+    x, y, z = np.array(np.asarray(points, np.float64).reshape(-1, 3).T, order="C")
+    return x, y, z

@@ -2,119 +2,102 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl import limits
 from antdsl.runtime.senses.rasterise import triangle_cells
-from antdsl.runtime.senses.rays import RayScene
 from antdsl.runtime.solids.bricks import AIR, CUBE, SIDE, SOLID, Bricks, Unusable
+from antdsl.runtime.solids.crossings import Shell, brick_signs
+from antdsl.runtime.solids.triangles import distances
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _IN, _OUT = 2.0, 4.0  # voxels of the band inside and outside
-_GRAIN = 65536.0  # parts of a voxel to which corners are rounded to decide sides exactly
+_ASIDE = (0.37, 0.41, 0.43)  # voxels
+_BLOCK = 4.0  # voxels
+_ROOM = 24  # bytes of memory for each node near the surface while distances are found
 
 
 def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> Bricks | Unusable:
     """As `Volume.from_mesh`."""
-    if not (np.isfinite(voxel) and voxel > 0):
+    if not (math.isfinite(voxel) and voxel > 0):
         return Unusable("the voxel is not a length greater than 0", "write a length, such as `voxel: 1 mm`")
-    if not len(faces) or not len(vertices):
+    if not len(faces):
         return Unusable("the mesh has no faces", "name a closed mesh")
-    used = vertices[faces.ravel()]
-    if not np.isfinite(used).all():
+    corners = vertices[faces]
+    if not np.isfinite(corners).all():
         return Unusable("the mesh has corners that are not finite numbers", "export the mesh again")
-    low, high = used.min(axis=0), used.max(axis=0)
-    wanted = float(np.prod((high - low) / voxel + 1))
-    if wanted > cap:
-        least = voxel * (wanted / cap) ** (1 / 3)
-        return Unusable(f"{wanted:,.0f} voxels are more than {cap:,}", f"take larger voxels, such as {least:.2g} mm")
-    origin = low - (_OUT + 1.0) * voxel
-    shape = tuple(int(n) for n in np.ceil(((high - origin) / voxel + _OUT + 2.0) / SIDE))
-    corners = (vertices[faces] - origin) / voxel
-    if _open_edges(corners):
-        return Unusable(f"the mesh is not closed: {_open_edges(corners):,} edges border on air", "close its holes")
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    sides = (high - low) / voxel
+    shape = tuple(math.ceil((float(side) + 2 * _OUT + 4.0) / SIDE) for side in sides)
+    wanted = float(np.prod(sides + 1))
+    # A thin sheet or a rod needs room for whole bricks.
+    if wanted > cap or float(np.prod(shape)) * CUBE > 8.0 * cap:
+        return _too_many(max(wanted, float(np.prod(shape)) * CUBE / 8), cap, voxel)
+    # Not a whole number of voxels from the mesh: sides of a box would run through nodes, where the field has no clear slope.
+    origin = low - (_OUT + 1.0 + np.array(_ASIDE)) * voxel
+    corners = (corners - origin) / voxel
+    shell = Shell(corners)
+    if shell.open_edges:
+        edges = "1 edge borders" if shell.open_edges == 1 else f"{shell.open_edges:,} edges border"
+        return Unusable(f"the mesh is not closed: {edges} on nothing", "close its holes, so that it has an inside")
     bricks = Bricks(
-        origin, voxel, shape, -_IN * voxel, _OUT * voxel, np.zeros(int(np.prod(shape)), np.int32), np.empty(0, np.float32), 2
+        origin=origin,
+        voxel=voxel,
+        shape=shape,  # type: ignore[arg-type]
+        least=-_IN * voxel,
+        most=_OUT * voxel,
+        table=np.zeros(math.prod(shape), np.int32),
+        values=np.empty(0, np.float32),
+        used=2,
     )
-    _fill(bricks, vertices, faces, corners)
+    near = _near(bricks, corners)
+    if near.size * CUBE * _ROOM > limits.GRID_BYTES:
+        return _too_many(float(near.size) * CUBE, limits.GRID_BYTES // _ROOM, voxel)
+    _fill(bricks, shell, near, corners)
     bricks.begin()
     return bricks
 
 
-def _rounded(corners: Floats) -> Index:
-    return np.round(corners * _GRAIN).astype(np.int64)
+def _too_many(wanted: float, cap: float, voxel: float) -> Unusable:
+    least = voxel * max((wanted / cap) ** (1 / 3), 1.1)
+    digits = 1 - math.floor(math.log10(least))
+    size = math.ceil(least * 10**digits) / 10**digits
+    return Unusable(f"{wanted:,.0f} voxels of {voxel:g} mm are more than {cap:,.0f}", f"take larger ones: `voxel: {size:g} mm`")
 
 
-def _open_edges(corners: Floats) -> int:
-    """Edges where an odd number of faces meet."""
-    names = np.unique(_rounded(corners).reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
-    a, b = names.ravel(), names[:, [1, 2, 0]].ravel()
-    real = a != b
-    pair = np.minimum(a, b)[real] * (names.max() + 1) + np.maximum(a, b)[real]
-    return int((np.unique(pair, return_counts=True)[1] % 2).sum())
-
-
-def _near(bricks: Bricks, corners: Floats) -> NDArray[np.bool_]:
-    """Bricks with a node in the band."""
+def _near(bricks: Bricks, corners: Floats) -> Index:
+    """Bricks, ascending, that may have a node in the band: those that the band around a brick's triangles reaches."""
     grid = np.zeros(bricks.shape, bool)
-    wide = int(_OUT) + 1
-    for cell, _ in triangle_cells(corners, exact=False):
-        first, last = (cell - wide) // SIDE, (cell + 1 + wide) // SIDE
-        for x in (first, last):
-            for y in (first, last):
-                for z in (first, last):
-                    grid[x[:, 0].clip(0), y[:, 1].clip(0), z[:, 2].clip(0)] = True
-    return grid
+    wide = _OUT + 1.0
+    for cells, _ in triangle_cells(corners / _BLOCK):
+        block = np.unique((cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2])
+        at = np.stack([block >> 42, (block >> 21) & 0x1FFFFF, block & 0x1FFFFF], axis=1) * _BLOCK
+        first = np.floor((at - wide) / SIDE).astype(np.int64).clip(0)
+        last = np.floor((at + (_BLOCK + wide)) / SIDE).astype(np.int64)
+        for ends in np.ndindex(2, 2, 2):
+            i, j, k = (np.minimum((first, last)[e][:, axis], bricks.shape[axis] - 1) for axis, e in enumerate(ends))
+            grid[i, j, k] = True
+    return np.flatnonzero(grid)
 
 
-def _fill(bricks: Bricks, vertices: Floats, faces: Index, corners: Floats) -> None:
-    inside = _inside(bricks, corners)
-    near = np.flatnonzero(_near(bricks, corners).ravel())
-    middle = inside.reshape(bricks.shape[0], SIDE, bricks.shape[1], SIDE, bricks.shape[2], SIDE)[:, 0, :, 0, :, 0].ravel()
-    bricks.table[:] = np.where(middle, SOLID, AIR)
-    bricks.values = np.empty((2 + near.size) * CUBE, np.float32)
+def _fill(bricks: Bricks, shell: Shell, near: Index, corners: Floats) -> None:
+    """Distances of the bricks near the surface, signs of all."""
+    flags, inside = brick_signs(shell, bricks.shape, near)
+    away = distances(bricks.shape, near, corners, _OUT).reshape(-1, CUBE)
+    np.minimum(away, np.float32(_OUT), out=away)
+    np.negative(away, out=away, where=inside)
+    np.maximum(away, np.float32(-_IN), out=away)
+    kept = np.flatnonzero((away != away[:, :1]).any(axis=1))
+    bricks.table[:] = np.where(flags, SOLID, AIR)
+    bricks.table[near[kept]] = np.arange(2, 2 + kept.size)
+    bricks.values = np.empty((2 + kept.size) * CUBE, np.float32)
     pool = bricks.values.reshape(-1, CUBE)
+    np.multiply(away[kept], np.float32(bricks.voxel), out=pool[2:])
+    np.clip(pool[2:], np.float32(bricks.least), np.float32(bricks.most), out=pool[2:])
     pool[AIR], pool[SOLID] = bricks.most, bricks.least
-    scene = RayScene(vertices, faces.astype(np.int32))
-    local = np.stack(np.meshgrid(*[np.arange(SIDE)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    kept = 0
-    for brick in near:
-        nodes = np.stack(np.unravel_index(brick, bricks.shape)) * SIDE + local
-        away = scene.closest(bricks.origin + nodes * bricks.voxel)[3]
-        signed = np.where(inside[nodes[:, 0], nodes[:, 1], nodes[:, 2]], -away, away)
-        signed = np.clip(signed, bricks.least, bricks.most).astype(np.float32)
-        if (signed != signed[0]).any():
-            pool[2 + kept] = signed
-            bricks.table[brick] = 2 + kept
-            kept += 1
-    bricks.used = 2 + kept
-
-
-def _inside(bricks: Bricks, corners: Floats) -> NDArray[np.bool_]:
-    """Which nodes are inside, by the parity of crossings below them along the last axis."""
-    nodes = bricks.nodes
-    tri = _rounded(corners)
-    crossings = np.zeros(nodes, np.int8)
-    low = np.ceil(tri.min(axis=1) / _GRAIN).astype(np.int64)
-    high = np.floor(tri.max(axis=1) / _GRAIN).astype(np.int64) + 1
-    for t in range(len(tri)):
-        x, y = (g.ravel() for g in np.meshgrid(np.arange(low[t, 0], high[t, 0]), np.arange(low[t, 1], high[t, 1]), indexing="ij"))
-        weights = [_side(tri[t, a], tri[t, b], x, y) for a, b in ((1, 2), (2, 0), (0, 1))]
-        sign = np.stack([w[0] for w in weights])
-        hit = (sign > 0).all(axis=0) | (sign < 0).all(axis=0)
-        x, y = x[hit], y[hit]
-        w = np.stack([w[1][hit] for w in weights]).astype(np.float64)
-        total = w.sum(axis=0)
-        z = (w * tri[t, :, 2, None]).sum(axis=0) / np.where(total == 0, 1, total) / _GRAIN
-        np.add.at(crossings, (x, y, np.floor(z).astype(np.int64) + 1), 1)
-    return np.cumsum(crossings, axis=2, dtype=np.int8) % 2 == 1
-
-
-def _side(a: Index, b: Index, x: Index, y: Index) -> tuple[Index, Index]:
-    """On which side of the line a-b places (x, y) lie, never 0 (as if they were moved by next to nothing), and the area."""
-    px, py = x * int(_GRAIN), y * int(_GRAIN)
-    area = (b[0] - a[0]) * (py - a[1]) - (b[1] - a[1]) * (px - a[0])
-    tie = -np.sign(b[1] - a[1]) if b[1] != a[1] else np.sign(b[0] - a[0])
-    return np.where(area == 0, tie, np.sign(area)), area
+    bricks.used = 2 + kept.size
