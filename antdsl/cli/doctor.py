@@ -6,8 +6,8 @@ import typer
 
 from antdsl.cli.exits import Exit, Stop
 
-PACKAGES = ("numpy", "scipy", "lark", "pydantic", "yaml", "typer", "rich", "trimesh", "PIL", "open3d")
-_NAMES = {"yaml": "pyyaml", "PIL": "pillow"}
+PACKAGES = ("numpy", "scipy", "lark", "pydantic", "yaml", "typer", "rich", "trimesh", "PIL", "skimage", "open3d")
+_NAMES = {"yaml": "pyyaml", "PIL": "pillow", "skimage": "scikit-image"}
 EXTRAS = {
     "imageio_ffmpeg": "films: pip install 'antdsl[video]'",
     "numba": "speed with thousands of agents: pip install 'antdsl[fast]'",

@@ -153,4 +153,5 @@ class Bricks:
 def filling(distance: NDArray[np.float32], voxel: float) -> NDArray[np.int32]:
     """How full the voxels around nodes are, 0 .. 256: half at the surface, and all or nothing half a voxel from it."""
     part = np.float32(0.5) - distance * np.float32(1.0 / voxel)
-    return np.round(np.clip(part, np.float32(0), np.float32(1)) * np.float32(STEPS)).astype(np.int32)
+    steps: NDArray[np.int32] = np.round(np.clip(part, np.float32(0), np.float32(1)) * np.float32(STEPS)).astype(np.int32)
+    return steps

@@ -66,7 +66,8 @@ def _around(steps: int) -> Index:
     line = np.arange(-steps, steps + 2)
     grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
     gap = np.maximum(np.abs(grid - 0.5) - 0.5, 0.0)
-    return grid[(gap * gap).sum(axis=1) <= steps * steps]
+    near: Index = grid[(gap * gap).sum(axis=1) <= steps * steps]
+    return near
 
 
 def _pairs(

@@ -80,7 +80,8 @@ def _crossings(shell: Shell) -> tuple[Index, Index, Index, NDArray[np.int16]]:
     count = tri.max(axis=1) // grain - low + 1
     found = [_crossed(tri, grain, *places) for places in boxes(low[:, :2], count[:, :2], _PIECE)]
     if not found:
-        return (*(np.empty(0, np.int64) for _ in range(3)), np.empty(0, np.int16))
+        none = np.empty(0, np.int64)
+        return none, none, none, np.empty(0, np.int16)
     x, y, z, way = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return x, y, z, way
 

@@ -11,7 +11,7 @@ Index = NDArray[np.int64]
 
 
 def boxes(low: Index, count: Index, piece: int) -> Iterator[tuple[Index, Index, Index]]:
-    """All places of rectangles, from `low` (n, 2) on, `count` (n, 2) each way: the rectangle and the place, about `piece` at once."""
+    """All places of rectangles, from `low` (n, 2), `count` (n, 2) each way, about `piece` at once: the rectangle, the place."""
     count = np.maximum(count, 0)
     rows = np.repeat(np.arange(len(low)), count[:, 0])
     u = low[rows, 0] + _counted(count[:, 0])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.solids.bricks import Bricks
-from antdsl.runtime.solids.trilinear import Vector, field
+from antdsl.runtime.solids.trilinear import Columns, field
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +37,9 @@ def project(bricks: Bricks, points: Floats, hints: Floats, reach: float | None =
     return Projected(np.where(found[:, None], landed, start), np.where(found[:, None], turned, hint), found)
 
 
-def settle(bricks: Bricks, start: Vector, hint: Vector, close: float) -> tuple[list[Floats], list[Floats], NDArray[np.bool_]]:
+def settle(
+    bricks: Bricks, start: Columns, hint: Columns, close: Floats | float
+) -> tuple[list[Floats], list[Floats], NDArray[np.bool_]]:
     """Places within `close` (mm) of the zero level, the unit normals there, and whether they were reached.
 
     Each step is as long as the distance, a voxel at most where the gradient shows the way. Where the field is flat (the middle of
@@ -47,13 +49,14 @@ def settle(bricks: Bricks, start: Vector, hint: Vector, close: float) -> tuple[l
     normal = [np.array(h, np.float64) for h in hint]
     found = np.zeros(place[0].size, bool)
     rows = np.flatnonzero(np.isfinite(place[0] + place[1] + place[2]))
+    within = np.broadcast_to(np.asarray(close, np.float64), found.shape)
     for _ in range(_STEPS):
         if not rows.size:
             break
         at = [p[rows] for p in place]
         d, gx, gy, gz = field(bricks, *at)
         square = (gx * gx + gy * gy) + gz * gz
-        here = np.abs(d) <= close
+        here = np.abs(d) <= within[rows]
         flat = square < _FLAT
         done = np.flatnonzero(here & (square > 0))
         size = np.sqrt(square[done])

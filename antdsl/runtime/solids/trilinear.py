@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +11,7 @@ from antdsl.runtime.solids.bricks import Bricks
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
-Vector = tuple[Floats, Floats, Floats]
+Columns = Sequence[Floats]
 
 _OFFSETS = (0, 1, 16, 17, 256, 257, 272, 273)  # of a cell's corners, in a brick
 _LEAN = 0.4  # voxels: how far around a place the smooth normal looks, each way
@@ -35,7 +37,7 @@ def field(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floa
     return v0 + gx * fx, gx * scale, _mix(e0, e1, fx) * scale, gz
 
 
-def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Vector:
+def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> list[Floats]:
     """A gradient that changes steadily from place to place, unlike the field's own: differences between four places around."""
     a = _LEAN * bricks.voxel
     low, high = (x - a, y - a, z - a), (x + a, y + a, z + a)
@@ -43,7 +45,7 @@ def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Vector:
     d3, d4 = distance(bricks, low[0], high[1], low[2]), distance(bricks, high[0], high[1], high[2])
     far, near = d4 + d1, d2 + d3
     scale = 0.25 / a
-    return (far - near) * scale, ((d4 - d1) + (d3 - d2)) * scale, ((d4 - d1) - (d3 - d2)) * scale
+    return [(far - near) * scale, ((d4 - d1) + (d3 - d2)) * scale, ((d4 - d1) - (d3 - d2)) * scale]
 
 
 def _mix(a: Floats, b: Floats, t: Floats) -> Floats:
@@ -66,10 +68,10 @@ def _corners(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[list[Floa
     across = [n.take(astride) for n in nodes]
     found = []
     for corner, offset in enumerate(_OFFSETS):
-        place = at + offset
+        where = at + offset
         if astride.size:
-            place[astride] = _place(bricks, [n + ((corner >> (2 - axis)) & 1) for axis, n in enumerate(across)])
-        found.append(bricks.values.take(place).astype(np.float64))
+            where[astride] = _place(bricks, [n + ((corner >> (2 - axis)) & 1) for axis, n in enumerate(across)])
+        found.append(bricks.values.take(where).astype(np.float64))
     return found, parts
 
 
@@ -77,4 +79,5 @@ def _place(bricks: Bricks, nodes: list[NDArray[np.int32]]) -> Index:
     """Where the values of nodes are kept."""
     i, j, k = nodes
     slot = bricks.table.take(((i >> 4) * bricks.shape[1] + (j >> 4)) * bricks.shape[2] + (k >> 4)).astype(np.int64)
-    return (slot << 12) + (((i & 15) << 8) + ((j & 15) << 4) + (k & 15))
+    where: Index = (slot << 12) + (((i & 15) << 8) + ((j & 15) << 4) + (k & 15))
+    return where

@@ -15,12 +15,16 @@ from antdsl.runtime.solids.volume import Volume
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Columns = list[Floats]
+Found = tuple[Columns, Columns, Floats]  # places, and the gradient and distance there
 
 STRIDE = 0.75  # voxels of one step at most
-LEAST = 1 / 32  # voxels of one step, below which there is no way on
+LEAST = 1 / 128  # voxels of one step, below which there is no way on
 OFF = 0.12  # voxels that the middle of a step may be off the surface: else an edge is cut, or a thin wall is passed
-BACK = -0.25  # cosine of the turn of the normal in one step, below which another wall is met
+BACK = -0.25  # cosine of the turn of the normal in one step, below which another wall may have been met
+FARTHER = 1.3  # lengths of one step that it may lead at most
+EDGE = 0.1  # voxels of a step so short that a sharp turn is an edge and no other wall
 NEWTON = 4
+BISECTIONS = 24
 CROSSINGS = 400  # steps of one move
 
 
@@ -86,8 +90,8 @@ def move(volume: Volume, points: Floats, steps: Floats, heading: Floats, up: Flo
         rows = _step(bricks, w, rows)
     stood = _unit(list(smooth(bricks, *w.place)), w.normal)
     turned = _turned(w.head, w.normal, stood, w.way)
-    result = (w.place, stood, _laid(turned, stood)[0], w.way)
-    return Moved(*(np.stack(v).T for v in result), w.gone, w.blocked, w.lost)
+    head = _laid(turned, stood)[0]
+    return Moved(_rows(w.place), _rows(stood), _rows(head), _rows(w.way), w.gone, w.blocked, w.lost)
 
 
 def _step(bricks: Bricks, w: _Walk, rows: Index) -> Index:
@@ -96,22 +100,25 @@ def _step(bricks: Bricks, w: _Walk, rows: Index) -> Index:
     reach = w.stride[rows] * bricks.voxel
     length = np.minimum(w.left[rows], reach)
     at = [p + v * length for p, v in zip(start, way, strict=True)]
-    at, slope, near = _onto(bricks, at, w.close[rows])
+    at, slope, off = _onto(bricks, at, start, before, length, w.close[rows])
     normal = _unit(slope, before)
     middle = distance(bricks, *((p + q) * 0.5 for p, q in zip(start, at, strict=True)))
-    good = near & (np.abs(middle) <= OFF * bricks.voxel) & (_dot(normal, before) > BACK)
-    went = np.flatnonzero(good)
-    on = rows[went]
-    before, normal, way = ([c[went] for c in columns] for columns in (before, normal, way))
-    head = _turned([c[on] for c in w.head], before, normal, way)
-    way = _laid(_turned(way, before, normal, way), normal)[0]
-    for columns, new in ((w.place, [a[went] for a in at]), (w.normal, normal), (w.way, way), (w.head, head)):
-        for column, values in zip(columns, new, strict=True):
-            column[on] = values
-    w.left[on] -= length[went]
-    w.gone[on] += length[went]
+    edge = length <= EDGE * bricks.voxel
+    went = [q - p for p, q in zip(start, at, strict=True)]
+    whole = _dot(went, went) <= (FARTHER * length) ** 2
+    good = (
+        whole & (np.abs(off) <= w.close[rows]) & (np.abs(middle) <= OFF * bricks.voxel) & (edge | (_dot(normal, before) > BACK))
+    )
+    walked = np.flatnonzero(good)
+    on = rows[walked]
+    _turn(w, on, [c[walked] for c in before], [c[walked] for c in normal])
+    for column, values in zip(w.place, at, strict=True):
+        column[on] = values[walked]
+    w.left[on] -= length[walked]
+    w.gone[on] += length[walked]
     w.stride[on] = np.minimum(w.stride[on] * 2, STRIDE)
     w.settled[on] = True
+    w.blocked[on] = False
     failed = np.flatnonzero(~good)
     if failed.size:
         _retry(bricks, w, rows[failed], length[failed])
@@ -125,8 +132,28 @@ def _retry(bricks: Bricks, w: _Walk, rows: Index, length: Floats) -> None:
     rows, length = rows[~fresh], length[~fresh]
     w.stride[rows] = length * (0.5 / bricks.voxel)
     stuck = rows[w.stride[rows] < LEAST]
-    w.blocked[stuck] = True
-    w.left[stuck] = 0.0
+    again = stuck[w.blocked[stuck]]
+    w.left[again] = 0.0
+    _over(bricks, w, stuck[~w.blocked[stuck]])
+
+
+def _over(bricks: Bricks, w: _Walk, rows: Index) -> None:
+    """Turn `rows`, who stand at the very bottom of a groove or the tip of a ridge, to its other wall, once in a move."""
+    before, way = [c[rows] for c in w.normal], [c[rows] for c in w.way]
+    ahead = [p[rows] + v * (2 * LEAST * bricks.voxel) for p, v in zip(w.place, way, strict=True)]
+    _turn(w, rows, before, _unit(list(field(bricks, *ahead)[1:]), before))
+    w.stride[rows] = EDGE
+    w.blocked[rows] = True
+
+
+def _turn(w: _Walk, rows: Index, before: Columns, normal: Columns) -> None:
+    """Give `rows` other normals, and turn their headings and ways along."""
+    way = [c[rows] for c in w.way]
+    head = _turned([c[rows] for c in w.head], before, normal, way)
+    way = _laid(_turned(way, before, normal, way), normal)[0]
+    for columns, new in ((w.normal, normal), (w.way, way), (w.head, head)):
+        for column, values in zip(columns, new, strict=True):
+            column[rows] = values
 
 
 def _settle(bricks: Bricks, w: _Walk, rows: Index) -> None:
@@ -136,40 +163,79 @@ def _settle(bricks: Bricks, w: _Walk, rows: Index) -> None:
     before = [c[rows] for c in w.normal]
     place, normal, found = settle(bricks, [c[rows] for c in w.place], before, w.close[rows])
     on = rows[found]
-    normal, before = [c[found] for c in normal], [c[found] for c in before]
-    way = [c[on] for c in w.way]
-    head = _turned([c[on] for c in w.head], before, normal, way)
-    way = _laid(_turned(way, before, normal, way), normal)[0]
-    for columns, new in ((w.place, [c[found] for c in place]), (w.normal, normal), (w.way, way), (w.head, head)):
-        for column, values in zip(columns, new, strict=True):
-            column[on] = values
+    _turn(w, on, [c[found] for c in before], [c[found] for c in normal])
+    for column, values in zip(w.place, place, strict=True):
+        column[on] = values[found]
     w.settled[rows] = True
     w.lost[rows[~found]] = True
     w.left[rows[~found]] = 0.0
 
 
-def _onto(bricks: Bricks, at: Columns, close: Floats) -> tuple[Columns, Columns, NDArray[np.bool_]]:
-    """Newton's way onto the zero level from places near it: the places, the gradient there, and whether it was reached."""
+def _onto(
+    bricks: Bricks, at: Columns, start: Columns, normal: Columns, length: Floats, close: Floats
+) -> tuple[Columns, Columns, Floats]:
+    """Onto the zero level from places `at` within `length` of `start`, which is on it: places, gradients and distances there.
+
+    By Newton; where the gradient leaps from cell to cell, as at a sharp edge, his steps may go to and fro and never arrive. But
+    just below the start it is solid and just above it is air: between one of these and a place lies the surface.
+    """
+    far = [a.copy() for a in at]
     d, *slope = field(bricks, *at)
+    beyond = d > 0
     limit = 0.5 * bricks.voxel
+    rows = np.flatnonzero(np.abs(d) > close)
     for _ in range(NEWTON):
-        rows = np.flatnonzero(np.abs(d) > close)
         if not rows.size:
-            break
+            return at, slope, d
         g = [s[rows] for s in slope]
         square = np.maximum(_dot(g, g), 1e-4)
         step = -d[rows] / square
-        length = np.abs(step) * np.sqrt(square)
-        step = np.where(length > limit, step * (limit / np.maximum(length, limit)), step)
-        moved = [a[rows] + step * s for a, s in zip(at, g, strict=True)]
-        d[rows], *new = field(bricks, *moved)
-        for column, values in zip((*at, *slope), (*moved, *new), strict=True):
-            column[rows] = values
-    return at, slope, np.abs(d) <= close
+        size = np.abs(step) * np.sqrt(square)
+        step = np.where(size > limit, step * (limit / np.maximum(size, limit)), step)
+        _put(bricks, at, slope, d, rows, [a[rows] + step * s for a, s in zip(at, g, strict=True)])
+        rows = rows[np.abs(d[rows]) > close[rows]]
+    part = 0.5
+    while rows.size and part > 1e-4:
+        depth = np.where(beyond[rows], -part, part) * length[rows]
+        near = [p[rows] + depth * n[rows] for p, n in zip(start, normal, strict=True)]
+        between = (distance(bricks, *near) > 0) != beyond[rows]
+        now = rows[between]
+        _bisect(bricks, (at, slope, d), now, [n[between] for n in near], [f[now] for f in far], beyond[now], close[now])
+        rows, part = rows[~between], part * 0.2  # the wall opposite is nearer than that
+    return at, slope, d
+
+
+def _bisect(
+    bricks: Bricks, found: Found, rows: Index, near: Columns, far: Columns, beyond: NDArray[np.bool_], close: Floats
+) -> None:
+    """Put `rows` where the surface is between near and far places; the far ones are in air if `beyond`, else in solid."""
+    for _ in range(BISECTIONS):
+        if not rows.size:
+            return
+        middle = [(a + b) * 0.5 for a, b in zip(near, far, strict=True)]
+        _put(bricks, *found, rows, middle)
+        d = found[2][rows]
+        outer = (d > 0) == beyond
+        near = [np.where(outer, n, m) for n, m in zip(near, middle, strict=True)]
+        far = [np.where(outer, m, f) for f, m in zip(far, middle, strict=True)]
+        on = np.flatnonzero(np.abs(d) > close)
+        rows, beyond, close = rows[on], beyond[on], close[on]
+        near, far = [c[on] for c in near], [c[on] for c in far]
+
+
+def _put(bricks: Bricks, at: Columns, slope: Columns, d: Floats, rows: Index, places: Columns) -> None:
+    """Put `rows` at other places, with the field there."""
+    d[rows], *new = field(bricks, *places)
+    for column, values in zip((*at, *slope), (*places, *new), strict=True):
+        column[rows] = values
 
 
 def _columns(v: Floats) -> Columns:
     return list(np.array(np.asarray(v, np.float64).reshape(-1, 3).T, order="C"))
+
+
+def _rows(v: Columns) -> Floats:
+    return np.stack(v).T
 
 
 def _dot(a: Columns, b: Columns) -> Floats:
