@@ -7,6 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from antdsl.runtime import compiled
 from antdsl.runtime.fields.cells import FieldTooFine, SurfaceCells, compatible, facing
 from antdsl.runtime.fields.pheromone import LARGEST_DEPOSIT, UNIT, PheromoneField, largest_stable_diffusion
 from tests.meshes import Mesh, ball, box, grid, terrain
@@ -275,3 +276,20 @@ def test_answers_do_not_depend_on_the_batch():
         one = field.cells.lookup(points[k : k + 1], normals[k : k + 1])
         alone = (*field.strongest(one), *field.gradient(one), field.sample(one))
         assert [a[k] for a in together] == [a[0] for a in alone]
+
+
+def test_strongest_is_the_same_bits_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    if not compiled.available():
+        pytest.skip("needs numba")
+    mesh = terrain(150, 30)
+    field = PheromoneField(SurfaceCells([mesh], 4.0))
+    rng = np.random.default_rng(8)
+    own = np.concatenate([field.cells.lookup(*on_surface(mesh, 2500)), np.full(10, -1, np.int32)])
+    for share in (0.0, 0.01, 0.6):
+        field.values[:] = np.where(rng.random(len(field.cells)) < share, rng.integers(0, 5, len(field.cells)), 0)
+        for k in (1, 9, 16):
+            monkeypatch.setattr(compiled, "wanted", lambda count: True)
+            fast = field.strongest(own, k)
+            monkeypatch.setattr(compiled, "wanted", lambda count: False)
+            for a, b in zip(fast, field.strongest(own, k), strict=True):
+                assert a.dtype == b.dtype and np.array_equal(a, b)

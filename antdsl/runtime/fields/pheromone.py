@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime import compiled
 from antdsl.runtime.fields.cells import NEAREST, Cells, SurfaceCells
 from antdsl.runtime.senses.sorting import stable_order
 
@@ -125,29 +126,42 @@ class PheromoneField:
 
         Of equal cells the first. Where none holds anything the value is 0 and the place is the own cell's; (0, 0, 0) for -1.
         """
-        none = len(self.cells)
-        own = np.where(np.asarray(cells) < 0, none, cells).astype(np.int64)
+        find = self._strongest_compiled if compiled.wanted(np.size(cells)) else self._strongest
+        best, value = find(np.asarray(cells), self._block(k))
+        x, y, z = (place.take(best) for place in self._seen)
+        return value.astype(np.float32), x, y, z
+
+    def _strongest(self, cells: NDArray[np.integer[Any]], block: Cells) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The strongest cell of each row of `block` that a cell stands for, and what it holds."""
+        own = np.where(cells < 0, len(self.cells), cells).astype(np.int64)
         best, value = own.copy(), np.zeros(own.size)
-        asked = np.flatnonzero(self._scented(k).take(own))
+        asked = np.flatnonzero(self._scented(block).take(own))
         if asked.size:
             most, where = np.zeros(asked.size), own.take(asked)
-            for column in np.ascontiguousarray(self._block(k).take(where, axis=0).T).astype(np.int64):
+            for column in np.ascontiguousarray(block.take(where, axis=0).T).astype(np.int64):
                 held = self._padded.take(column)
                 more = held > most
                 where, most = np.where(more, column, where), np.where(more, held, most)
             best[asked], value[asked] = where, most
-        x, y, z = (place.take(best) for place in self._seen)
-        return value.astype(np.float32), x, y, z
+        return best, value
 
-    def _scented(self, k: int) -> NDArray[np.bool_]:
-        """Cells of which some of the nearest `k` hold anything, bool[cells + 1]; where most do, all but the last."""
+    def _strongest_compiled(self, cells: NDArray[np.integer[Any]], block: Cells) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        from antdsl.runtime.fields.pheromone_compiled import strongest
+
+        best, value = np.empty(cells.size, np.int64), np.empty(cells.size)
+        strongest(cells.astype(np.int32, copy=False), block, self._padded, best, value)
+        return best, value
+
+    def _scented(self, block: Cells) -> NDArray[np.bool_]:
+        """Cells of whose row in `block` some hold anything, bool[cells + 1]; where most do, all but the last."""
         found = np.zeros(len(self.cells) + 1, np.bool_)
         holding = np.flatnonzero(self.values)
         if holding.size > len(self.cells) * _SPARSE:
             found[:-1] = True
         elif holding.size:
+            k = block.shape[1]
             if k not in self._askers:
-                self._askers[k] = _askers(self._block(k), len(self.cells))
+                self._askers[k] = _askers(block, len(self.cells))
             start, cell = self._askers[k]
             first, count = start.take(holding), start.take(holding + 1) - start.take(holding)
             each = np.arange(int(count.sum())) + np.repeat(first - (np.cumsum(count) - count), count)
