@@ -77,7 +77,7 @@ def _ring() -> Painted:
 
 
 def _mound() -> Painted:
-    """A low ring of loose soil with a dark hole, as ants throw it up around their door; lower than an ant, so that none is buried."""
+    """A low ring of loose soil with a dark hole, as ants throw it up around their door; lower than an ant: none is buried."""
     rings, around = 22, 40
     reach = np.linspace(0, 1.25, rings)
     turn = np.arange(around) * 2 * np.pi / around

@@ -18,7 +18,7 @@ def strongest(
     best: NDArray[np.int64],
     value: NDArray[np.float64],
 ) -> None:
-    """For own cells [n] (-1: none), the first of the cells in their row of `block` [cells, k] that hold most, and how much that is.
+    """For own cells [n] (-1: none), the first of the cells in their row of `block` [cells, k] that hold most, and how much.
 
     `held` [cells + 1] has 0 for no cell; where nothing is held, `best` is the own cell and `value` 0.
     """
