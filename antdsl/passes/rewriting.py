@@ -9,6 +9,7 @@ from typing import Any
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import (
     Block,
+    Carve,
     Claim,
     Deposit,
     Emit,
@@ -96,5 +97,7 @@ def _statement(s: Statement, new: dict[Node, Node]) -> Statement:
             return replace(s, item=new[s.item], amount=None if s.amount is None else new[s.amount])
         case Emit():
             return replace(s, within=None if s.within is None else new[s.within])
+        case Carve():
+            return replace(s, radius=new[s.radius], x=new[s.x], y=new[s.y], z=new[s.z])
         case _:
             return s

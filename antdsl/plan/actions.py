@@ -93,7 +93,18 @@ def _die(w: Writer, s: model.Die, site: str) -> None:
 
 
 def _carve(w: Writer, s: model.Carve, site: str) -> None:
-    raise NotYet("`carve`", s.span, "leave the line out")
+    """A ball half a body and half its radius ahead, its underside level with the feet: who goes on stays on that level."""
+    b = w.b
+    radius = scalar(w, s.radius)
+    heading = w.read_vector("heading")
+    ahead = heading if s.toward is None else values.unit(b, vector(w, s.toward))
+    if s.toward is not None:
+        size = values.length(b, ahead)
+        ahead = values.choose(b, b("gt", size, b.number(0.5)), ahead, heading)
+    reach = b("mul", b("add", w.read("size"), radius), b.number(0.5))
+    middle = values.add(b, w.read_vector("position"), values.scale(b, w.read_vector("up"), radius))
+    middle = values.add(b, middle, values.scale(b, ahead, reach))
+    w.add(ir.Carve(s.solid, radius, middle.x, middle.y, middle.z, s.into, s.span))
 
 
 def _play(w: Writer, s: model.Play, site: str) -> None:

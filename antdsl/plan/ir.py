@@ -120,7 +120,7 @@ OPS: dict[str, Operation] = {
     "item.alive": Operation("i", ("items",), B, _A, "there is such an item"),
     # senses of the place; the agent's own position at the start of the step
     "ray": Operation("ffff", ("target",), T, _A, "(hit b, distance f, nx f, ny f, nz f) along the direction (made unit), up to reach; normal toward the agent"),
-    "obstacle.near": Operation("f", ("target",), T, _A, "(within reach b, distance f, nx f, ny f, nz f): closest point of an obstacle or surface"),
+    "obstacle.near": Operation("f", ("target",), T, _A, "(within reach b, distance f, nx f, ny f, nz f): closest point of an obstacle, surface or solid"),
     "field.value": Operation("", ("field",), F, _A, "the field in the agent's own cell"),
     "field.strongest": Operation("", ("field", "count"), T, _A, "(value f, x f, y f, z f): the strongest of the nearest `count` cells; own position where there is none"),
     "field.gradient": Operation("", ("field",), T, _A, "(x f, y f, z f), per mm"),
@@ -243,7 +243,21 @@ class Die:
     span: Span | None
 
 
-Statement = If | Store | Deposit | Claim | Give | Emit | Spawn | Die
+@dataclass(frozen=True, slots=True, eq=False)
+class Carve:
+    """Dig a ball of `radius` (mm) with its middle at (x, y, z) out of a solid, to be gone at t+1. What it had of the solid (mm³)
+    is added to the agent's own register `own`, if there is one, after the step's blocks."""
+
+    solid: str
+    radius: Node
+    x: Node
+    y: Node
+    z: Node
+    own: str | None
+    span: Span | None
+
+
+Statement = If | Store | Deposit | Claim | Give | Emit | Spawn | Die | Carve
 
 
 # --- the plan --------------------------------------------------------------------------------------------------------
@@ -332,3 +346,4 @@ class Plan:
     obstacles: tuple[str, ...]
     curves: tuple[str, ...]
     nodes: tuple[Node, ...] = field(default=())
+    solids: tuple[str, ...] = ()

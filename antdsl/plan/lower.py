@@ -36,8 +36,10 @@ def lower(program: model.Program, *, orders: Mapping[str, Sequence[str]] | None 
         params = {p.name: ir.ParamPlan(p.name, _outside(builder, program, p.default, report)) for p in program.params.values()}
     world = program.world.values()
     items = {t.name: ir.ItemsPlan(t.name, {a.name: a.default.number for a in t.attributes}) for t in world if t.kind == "items"}
-    names = {kind: tuple(t.name for t in world if t.kind == kind) for kind in ("surface", "obstacle", "curve")}
-    plan = ir.Plan(species, fields, items, params, names["surface"], names["obstacle"], names["curve"], tuple(builder.nodes))
+    names = {kind: tuple(t.name for t in world if t.kind == kind) for kind in ("surface", "obstacle", "curve", "solid")}
+    plan = ir.Plan(
+        species, fields, items, params, names["surface"], names["obstacle"], names["curve"], tuple(builder.nodes), names["solid"]
+    )
     return plan, report
 
 
@@ -160,8 +162,8 @@ def _field(builder: Builder, program: model.Program, f: model.Field, report: Rep
 
     for surface in f.surfaces:
         thing = program.world.get(surface)
-        if thing is not None and thing.kind != "surface":
-            report.error("not-yet", f"a field on the {thing.kind} `{surface}` cannot run yet", f.span, "name surfaces only")
+        if thing is not None and thing.kind not in ("surface", "solid"):
+            report.error("not-yet", f"a field on the {thing.kind} `{surface}` cannot run yet", f.span, "name surfaces or solids")
     cell = node(f.cell)
     assert cell is not None
     return ir.FieldPlan(f.name, f.surfaces, cell, _keep(builder, f, node), node(f.diffuse), f.combine, node(f.limit), f.span)

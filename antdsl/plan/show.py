@@ -9,6 +9,7 @@ from antdsl.plan.ir import (
     OPS,
     SENSES,
     Block,
+    Carve,
     Claim,
     Deposit,
     Die,
@@ -55,7 +56,7 @@ def _head(plan: Plan) -> str:
     for items in plan.items.values():
         values = ", ".join(f"{name} = {_number(value)}" for name, value in items.attributes.items())
         lines.append(f"items {items.name} {{ {values} }}" if values else f"items {items.name}")
-    for word, names_of in (("surface", plan.surfaces), ("obstacle", plan.obstacles), ("curve", plan.curves)):
+    for word, names_of in (("surface", plan.surfaces), ("obstacle", plan.obstacles), ("solid", plan.solids), ("curve", plan.curves)):
         lines += [f"{word} {name}" for name in names_of]
     return "\n".join(lines)
 
@@ -222,6 +223,9 @@ class _Text(_Names):
                 return f"give {amount} of {s.own} to {s.items}.{s.attribute} of {self.text(s.item)}"
             case Emit():
                 return f"emit {s.event}" + ("" if s.within is None else f" within {self.text(s.within)}")
+            case Carve():
+                kept = f" -> {s.own}" if s.own else ""
+                return f"carve {s.solid} ball {self.text(s.radius)} at {self.text(s.x)}, {self.text(s.y)}, {self.text(s.z)}{kept}"
             case Spawn():
                 return f"spawn {s.species}"
             case Die():

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from antdsl.plan.builder import PlanError, fitting, result_kind, result_rate
 from antdsl.plan.ir import (
     Block,
+    Carve,
     Claim,
     Deposit,
     Give,
@@ -71,8 +72,9 @@ def _names(plan: Plan) -> Iterator[str]:
     """What nodes name is there. A species may live in another file."""
     known: dict[str, object] = {
         "field.value": plan.fields, "field.strongest": plan.fields, "field.gradient": plan.fields, "item.get": plan.items,
-        "item.alive": plan.items, "set.items": plan.items, "curve.closest": plan.curves, "ray": (*plan.obstacles, *plan.surfaces),
-        "obstacle.near": (*plan.obstacles, *plan.surfaces), "surface.touching": plan.surfaces, "param": plan.params,
+        "item.alive": plan.items, "set.items": plan.items, "curve.closest": plan.curves, 
+        "ray": (*plan.obstacles, *plan.surfaces, *plan.solids), "obstacle.near": (*plan.obstacles, *plan.surfaces, *plan.solids),
+        ""surface.touching": plan.surfaces, "param": plan.params,
     }  # fmt: skip
     for node in plan.nodes:
         if node.op in known and node.attrs[0] not in known[node.op]:  # type: ignore[operator]
@@ -169,6 +171,11 @@ def _statement(plan: Plan, species: SpeciesPlan, statement: Statement) -> Iterat
         case Deposit():
             if statement.field not in plan.fields:
                 yield f"Deposit in {statement.field}, which is not there"
+        case Carve():
+            if statement.solid not in plan.solids:
+                yield f"Carve of {statement.solid}, which is not there"
+            if statement.own is not None and statement.own not in species.registers:
+                yield f"Carve for {statement.own}, which is not there"
         case Claim() | Give():
             items = plan.items.get(statement.items)
             if items is None or statement.attribute not in items.attributes:

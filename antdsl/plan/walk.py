@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from antdsl.plan.ir import (
     Block,
+    Carve,
     Claim,
     Deposit,
     Die,
@@ -39,6 +40,8 @@ def operands(statement: Statement) -> tuple[Node, ...]:
             return (statement.item,) if statement.amount is None else (statement.item, statement.amount)
         case Emit():
             return () if statement.within is None else (statement.within,)
+        case Carve():
+            return (statement.radius, statement.x, statement.y, statement.z)
         case Spawn() | Die():
             return ()
 

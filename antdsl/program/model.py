@@ -209,9 +209,13 @@ class Die:
 
 @value
 class Carve:
+    """`toward` None: straight ahead. `into`: the attribute that what is dug out is added to."""
+
     solid: str
     radius: Expr
     span: Span
+    toward: Expr | None = None
+    into: str | None = None
 
 
 @value

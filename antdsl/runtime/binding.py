@@ -39,7 +39,8 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> Wor
     origin = _origin(setting)
     up = np.asarray(setting.up, np.float64)
     meshes = {name: _moved(mesh, origin) for name, mesh in {**setting.surfaces, **setting.obstacles}.items()}
-    ground = _ground({name: meshes[name] for name in setting.surfaces}, up)
+    solids = _solids(setting, origin)
+    ground = _ground({name: meshes[name] for name in setting.surfaces}, solids, up)
     world = World(
         plan=plan,
         setting=setting,
@@ -52,10 +53,11 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> Wor
         items={name: _items(setting, items, origin) for name, items in plan.items.items()},
         fields={},
         field_rates={},
-        obstacles=_scenes(meshes),
+        obstacles=_scenes(meshes, solids),
         curves={name: _curve(setting.curves[name] - origin) for name in plan.curves if name in setting.curves},
         ground=ground,
         surface_index={name: k for k, name in enumerate(setting.surfaces)},
+        solids=solids,
         backend=BACKENDS[options.backend](plan),
         faults=FaultLog(),
         motion=Motion(),
@@ -76,7 +78,8 @@ def set_param(world: World, name: str, value: float) -> None:
 
 def _origin(setting: Setting) -> NDArray[np.float64]:
     """What to take from all positions, whole metres; nothing where the scene lies about its zero."""
-    meshes = setting.surfaces or setting.obstacles  # one more stone moves nothing
+    meshes = setting.surfaces or {name: solid.mesh for name, solid in setting.solids.items()}
+    meshes = meshes or setting.obstacles  # one more stone moves nothing
     places = [m.vertices for m in meshes.values() if len(m.vertices)]
     places = places or [np.array([i.position for items in setting.items.values() for i in items], np.float64).reshape(-1, 3)]
     points = np.concatenate(places)
@@ -90,20 +93,49 @@ def _moved(mesh: MeshData, origin: NDArray[np.float64]) -> MeshData:
     return MeshData(mesh.vertices - origin, mesh.faces) if origin.any() else mesh
 
 
-def _ground(meshes: dict[str, MeshData], up: NDArray[np.float64]) -> Any:
-    if not meshes:
+def _solids(setting: Setting, origin: NDArray[np.float64]) -> dict[str, Any]:
+    """A volume for each solid; BindError where its mesh can be none."""
+    if not setting.solids:
+        return {}
+    from antdsl.runtime.solids import Unusable, Volume
+
+    found, report = {}, Report()
+    for name, solid in setting.solids.items():
+        made = Volume.from_mesh(solid.mesh.vertices - origin, solid.mesh.faces, solid.voxel)
+        if isinstance(made, Unusable):
+            report.error("bad-mesh", f"the mesh of the solid `{name}` cannot be dug: {made.message}", None, made.help)
+        else:
+            found[name] = made
+    if not report.ok:
+        raise BindError(report)
+    return found
+
+
+def _ground(meshes: dict[str, MeshData], solids: dict[str, Any], up: NDArray[np.float64]) -> Any:
+    if not meshes and not solids:
         return Plane(up)
     from antdsl.runtime.senses.ground import Ground
 
-    return Ground({name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()})
+    ground = Ground({name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}) if meshes else None
+    if not solids:
+        return ground
+    from antdsl.runtime.terrain import Terrain
+
+    return Terrain(ground, solids)
 
 
-def _scenes(meshes: dict[str, MeshData]) -> dict[str, Any]:
-    if not meshes:
+def _scenes(meshes: dict[str, MeshData], solids: dict[str, Any]) -> dict[str, Any]:
+    """What rays can be cast at: meshes, and solids as they are at each time."""
+    if not meshes and not solids:
         return {}
     from antdsl.runtime.senses.rays import RayScene
 
-    return {name: RayScene(mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
+    found: dict[str, Any] = {name: RayScene(mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
+    if solids:
+        from antdsl.runtime.senses.solid_feelers import SolidFeelers
+
+        found |= {name: SolidFeelers(volume) for name, volume in solids.items()}
+    return found
 
 
 def _curve(points: NDArray[np.float64]) -> Any:

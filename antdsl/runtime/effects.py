@@ -43,6 +43,17 @@ class DepositEntry:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class CarveEntry:
+    """`middle` (k, 3) and `radius` of the balls that are dug."""
+
+    statement: ir.Carve
+    order: int  # place of the statement in the text of its species
+    rows: Rows
+    radius: NDArray[np.float32]
+    middle: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class EmitEntry:
     """`within` None: only for the agent itself."""
 
@@ -75,6 +86,7 @@ class Effects:
     claims: list[ClaimEntry] = field(default_factory=list)
     gives: list[GiveEntry] = field(default_factory=list)
     deposits: list[DepositEntry] = field(default_factory=list)
+    carves: list[CarveEntry] = field(default_factory=list)
     emits: list[EmitEntry] = field(default_factory=list)
     spawns: list[SpawnEntry] = field(default_factory=list)
     deaths: list[Rows] = field(default_factory=list)

@@ -73,7 +73,8 @@ def _points(world: World, species: str, place: PlaceData, ids: NDArray[np.int64]
     if place.points is not None and len(place.points):
         return np.asarray(place.points, np.float64)[ids % len(place.points)] - world.origin
     u, v, w = (_draw(world, species, 4 * attempt + k, ids) for k in range(3))
-    if place.around is not None or not world.setting.surfaces:
+    grounds = {**world.setting.surfaces, **{name: solid.mesh for name, solid in world.setting.solids.items()}}
+    if place.around is not None or not grounds:
         middle = np.zeros(3) if place.around is None else np.asarray(place.around, np.float64) - world.origin
         radius = 100.0 if place.radius is None else place.radius
         away, angle = np.sqrt(u).astype(np.float64) * radius, v * _TURN
@@ -82,7 +83,7 @@ def _points(world: World, species: str, place: PlaceData, ids: NDArray[np.int64]
         ahead = vec.cross(up, side)
         disc = vec.add(vec.scale(side, away * kernels.cos(angle)), vec.scale(ahead, away * kernels.sin(angle)))
         return middle + vec.rows(disc)
-    meshes = [world.setting.surfaces[name] for name in (place.on or tuple(world.setting.surfaces))]
+    meshes = [grounds[name] for name in (place.on or tuple(world.setting.surfaces) or tuple(grounds))]
     return _on_faces(meshes, u, v, w) - world.origin
 
 

@@ -26,6 +26,8 @@ def statement_nodes(statement: ir.Statement) -> tuple[ir.Node, ...]:
             return (item,) if amount is None else (item, amount)
         case ir.Emit(within=within):
             return () if within is None else (within,)
+        case ir.Carve():
+            return (statement.radius, statement.x, statement.y, statement.z)
         case _:
             return ()
 

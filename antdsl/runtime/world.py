@@ -141,6 +141,7 @@ class World:
     curves: dict[str, Any]
     ground: Any
     surface_index: dict[str, int]
+    solids: dict[str, Any]  # Volume by name
     backend: Any
     faults: FaultLog
     motion: Motion
@@ -170,6 +171,8 @@ def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
             elif isinstance(statement, ir.Claim):
                 found.update(name for name in (statement.won, statement.own) if name)
             elif isinstance(statement, ir.Give):
+                found.add(statement.own)
+            elif isinstance(statement, ir.Carve) and statement.own is not None:
                 found.add(statement.own)
     return frozenset(found)
 

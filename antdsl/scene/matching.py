@@ -97,14 +97,24 @@ def _world(scene: Scene, program: Program, report: Report) -> None:
             _thing(scene, program, report, name, thing)
 
 
-def _surfaces(program: Program) -> list[str]:
-    return [name for name, thing in program.world.items() if thing.kind == "surface"]
+def _surfaces(program: Program, *others: str) -> list[str]:
+    return [name for name, thing in program.world.items() if thing.kind in ("surface", *others)]
 
 
 def _thing(scene: Scene, program: Program, report: Report, name: str, thing: WorldThing) -> None:
     value = scene.model.world[name]
     if isinstance(value, MeshThing):
         _file(scene, report, value.mesh, "world", name, "mesh")
+        if thing.kind == "solid" and value.voxel is None:
+            report.error(
+                "missing-key", f"`{name}` is solid, and nothing says how fine", scene.span("world", name),
+                "add the edge of its voxels, a fourth of a body or less: `voxel: 1 mm`",
+            )  # fmt: skip
+        if thing.kind != "solid" and value.voxel is not None:
+            report.error(
+                "wrong-value", f"`{name}` is {thing.kind} in the program, and only solids have voxels",
+                scene.span("world", name, "voxel"), f"leave it out, or declare `solid {name}`",
+            )  # fmt: skip
         if value.scale == 0 or abs(value.scale) < 1e-6:
             report.error(
                 "wrong-value", "a scale of nothing leaves no mesh", scene.span("world", name, "scale"), "write `scale: 1`"
@@ -187,8 +197,9 @@ def _around(scene: Scene, report: Report, around: object, radius: object, *path:
 
 
 def _placement(scene: Scene, program: Program, report: Report, place: Placement, *path: Key) -> None:
-    if place.on is not None and place.on not in _surfaces(program):
-        _unknown(report, scene, (*path, "on"), "no surface is named", _surfaces(program), key=False)
+    grounds = _surfaces(program, "solid")
+    if place.on is not None and place.on not in grounds:
+        _unknown(report, scene, (*path, "on"), "no surface is named", grounds, key=False)
     if place.points is not None:
         _file(scene, report, place.points, *path, "points")
         if place.around is not None:

@@ -24,6 +24,14 @@ class MeshData:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SolidData:
+    """A closed mesh that is solid inside, and the edge (mm) of the voxels that it becomes."""
+
+    mesh: MeshData
+    voxel: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ItemData:
     """One item. `attributes` in base units; those absent take the declared default."""
 
@@ -83,6 +91,7 @@ class Setting:
     crowds: tuple[CrowdData, ...] = ()
     params: Mapping[str, float] = field(default_factory=dict)
     field_start: Mapping[str, FieldStart] = field(default_factory=dict)
+    solids: Mapping[str, SolidData] = field(default_factory=dict)
 
     @property
     def dt(self) -> float:

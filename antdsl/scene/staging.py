@@ -60,9 +60,9 @@ def stage(
     model = scene.model
     surfaces = _meshes(staging, "surface")
     obstacles = _meshes(staging, "obstacle")
-    _solids(staging)
+    solids = _solids(staging)
     if staging.report.ok:
-        _check_cells(staging, surfaces)
+        _check_cells(staging, {**surfaces, **{name: solid.mesh for name, solid in solids.items()}})
         _check_scale(staging, surfaces)
     curves = _curves(staging)
     items = {
@@ -98,6 +98,7 @@ def stage(
             )
             for name, start in model.fields.items()
         },
+        solids=solids,
     )
     return made, staging.report, staging.hashes
 
@@ -162,19 +163,20 @@ def _mesh(staging: Staging, name: str, value: MeshThing) -> stage_of.MeshData | 
     return mesh
 
 
-def _solids(staging: Staging) -> None:
-    """Solids are not simulated yet, but a request that could never be met is refused now."""
-    scene = staging.scene
-    for name, value in scene.model.world.items():
-        if not isinstance(value, MeshThing) or value.voxel is None:
+def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
+    """The solids; a request for more voxels than can be is refused before one is made."""
+    scene, found = staging.scene, {}
+    for name, mesh in _meshes(staging, "solid").items():
+        value = scene.model.world[name]
+        if not isinstance(value, MeshThing) or value.voxel is None:  # complained about when the scene was matched
             continue
-        mesh = _mesh(staging, name, value)
-        if mesh is not None:
-            edge = value.voxel.length(scene.model.unit_mm)
-            sides = [float(side) / edge + 1 for side in np.ptp(mesh.vertices, axis=0)]
-            _refuse_if_many(
-                staging, sides[0] * sides[1] * sides[2], limits.VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel"
-            )
+        edge = value.voxel.length(scene.model.unit_mm)
+        across = [float(side) / edge + 1 for side in np.ptp(mesh.vertices, axis=0)]
+        _refuse_if_many(
+            staging, across[0] * across[1] * across[2], limits.VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel"
+        )
+        found[name] = stage_of.SolidData(mesh, edge)
+    return found
 
 
 def _check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:

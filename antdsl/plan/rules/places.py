@@ -12,7 +12,7 @@ from antdsl.plan.values import Element, Hit, Named, Own, Ref, Value, Vec
 from antdsl.plan.writing import AXES, NotYet, Writer
 from antdsl.program import model
 
-_SOLID = (model.Kind.OBSTACLE, model.Kind.SURFACE)
+_SOLID = (model.Kind.OBSTACLE, model.Kind.SURFACE, model.Kind.SOLID)
 
 
 def where(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
@@ -157,7 +157,7 @@ def _touching(w: Writer, e: model.Op) -> Value:
     if isinstance(value, Named):
         if value.kind is model.Kind.SURFACE:
             return b("surface.touching", attrs=(value.name,))
-        if value.kind is model.Kind.OBSTACLE:
+        if value.kind in (model.Kind.OBSTACLE, model.Kind.SOLID):
             return b("get", b("obstacle.near", radius, attrs=(value.name,)), attrs=(0,))
         if value.kind is model.Kind.ITEMS:
             every = b("set.items", b.number(inf), attrs=(value.name,))

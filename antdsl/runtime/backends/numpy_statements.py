@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import EFFECTS, POPULATION, WORLD, BlockCompiler, Run, Scope, Slots
 from antdsl.runtime.backends.numpy_calls import ALL, Make, row_numbers
-from antdsl.runtime.effects import ClaimEntry, DepositEntry, EmitEntry, FaultEntry, GiveEntry, SpawnEntry
+from antdsl.runtime.effects import CarveEntry, ClaimEntry, DepositEntry, EmitEntry, FaultEntry, GiveEntry, SpawnEntry
 
 
 def _each(v: Slots, scope: Scope, value: Any) -> NDArray[Any]:
@@ -110,6 +110,22 @@ def _give(statement: ir.Give, block: str, scope: Scope) -> Make:
     return make
 
 
+def _carve(statement: ir.Carve, block: str, scope: Scope, order: int) -> Make:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        def run(v: Slots) -> None:
+            rows = row_numbers(v[scope.rows])
+            parts = np.stack([_each(v, scope, v[slot]) for slot in inputs])
+            good = np.isfinite(parts).all(axis=0)
+            if not good.all():
+                _refuse(v, block, f"carve {statement.solid}", statement.span, rows[~good])
+            dug = good & (parts[0] > 0)
+            v[EFFECTS].carves.append(CarveEntry(statement, order, rows[dug], parts[0, dug], parts[1:, dug].T.copy()))
+
+        return run
+
+    return make
+
+
 def _emit(statement: ir.Emit, block: str, scope: Scope) -> Make:
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
         def run(v: Slots) -> None:
@@ -143,6 +159,8 @@ def statement(what: ir.Statement, compiler: BlockCompiler, scope: Scope) -> Make
             return _claim(what, block, scope, compiler.place(what))
         case ir.Give():
             return _give(what, block, scope)
+        case ir.Carve():
+            return _carve(what, block, scope, compiler.place(what))
         case ir.Emit():
             return _emit(what, block, scope)
         case ir.Spawn():

@@ -14,7 +14,7 @@ import numpy as np
 from antdsl import limits
 from antdsl.plan import ir
 from antdsl.runtime import exact
-from antdsl.runtime.effects import ClaimEntry, DepositEntry, Effects, EmitEntry, FaultEntry, GiveEntry, SpawnEntry
+from antdsl.runtime.effects import CarveEntry, ClaimEntry, DepositEntry, Effects, EmitEntry, FaultEntry, GiveEntry, SpawnEntry
 from antdsl.runtime.elementwise import ELEMENTWISE
 from antdsl.runtime.reading import early_loads, places, reach
 from antdsl.runtime.sensing import SENSES, uniform_leaf
@@ -122,6 +122,12 @@ class Agent:
         left = had - min(max(amount, np.float32(0)), max(had, np.float32(0)))
         self.now[s.own][self.at] = left
         self.effects.gives.append(GiveEntry(s, np.array([item]), np.array([float(had) - float(left)])))
+
+    def _carve(self, s: ir.Carve) -> None:
+        parts = [self._finite(node, f"carve {s.solid}", s.span) for node in (s.radius, s.x, s.y, s.z)]
+        if all(part is not None for part in parts) and parts[0] > 0:
+            radius, middle = np.array(parts[:1], np.float32), np.array([parts[1:]], np.float32)
+            self.effects.carves.append(CarveEntry(s, self.order[s], self.rows, radius, middle))
 
     def _emit(self, s: ir.Emit) -> None:
         within = None if s.within is None else np.array([self.value(s.within)])

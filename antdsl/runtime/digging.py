@@ -1,0 +1,69 @@
+"""Digging: what all agents carve in one step is taken out of the solids at once, and whoever stood there comes down."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.runtime.effects import CarveEntry
+from antdsl.runtime.world import AXES, Population, World
+
+
+def dig(world: World) -> None:
+    """Carve the balls that were asked for, give each agent what it dug out, and settle those who stood on it."""
+    asked: dict[str, list[tuple[Population, CarveEntry]]] = {}
+    for population in world.populations.values():
+        for entry in population.effects.carves:
+            if len(entry.rows):
+                asked.setdefault(entry.statement.solid, []).append((population, entry))
+        population.effects.carves = []
+    dug = [_carve(world, name, entries) for name, entries in sorted(asked.items())]
+    if any(dug):
+        for population in world.populations.values():
+            if len(population):
+                _settle(world, population)
+
+
+def _carve(world: World, solid: str, entries: list[tuple[Population, CarveEntry]]) -> bool:
+    """Carve one solid; whether anything was dug. Who digs is known by (species, id, place in the text), whatever its row."""
+    names = list(world.populations)
+    species = np.concatenate([np.full(len(e.rows), names.index(p.name)) for p, e in entries])
+    ids = np.concatenate([p.ids[e.rows] for p, e in entries])
+    place = np.concatenate([np.full(len(e.rows), e.order) for _, e in entries])
+    middle = np.concatenate([e.middle for _, e in entries]).astype(np.float64)
+    radius = np.concatenate([e.radius for _, e in entries]).astype(np.float64)
+    order = np.lexsort((place, ids, species))
+    owner = np.empty(len(order), np.int64)
+    owner[order] = np.arange(len(order))
+    removed = world.solids[solid].carve(middle, radius, owner)
+    first = 0
+    for population, entry in entries:
+        _give(population, entry, removed[first : first + len(entry.rows)])
+        first += len(entry.rows)
+    return bool(removed.any())
+
+
+def _give(population: Population, entry: CarveEntry, removed: np.ndarray) -> None:
+    """Add what was dug out to the agents' own register."""
+    if entry.statement.own is not None:
+        register = population.now[entry.statement.own]
+        register[entry.rows] = (register[entry.rows].astype(np.float64) + removed).astype(np.float32)
+
+
+def _settle(world: World, population: Population) -> None:
+    """Who stands where a solid was dug away comes down onto what is left."""
+    up = population.vector("up")
+    standing, place, up, rows = world.ground.settle(population.footing, up, population.now["size"].astype(np.float64))
+    if not len(rows):
+        return
+    population.footing, population.position = standing, place
+    for k, axis in enumerate(AXES):
+        population.now[f"position.{axis}"][rows] = place[rows, k]
+        population.now[f"up.{axis}"][rows] = up[rows, k]
+    for name in ("heading", "velocity"):
+        vector = population.vector(name)[rows]
+        flat = vector - (vector * up[rows]).sum(axis=1)[:, None] * up[rows]
+        size = np.sqrt((flat * flat).sum(axis=1))
+        if name == "heading":
+            flat = np.where((size > 1e-6)[:, None], flat / np.maximum(size, 1e-6)[:, None], vector)
+        for k, axis in enumerate(AXES):
+            population.now[f"{name}.{axis}"][rows] = flat[:, k]

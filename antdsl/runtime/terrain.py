@@ -1,0 +1,407 @@
+"""Ground of meshes and solids together, behind the doors of `senses.ground.Ground`: who meets a hill steps up onto it, who meets a
+mesh steps back down; ground inside undug solid is closed, and open again where the solid is dug away."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.senses.ground import Footing, Ground, MoveResult
+from antdsl.runtime.senses.topology import facing
+from antdsl.runtime.senses.walk import turned
+from antdsl.runtime.solids import Volume
+from antdsl.runtime.solids import move as walk_on
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+_SUNK = 0.05  # voxels that a mesh's ground may lie under a solid's surface and still be walked on
+_HOPS = 4  # from mesh to solid and back in one step
+_LIFT = 0.02  # of a body: how far above its way an agent looks for a mesh across it
+_HALVINGS = 12
+_PARTS = 8  # of a step at which it is looked whether it leads into a solid
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """Where agents stand: on a face of a mesh, as `Footing` says, or on a solid: `mesh` counts solids after the meshes, `face` is 0
+    and (x, y, z) is the place on its surface (mm; 0 on meshes)."""
+
+    mesh: NDArray[np.int32]
+    face: NDArray[np.int32]
+    b1: Floats
+    b2: Floats
+    x: Floats
+    y: Floats
+    z: Floats
+
+    def __len__(self) -> int:
+        return len(self.face)
+
+
+@dataclass(slots=True)
+class _Walk:
+    """Agents on their way: where they stand and face, and what is left of their way (a vector)."""
+
+    standing: Standing
+    place: Floats
+    up: Floats
+    heading: Floats
+    direction: Floats
+    left: Floats
+    gone: Floats
+    blocked: NDArray[np.bool_]
+
+
+class Terrain:
+    """Meshes (a `Ground`, or None without any) and solids by name; names of solids come after those of meshes."""
+
+    def __init__(self, ground: Ground | None, solids: Mapping[str, Volume]) -> None:
+        self._ground = ground
+        self._volumes = tuple(solids.values())
+        self.names = (*(ground.names if ground is not None else ()), *solids)
+        self._meshes = len(self.names) - len(self._volumes)
+
+    # ---- asking
+
+    def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Standing, NDArray[np.bool_]]:
+        """Footings below points [n,3]: the first that a ray from far above along -`up` meets, of the names in `on` or of all.
+
+        Ground inside undug solid is no place to stand: there it is the solid's surface above, and False in the second array."""
+        points = np.asarray(points, np.float64).reshape(-1, 3)
+        names = self.names if on is None else tuple(on)
+        unknown = [name for name in names if name not in self.names]
+        if unknown:
+            raise KeyError(f"no surface `{unknown[0]}` on this ground, which has {', '.join(self.names) or 'none'}")
+        meshes = [name for name in names if name in self.names[: self._meshes]]
+        standing, found = self._nowhere(points), np.zeros(len(points), np.bool_)
+        if meshes and self._ground is not None:
+            footing, found = self._ground.place(points, up, meshes)
+            standing = self._on_mesh(footing)
+        up = np.broadcast_to(np.asarray(up, np.float64), points.shape)
+        place = self.position(standing)
+        known = standing.mesh >= 0
+        height = np.where(known, ((place - points) * up).sum(axis=1), -np.inf)
+        for k, volume in enumerate(self._volumes):
+            asked = self.names[self._meshes + k] in names
+            buried = known & (volume.sample(place) < -_SUNK * volume.voxel)
+            rows = np.arange(len(points)) if asked else np.flatnonzero(buried)
+            if not rows.size:
+                continue
+            top, met = _dropped(volume, points[rows], up[rows])
+            higher = met & (((top - points[rows]) * up[rows]).sum(axis=1) > height[rows])
+            higher |= met & buried[rows]
+            chosen = rows[higher]
+            _put(standing, chosen, self._on_solid(k, top[higher]))
+            place[chosen] = top[higher]
+            height[chosen] = ((top[higher] - points[chosen]) * up[chosen]).sum(axis=1)
+            found = found.copy()
+            found[chosen] = asked
+        return standing, found
+
+    def nearest(self, points: Floats) -> tuple[Standing, Floats]:
+        """Footings at the nearest point of the meshes, or of the solids where those are nearer, and the distance float64[n]."""
+        points = np.asarray(points, np.float64).reshape(-1, 3)
+        standing, distance = self._nowhere(points), np.full(len(points), np.inf)
+        if self._ground is not None:
+            footing, distance = self._ground.nearest(points)
+            standing, distance = self._on_mesh(footing), distance.copy()
+        for k, volume in enumerate(self._volumes):
+            hints = volume.gradient(points).astype(np.float64)
+            landed = volume.project(points, hints / np.maximum(_length(hints), 1e-12)[:, None], volume.band[1])
+            away = _length(landed.points - points)
+            rows = np.flatnonzero(landed.found & (away < distance))
+            _put(standing, rows, self._on_solid(k, landed.points[rows]))
+            distance[rows] = away[rows]
+        return standing, distance
+
+    def position(self, standing: Standing) -> Floats:
+        """Places in the world, float64[n,3]; zero for footings nowhere."""
+        place = np.stack([standing.x, standing.y, standing.z], axis=1)
+        rows = self._mesh_rows(standing)
+        if rows.size and self._ground is not None:
+            place[rows] = self._ground.position(_footing(standing, rows))
+        return place
+
+    def normal(self, standing: Standing) -> Floats:
+        """Unit normals, float64[n,3]: of the faces by how they are wound, out of the solids; zero for footings nowhere."""
+        normal = np.zeros((len(standing), 3))
+        rows = self._mesh_rows(standing)
+        if rows.size and self._ground is not None:
+            normal[rows] = self._ground.normal(_footing(standing, rows))
+        for k, volume in enumerate(self._volumes):
+            rows = self._solid_rows(standing, k)
+            if rows.size:
+                normal[rows] = _normals(volume, self.position(_take(standing, rows)))
+        return normal
+
+    def sides(self, standing: Standing) -> NDArray[np.int64]:
+        """Which of six ways the normals point most, as `Ground.sides`."""
+        rows = self._mesh_rows(standing)
+        if rows.size == len(standing) and self._ground is not None:
+            return self._ground.sides(_footing(standing, rows))
+        return np.where(standing.mesh >= 0, facing(self.normal(standing)), 0)
+
+    def upright(self, standing: Standing, up: Floats) -> Floats:
+        """Smooth unit normals float64[n,3]: on meshes on the side that `up` points to, on solids outwards."""
+        result = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(standing), 3)))
+        rows = self._mesh_rows(standing)
+        if rows.size and self._ground is not None:
+            result[rows] = self._ground.upright(_footing(standing, rows), result[rows])
+        for k, volume in enumerate(self._volumes):
+            rows = self._solid_rows(standing, k)
+            if rows.size:
+                result[rows] = _normals(volume, self.position(_take(standing, rows)))
+        return result
+
+    # ---- moving
+
+    def move(
+        self, standing: Standing, displacement: Floats, heading: Floats, up: Floats, body: Floats | float, threads: int = 1
+    ) -> MoveResult:
+        """As `Ground.move`, over meshes and solids."""
+        n = len(standing)
+        body = np.broadcast_to(np.asarray(body, np.float64), (n,))
+        way = np.nan_to_num(np.asarray(displacement, np.float64), posinf=0.0, neginf=0.0)
+        if way is displacement:
+            way = way.copy()
+        walk = _Walk(
+            _take(standing, np.arange(n)), self.position(standing), np.array(up, np.float64), np.array(heading, np.float64),
+            np.array(heading, np.float64), way, np.zeros(n), np.zeros(n, np.bool_),
+        )  # fmt: skip
+        rows = np.flatnonzero(standing.mesh >= 0)
+        for hop in range(_HOPS):
+            if not rows.size:
+                break
+            rows = self._stretch(walk, rows, body, threads, last=hop == _HOPS - 1)
+        return MoveResult(
+            walk.standing, walk.place, walk.up, walk.heading, walk.direction, walk.gone, walk.blocked, standing.mesh < 0
+        )
+
+    def settle(self, standing: Standing, up: Floats, body: Floats) -> tuple[Standing, Floats, Floats, Rows]:
+        """Agents whose solid was dug away under them come down: footing, place, up, and the rows of those whom it concerns."""
+        place, up = self.position(standing), np.array(up, np.float64)
+        standing, moved = _take(standing, np.arange(len(standing))), []
+        for k, volume in enumerate(self._volumes):
+            rows = self._solid_rows(standing, k)
+            rows = rows[volume.sample(place[rows]) > 1e-4 * volume.voxel]
+            if not rows.size:
+                continue
+            start, reach = place[rows], float(volume.band[1] * 4)
+            landed = volume.project(start, _normals(volume, start), reach)
+            gone = np.flatnonzero(~landed.found)
+            on, end = self._on_solid(k, landed.points), landed.points.copy()
+            normal = landed.normals.copy()
+            met, part, face_of = self._across(start, end, up[rows], landed.normals, body[rows], 1)
+            if gone.size:  # nothing of the solid is left near by
+                fallen, _ = self.nearest(start[gone])
+                _put(on, gone, fallen)
+                end[gone], normal[gone] = self.position(fallen), self.upright(fallen, up[rows[gone]])
+                met[gone] = False
+            if met.any():
+                footing = face_of.take(met)
+                _put(on, np.flatnonzero(met), self._on_mesh(footing))
+                assert self._ground is not None
+                end[met], normal[met] = self._ground.position(footing), self._ground.upright(footing, (start - end)[met])
+            _put(standing, rows, on)
+            place[rows], up[rows] = end, normal
+            moved.append(rows)
+        return standing, place, up, np.concatenate(moved) if moved else np.empty(0, np.intp)
+
+    # ---- parts of moving
+
+    def _stretch(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
+        """Walk `rows` on what they stand on; those who meet something else stand on that, and are returned if way is left."""
+        again = []
+        on = walk.standing.mesh[rows]
+        mesh = rows[on < self._meshes]
+        if mesh.size:
+            again.append(self._on_meshes(walk, mesh, body, threads, last))
+        for k, volume in enumerate(self._volumes):
+            mine = rows[on == self._meshes + k]
+            if mine.size:
+                again.append(self._on_volume(walk, mine, k, volume, body, threads, last))
+        return np.concatenate(again)
+
+    def _on_meshes(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
+        assert self._ground is not None
+        start = walk.place[rows]
+        moved = self._ground.move(
+            _footing(walk.standing, rows), walk.left[rows], walk.heading[rows], walk.up[rows], body[rows], threads
+        )
+        entered, which, part = self._entering(start, moved.position)
+        free = ~entered
+        stay = rows[free]
+        _put(walk.standing, stay, self._on_mesh(moved.footing.take(free)))
+        walk.place[stay], walk.up[stay] = moved.position[free], moved.up[free]
+        walk.heading[stay], walk.direction[stay] = moved.heading[free], moved.direction[free]
+        walk.gone[stay] += moved.travelled[free]
+        walk.blocked[stay] |= moved.blocked[free]
+        walk.left[stay] = 0.0
+        onto = []
+        for k, volume in enumerate(self._volumes):
+            mine = np.flatnonzero(entered & (which == k))
+            if mine.size:
+                at = start[mine] + part[mine, None] * (moved.position[mine] - start[mine])
+                onto.append(self._step_up(walk, rows[mine], mine, k, volume, at, part[mine], moved, last))
+        return np.concatenate(onto) if onto else np.empty(0, np.intp)
+
+    def _entering(self, start: Floats, end: Floats) -> tuple[NDArray[np.bool_], NDArray[np.intp], Floats]:
+        """Whose way leads into undug solid, into which, and after what part of it."""
+        n = len(start)
+        entered, which, part = np.zeros(n, np.bool_), np.zeros(n, np.intp), np.ones(n)
+        for k, volume in enumerate(self._volumes):
+            deep = -_SUNK * volume.voxel
+            near = np.flatnonzero(((end >= volume.low) & (end <= volume.high)).all(axis=1))
+            inside = near[volume.sample(end[near]) < deep]
+            if not inside.size:
+                continue
+            a, b = start[inside], end[inside]
+            free, shut = np.zeros(len(inside)), np.ones(len(inside))
+            for step in range(_PARTS - 1, -1, -1):  # the first of the parts that lies in it
+                t = step / _PARTS
+                solid = volume.sample(a + t * (b - a)) < 0
+                shut = np.where(solid, t, shut)
+                free = np.where(solid, max(t - 1 / _PARTS, 0.0), free)
+            free = np.minimum(np.maximum(shut - 1 / _PARTS, 0.0), shut)
+            for _ in range(_HALVINGS):
+                middle = (free + shut) / 2
+                solid = volume.sample(a + middle[:, None] * (b - a)) < 0
+                free, shut = np.where(solid, free, middle), np.where(solid, middle, shut)
+            sooner = ~entered[inside] | (free < part[inside])
+            chosen = inside[sooner]
+            entered[chosen], which[chosen], part[chosen] = True, k, free[sooner]
+        return entered, which, part
+
+    def _step_up(
+        self, walk: _Walk, rows: Rows, of: Rows, k: int, volume: Volume, at: Floats, part: Floats, moved: MoveResult, last: bool
+    ) -> Rows:
+        """From a mesh onto a solid that stands in the way."""
+        before, travelled = moved.up[of], moved.travelled[of]
+        hints = _normals(volume, at)
+        landed = volume.project(at, hints, 2 * volume.voxel)
+        ok = landed.found
+        walk.blocked[rows[~ok]] = True  # a place without a surface near by: stay where the step began
+        walk.left[rows[~ok]] = 0.0
+        rows, of, before, travelled, part = rows[ok], of[ok], before[ok], travelled[ok], part[ok]
+        normal, place = landed.normals[ok], landed.points[ok]
+        way = moved.direction[of]
+        walk.heading[rows] = turned(moved.heading[of].T, before.T, normal.T, way.T).T
+        walk.direction[rows] = turned(way.T, before.T, normal.T, way.T).T
+        walk.place[rows], walk.up[rows] = place, normal
+        walk.gone[rows] += travelled * part
+        walk.left[rows] = walk.direction[rows] * (np.zeros(len(rows)) if last else travelled * (1 - part))[:, None]
+        _put(walk.standing, rows, self._on_solid(k, place))
+        return rows[(walk.left[rows] != 0).any(axis=1)]
+
+    def _on_volume(
+        self, walk: _Walk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, last: bool
+    ) -> Rows:
+        start = walk.place[rows]
+        moved = walk_on(volume, start, walk.left[rows], walk.heading[rows], walk.up[rows])
+        met, part, footing = self._across(start, moved.points, walk.up[rows], moved.normal, body[rows], threads)
+        free = ~met
+        stay = rows[free]
+        _put(walk.standing, stay, self._on_solid(k, moved.points[free]))
+        walk.place[stay], walk.up[stay] = moved.points[free], moved.normal[free]
+        walk.heading[stay], walk.direction[stay] = moved.heading[free], moved.direction[free]
+        walk.gone[stay] += moved.travelled[free]
+        walk.blocked[stay] |= moved.blocked[free]
+        walk.left[stay] = 0.0
+        down = rows[met]
+        if not down.size or self._ground is None:
+            return np.empty(0, np.intp)
+        onto = footing.take(met)
+        normal = self._ground.upright(onto, start[met] - moved.points[met])  # the side that they come from
+        before, way = moved.normal[met], moved.direction[met]
+        walk.heading[down] = _level(turned(moved.heading[met].T, before.T, normal.T, way.T).T, normal)
+        walk.direction[down] = turned(way.T, before.T, normal.T, way.T).T
+        _put(walk.standing, down, self._on_mesh(onto))
+        walk.place[down], walk.up[down] = self._ground.position(onto), normal
+        walk.gone[down] += moved.travelled[met] * part[met]
+        rest = np.zeros(len(down)) if last else moved.travelled[met] * (1 - part[met])
+        walk.left[down] = walk.direction[down] * rest[:, None]
+        return down[rest > 0]
+
+    def _across(
+        self, start: Floats, end: Floats, up: Floats, up_after: Floats, body: Floats, threads: int
+    ) -> tuple[NDArray[np.bool_], Floats, Footing]:
+        """Whose way a mesh lies across, seen from a little above it; after what part, and the footing there."""
+        n = len(start)
+        if self._ground is None:
+            return np.zeros(n, np.bool_), np.ones(n), Footing.nowhere(n)
+        lift = (_LIFT * body)[:, None]
+        a, b = start + up * lift, end + up_after * lift
+        return self._ground.met(a, b - a, threads)
+
+    # ---- footings
+
+    def _nowhere(self, points: Floats) -> Standing:
+        return self._on_mesh(Footing.nowhere(len(points)))
+
+    def _on_mesh(self, footing: Footing) -> Standing:
+        n = len(footing)
+        whole = Footing(*(np.array(getattr(footing, f.name)) for f in fields(Footing)))
+        return Standing(whole.mesh, whole.face, whole.b1, whole.b2, np.zeros(n), np.zeros(n), np.zeros(n))
+
+    def _on_solid(self, k: int, place: Floats) -> Standing:
+        n = len(place)
+        mesh = np.full(n, self._meshes + k, np.int32)
+        return Standing(mesh, np.zeros(n, np.int32), np.zeros(n), np.zeros(n), *np.ascontiguousarray(place.T))
+
+    def _mesh_rows(self, standing: Standing) -> Rows:
+        return np.flatnonzero((standing.mesh >= 0) & (standing.mesh < self._meshes))
+
+    def _solid_rows(self, standing: Standing, k: int) -> Rows:
+        return np.flatnonzero(standing.mesh == self._meshes + k)
+
+
+def _take(standing: Standing, rows: Rows) -> Standing:
+    return Standing(*(getattr(standing, f.name)[rows] for f in fields(Standing)))
+
+
+def _footing(standing: Standing, rows: Rows) -> Footing:
+    return Footing(standing.mesh[rows], standing.face[rows], standing.b1[rows], standing.b2[rows])
+
+
+def _put(standing: Standing, rows: Rows, other: Standing) -> None:
+    """Put other footings into rows."""
+    for f in fields(Standing):
+        getattr(standing, f.name)[rows] = getattr(other, f.name)
+
+
+def _normals(volume: Volume, place: Floats) -> Floats:
+    """Unit normals float64[n,3] out of a solid; zero where its field is flat."""
+    slope = volume.gradient(place).astype(np.float64)
+    normal: Floats = slope / np.maximum(_length(slope), 1e-12)[:, None]
+    return normal
+
+
+def _length(v: Floats) -> Floats:
+    length: Floats = np.sqrt((v * v).sum(axis=1))
+    return length
+
+
+def _level(v: Floats, normal: Floats) -> Floats:
+    """Unit vectors at right angles to the normals."""
+    flat = v - (v * normal).sum(axis=1)[:, None] * normal
+    level: Floats = flat / np.maximum(_length(flat), 1e-12)[:, None]
+    return level
+
+
+def _dropped(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """The first place of a solid that a ray from far above along -`up` meets, and whether there is one."""
+    from antdsl.runtime.senses.solid_feelers import SolidFeelers
+
+    height = float(_length((volume.high - volume.low)[None, :])[0])
+    middle = (volume.low + volume.high) / 2
+    start = points + up * (((middle - points) * up).sum(axis=1) + height)[:, None]
+    hits = SolidFeelers(volume).feelers(*start.T, *(-up).T, 2 * height)
+    place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
+    landed = volume.project(place, up, 2 * volume.voxel)
+    return landed.points, hits.hit & landed.found
+
+
