@@ -74,7 +74,7 @@ def _names(plan: Plan) -> Iterator[str]:
         "field.value": plan.fields, "field.strongest": plan.fields, "field.gradient": plan.fields, "item.get": plan.items,
         "item.alive": plan.items, "set.items": plan.items, "curve.closest": plan.curves, 
         "ray": (*plan.obstacles, *plan.surfaces, *plan.solids), "obstacle.near": (*plan.obstacles, *plan.surfaces, *plan.solids),
-        ""surface.touching": plan.surfaces, "param": plan.params,
+        "surface.touching": plan.surfaces, "param": plan.params,
     }  # fmt: skip
     for node in plan.nodes:
         if node.op in known and node.attrs[0] not in known[node.op]:  # type: ignore[operator]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from antdsl.diagnostics import Fix, Label
 from antdsl.program import model
+from antdsl.program.carving import carve
 from antdsl.program.model import Dim, Expr, Kind, Type
 from antdsl.program.operators import value, wanted
 from antdsl.program.places import place
@@ -230,63 +231,6 @@ def _deposit(scope: Scope, line: nodes.Deposit, block: Block) -> model.Statement
     return None if amount is None else model.Deposit(name, amount, block.body, line.span)
 
 
-def _carve(scope: Scope, line: nodes.Carve, block: Block) -> model.Statement | None:
-    thing = scope.declared.things.get(line.solid.text)
-    radius = toward = into = None
-    for argument in line.arguments:
-        match "radius" if argument.name is None else argument.name.text:
-            case "radius":
-                radius = wanted(scope, argument.value, LENGTH, "`radius` of `carve`")
-            case "toward":
-                toward = wanted(scope, argument.value, PUSH, "`toward` of `carve`")
-            case "into":
-                into = _soil(scope, argument.value)
-            case other:
-                assert argument.name is not None
-                scope.report.error(
-                    "unknown-argument", f"`carve` has no argument `{other}`", argument.name.span,
-                    "it takes `radius`, `toward` (a way) and `into` (an attribute)",
-                )  # fmt: skip
-    if thing is None or thing.kind != "solid":
-        solids = [t.name for t in scope.declared.things.values() if t.kind == "solid"]
-        scope.report.error(
-            "unknown-name",
-            f"no solid `{line.solid.text}` to carve",
-            line.solid.span,
-            did_you_mean(line.solid.text, solids, f"declare it: `world {{ solid {line.solid.text} }}`"),
-        )
-        return None
-    scope.use("thing", thing.name)
-    if radius is None:
-        if not line.arguments:
-            scope.report.error(
-                "missing-argument", "`carve` wants a radius", line.span, f"write `carve {thing.name}(radius: size / 2)`"
-            )
-        return None
-    if radius.type.kind is Kind.BAD or (toward is not None and toward.type.kind is Kind.BAD):
-        return None
-    return model.Carve(thing.name, radius, line.span, toward, into)
-
-
-def _soil(scope: Scope, node: nodes.Expr) -> str | None:
-    """The attribute, a volume, that takes what is dug out."""
-    species = scope.species
-    assert species is not None
-    type = species.attributes.get(node.name.text) if isinstance(node, nodes.NameRef) else None
-    if isinstance(node, nodes.NameRef) and type == Type(Kind.NUMBER, Dim(length=3)):
-        scope.declared.written.add(f"{species.name}.{node.name.text}")
-        return node.name.text
-    word = node.name.text if isinstance(node, nodes.NameRef) else "soil"
-    if type is not None:
-        mismatch(scope.report, node, type, Type(Kind.NUMBER, Dim(length=3)), "`into` of `carve`")
-    else:
-        scope.report.error(
-            "unknown-name", f"`into` of `carve` names an attribute of `{species.name}`, and {quoted(node.span)} is none",
-            node.span, f"declare it: `{word} = 0 mm^3` in `species {species.name}`",
-        )  # fmt: skip
-    return None
-
-
 def _emit(scope: Scope, line: nodes.Emit, block: Block) -> model.Statement | None:
     scope.use("emit", line.event.text)
     within = None
@@ -409,6 +353,6 @@ def _holds(scope: Scope, node: nodes.Expr, found: Expr, attribute: nodes.Name, o
 
 
 _RULES: dict[type, Callable[..., model.Statement | None]] = {
-    nodes.Steer: _steer, nodes.Assign: _assign, nodes.Deposit: _deposit, nodes.Carve: _carve, nodes.Emit: _emit,
+    nodes.Steer: _steer, nodes.Assign: _assign, nodes.Deposit: _deposit, nodes.Carve: carve, nodes.Emit: _emit,
     nodes.Spawn: _spawn, nodes.Die: _die, nodes.Play: _play, nodes.Give: _give,
 }  # fmt: skip

@@ -4,7 +4,7 @@ mesh steps back down; ground inside undug solid is closed, and open again where 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from antdsl.runtime.senses.topology import facing
 from antdsl.runtime.senses.walk import turned
 from antdsl.runtime.solids import Volume
 from antdsl.runtime.solids import move as walk_on
+from antdsl.runtime.standing import Standing
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -23,23 +24,6 @@ _HOPS = 4  # from mesh to solid and back in one step
 _LIFT = 0.02  # of a body: how far above its way an agent looks for a mesh across it
 _HALVINGS = 12
 _PARTS = 8  # of a step at which it is looked whether it leads into a solid
-
-
-@dataclass(frozen=True, slots=True)
-class Standing:
-    """Where agents stand: on a face of a mesh, as `Footing` says, or on a solid: `mesh` counts solids after the meshes, `face` is 0
-    and (x, y, z) is the place on its surface (mm; 0 on meshes)."""
-
-    mesh: NDArray[np.int32]
-    face: NDArray[np.int32]
-    b1: Floats
-    b2: Floats
-    x: Floats
-    y: Floats
-    z: Floats
-
-    def __len__(self) -> int:
-        return len(self.face)
 
 
 @dataclass(slots=True)
@@ -77,10 +61,10 @@ class Terrain:
         if unknown:
             raise KeyError(f"no surface `{unknown[0]}` on this ground, which has {', '.join(self.names) or 'none'}")
         meshes = [name for name in names if name in self.names[: self._meshes]]
-        standing, found = self._nowhere(points), np.zeros(len(points), np.bool_)
+        standing, found = Standing.on_mesh(Footing.nowhere(len(points))), np.zeros(len(points), np.bool_)
         if meshes and self._ground is not None:
             footing, found = self._ground.place(points, up, meshes)
-            standing = self._on_mesh(footing)
+            standing = Standing.on_mesh(footing)
         up = np.broadcast_to(np.asarray(up, np.float64), points.shape)
         place = self.position(standing)
         known = standing.mesh >= 0
@@ -95,7 +79,7 @@ class Terrain:
             higher = met & (((top - points[rows]) * up[rows]).sum(axis=1) > height[rows])
             higher |= met & buried[rows]
             chosen = rows[higher]
-            _put(standing, chosen, self._on_solid(k, top[higher]))
+            standing.put(chosen, Standing.on_solid(self._meshes + k, top[higher]))
             place[chosen] = top[higher]
             height[chosen] = ((top[higher] - points[chosen]) * up[chosen]).sum(axis=1)
             found = found.copy()
@@ -105,16 +89,16 @@ class Terrain:
     def nearest(self, points: Floats) -> tuple[Standing, Floats]:
         """Footings at the nearest point of the meshes, or of the solids where those are nearer, and the distance float64[n]."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
-        standing, distance = self._nowhere(points), np.full(len(points), np.inf)
+        standing, distance = Standing.on_mesh(Footing.nowhere(len(points))), np.full(len(points), np.inf)
         if self._ground is not None:
             footing, distance = self._ground.nearest(points)
-            standing, distance = self._on_mesh(footing), distance.copy()
+            standing, distance = Standing.on_mesh(footing), distance.copy()
         for k, volume in enumerate(self._volumes):
             hints = volume.gradient(points).astype(np.float64)
             landed = volume.project(points, hints / np.maximum(_length(hints), 1e-12)[:, None], volume.band[1])
             away = _length(landed.points - points)
             rows = np.flatnonzero(landed.found & (away < distance))
-            _put(standing, rows, self._on_solid(k, landed.points[rows]))
+            standing.put(rows, Standing.on_solid(self._meshes + k, landed.points[rows]))
             distance[rows] = away[rows]
         return standing, distance
 
@@ -123,7 +107,7 @@ class Terrain:
         place = np.stack([standing.x, standing.y, standing.z], axis=1)
         rows = self._mesh_rows(standing)
         if rows.size and self._ground is not None:
-            place[rows] = self._ground.position(_footing(standing, rows))
+            place[rows] = self._ground.position(standing.footing(rows))
         return place
 
     def normal(self, standing: Standing) -> Floats:
@@ -131,18 +115,18 @@ class Terrain:
         normal = np.zeros((len(standing), 3))
         rows = self._mesh_rows(standing)
         if rows.size and self._ground is not None:
-            normal[rows] = self._ground.normal(_footing(standing, rows))
+            normal[rows] = self._ground.normal(standing.footing(rows))
         for k, volume in enumerate(self._volumes):
             rows = self._solid_rows(standing, k)
             if rows.size:
-                normal[rows] = _normals(volume, self.position(_take(standing, rows)))
+                normal[rows] = _normals(volume, self.position(standing.take(rows)))
         return normal
 
     def sides(self, standing: Standing) -> NDArray[np.int64]:
         """Which of six ways the normals point most, as `Ground.sides`."""
         rows = self._mesh_rows(standing)
         if rows.size == len(standing) and self._ground is not None:
-            return self._ground.sides(_footing(standing, rows))
+            return self._ground.sides(standing.footing(rows))
         return np.where(standing.mesh >= 0, facing(self.normal(standing)), 0)
 
     def upright(self, standing: Standing, up: Floats) -> Floats:
@@ -150,11 +134,11 @@ class Terrain:
         result = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(standing), 3)))
         rows = self._mesh_rows(standing)
         if rows.size and self._ground is not None:
-            result[rows] = self._ground.upright(_footing(standing, rows), result[rows])
+            result[rows] = self._ground.upright(standing.footing(rows), result[rows])
         for k, volume in enumerate(self._volumes):
             rows = self._solid_rows(standing, k)
             if rows.size:
-                result[rows] = _normals(volume, self.position(_take(standing, rows)))
+                result[rows] = _normals(volume, self.position(standing.take(rows)))
         return result
 
     # ---- moving
@@ -169,7 +153,7 @@ class Terrain:
         if way is displacement:
             way = way.copy()
         walk = _Walk(
-            _take(standing, np.arange(n)), self.position(standing), np.array(up, np.float64), np.array(heading, np.float64),
+            standing.take(np.arange(n)), self.position(standing), np.array(up, np.float64), np.array(heading, np.float64),
             np.array(heading, np.float64), way, np.zeros(n), np.zeros(n, np.bool_),
         )  # fmt: skip
         rows = np.flatnonzero(standing.mesh >= 0)
@@ -184,7 +168,7 @@ class Terrain:
     def settle(self, standing: Standing, up: Floats, body: Floats) -> tuple[Standing, Floats, Floats, Rows]:
         """Agents whose solid was dug away under them come down: footing, place, up, and the rows of those whom it concerns."""
         place, up = self.position(standing), np.array(up, np.float64)
-        standing, moved = _take(standing, np.arange(len(standing))), []
+        standing, moved = standing.take(np.arange(len(standing))), []
         for k, volume in enumerate(self._volumes):
             rows = self._solid_rows(standing, k)
             rows = rows[volume.sample(place[rows]) > 1e-4 * volume.voxel]
@@ -193,20 +177,20 @@ class Terrain:
             start, reach = place[rows], float(volume.band[1] * 4)
             landed = volume.project(start, _normals(volume, start), reach)
             gone = np.flatnonzero(~landed.found)
-            on, end = self._on_solid(k, landed.points), landed.points.copy()
+            on, end = Standing.on_solid(self._meshes + k, landed.points), landed.points.copy()
             normal = landed.normals.copy()
             met, part, face_of = self._across(start, end, up[rows], landed.normals, body[rows], 1)
             if gone.size:  # nothing of the solid is left near by
                 fallen, _ = self.nearest(start[gone])
-                _put(on, gone, fallen)
+                on.put(gone, fallen)
                 end[gone], normal[gone] = self.position(fallen), self.upright(fallen, up[rows[gone]])
                 met[gone] = False
             if met.any():
                 footing = face_of.take(met)
-                _put(on, np.flatnonzero(met), self._on_mesh(footing))
+                on.put(np.flatnonzero(met), Standing.on_mesh(footing))
                 assert self._ground is not None
                 end[met], normal[met] = self._ground.position(footing), self._ground.upright(footing, (start - end)[met])
-            _put(standing, rows, on)
+            standing.put(rows, on)
             place[rows], up[rows] = end, normal
             moved.append(rows)
         return standing, place, up, np.concatenate(moved) if moved else np.empty(0, np.intp)
@@ -230,12 +214,12 @@ class Terrain:
         assert self._ground is not None
         start = walk.place[rows]
         moved = self._ground.move(
-            _footing(walk.standing, rows), walk.left[rows], walk.heading[rows], walk.up[rows], body[rows], threads
+            walk.standing.footing(rows), walk.left[rows], walk.heading[rows], walk.up[rows], body[rows], threads
         )
         entered, which, part = self._entering(start, moved.position)
         free = ~entered
         stay = rows[free]
-        _put(walk.standing, stay, self._on_mesh(moved.footing.take(free)))
+        walk.standing.put(stay, Standing.on_mesh(moved.footing.take(free)))
         walk.place[stay], walk.up[stay] = moved.position[free], moved.up[free]
         walk.heading[stay], walk.direction[stay] = moved.heading[free], moved.direction[free]
         walk.gone[stay] += moved.travelled[free]
@@ -294,18 +278,16 @@ class Terrain:
         walk.place[rows], walk.up[rows] = place, normal
         walk.gone[rows] += travelled * part
         walk.left[rows] = walk.direction[rows] * (np.zeros(len(rows)) if last else travelled * (1 - part))[:, None]
-        _put(walk.standing, rows, self._on_solid(k, place))
+        walk.standing.put(rows, Standing.on_solid(self._meshes + k, place))
         return rows[(walk.left[rows] != 0).any(axis=1)]
 
-    def _on_volume(
-        self, walk: _Walk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, last: bool
-    ) -> Rows:
+    def _on_volume(self, walk: _Walk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, last: bool) -> Rows:
         start = walk.place[rows]
         moved = walk_on(volume, start, walk.left[rows], walk.heading[rows], walk.up[rows])
         met, part, footing = self._across(start, moved.points, walk.up[rows], moved.normal, body[rows], threads)
         free = ~met
         stay = rows[free]
-        _put(walk.standing, stay, self._on_solid(k, moved.points[free]))
+        walk.standing.put(stay, Standing.on_solid(self._meshes + k, moved.points[free]))
         walk.place[stay], walk.up[stay] = moved.points[free], moved.normal[free]
         walk.heading[stay], walk.direction[stay] = moved.heading[free], moved.direction[free]
         walk.gone[stay] += moved.travelled[free]
@@ -319,7 +301,7 @@ class Terrain:
         before, way = moved.normal[met], moved.direction[met]
         walk.heading[down] = _level(turned(moved.heading[met].T, before.T, normal.T, way.T).T, normal)
         walk.direction[down] = turned(way.T, before.T, normal.T, way.T).T
-        _put(walk.standing, down, self._on_mesh(onto))
+        walk.standing.put(down, Standing.on_mesh(onto))
         walk.place[down], walk.up[down] = self._ground.position(onto), normal
         walk.gone[down] += moved.travelled[met] * part[met]
         rest = np.zeros(len(down)) if last else moved.travelled[met] * (1 - part[met])
@@ -339,38 +321,11 @@ class Terrain:
 
     # ---- footings
 
-    def _nowhere(self, points: Floats) -> Standing:
-        return self._on_mesh(Footing.nowhere(len(points)))
-
-    def _on_mesh(self, footing: Footing) -> Standing:
-        n = len(footing)
-        whole = Footing(*(np.array(getattr(footing, f.name)) for f in fields(Footing)))
-        return Standing(whole.mesh, whole.face, whole.b1, whole.b2, np.zeros(n), np.zeros(n), np.zeros(n))
-
-    def _on_solid(self, k: int, place: Floats) -> Standing:
-        n = len(place)
-        mesh = np.full(n, self._meshes + k, np.int32)
-        return Standing(mesh, np.zeros(n, np.int32), np.zeros(n), np.zeros(n), *np.ascontiguousarray(place.T))
-
     def _mesh_rows(self, standing: Standing) -> Rows:
         return np.flatnonzero((standing.mesh >= 0) & (standing.mesh < self._meshes))
 
     def _solid_rows(self, standing: Standing, k: int) -> Rows:
         return np.flatnonzero(standing.mesh == self._meshes + k)
-
-
-def _take(standing: Standing, rows: Rows) -> Standing:
-    return Standing(*(getattr(standing, f.name)[rows] for f in fields(Standing)))
-
-
-def _footing(standing: Standing, rows: Rows) -> Footing:
-    return Footing(standing.mesh[rows], standing.face[rows], standing.b1[rows], standing.b2[rows])
-
-
-def _put(standing: Standing, rows: Rows, other: Standing) -> None:
-    """Put other footings into rows."""
-    for f in fields(Standing):
-        getattr(standing, f.name)[rows] = getattr(other, f.name)
 
 
 def _normals(volume: Volume, place: Floats) -> Floats:
@@ -403,5 +358,3 @@ def _dropped(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArra
     place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
     landed = volume.project(place, up, 2 * volume.voxel)
     return landed.points, hits.hit & landed.found
-
-

@@ -1,0 +1,68 @@
+"""`carve SOLID(radius: R, toward: WAY, into: ATTRIBUTE)`, checked."""
+
+from __future__ import annotations
+
+from antdsl.program import model
+from antdsl.program.model import Dim, Kind, Type
+from antdsl.program.operators import wanted
+from antdsl.program.scope import LENGTH, PUSH, Scope, did_you_mean
+from antdsl.program.wording import mismatch, quoted
+from antdsl.syntax import nodes
+
+
+def carve(scope: Scope, line: nodes.Carve, block: object) -> model.Statement | None:
+    """The statement, or None after a complaint. It says the same in a body and in an action: a ball of that size, now."""
+    thing = scope.declared.things.get(line.solid.text)
+    radius = toward = into = None
+    for argument in line.arguments:
+        match "radius" if argument.name is None else argument.name.text:
+            case "radius":
+                radius = wanted(scope, argument.value, LENGTH, "`radius` of `carve`")
+            case "toward":
+                toward = wanted(scope, argument.value, PUSH, "`toward` of `carve`")
+            case "into":
+                into = _soil(scope, argument.value)
+            case other:
+                assert argument.name is not None
+                scope.report.error(
+                    "unknown-argument", f"`carve` has no argument `{other}`", argument.name.span,
+                    "it takes `radius`, `toward` (a way) and `into` (an attribute)",
+                )  # fmt: skip
+    if thing is None or thing.kind != "solid":
+        solids = [t.name for t in scope.declared.things.values() if t.kind == "solid"]
+        scope.report.error(
+            "unknown-name",
+            f"no solid `{line.solid.text}` to carve",
+            line.solid.span,
+            did_you_mean(line.solid.text, solids, f"declare it: `world {{ solid {line.solid.text} }}`"),
+        )
+        return None
+    scope.use("thing", thing.name)
+    if radius is None:
+        if not line.arguments:
+            scope.report.error(
+                "missing-argument", "`carve` wants a radius", line.span, f"write `carve {thing.name}(radius: size / 2)`"
+            )
+        return None
+    if radius.type.kind is Kind.BAD or (toward is not None and toward.type.kind is Kind.BAD):
+        return None
+    return model.Carve(thing.name, radius, line.span, toward, into)
+
+
+def _soil(scope: Scope, node: nodes.Expr) -> str | None:
+    """The attribute, a volume, that takes what is dug out."""
+    species = scope.species
+    assert species is not None
+    type = species.attributes.get(node.name.text) if isinstance(node, nodes.NameRef) else None
+    if isinstance(node, nodes.NameRef) and type == Type(Kind.NUMBER, Dim(length=3)):
+        scope.declared.written.add(f"{species.name}.{node.name.text}")
+        return node.name.text
+    word = node.name.text if isinstance(node, nodes.NameRef) else "soil"
+    if type is not None:
+        mismatch(scope.report, node, type, Type(Kind.NUMBER, Dim(length=3)), "`into` of `carve`")
+    else:
+        scope.report.error(
+            "unknown-name", f"`into` of `carve` names an attribute of `{species.name}`, and {quoted(node.span)} is none",
+            node.span, f"declare it: `{word} = 0 mm^3` in `species {species.name}`",
+        )  # fmt: skip
+    return None
