@@ -181,8 +181,6 @@ def test_chains_of_lets_do_not_go_deep_or_grow():
     ("members", "line"),
     [
         ("likes = 0 for each a, strongest 8\nstart s\nstate s { steer heading }", 10),
-        ("start s\nstate s { carve hill(radius: 1 mm) }", 11),
-        ("start s\nstate s { steer heading\nwhen touching(hill) -> s }", 12),
         ("start s\non collision(other) { x += 1 }\nx = 0\nstate s { steer heading * x }", 11),
     ],
 )

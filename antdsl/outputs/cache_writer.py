@@ -28,7 +28,7 @@ from antdsl.outputs.lock import LOCK, FolderLock
 from antdsl.outputs.manifest import Manifest, ManifestError, write_manifest
 from antdsl.outputs.npz import to_bytes, write_whole
 from antdsl.outputs.scribe import Scribe, hash_line
-from antdsl.runtime import World, snapshot, state
+from antdsl.runtime import World, handed_over, snapshot, state
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -148,6 +148,7 @@ class CacheWriter:
         clear(self.folder, kept_up_to)
         write_whole(self.folder / STATIC, to_bytes(static), sync=True)
         write_manifest(self.folder, self.manifest)
+        world.carved = {}
         self._behind = Behind(Scribe(self.folder, snapshot(world), maker).work, self._told)
 
     def put(self, world: World, *jobs: str) -> None:
@@ -155,4 +156,4 @@ class CacheWriter:
 
         An error there or of the disk is raised by what is called next."""
         assert self._behind is not None, "begin comes first"
-        self._behind.hand_over(jobs, state(world, history="checkpoint" in jobs))
+        self._behind.hand_over(jobs, state(world, history="checkpoint" in jobs) | handed_over(world))

@@ -20,6 +20,7 @@ from antdsl.outputs.manifest import (
     SpeciesEntry,
     StateEntry,
 )
+from antdsl.outputs.solid_pieces import PieceMaker, start_pieces
 from antdsl.program.model import Dim, Kind, Program
 from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import Setting
@@ -32,7 +33,8 @@ class FrameMaker:
     """Turns a world into the arrays of a frame. `attributes` are names of the scene's `output`; others than the usual are
     registers."""
 
-    def __init__(self, world: World, program: Program, attributes: tuple[str, ...]) -> None:
+    def __init__(self, world: World, program: Program, attributes: tuple[str, ...], pieces: PieceMaker | None = None) -> None:
+        self.pieces = pieces
         self.scale = 1.0 / world.setting.unit_mm
         self.attributes = attributes if len(world.populations) == 1 or "species" in attributes else (*attributes, "species")
         self.colours = {name: _colours(p) for name, p in world.populations.items()}
@@ -58,7 +60,7 @@ class FrameMaker:
         for name, items in world.items.items():
             for attribute, amount in items.amounts.items():
                 arrays[f"items.{name}.{attribute}"] = amount.copy()
-        return arrays
+        return arrays if self.pieces is None else arrays | self.pieces.frame(world)
 
     def _attribute(self, world: World, attribute: str, number: int, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
         population = world.populations[name]
@@ -119,6 +121,7 @@ def static_arrays(world: World, setting: Setting) -> Arrays:
     for name, mesh in {**setting.surfaces, **setting.obstacles}.items():
         arrays[f"mesh.{name}.vertices"] = mesh.vertices * scale
         arrays[f"mesh.{name}.faces"] = mesh.faces
+    arrays |= start_pieces(world, scale)
     for name, field in world.fields.items():
         arrays[f"field.{name}.P"] = ((np.asarray(field.cells.position) + world.origin) * scale).astype(np.float32)
     return arrays
@@ -164,6 +167,7 @@ def describe(
         meshes=(
             *(MeshEntry(name=name, kind="surface") for name in setting.surfaces),
             *(MeshEntry(name=name, kind="obstacle") for name in setting.obstacles),
+            *(MeshEntry(name=name, kind="solid") for name in setting.solids),
         ),
         fields=tuple(FieldEntry(name=name, cell=float(field.cells.cell) * scale) for name, field in world.fields.items()),
         items=tuple(

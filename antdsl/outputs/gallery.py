@@ -13,6 +13,7 @@ from antdsl.bodies.body import turned
 from antdsl.bodies.catalogue import BODIES, body_of
 from antdsl.bodies.placed import shape_of
 from antdsl.outputs.cache import Arrays, Cache, CacheError
+from antdsl.outputs.dug_solids import DugSolids
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.manifest import SpeciesEntry
 from antdsl.outputs.pictures.model import Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
@@ -40,7 +41,8 @@ class Gallery:
         above, below = self.manifest.fps.split("/")
         self.dt = int(below) / int(above)
         self.static = cache.static()
-        self.solids = tuple(self._solid(mesh.name, mesh.kind) for mesh in self.manifest.meshes)
+        self._stones = tuple(self._solid(m.name, m.kind) for m in self.manifest.meshes if m.kind != "solid")
+        self._dug = DugSolids(cache, self.static)
         self._walked: dict[str, tuple[int, NDArray[np.int64], NDArray[np.float64]]] = {}
         self._first: Arrays | None = None
         self._full: dict[str, float] | None = None
@@ -54,7 +56,7 @@ class Gallery:
             self._first = self.cache.frame(frames[0]) if frames else arrays
         crowds, legend = self._crowds(frame, arrays, agents)
         return Picture(
-            solids=self.solids,
+            solids=(*self._stones, *self._dug.at(frame)),
             crowds=crowds,
             items=self._items(arrays),
             trails=self._trails(arrays),

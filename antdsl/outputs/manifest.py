@@ -58,7 +58,7 @@ class SpeciesEntry(Part):
 
 class MeshEntry(Part):
     name: Word
-    kind: Literal["surface", "obstacle"]
+    kind: Literal["surface", "obstacle", "solid"]
 
 
 class FieldEntry(Part):

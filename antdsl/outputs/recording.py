@@ -8,11 +8,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import NDArray
+
 from antdsl.outputs.cache import Cache
 from antdsl.outputs.cache_writer import CacheWriter, prepare_folder, read_checkpoint, resume_points
 from antdsl.outputs.feelers import feelers_of
 from antdsl.outputs.frames import FrameMaker, describe, static_arrays
 from antdsl.outputs.manifest import CameraEntry
+from antdsl.outputs.solid_pieces import PieceMaker, forget_changes
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, restore, state_hash, step
@@ -28,6 +31,7 @@ class Recording:
     world: World
     inputs: Mapping[str, str]
     resumed_from: int | None = None
+    static: dict[str, NDArray[Any]] = field(default_factory=dict)  # what stands in the cache for the whole run
     frame: int | None = None  # the last that was handed over to be written
     stop: bool = False
     hash: str = ""  # of the last frame that is known to be written
@@ -72,20 +76,24 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
     prepare_folder(folder, force=force)
     began = time.perf_counter()
     world = bind(shot.plan, shot.setting, options)
-    recording = Recording(shot, folder, world, inputs)
+    recording = Recording(shot, folder, world, inputs, static=static_arrays(world, shot.setting))
     recording.spend("bind", began)
     if points is not None:
         cache, frames = points
-        hashes = cache.hashes()
+        hashes, tried = cache.hashes(), False
         for frame in frames:
             arrays = read_checkpoint(cache, frame)
             if arrays is None:
                 continue
+            if tried and world.solids:  # what was dug in it stays dug
+                recording.world = world = bind(shot.plan, shot.setting, options)
+            tried = True
             try:
                 restore(world, arrays)
             except CheckpointError:
                 continue
             if state_hash(world) == hashes.get(frame):
+                forget_changes(world)
                 recording.resumed_from = recording.frame = frame
                 recording.hash = hashes[frame]
                 return recording
@@ -101,7 +109,8 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
     When it ends, by itself or because `stop` was set, the last frame has a checkpoint."""
     shot, world = recording.shot, recording.world
     model = shot.scene.model
-    maker = FrameMaker(world, shot.program, model.output.attributes)
+    pieces = PieceMaker(shot.frames.first, model.output.checkpoint, 1.0 / shot.setting.unit_mm)
+    maker = FrameMaker(world, shot.program, model.output.attributes, pieces)
     manifest = describe(
         world,
         shot.setting,
@@ -122,7 +131,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         camera=_camera(shot),
     )
     with CacheWriter(recording.folder, manifest, recording.written) as writer:
-        writer.begin(world, static_arrays(world, shot.setting), maker, recording.resumed_from)
+        writer.begin(world, recording.static, maker, recording.resumed_from)
         if recording.resumed_from is None:
             for _ in range(model.preroll):
                 if recording.stop:

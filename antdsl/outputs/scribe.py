@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from antdsl.outputs.cache import HASHES, checkpoint_path, frame_path
 from antdsl.outputs.frames import FrameMaker
 from antdsl.outputs.npz import sync_file, sync_folder, to_bytes, write_whole
-from antdsl.runtime import World, show, state_hash
+from antdsl.runtime import World, dig_again, show, solid_state, state_hash
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -38,6 +38,7 @@ class Scribe:
         """Write the frame and its line; finds `hash` and `surface_error`."""
         began = time.perf_counter()
         show(self.still, arrays)
+        dig_again(self.still, arrays)
         found["surface_error"] = surface_error(self.still)
         began = _spend(found, "measure", began)
         found["hash"] = state_hash(self.still)
@@ -55,7 +56,9 @@ class Scribe:
         """Write a checkpoint, durably, after everything before it."""
         self.sync(arrays, found)
         began = time.perf_counter()
-        whole = {"frame": arrays["frame"], **{f"world.{name}": array for name, array in arrays.items()}}
+        dig_again(self.still, arrays)
+        kept = {name: array for name, array in arrays.items() if not name.endswith(".carved")} | solid_state(self.still)
+        whole = {"frame": arrays["frame"], **{f"world.{name}": array for name, array in kept.items()}}
         write_whole(checkpoint_path(self.folder, int(arrays["frame"])), to_bytes(whole), sync=True)
         _spend(found, "checkpoint", began)
 
@@ -83,13 +86,18 @@ def hash_line(frame: int, value: str) -> bytes:
 
 
 def surface_error(world: World) -> float:
-    """The greatest distance of an agent, as it is written (float32), from the triangle that it stands on, in body lengths."""
+    """The greatest distance of an agent, as it is written (float32), from the triangle or the solid that it stands on, in body
+    lengths."""
     worst = 0.0
     for population in world.populations.values():
         if len(population):
             away = population.position.astype(np.float32) - world.ground.position(population.footing)
             x, y, z = away.T
             distance = np.sqrt((x * x + y * y) + z * z)
+            for number, volume in enumerate(world.solids.values(), len(world.setting.surfaces)):
+                rows = np.flatnonzero(population.footing.mesh == number)
+                off = np.abs(volume.sample(population.position[rows].astype(np.float32).astype(np.float64)))
+                distance[rows] = np.maximum(distance[rows], off)
             if "clearance" in population.now:
                 distance = np.abs(distance - population.now["clearance"])
             size = np.maximum(population.now["size"].astype(np.float64), 1e-9)

@@ -56,7 +56,8 @@ def _head(plan: Plan) -> str:
     for items in plan.items.values():
         values = ", ".join(f"{name} = {_number(value)}" for name, value in items.attributes.items())
         lines.append(f"items {items.name} {{ {values} }}" if values else f"items {items.name}")
-    for word, names_of in (("surface", plan.surfaces), ("obstacle", plan.obstacles), ("solid", plan.solids), ("curve", plan.curves)):
+    things = (("surface", plan.surfaces), ("obstacle", plan.obstacles), ("solid", plan.solids), ("curve", plan.curves))
+    for word, names_of in things:
         lines += [f"{word} {name}" for name in names_of]
     return "\n".join(lines)
 

@@ -1,7 +1,8 @@
 """Plan and setting become a world that steps."""
 
 from antdsl.runtime.binding import BindError, bind, set_param
-from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore, show, state
+from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore, show, solid_state, state
+from antdsl.runtime.digging import dig_again, handed_over
 from antdsl.runtime.faults import Fault, FaultStop
 from antdsl.runtime.hashing import state_hash
 from antdsl.runtime.snapshots import snapshot
@@ -26,10 +27,13 @@ __all__ = [
     "World",
     "bind",
     "checkpoint",
+    "dig_again",
+    "handed_over",
     "restore",
     "set_param",
     "show",
     "snapshot",
+    "solid_state",
     "state",
     "state_hash",
     "step",

@@ -20,11 +20,16 @@ class CheckpointError(ValueError):
 
 def checkpoint(world: World) -> Arrays:
     """The state between two steps, by name; the arrays are copies."""
-    return {name: array.copy() for name, array in state(world, history=True).items()}
+    return {name: array.copy() for name, array in (state(world, history=True) | solid_state(world)).items()}
+
+
+def solid_state(world: World) -> Arrays:
+    """What was dug out of all solids so far, by name."""
+    return {f"solid.{name}.{key}": array for name, volume in world.solids.items() for key, array in volume.state().items()}
 
 
 def state(world: World, *, history: bool) -> Arrays:
-    """The state between two steps, by name. The arrays are the world's own: to be copied before it goes on.
+    """The state between two steps, by name, without the solids. The arrays are the world's own: to be copied before it goes on.
 
     `history` adds what has no part in a frame but belongs to a checkpoint: what was counted and measured so far."""
     found: Arrays = {"frame": np.array(world.frame, np.int64), "faults": np.array(world.faults.count, np.int64)}
@@ -81,6 +86,12 @@ def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
         items.show()
     for name, field in world.fields.items():
         field.values[:] = _take(arrays, f"field.{name}", field.values.shape)
+    for name, volume in world.solids.items():
+        kept = {key: _take(arrays, f"solid.{name}.{key}") for key in volume.state()}
+        try:
+            volume.restore(kept)
+        except ValueError as why:
+            raise CheckpointError(f"`solid.{name}`: {why}") from None
     text = _take(arrays, "transitions.names").astype(np.uint8).tobytes().decode()
     counts = _take(arrays, "transitions.counts")
     world.transitions = dict(zip(text.split("\n") if text else [], (int(c) for c in counts), strict=True))

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from antdsl.runtime.effects import CarveEntry
 from antdsl.runtime.world import AXES, Population, World
@@ -35,6 +39,8 @@ def _carve(world: World, solid: str, entries: list[tuple[Population, CarveEntry]
     owner = np.empty(len(order), np.int64)
     owner[order] = np.arange(len(order))
     removed = world.solids[solid].carve(middle, radius, owner)
+    if world.carved is not None:
+        world.carved.setdefault(solid, []).append(np.column_stack([middle, radius]))
     first = 0
     for population, entry in entries:
         _give(population, entry, removed[first : first + len(entry.rows)])
@@ -42,11 +48,28 @@ def _carve(world: World, solid: str, entries: list[tuple[Population, CarveEntry]
     return bool(removed.any())
 
 
-def _give(population: Population, entry: CarveEntry, removed: np.ndarray) -> None:
+def _give(population: Population, entry: CarveEntry, removed: NDArray[np.float64]) -> None:
     """Add what was dug out to the agents' own register."""
     if entry.statement.own is not None:
         register = population.now[entry.statement.own]
         register[entry.rows] = (register[entry.rows].astype(np.float64) + removed).astype(np.float32)
+
+
+def handed_over(world: World) -> dict[str, NDArray[np.float64]]:
+    """The balls (k, 4: middle and radius) that were dug since this was asked last, by `solid.NAME.carved`."""
+    found: dict[str, NDArray[np.float64]] = {}
+    for name in world.solids:
+        balls = (world.carved or {}).pop(name, [])
+        found[f"solid.{name}.carved"] = np.concatenate([np.empty((0, 4)), *balls])
+    return found
+
+
+def dig_again(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Dig what `handed_over` tells of in another copy of the solids; twice is as once."""
+    for name, volume in world.solids.items():
+        balls = arrays.get(f"solid.{name}.carved")
+        if balls is not None and len(balls):
+            volume.carve(balls[:, :3], balls[:, 3], np.zeros(len(balls), np.int64))
 
 
 def _settle(world: World, population: Population) -> None:

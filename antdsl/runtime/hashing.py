@@ -10,7 +10,7 @@ from antdsl.runtime.world import World
 
 
 def state_hash(world: World) -> str:
-    """First 128 bits of a SHA-256, in hexadecimal: species by name with rows in id order, then items, then fields.
+    """First 128 bits of a SHA-256, in hexadecimal: species by name with rows in id order, then items, fields, solids.
 
     SHA-256 because processors have instructions for it: half the time of BLAKE2b for the megabytes of a large crowd."""
     digest = sha256()
@@ -35,4 +35,6 @@ def state_hash(world: World) -> str:
             digest.update(f"\0{name}\0{attribute}\0".encode() + amounts.tobytes())
     for name in sorted(world.fields):
         digest.update(f"\0{name}\0".encode() + world.fields[name].state_bytes())
+    for name in sorted(world.solids):
+        digest.update(f"\0{name}\0".encode() + world.solids[name].digest())
     return digest.hexdigest()[:32]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from copy import copy
+from copy import copy, deepcopy
 
 from antdsl.runtime.world import Population, World
 
 
 def snapshot(world: World) -> World:
-    """A world that shares what never changes and has copies of the rest: agents, items and fields between two steps.
+    """A world that shares what never changes and has copies of the rest: agents, items, fields and solids between two steps.
 
     It can be measured, hashed and written, not stepped."""
     found = copy(world)
@@ -17,6 +17,7 @@ def snapshot(world: World) -> World:
     for name, items in world.items.items():
         found.items[name] = copy(items)
         found.items[name].amounts = {attribute: amounts.copy() for attribute, amounts in items.amounts.items()}
+    found.solids = {name: deepcopy(volume) for name, volume in world.solids.items()}
     found.fields = {name: field.snapshot() for name, field in world.fields.items()}
     found.grids, found.clearances = {}, {}
     return found

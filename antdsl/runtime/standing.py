@@ -15,8 +15,8 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """Where agents stand: on a face of a mesh, as `Footing` says, or on a solid: `mesh` counts solids after the meshes, `face` is 0
-    and (x, y, z) is the place on its surface (mm; 0 on meshes)."""
+    """Where agents stand: on a face of a mesh, as `Footing` says, or on a solid: `mesh` counts solids after the meshes, `face`
+    is 0 and (x, y, z) is the place on its surface (mm; 0 on meshes)."""
 
     mesh: NDArray[np.int32]
     face: NDArray[np.int32]
@@ -46,12 +46,12 @@ class Standing:
     def on_mesh(footing: Footing) -> Standing:
         """On faces of meshes, or nowhere."""
         n = len(footing)
-        parts = (np.array(getattr(footing, f.name)) for f in fields(Footing))
-        return Standing(*parts, np.zeros(n), np.zeros(n), np.zeros(n))
+        mesh, face, b1, b2 = footing.mesh.copy(), footing.face.copy(), footing.b1.copy(), footing.b2.copy()
+        return Standing(mesh, face, b1, b2, np.zeros(n), np.zeros(n), np.zeros(n))
 
     @staticmethod
     def on_solid(mesh: int, place: Floats) -> Standing:
         """At places [n,3] on the surface of the solid that counts as `mesh`."""
         n = len(place)
-        nothing = np.zeros(n, np.int32)
-        return Standing(np.full(n, mesh, np.int32), nothing, np.zeros(n), np.zeros(n), *np.ascontiguousarray(place.T))
+        x, y, z = np.ascontiguousarray(place.T)
+        return Standing(np.full(n, mesh, np.int32), np.zeros(n, np.int32), np.zeros(n), np.zeros(n), x, y, z)

@@ -1,5 +1,5 @@
-"""Ground of meshes and solids together, behind the doors of `senses.ground.Ground`: who meets a hill steps up onto it, who meets a
-mesh steps back down; ground inside undug solid is closed, and open again where the solid is dug away."""
+"""Ground of meshes and solids together, behind the doors of `senses.ground.Ground`: who meets a hill steps up onto it, who meets
+a mesh steps back down; ground inside undug solid is closed, and open again where the solid is dug away."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ class Terrain:
             gone = np.flatnonzero(~landed.found)
             on, end = Standing.on_solid(self._meshes + k, landed.points), landed.points.copy()
             normal = landed.normals.copy()
-            met, part, face_of = self._across(start, end, up[rows], landed.normals, body[rows], 1)
+            met, _, face_of = self._across(start, end, up[rows], landed.normals, body[rows], 1)
             if gone.size:  # nothing of the solid is left near by
                 fallen, _ = self.nearest(start[gone])
                 on.put(gone, fallen)

@@ -149,6 +149,7 @@ class World:
     grids: dict[tuple[str, float], Any] = field(default_factory=dict)  # of this step
     clearances: dict[tuple[str, str, int], NDArray[np.float32]] = field(default_factory=dict)  # of this step
     transitions: dict[str, int] = field(default_factory=dict)
+    carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last hand-over; None: nobody asks
 
     @property
     def dt(self) -> float:

@@ -140,7 +140,7 @@ class Ground:
         return self._footing(face, *self._weights(np.maximum(face, 0), place.T)), distance
 
     def met(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[NDArray[np.bool_], Floats, Footing]:
-        """Whose straight way from `origin` [n,3] along `way` [n,3] meets a surface, after what part of it, and the footing there."""
+        """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface, after what part of it, and the footing there."""
         part, face = self._cast(np.asarray(origin, np.float64).T, np.asarray(way, np.float64).T, threads)
         found = face >= 0
         place = origin.T + way.T * np.where(found, part, 0.0)
