@@ -42,3 +42,4 @@ FRAMES: Final = 1_000_000
 # senses and fields
 NEIGHBOURS: Final = 256  # of one agent in one question, the nearest
 FIELD_CELLS: Final = 20_000_000  # of one field
+FLOW_POINTS: Final = 4_000_000  # in which one flow is worked out

@@ -14,11 +14,12 @@ from test_program_cases import library
 
 from antdsl import passes, plan
 from antdsl.runtime import CrowdData, FieldStart, ItemData, MeshData, PlaceData, Setting, World, bind, step
+from antdsl.scene.setting import SpreadFlow, Target
 from antdsl.syntax import nodes
 
 HEAD = """ant 1
 use steering
-world { surface ground; obstacle rock; curve road; items food }
+world { surface ground; obstacle rock; curve road; flow drift; items food }
 field trail on ground { cell 5 mm; half_life 100 s }
 species other {
   wish = vector(0 mm/s, 0 mm/s, 15 mm/s)
@@ -50,6 +51,7 @@ def scene(steer: str, *crowds: CrowdData, food: tuple[float, float] = (60, 0), f
             surfaces={"ground": MeshData(*ground)},
             obstacles={"rock": MeshData(*rock)},
             curves={"road": ROAD},
+            flows={"drift": SpreadFlow("tangent", Target(ROAD, np.zeros(len(ROAD)), line=True), 60.0)},
             items={"food": (ItemData("crumb", (food[0], 0.0, food[1]), 2.0),)},
             crowds=crowds,
             field_start={"trail": FieldStart(1.0, (0.0, 0.0, 60.0), 30.0)},
@@ -164,6 +166,14 @@ def test_follow_goes_along_a_curve_as_it_was_drawn() -> None:
     assert off.max() < 6
     assert places[-1, 0, 0] > 0 and (speeds[20:, 0, 0] > 0).all()
     assert places[-1, 1, 2] == pytest.approx(100, abs=1)  # too far off to care
+
+
+def test_along_goes_with_a_flow_and_against_it() -> None:
+    for steer, way in (("along(drift)", 1), ("along(drift, weight: -0.5)", -1)):
+        places, speeds = run(scene(steer, crowd("ant", (-100, 5), (0, 140))), 72)
+        off = np.array([np.hypot(*(ROAD[:, [0, 2]] - p[[0, 2]]).T).min() for p in places[:, 0]])
+        assert off[-1] < 40 and way * speeds[-1, 0, 0] > 20
+        assert places[-1, 1, 2] == pytest.approx(140) and speeds[-1, 1, 0] == pytest.approx(20, rel=1e-3)  # nothing there
 
 
 def test_separate_spreads_and_cohere_gathers() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from antdsl.plan import ir
 from antdsl.runtime import BindError, Options, bind, checkpoint, restore, state_hash, step
-from antdsl.scene.setting import CrowdData, FieldStart, MeshData, PlaceData
+from antdsl.scene.setting import CrowdData, FieldStart, MeshData, Painted, PlaceData, SpreadFlow, Target
 
 
 def mesh(made: meshes.Mesh, shift: float = 0.0) -> MeshData:
@@ -29,12 +29,13 @@ def surfaces_plan(diffuse: float = 20.0, cell: float = 5.0) -> ir.Plan:
     best = t("field.strongest", attrs=("trail", 16))
     slope = t("field.gradient", attrs=("trail",))
     curve = t("curve.closest", attrs=("way",))
+    drift = t("flow.value", attrs=("drift",))
     act = plans.block(
         plans.store("hits", t("add", t.snap("hits"), t("number", t.get(ray, 0)))),
         plans.store("close", t("max", t.snap("close"), t("where", t.get(near, 0), t("sub", 6.0, t.get(near, 1)), 0.0))),
         plans.when(t("surface.touching", attrs=("ground",)), ir.Deposit("trail", t("mul", 2.0, t("run", attrs=("dt",))), None)),
         plans.when(t("surface.touching", attrs=("lid",)), plans.store("hits", t.b.number(-1000))),
-        plans.store("smell", t("field.value", attrs=("trail",))),
+        plans.store("smell", t("add", t("field.value", attrs=("trail",)), t("map.value", attrs=("damp",)))),
     )
     push = []
     for k, a in enumerate("xyz"):
@@ -42,7 +43,7 @@ def surfaces_plan(diffuse: float = 20.0, cell: float = 5.0) -> ir.Plan:
         climb = t("mul", t("sub", t.get(best, 1 + k), t.snap(f"position.{a}")), 0.02)
         lead = t(
             "add",
-            t("mul", t.get(curve, 4 + k), 0.1),
+            t("mul", t("add", t.get(curve, 4 + k), t.get(drift, k)), 0.1),
             t("mul", t("sub", t.get(curve, 1 + k), t.snap(f"position.{a}")), t("div", 0.2, t("add", 50.0, t.get(curve, 0)))),
         )
         uphill = t("max", -0.1, t("min", 0.1, t.get(slope, k)))
@@ -69,6 +70,8 @@ def surfaces_plan(diffuse: float = 20.0, cell: float = 5.0) -> ir.Plan:
         surfaces=names,
         obstacles=("stones",),
         curves=("way",),
+        flows=("drift",),
+        maps=("damp",),
     )
 
 
@@ -77,10 +80,14 @@ def surfaces_setting(count: int = 60, shift: float = 0.0, **more):
 
     from antdsl.runtime import Setting
 
+    ground = mesh(meshes.grid(200.0, 24, lambda x, z: 8 * np.sin(x / 25) * np.cos(z / 30)), shift)
+    line = Target(np.array([[-90.0, 0, 0], [90, 0, 40]]) + move, np.zeros(2), line=True)
     given = dict(
         seed=5,
+        flows={"drift": SpreadFlow("tangent", line, 60.0)},
+        maps={"damp": Painted("ground", np.abs(ground.vertices[:, 1]) / 8)},
         surfaces={
-            "ground": mesh(meshes.grid(200.0, 24, lambda x, z: 8 * np.sin(x / 25) * np.cos(z / 30)), shift),
+            "ground": ground,
             "boulder": mesh(box((-40.0, 2.0, 30.0), 14.0), shift),
         },
         obstacles={"stones": mesh(box((25.0, 0.0, 0.0), 12.0), shift)},

@@ -117,6 +117,7 @@ CODES: dict[str, str] = {
     "unused-param": "a param is never used",
     # --- scenes ---
     "bad-mesh": "a mesh file cannot be read, has no faces, or has values that no mesh can have",
+    "bad-paint": "a file does not hold the painted values that a flow or map wants, or not as many as the surface has",
     "bad-path": "a path leaves the folder of the scene, or is written in a way that is not followed",
     "bad-points": "a file of points is not a list of `[x, y, z]`",
     "degenerate-faces": "faces without area, or given twice, were left out of a mesh",
@@ -147,6 +148,7 @@ CODES: dict[str, str] = {
     # --- binding a program to a scene ---
     "field-setting": "a setting of a field has a value that no field can have",
     "field-too-fine": "a field would need more cells than are allowed",
+    "flow-too-fine": "a flow would be worked out in more points than are allowed",
     "unstable-field": "a field spreads faster than its cells can follow at the scene's frame rate",
     # --- pictures ---
     "cannot-write": "a file cannot be written where it was asked for",

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import io
 import os
-import re
 import zipfile
 from collections.abc import Mapping
-from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -18,21 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.scene.arrays import DTYPES, MAGIC, ArrayFileError, members, parse_npy
 
-MEMBERS = 4096
+__all__ = ["ArrayFileError", "parse_npy", "read_npz", "sync_file", "sync_folder", "to_bytes", "write_whole"]
+
 FILE_BYTES = 64 * limits.GIB
-_MAGIC = b"\x93NUMPY\x01\x00"
-_DTYPES = ("<f4", "<f8", "<i4", "<i8", "<i2", "|i1", "|u1", "<u2", "<u4", "<u8", "|b1")
-_HEADER = re.compile(
-    r"\{'descr': '([<|][fiub][1248])', 'fortran_order': (False), 'shape': (\((?:[0-9]{1,18}, ?)*(?:[0-9]{1,18})?,?\)), *\} *\n?",
-    re.ASCII,
-)
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-#>|/]*", re.ASCII)
 _STAMP = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever they are written
-
-
-class ArrayFileError(Exception):
-    """Why a file is not one of ours, or not whole, in words that fit after its name."""
 
 
 def to_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -47,12 +36,12 @@ def to_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 def _npy(name: str, array: NDArray[Any]) -> bytes:
     array = np.asarray(array, order="C")
     kind = array.dtype.newbyteorder("<").str
-    if kind not in _DTYPES:
+    if kind not in DTYPES:
         raise ValueError(f"array `{name}` of type {array.dtype} cannot be kept")
     header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {array.shape!r}, }}".encode("ascii")
-    padding = -(len(_MAGIC) + 2 + len(header) + 1) % 64
+    padding = -(len(MAGIC) + 2 + len(header) + 1) % 64
     header += b" " * padding + b"\n"
-    return b"".join((_MAGIC, len(header).to_bytes(2, "little"), header, array.astype(kind, copy=False).tobytes()))
+    return b"".join((MAGIC, len(header).to_bytes(2, "little"), header, array.astype(kind, copy=False).tobytes()))
 
 
 def write_whole(path: Path, data: bytes, *, sync: bool) -> None:
@@ -110,40 +99,6 @@ def read_npz(path: Path) -> dict[str, NDArray[Any]]:
             if size > FILE_BYTES:
                 raise ArrayFileError(f"has {size:,} bytes, more than {FILE_BYTES:,}")
             with zipfile.ZipFile(file) as archive:
-                return _members(archive, size)
+                return members(archive, size)
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, OverflowError) as problem:
         raise ArrayFileError(f"is damaged or no array file ({problem})") from None
-
-
-def _members(archive: zipfile.ZipFile, size: int) -> dict[str, NDArray[Any]]:
-    entries = archive.infolist()
-    if len(entries) > MEMBERS:
-        raise ArrayFileError(f"has {len(entries):,} arrays, more than {MEMBERS:,}")
-    if sum(entry.file_size for entry in entries) > size:
-        raise ArrayFileError("says it holds more than its own size")
-    found: dict[str, NDArray[Any]] = {}
-    for entry in entries:
-        name = entry.filename.removesuffix(".npy")
-        if not entry.filename.endswith(".npy") or not _NAME.fullmatch(name) or ".." in name or "//" in name:
-            raise ArrayFileError(f"has a member of a strange name `{entry.filename[:40]!r}`")
-        if name in found:
-            raise ArrayFileError(f"has two arrays `{name}`")
-        if entry.compress_type != zipfile.ZIP_STORED or entry.flag_bits & 0x1 or entry.compress_size != entry.file_size:
-            raise ArrayFileError(f"has a compressed or locked array `{name}`")
-        found[name] = parse_npy(archive.read(entry), name)  # read compares the checksum
-    return found
-
-
-def parse_npy(data: bytes, name: str) -> NDArray[Any]:
-    """One array from the bytes of an .npy file, version 1; the shape is held against the number of bytes before use."""
-    if not data.startswith(_MAGIC) or len(data) < 10:
-        raise ArrayFileError(f"has an array `{name}` of an unknown kind")
-    length = int.from_bytes(data[8:10], "little")
-    header = _HEADER.fullmatch(data[10 : 10 + length].decode("latin-1"))
-    if header is None or header[1] not in _DTYPES:
-        raise ArrayFileError(f"has an array `{name}` whose header is not understood")
-    shape = tuple(int(part) for part in re.findall("[0-9]+", header[3]))
-    dtype = np.dtype(header[1])
-    if len(shape) > 8 or prod(shape) * dtype.itemsize != len(data) - 10 - length:
-        raise ArrayFileError(f"has an array `{name}` whose shape does not fit its size")
-    return np.frombuffer(data, dtype, offset=10 + length).reshape(shape)

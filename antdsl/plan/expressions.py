@@ -120,8 +120,6 @@ def _param(w: Writer, e: model.ParamRef) -> Value:
 def _thing(w: Writer, e: model.Thing) -> Value:
     if e.name == "self":
         return Own()
-    if e.type.kind in (model.Kind.FLOW, model.Kind.MAP):
-        raise NotYet(f"the {e.type.kind.value} `{e.name}`", e.span, "leave the line out")
     return Named(e.type.kind, e.name)
 
 

@@ -125,6 +125,8 @@ OPS: dict[str, Operation] = {
     "field.strongest": Operation("", ("field", "count"), T, _A, "(value f, x f, y f, z f): the strongest of the nearest `count` cells; own position where there is none"),
     "field.gradient": Operation("", ("field",), T, _A, "(x f, y f, z f), per mm"),
     "curve.closest": Operation("", ("curve",), T, _A, "(distance f, x f, y f, z f, tx f, ty f, tz f): closest point and unit tangent"),
+    "flow.value": Operation("", ("flow",), T, _A, "(x f, y f, z f): a flow where the agent stands, along its surface; no unit"),
+    "map.value": Operation("", ("map",), F, _A, "a painted number where the agent stands"),
     # sets
     "set.agents": Operation("ff", ("species", "all_round"), S, _A, "others of a species within radius (first) whose direction has a cosine to the heading >= the second (ignored if all_round); never oneself"),
     "set.every": Operation("", ("species",), S, _A, "all others of a species"),
@@ -152,10 +154,11 @@ TUPLES: dict[str, tuple[Kind, ...]] = {
     "field.strongest": (F, F, F, F),
     "field.gradient": (F, F, F),
     "curve.closest": (F, F, F, F, F, F, F),
+    "flow.value": (F, F, F),
 }
 
 SENSES = frozenset(
-    name for name in OPS if name.split(".")[0] in ("ray", "obstacle", "field", "curve", "reduce") or name in ("draw.agent",)
+    name for name in OPS if name.split(".")[0] in ("ray", "obstacle", "field", "curve", "flow", "map", "reduce") or name in ("draw.agent",)
 )
 
 
@@ -347,3 +350,5 @@ class Plan:
     curves: tuple[str, ...]
     nodes: tuple[Node, ...] = field(default=())
     solids: tuple[str, ...] = ()
+    flows: tuple[str, ...] = ()
+    maps: tuple[str, ...] = ()

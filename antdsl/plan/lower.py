@@ -36,10 +36,12 @@ def lower(program: model.Program, *, orders: Mapping[str, Sequence[str]] | None 
         params = {p.name: ir.ParamPlan(p.name, _outside(builder, program, p.default, report)) for p in program.params.values()}
     world = program.world.values()
     items = {t.name: ir.ItemsPlan(t.name, {a.name: a.default.number for a in t.attributes}) for t in world if t.kind == "items"}
-    names = {kind: tuple(t.name for t in world if t.kind == kind) for kind in ("surface", "obstacle", "curve", "solid")}
+    kinds = ("surface", "obstacle", "curve", "solid", "flow", "map")
+    names = {kind: tuple(t.name for t in world if t.kind == kind) for kind in kinds}
     plan = ir.Plan(
-        species, fields, items, params, names["surface"], names["obstacle"], names["curve"], tuple(builder.nodes), names["solid"]
-    )
+        species, fields, items, params, names["surface"], names["obstacle"], names["curve"], tuple(builder.nodes),
+        solids=names["solid"], flows=names["flow"], maps=names["map"],
+    )  # fmt: skip
     return plan, report
 
 

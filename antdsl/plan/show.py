@@ -57,7 +57,7 @@ def _head(plan: Plan) -> str:
         values = ", ".join(f"{name} = {_number(value)}" for name, value in items.attributes.items())
         lines.append(f"items {items.name} {{ {values} }}" if values else f"items {items.name}")
     things = (("surface", plan.surfaces), ("obstacle", plan.obstacles), ("solid", plan.solids), ("curve", plan.curves))
-    for word, names_of in things:
+    for word, names_of in (*things, ("flow", plan.flows), ("map", plan.maps)):
         lines += [f"{word} {name}" for name in names_of]
     return "\n".join(lines)
 

@@ -72,9 +72,10 @@ def _names(plan: Plan) -> Iterator[str]:
     """What nodes name is there. A species may live in another file."""
     known: dict[str, object] = {
         "field.value": plan.fields, "field.strongest": plan.fields, "field.gradient": plan.fields, "item.get": plan.items,
-        "item.alive": plan.items, "set.items": plan.items, "curve.closest": plan.curves, 
+        "item.alive": plan.items, "set.items": plan.items, "curve.closest": plan.curves,
         "ray": (*plan.obstacles, *plan.surfaces, *plan.solids), "obstacle.near": (*plan.obstacles, *plan.surfaces, *plan.solids),
         "surface.touching": plan.surfaces, "param": plan.params,
+        "flow.value": plan.flows, "map.value": plan.maps,
     }  # fmt: skip
     for node in plan.nodes:
         if node.op in known and node.attrs[0] not in known[node.op]:  # type: ignore[operator]

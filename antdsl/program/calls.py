@@ -117,6 +117,7 @@ def _row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> tuple[Bui
     kind = found.type.kind
     if len(node.arguments) > 1 and not named and kind is Kind.FIELD:
         kind = Kind.NUMBER  # `max(trail, 0.5)`: the greater of two numbers; cells are asked for with `nearest:`
+    kind = {Kind.MAP: Kind.NUMBER, Kind.FLOW: Kind.VECTOR}.get(kind, kind)
     known = nodes.Argument(first.name, cast(nodes.Expr, Known(found, first.value.span)), first.span)
     node = nodes.Call(node.function, (known, *node.arguments[1:]), node.span)
     return next((row for row in fitting if Kind(row.args[0].type.split()[0]) is kind), fitting[0]), node
@@ -168,7 +169,7 @@ def _argument(
     if type.kind is Kind.OBSTACLE and found.type.kind in (Kind.SURFACE, Kind.SOLID):
         return [found]
     if not fits(found.type, type):
-        mismatch(scope.report, node, found.type, type, who)
+        mismatch(scope.report, node, found.type, type, who, found)
         return [bad(node.span)]
     return [found]
 

@@ -15,6 +15,11 @@ from antdsl.syntax import nodes
 
 _COMPARED = ("<", "<=", ">", ">=")
 _EQUAL = ("==", "!=")
+_VALUE_HERE = {
+    Kind.FIELD: ("field_value", NUMBER),
+    Kind.FLOW: ("flow_value", Type(Kind.VECTOR)),
+    Kind.MAP: ("map_value", NUMBER),
+}
 
 
 def op(name: str, type: Type, span: Span, *args: Expr | None, site: str = "") -> Op:
@@ -25,14 +30,13 @@ def op(name: str, type: Type, span: Span, *args: Expr | None, site: str = "") ->
 
 
 def value(scope: Scope, node: nodes.Expr, want: Type | None = None) -> Expr:
-    """An expression where a value is wanted: a field's name stands for its value here."""
+    """An expression where a value is wanted: the name of a field, flow or map stands for its value here."""
     return as_value(scope.typed(node, want))
 
 
 def as_value(expr: Expr) -> Expr:
-    if expr.type.kind is Kind.FIELD:
-        return Op(NUMBER, Rate.AGENT, expr.span, "field_value", (expr,))
-    return expr
+    here = _VALUE_HERE.get(expr.type.kind)
+    return expr if here is None else Op(here[1], Rate.AGENT, expr.span, here[0], (expr,))
 
 
 def wanted(scope: Scope, node: nodes.Expr, want: Type, place: str) -> Expr:
@@ -40,7 +44,7 @@ def wanted(scope: Scope, node: nodes.Expr, want: Type, place: str) -> Expr:
     found = value(scope, node, want)
     if fits(found.type, want):
         return found
-    mismatch(scope.report, node, found.type, want, place)
+    mismatch(scope.report, node, found.type, want, place, found)
     return bad(node.span)
 
 

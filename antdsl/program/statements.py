@@ -114,7 +114,7 @@ def _steer(scope: Scope, line: nodes.Steer, block: Block) -> model.Statement | N
     if push.type.kind is Kind.BAD:
         return None
     if not fits(push.type, PUSH):
-        mismatch(scope.report, line.push, push.type, PUSH, "`steer`")
+        mismatch(scope.report, line.push, push.type, PUSH, "`steer`", push)
         return None
     return model.Steer(push, line.span)
 

@@ -67,6 +67,8 @@ TYPE_WORDS: dict[str, Dim | str] = {
     "obstacle": "obstacle",
     "surface": "surface",
     "curve": "curve",
+    "flow": "flow",
+    "map": "map",
     "species": "species",
     "items": "items",
 }
@@ -298,8 +300,9 @@ SIGN_OPS = {
 }  # fmt: skip
 # Further ops of the typed tree:
 #   if(condition, then, else)      is_none(x)  (also `no x`; for a set: it is empty)      chance(rate or share)
-#   is_some(x)      field_value(field)      slope()      run(dt | time | frame as Thing)      event(its name as Thing)
-OTHER_OPS = ("if", "is_none", "is_some", "chance", "field_value", "slope", "run", "event")
+#   is_some(x)      field_value(field)      flow_value(flow)      map_value(map)      slope()
+#   run(dt | time | frame as Thing)      event(its name as Thing)
+OTHER_OPS = ("if", "is_none", "is_some", "chance", "field_value", "flow_value", "map_value", "slope", "run", "event")
 
 # Words with a meaning to come. Used as a name they are refused, used as a construct they get a placed "not yet".
-RESERVED = ("noise", "flow", "map", "play", "fuzzy", "repeat", "import", "share", "total", "clip")
+RESERVED = ("noise", "play", "fuzzy", "repeat", "import", "share", "total", "clip")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from antdsl.diagnostics import Diagnostic, Fix, Label, Report
-from antdsl.program.model import Dim, Expr, Kind, Type
+from antdsl.program.model import Dim, Expr, Kind, Op, Type
 from antdsl.program.units import dimension_words, with_article, with_unit
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -63,8 +63,22 @@ def fits(actual: Type, wanted: Type) -> bool:
     return actual.of is None or wanted.of is None or actual.of == wanted.of
 
 
-def mismatch(report: Report, node: nodes.Expr, actual: Type, wanted: Type, place: str) -> None:
-    """Complain that `node` is of another type than `place` wants: a missing unit, a wrong unit, or another kind of thing."""
+def mismatch(
+    report: Report, node: nodes.Expr, actual: Type, wanted: Type, place: str, found: Expr | None = None
+) -> None:
+    """Complain that `node` is of another type than `place` wants: a missing unit, a wrong unit, or another kind of thing.
+    `found` is what it turned out to be, where that is known."""
+    if isinstance(found, Op) and found.name == "map_value" and wanted.kind is Kind.VECTOR:
+        text = " ".join(node.span.text.split())
+        report.add(
+            Diagnostic(
+                "wrong-kind",
+                f"`{text}` is a map, whose value is a plain number, and {place} wants {type_words(wanted)}",
+                node.span,
+                help=f"what is painted with directions is a flow: `world {{ flow {text} }}`",
+            )
+        )
+        return
     report.add(_mismatch(node, actual, wanted, place))
 
 
@@ -115,6 +129,10 @@ def _advice(node: nodes.Expr, actual: Type, wanted: Type) -> str:
         return f"`length({short})` is a number"
     if wanted.kind is Kind.NUMBER and actual.kind in (Kind.ITEM, Kind.AGENT, Kind.PLACE):
         return f"`distance({short})` is a length; `{short}.size` and the like are its values"
+    if wanted.kind is Kind.FLOW:
+        if actual.kind is Kind.VECTOR:
+            return f"`toward({short})` takes any direction; here the name of a flow is wanted"
+        return "name a flow: `world { flow drift }`, and in the scene `drift: {toward: nest}`"
     if wanted.kind is Kind.ITEM and actual.kind is Kind.ITEMS:
         return f"`nearest({short})` is one of them"
     return f"write {type_words(wanted)}"

@@ -31,7 +31,6 @@ from antdsl.program.wording import fits, mismatch, quoted
 from antdsl.syntax import nodes
 
 KINDS = ("surface", "obstacle", "solid", "items", "curve", "flow", "map", "species")
-_NOT_YET = ("flow", "map")
 
 
 def outside(declared: Declared, names: FileNames, path: str) -> Scope:
@@ -57,11 +56,6 @@ def _thing(declared: Declared, names: FileNames, item: nodes.WorldItem) -> None:
             "unknown-kind", f"no kind of thing `{kind}`", item.kind.span, did_you_mean(kind, KINDS, f"kinds are {listed(KINDS)}")
         )
         declared.unclear.add(name)
-        return
-    if kind in _NOT_YET:
-        report.error(
-            "not-yet", f"`{kind}` is a word of the language that does not work yet", item.kind.span, "leave it out for now"
-        )
         return
     known = declared.things.get(name)
     if known is not None and (known.kind != kind or known.span.source is item.span.source):

@@ -1,6 +1,6 @@
 """Plan and setting become a world that steps."""
 
-from antdsl.runtime.binding import BindError, bind, set_param
+from antdsl.runtime.binding import BindError, bind, set_flow, set_param
 from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore, show, solid_state, state
 from antdsl.runtime.digging import dig_again, handed_over
 from antdsl.runtime.faults import Fault, FaultStop
@@ -30,6 +30,7 @@ __all__ = [
     "dig_again",
     "handed_over",
     "restore",
+    "set_flow",
     "set_param",
     "show",
     "snapshot",

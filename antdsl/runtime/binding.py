@@ -17,7 +17,7 @@ from antdsl.runtime.placing import populate
 from antdsl.runtime.plane import Plane
 from antdsl.runtime.reading import reach
 from antdsl.runtime.world import AXES, Items, Options, World, empty_population
-from antdsl.scene.setting import MeshData, Setting
+from antdsl.scene.setting import FlowData, MeshData, Setting
 
 _FAR = 1e5  # mm: a scene that lies farther out than this is moved to its own middle, or float32 would see it in steps
 _CURVE_PIECE = 1.0  # mm: a curve is asked for its nearest point and way in pieces of this length
@@ -55,6 +55,8 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> Wor
         field_rates={},
         obstacles=_scenes(meshes, solids),
         curves={name: _curve(setting.curves[name] - origin) for name in plan.curves if name in setting.curves},
+        flows={},
+        maps={},
         ground=ground,
         surface_index={name: k for k, name in enumerate(setting.surfaces)},
         solids=solids,
@@ -64,6 +66,7 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> Wor
     )
     _params(world)
     _fields(world, meshes)
+    _flows(world)
     with np.errstate(all="ignore"):
         populate(world)
     return world
@@ -166,6 +169,29 @@ def _params(world: World) -> None:
 
 def _run_value(world: World, node: ir.Node) -> float:
     return float(uniform_values(world, reach((node,)))[node])
+
+
+def set_flow(world: World, name: str, flow: FlowData) -> None:
+    """Put another flow in place of one, from the next step on; nothing is compiled again. BindError as in `bind`."""
+    if name not in world.plan.flows:
+        raise KeyError(name)
+    from antdsl.runtime.flow_binding import bind_flow
+
+    report = Report()
+    bind_flow(world, name, flow, report)
+    if not report.ok:
+        raise BindError(report)
+
+
+def _flows(world: World) -> None:
+    if not world.setting.flows and not world.setting.maps:
+        return
+    from antdsl.runtime.flow_binding import bind_flows
+
+    report = Report()
+    bind_flows(world, report)
+    if not report.ok:
+        raise BindError(report)
 
 
 def _fields(world: World, meshes: dict[str, MeshData]) -> None:

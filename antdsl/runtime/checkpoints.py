@@ -44,6 +44,8 @@ def state(world: World, *, history: bool) -> Arrays:
             found[f"items.{name}.{attribute}"] = amounts
     for name, field in world.fields.items():
         found[f"field.{name}"] = field.values
+    for name, flow in world.flows.items():
+        found |= {f"flow.{name}.{key}": array for key, array in flow.state().items()}
     if history:
         names = sorted(world.transitions)
         found["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8)
@@ -70,6 +72,8 @@ def show(still: World, arrays: Mapping[str, NDArray[Any]]) -> None:
         items.amounts = {attribute: arrays[f"items.{name}.{attribute}"] for attribute in items.amounts}
     for name, field in still.fields.items():
         field.values[:] = arrays[f"field.{name}"]
+    for name, flow in still.flows.items():
+        flow.show({key: arrays[f"flow.{name}.{key}"] for key in flow.state()})
 
 
 def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -92,6 +96,10 @@ def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
             volume.restore(kept)
         except ValueError as why:
             raise CheckpointError(f"`solid.{name}`: {why}") from None
+    for name, flow in world.flows.items():
+        state = flow.state()
+        if state:
+            flow.restore({key: _take(arrays, f"flow.{name}.{key}", like.shape).copy() for key, like in state.items()})
     text = _take(arrays, "transitions.names").astype(np.uint8).tobytes().decode()
     counts = _take(arrays, "transitions.counts")
     world.transitions = dict(zip(text.split("\n") if text else [], (int(c) for c in counts), strict=True))

@@ -19,12 +19,15 @@ _SORT_EVERY, _SORT_FROM = 16, 2048  # frames, agents
 
 
 def sense(world: World) -> None:
-    """Forget what was sensed, show the items' amounts, find each agent's cells. Senses themselves run when first needed."""
+    """Forget what was sensed, show the items' amounts, solve flows that are due, find each agent's cells. Senses themselves run
+    when first needed."""
     world.grids.clear()
     world.clearances.clear()
     world.faults.latest = None
     for items in world.items.values():
         items.show()
+    for flow in world.flows.values():
+        flow.begin(world)
     for population in world.populations.values():
         births.find_cells(world, population)
         for name, register in population.plan.registers.items():

@@ -83,6 +83,8 @@ def _points(world: World, species: str, place: PlaceData, ids: NDArray[np.int64]
         ahead = vec.cross(up, side)
         disc = vec.add(vec.scale(side, away * kernels.cos(angle)), vec.scale(ahead, away * kernels.sin(angle)))
         return middle + vec.rows(disc)
+    if place.density is not None:
+        return _by_density(world, place, u, np.sort([v, w, _draw(world, species, 4 * attempt + 3, ids)], axis=0))
     meshes = [grounds[name] for name in (place.on or tuple(world.setting.surfaces) or tuple(grounds))]
     return _on_faces(meshes, u, v, w) - world.origin
 
@@ -100,6 +102,28 @@ def _on_faces(
     a, b = np.where(fold, 1 - v, v), np.where(fold, 1 - w, w)
     points: NDArray[np.float64] = corners[face, 0] + a[:, None] * edge[face] + b[:, None] * other[face]
     return points
+
+
+def _by_density(
+    world: World, place: PlaceData, u: NDArray[np.float32], cuts: NDArray[np.float32]
+) -> NDArray[np.float64]:
+    """Points as dense as a map says, from one draw and three ascending ones each.
+
+    A density that is linear in a triangle is a mixture of three that are each proportional to one corner's weight, and so are
+    gaps between ascending draws, two of them joined (L. Devroye, Non-Uniform Random Variate Generation, 1986, V.2, XI.4)."""
+    _, _, mesh, table = world.ground.meshes.triangles
+    wanted = np.isin(mesh, [world.surface_index[name] for name in (place.on or tuple(world.surface_index))])
+    area = vec.length(vec.cross(vec.columns(table.edge1.T, np.float64), vec.columns(table.edge2.T, np.float64)))
+    share = np.maximum(world.maps[place.density or ""].corners, 0.0) * np.where(wanted & table.live, area, 0.0)
+    total = np.cumsum(share.T.ravel())
+    pick = np.minimum(np.searchsorted(total, u.astype(np.float64) * total[-1], side="right"), len(total) - 1)
+    face, corner = pick // 3, pick % 3
+    _, two, three = cuts.astype(np.float64)
+    much, rest, last = two, three - two, 1 - three
+    b1 = np.where(corner == 1, much, rest)
+    b2 = np.where(corner == 2, much, last)
+    points: NDArray[np.float64] = table.corner.take(face, axis=1) + b1 * table.edge1.take(face, axis=1)
+    return np.ascontiguousarray((points + b2 * table.edge2.take(face, axis=1)).T)
 
 
 def inside_obstacle(world: World, points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -41,6 +41,11 @@ class Plane:
     def __init__(self, up: Vectors) -> None:
         self._up = np.asarray(up, np.float64)
 
+    @property
+    def meshes(self) -> None:
+        """The part of the ground that is made of meshes: none."""
+        return None
+
     def _flat(self, vectors: Vectors) -> Vectors:
         along = (vectors[:, 0] * self._up[0] + vectors[:, 1] * self._up[1]) + vectors[:, 2] * self._up[2]
         flat: Vectors = vectors - along[:, None] * self._up

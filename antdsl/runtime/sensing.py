@@ -163,6 +163,22 @@ def _curve_closest(world: World, population: Population, node: ir.Node, rows: Ro
     return found.distance, found.px, found.py, found.pz, found.tx, found.ty, found.tz
 
 
+def _flow_value(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+    place = np.stack(_place(world, population, rows), axis=1).astype(np.float64)
+    up = np.stack([population.start[f"up.{axis}"][rows] for axis in AXES], axis=1).astype(np.float64)
+    return world.flows[node.attrs[0]].at(world.ground.meshes, _standing(population, rows), place, up)
+
+
+def _map_value(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+    return world.maps[node.attrs[0]].at(world.ground.meshes, _standing(population, rows))
+
+
+def _standing(population: Population, rows: Rows) -> Any:
+    """Footings of some rows."""
+    footing = population.footing
+    return type(footing)(*(getattr(footing, name)[rows] for name in type(footing).__dataclass_fields__))
+
+
 SENSES: Mapping[str, Callable[..., Value]] = {
     "id": _id,
     "age": _age,
@@ -180,6 +196,8 @@ SENSES: Mapping[str, Callable[..., Value]] = {
     "field.strongest": _field_strongest,
     "field.gradient": _field_gradient,
     "curve.closest": _curve_closest,
+    "flow.value": _flow_value,
+    "map.value": _map_value,
 }
 
 

@@ -19,6 +19,7 @@ def snapshot(world: World) -> World:
         found.items[name].amounts = {attribute: amounts.copy() for attribute, amounts in items.amounts.items()}
     found.solids = {name: deepcopy(volume) for name, volume in world.solids.items()}
     found.fields = {name: field.snapshot() for name, field in world.fields.items()}
+    found.flows = {name: copy(flow) for name, flow in world.flows.items()}
     found.grids, found.clearances = {}, {}
     return found
 

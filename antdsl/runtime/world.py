@@ -139,6 +139,8 @@ class World:
     field_rates: dict[str, tuple[np.float32, float]]  # factor a step, diffusion in mm2/s
     obstacles: dict[str, Any]  # RayScene by name, surfaces too
     curves: dict[str, Any]
+    flows: dict[str, Any]
+    maps: dict[str, Any]
     ground: Any
     surface_index: dict[str, int]
     solids: dict[str, Any]  # Volume by name

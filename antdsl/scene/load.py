@@ -144,8 +144,7 @@ def _allowed(path: tuple[Key, ...]) -> list[str]:
 
     # the last word of the path (tags of the schema are among them) that tells which model complained
     models: dict[str, type[model.Part]] = {
-        "mesh-thing": model.MeshThing,
-        "curve-thing": model.CurveThing,
+        **dict(model.HEADS.values()),
         "place": model.Placement,
         "crowd": model.CrowdLine,
         "fields": model.FieldStart,

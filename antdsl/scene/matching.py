@@ -6,6 +6,7 @@ No mesh is read here; that the named files are there is looked at. `CHECKS` is t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import Any
 
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
@@ -13,17 +14,20 @@ from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Const, Dim, Kind, Program, WorldThing
 from antdsl.program.units import dimension_words, shown, unit_of, with_unit
 from antdsl.scene.document import Key
+from antdsl.scene.flows import match_flow
 from antdsl.scene.load import Scene
-from antdsl.scene.model import CurveThing, MeshThing, Placement
+from antdsl.scene.model import CurveThing, FlowThing, MeshThing, PaintedThing, Placement
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 
-_FORMS = {
+_FORMS: dict[str, tuple[Any, str, str]] = {
     "surface": (MeshThing, "a mesh", "{mesh: ground.ply}"),
     "obstacle": (MeshThing, "a mesh", "{mesh: stones.ply}"),
     "solid": (MeshThing, "a mesh", "{mesh: hill.ply, voxel: 1 mm}"),
     "curve": (CurveThing, "a curve", "{curve: way.json}"),
     "items": (dict, "items", "{one: {at: [0, 0, 0]}}"),
+    "flow": ((FlowThing, PaintedThing), "a flow", "{toward: [0, 0, 0], radius: 50 mm}"),
+    "map": (PaintedThing, "a map", "{painted: ground.ply, attribute: NAME}"),
 }
 # What a frame of a cache can hold besides the attributes of the species themselves.
 FRAME_ATTRIBUTES = ("P", "v", "orient", "id", "pscale", "Cd", "state", "species", "age", "group")
@@ -128,6 +132,10 @@ def _thing(scene: Scene, program: Program, report: Report, name: str, thing: Wor
             )
     elif isinstance(value, CurveThing):
         _file(scene, report, value.curve, "world", name, "curve")
+    elif isinstance(value, (FlowThing, PaintedThing)):
+        file = match_flow(scene, program, report, name, value)
+        if file is not None:
+            _file(scene, report, file[1], "world", name, file[0])
     else:
         declared = {a.name: a for a in thing.attributes}
         for item, placed in value.items():
@@ -209,6 +217,19 @@ def _placement(scene: Scene, program: Program, report: Report, place: Placement,
                 scene.span(*path, "around", key=True),
                 "keep one of them",
             )
+    if place.density is not None:
+        maps = [name for name, thing in program.world.items() if thing.kind == "map"]
+        if place.density not in maps:
+            _unknown(report, scene, (*path, "density"), "no map is named", maps, key=False)
+        for other in ("points", "around", "radius"):
+            if getattr(place, other) is not None:
+                report.error(
+                    "wrong-value",
+                    f"agents are placed by `density` or by `{other}`, not both",
+                    scene.span(*path, "density", key=True),
+                    "keep one of them",
+                )
+                break
     _around(scene, report, place.around, place.radius, *path)
 
 

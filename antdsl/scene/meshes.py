@@ -28,11 +28,16 @@ class MeshError(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawMesh:
-    """Vertices in the file's units and axes, and how many faces without area were left out."""
+    """Vertices in the file's units and axes, and how many faces without area were left out.
+
+    `own_vertices` and `own_faces` are their numbers in the file, which has `counts` vertices and triangles."""
 
     vertices: Floats
     faces: Faces
     dropped: int
+    own_vertices: NDArray[np.int64]
+    own_faces: NDArray[np.int64]
+    counts: tuple[int, int]
 
 
 def read_mesh(data: bytes, name: str) -> RawMesh:
@@ -82,7 +87,14 @@ def _sound(vertices: Floats, faces: Faces) -> RawMesh:
     used[:] = False
     used[kept.ravel()] = True
     numbers[used] = np.arange(int(used.sum()))
-    return RawMesh(np.ascontiguousarray(vertices[used]), numbers[kept], int(len(faces) - len(kept)))
+    return RawMesh(
+        np.ascontiguousarray(vertices[used]),
+        numbers[kept],
+        int(len(faces) - len(kept)),
+        np.flatnonzero(used),
+        np.flatnonzero(keep),
+        (len(vertices), len(faces)),
+    )
 
 
 def _number(text: bytes) -> float:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
 from antdsl import limits
+from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import (
     Angle,
@@ -19,6 +20,7 @@ from antdsl.scene.values import (
     Length,
     Name,
     PositiveLength,
+    PositiveTime,
     number,
     one_of,
     refuse,
@@ -66,6 +68,83 @@ class CurveThing(Part):
     at: Point | None = None
 
 
+Strength = Annotated[float, BeforeValidator(number(-1, 1))]
+Falloff = Annotated[str, BeforeValidator(one_of("none", "linear", "smooth"))]
+
+
+class FlowThing(Part):
+    """What all flows have: the surface they lie on (all of them if none is named), and a factor; below 0 turns them round."""
+
+    on: Name | None = None
+    strength: Strength = 1.0
+
+
+class SpreadFlow(FlowThing):
+    """A flow that is the less the further off its source is: nothing beyond `radius`, without one the same everywhere."""
+
+    radius: PositiveLength | None = None
+    falloff: Falloff = "smooth"
+    cell: PositiveLength | None = None
+
+
+class TangentFlow(SpreadFlow):
+    """Along a curve as it was drawn: a curve of the world, or a JSON file of points."""
+
+    tangent: FilePath
+
+
+def _point_or_text(value: Any) -> str:
+    return "point" if isinstance(value, list) else "named"
+
+
+Target = Annotated[Annotated[Point, Tag("point")] | Annotated[FilePath, Tag("named")], Discriminator(_point_or_text)]
+
+
+class TowardFlow(SpreadFlow):
+    """Toward a curve, an item, the nearest of some items, or a point."""
+
+    toward: Target
+
+
+class AwayFlow(SpreadFlow):
+    """Away from a curve, an item, the nearest of some items, or a point."""
+
+    away: Target
+
+
+class BorderFlow(FlowThing):
+    """Inward from the open borders of a surface, where they are nearer than `within`."""
+
+    border: Name
+    within: PositiveLength
+    falloff: Falloff = "linear"
+    cell: PositiveLength | None = None
+
+
+class SolvedFlow(FlowThing):
+    """The cheapest way over the surfaces to a target. A millimetre costs 1, and more by `slope` (times the sine of the slope),
+    within `room` of an obstacle, by `maps` (each times its factor) and by `crowding` (times the share of ground that is
+    covered by agents), which is looked at anew `every` so often."""
+
+    solved: Target
+    slope: Annotated[float, BeforeValidator(number(0, 1e6))] = 0.0
+    room: PositiveLength | None = None
+    maps: dict[Name, Annotated[float, BeforeValidator(number(-1e6, 1e6))]] = {}
+    crowding: Annotated[float, BeforeValidator(number(0, 1e6))] = 0.0
+    every: PositiveTime | None = None
+    cell: PositiveLength | None = None
+
+
+class PaintedThing(Part):
+    """Vectors (of a flow) or numbers (of a map) painted on the vertices or faces of a surface: attributes of a .ply file, or an
+    array of an .npz file, in the order of that surface's own file."""
+
+    painted: FilePath
+    attribute: Name | tuple[Name, ...] | None = None
+    on: Name | None = None
+    strength: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
+
+
 class ItemThing(Part):
     """One item: where it is (with `on`, dropped along the scene's up onto a surface), how large, and the values of its attributes
     (any further key)."""
@@ -78,13 +157,22 @@ class ItemThing(Part):
     radius: PositiveLength | None = None
 
 
+# The key that says what a thing of the world is, unless it is the name of an item.
+HEADS: dict[str, tuple[str, type[Part]]] = {
+    "mesh": ("mesh-thing", MeshThing),
+    "curve": ("curve-thing", CurveThing),
+    "tangent": ("tangent-thing", TangentFlow),
+    "toward": ("toward-thing", TowardFlow),
+    "away": ("away-thing", AwayFlow),
+    "border": ("border-thing", BorderFlow),
+    "solved": ("solved-thing", SolvedFlow),
+    "painted": ("painted-thing", PaintedThing),
+}
+
+
 def _kind_of_thing(value: Any) -> str:
-    if isinstance(value, dict):
-        if "mesh" in value:
-            return "mesh-thing"
-        if "curve" in value:
-            return "curve-thing"
-    return "items-thing"
+    found = [word for word in HEADS if word in value and not isinstance(value[word], dict)] if isinstance(value, dict) else []
+    return HEADS[found[0]][0] if found else "items-thing"
 
 
 def _items(value: Any) -> Any:
@@ -92,12 +180,22 @@ def _items(value: Any) -> Any:
         raise refuse(
             "a thing of the world is a mapping", "write `{mesh: ground.ply}`, `{curve: way.json}` or `{apple: {at: [0, 0, 0]}}`"
         )
+    for word, inner in value.items():
+        near = None if isinstance(inner, dict) else nearest_name(str(word), HEADS)
+        if near:
+            raise refuse(f"`{word}` says of no thing of the world what it is", f"did you mean `{near}`?")
     return value
 
 
 WorldThing = Annotated[
     Annotated[MeshThing, Tag("mesh-thing")]
     | Annotated[CurveThing, Tag("curve-thing")]
+    | Annotated[TangentFlow, Tag("tangent-thing")]
+    | Annotated[TowardFlow, Tag("toward-thing")]
+    | Annotated[AwayFlow, Tag("away-thing")]
+    | Annotated[BorderFlow, Tag("border-thing")]
+    | Annotated[SolvedFlow, Tag("solved-thing")]
+    | Annotated[PaintedThing, Tag("painted-thing")]
     | Annotated[dict[Name, ItemThing], BeforeValidator(_items), Tag("items-thing")],
     Discriminator(_kind_of_thing),
 ]
@@ -108,13 +206,14 @@ def _point_or_name(value: Any) -> str:
 
 
 class Placement(Part):
-    """Where a crowd begins: scattered on a surface (all of it, or within `radius` of a point or an item, by itself of
-    the scene's origin), or at given points."""
+    """Where a crowd begins: scattered on a surface (all of it, by the `density` that a map paints, or within `radius` of a point
+    or an item, by itself of the scene's origin), or at given points."""
 
     on: Name | None = None
     around: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None
     radius: PositiveLength | None = None
     points: FilePath | None = None
+    density: Name | None = None
 
 
 class CrowdLine(Part):

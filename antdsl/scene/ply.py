@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,3 +127,33 @@ def _rows(data: bytes, header: Header, start: int, element: Element, layout: lis
     if start + element.count * kind.itemsize > len(data):
         return None
     return np.frombuffer(data, kind, element.count, start)
+
+
+def read_columns(data: bytes, header: Header, element: Element, names: Sequence[str]) -> NDArray[np.float64]:
+    """Some single-valued properties of one element, (count, len(names)); HeaderError where the body is not as the header says."""
+    before = header.elements[: header.elements.index(element)]
+    if not header.order:
+        return _text_columns(data, header, element, names, sum(e.count for e in before))
+    if any(p.count for e in (*before, element) for p in e.properties):
+        raise HeaderError(f"has lists among or before what is painted on its {element.name}s, where they cannot be passed over")
+    start = header.body + sum(e.count * e.least() for e in before)
+    rows = _rows(data, header, start, element, [(p.name, p.kind) for p in element.properties])
+    if rows is None:
+        raise HeaderError("is shorter than its header says, or names a property twice")
+    return np.stack([rows[name] for name in names], axis=1).astype(np.float64)
+
+
+def _text_columns(data: bytes, header: Header, element: Element, names: Sequence[str], skip: int) -> NDArray[np.float64]:
+    """As `read_columns`, of a text file: one line an element; only after its lists the place of a value is not known."""
+    order = [p.name for p in element.properties]
+    lists = [k for k, p in enumerate(element.properties) if p.count]
+    at = [order.index(name) for name in names]
+    if lists and max(at) > lists[0]:
+        raise HeaderError(f"has a list before what is painted on its {element.name}s")
+    lines = [line for line in data[header.body :].split(b"\n") if line.strip()][skip : skip + element.count]
+    if len(lines) < element.count:
+        raise HeaderError("is shorter than its header says")
+    try:
+        return np.array([[float(words[k]) for k in at] for words in map(bytes.split, lines)], np.float64).reshape(-1, len(at))
+    except (ValueError, IndexError):
+        raise HeaderError("has a line whose values are not numbers") from None

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,69 @@ class SolidData:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Painted:
+    """Numbers (n,) or vectors (n, 3) without unit on the vertices of a surface, or on its faces."""
+
+    surface: str
+    values: NDArray[np.float64]
+    of_faces: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """Where a flow leads: places (n, 3) in mm with their radii (n,), or, as a `line`, a curve from place to place."""
+
+    places: NDArray[np.float64]
+    radii: NDArray[np.float64]
+    line: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpreadFlow:
+    """A flow about a target: along it (a line), toward it, or away; less the further off, nothing beyond `radius` mm.
+
+    `cell`: how near (mm) the points lie in which it is worked out; else a share of the radius. `on`: surfaces; empty: all."""
+
+    way: Literal["tangent", "toward", "away"]
+    target: Target
+    radius: float | None = None
+    falloff: str = "smooth"
+    strength: float = 1.0
+    cell: float | None = None
+    on: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BorderFlow:
+    """Inward from the open borders of `on`, where these are nearer than `within` mm."""
+
+    on: tuple[str, ...]
+    within: float
+    falloff: str = "linear"
+    strength: float = 1.0
+    cell: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SolvedFlow:
+    """The cheapest way to a target. A mm costs 1 + slope · sin + 8 (1 - d / room)² at d mm from an obstacle + maps · their
+    values + crowding · share of ground covered by agents, which is looked at anew every `every` s."""
+
+    target: Target
+    slope: float = 0.0
+    room: float = 0.0
+    maps: Mapping[str, float] = field(default_factory=dict)
+    crowding: float = 0.0
+    every: float = 1.0
+    strength: float = 1.0
+    cell: float | None = None
+    on: tuple[str, ...] = ()
+
+
+FlowData = Painted | SpreadFlow | BorderFlow | SolvedFlow
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ItemData:
     """One item. `attributes` in base units; those absent take the declared default."""
 
@@ -46,12 +110,14 @@ class PlaceData:
     """Where a crowd starts.
 
     `points` (n, 3), one an agent, in order (those after the last start over); else a disc of `radius` mm around `around`, dropped
-    along the scene's up onto the surfaces; else evenly over the surfaces. `on` narrows to some surfaces (empty: all)."""
+    along the scene's up onto the surfaces; else evenly over the surfaces, or as densely as the map `density` says. `on` narrows
+    to some surfaces (empty: all)."""
 
     on: tuple[str, ...] = ()
     around: Point | None = None
     radius: float | None = None
     points: NDArray[np.float64] | None = None
+    density: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +154,8 @@ class Setting:
     obstacles: Mapping[str, MeshData] = field(default_factory=dict)
     items: Mapping[str, tuple[ItemData, ...]] = field(default_factory=dict)
     curves: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    flows: Mapping[str, FlowData] = field(default_factory=dict)
+    maps: Mapping[str, Painted] = field(default_factory=dict)
     crowds: tuple[CrowdData, ...] = ()
     params: Mapping[str, float] = field(default_factory=dict)
     field_start: Mapping[str, FieldStart] = field(default_factory=dict)

@@ -18,9 +18,10 @@ from antdsl.program.model import Const, Expr, Op, ParamRef, Program
 from antdsl.program.vocabulary import LENGTH
 from antdsl.scene import setting as stage_of
 from antdsl.scene.document import Key
+from antdsl.scene.flows import check_densities, stage_flows
 from antdsl.scene.load import Scene
 from antdsl.scene.matching import const_base
-from antdsl.scene.meshes import MeshError, placed, read_mesh, turned_up
+from antdsl.scene.meshes import MeshError, RawMesh, placed, read_mesh, turned_up
 from antdsl.scene.model import UNIT_MM, CurveThing, ItemThing, MeshThing, Placement, Point, millimetres
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.points import POINT_BYTES, PointsError, read_points
@@ -40,6 +41,7 @@ class Staging:
     program: Program
     report: Report = field(default_factory=Report)
     hashes: dict[str, str] = field(default_factory=dict)
+    raw: dict[str, RawMesh] = field(default_factory=dict)  # surfaces and obstacles as their files have them
 
     def read(self, text: str, cap: int, *path: Key) -> bytes | None:
         """A file's bytes, or None and a complaint at the path that names it."""
@@ -50,6 +52,17 @@ class Staging:
             return None
         self.hashes[text] = hashlib.blake2b(data, digest_size=16).hexdigest()
         return data
+
+    def points(self, text: str, least: int, *path: Key) -> NDArray[np.float64] | None:
+        """At least so many points of a JSON file, in the file's own units, or None and a complaint."""
+        data = self.read(text, POINT_BYTES, *path)
+        if data is None:
+            return None
+        try:
+            return read_points(data, least)
+        except PointsError as why:
+            self.report.error("bad-points", f"`{text}` {why}", self.scene.span(*path))
+            return None
 
 
 def stage(
@@ -68,6 +81,7 @@ def stage(
     items = {
         name: tuple(_items(staging, name, value, surfaces)) for name, value in model.world.items() if isinstance(value, dict)
     }
+    flows, maps = stage_flows(staging, items, curves)
     places = {item.name: item.position for group in items.values() for item in group} | {
         name: group[0].position for name, group in items.items() if group
     }
@@ -75,6 +89,7 @@ def stage(
         stage_of.CrowdData(line.species, line.count, _place(staging, places, line.place, "crowd", number, "place"), number)
         for number, line in enumerate(model.crowd)
     )
+    check_densities(staging, maps)
     if not staging.report.ok:
         return None, staging.report, staging.hashes
     dt = float(1 / model.fps)
@@ -90,6 +105,8 @@ def stage(
         obstacles=obstacles,
         items=items,
         curves=curves,
+        flows=flows,
+        maps=maps,
         crowds=crowds,
         params=params,
         field_start={
@@ -148,6 +165,7 @@ def _mesh(staging: Staging, name: str, value: MeshThing) -> stage_of.MeshData | 
     except MeshError as why:
         report.error("bad-mesh", f"the mesh `{value.mesh}` {why}", span)
         return None
+    staging.raw[name] = raw
     if raw.dropped:
         faces = "face" if raw.dropped == 1 else "faces"
         report.warning(
@@ -247,22 +265,11 @@ def _curves(staging: Staging) -> dict[str, NDArray[np.float64]]:
     model = staging.scene.model
     for name, value in model.world.items():
         if isinstance(value, CurveThing):
-            points = _points(staging, value.curve, 2, "world", name, "curve")
+            points = staging.points(value.curve, 2, "world", name, "curve")
             if points is not None:
                 moved = turned_up(points * UNIT_MM[value.units or model.units], value.up or model.up, model.up)
                 found[name] = moved + np.array(millimetres(value.at, model.unit_mm) if value.at else (0.0, 0.0, 0.0))
     return found
-
-
-def _points(staging: Staging, text: str, least: int, *path: Key) -> NDArray[np.float64] | None:
-    data = staging.read(text, POINT_BYTES, *path)
-    if data is None:
-        return None
-    try:
-        return read_points(data, least)
-    except PointsError as why:
-        staging.report.error("bad-points", f"`{text}` {why}", staging.scene.span(*path))
-        return None
 
 
 def _items(
@@ -306,7 +313,7 @@ def _place(staging: Staging, places: Places, place: Placement, *path: Key) -> st
     scene = staging.scene
     points = None
     if place.points is not None:
-        points = _points(staging, place.points, 1, *path, "points")
+        points = staging.points(place.points, 1, *path, "points")
         if points is not None:
             points = points * scene.model.unit_mm
     return stage_of.PlaceData(
@@ -314,4 +321,5 @@ def _place(staging: Staging, places: Places, place: Placement, *path: Key) -> st
         around=_point(scene, places, place.around, place.radius),
         radius=_length(scene, place.radius),
         points=points,
+        density=place.density,
     )

@@ -26,6 +26,15 @@ def _field_value(w: Writer, e: model.Op) -> Value:
     return w.b("field.value", attrs=(_name(w, e),))
 
 
+def _flow_value(w: Writer, e: model.Op) -> Value:
+    here = w.b("flow.value", attrs=(_name(w, e),))
+    return Vec(*(w.b("get", here, attrs=(i,)) for i in range(3)))
+
+
+def _map_value(w: Writer, e: model.Op) -> Value:
+    return w.b("map.value", attrs=(_name(w, e),))
+
+
 def _nearest_cells(w: Writer, e: model.Op) -> list[Node]:
     count_expr = e.args[1]
     assert count_expr is not None
@@ -137,7 +146,7 @@ def _match(w: Writer, e: model.Op) -> Value:
 
 
 RULES = {
-    "field_value": _field_value, "field_max": _field_max, "strongest": _strongest, "gradient": _gradient, "ray": _ray,
-    "nearest": _nearest, "all": _all_of, "neighbours": _neighbours, "feelers": _feelers, "slope": _slope, "run": _run,
-    "switched": _switched, "event": _event, "match": _match,
+    "field_value": _field_value, "flow_value": _flow_value, "map_value": _map_value, "field_max": _field_max,
+    "strongest": _strongest, "gradient": _gradient, "ray": _ray, "nearest": _nearest, "all": _all_of, "neighbours": _neighbours,
+    "feelers": _feelers, "slope": _slope, "run": _run, "switched": _switched, "event": _event, "match": _match,
 }  # fmt: skip

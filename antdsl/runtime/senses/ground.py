@@ -181,6 +181,25 @@ class Ground:
         side = np.where(dot(up, self._table.normal.take(face, axis=1)) < 0, -1.0, 1.0)
         return np.ascontiguousarray(np.where(known, self._smooth(face, footing.b1, footing.b2) * side, up).T)
 
+    @property
+    def triangles(self) -> tuple[Floats, NDArray[np.int32], NDArray[np.int32], Topology]:
+        """All surfaces as one: vertices (n, 3), faces (m, 3), the surface that each is of by number, and their tables."""
+        return self._vertices, self._faces, self._mesh, self._table
+
+    @property
+    def meshes(self) -> Ground:
+        """The part of the ground that is made of meshes."""
+        return self
+
+    def on_faces(self, footing: Any) -> tuple[Index, NDArray[np.bool_]]:
+        """The face of each footing, counted over all surfaces (0 for none), and whether it is on one."""
+        known = (footing.face >= 0) & (footing.mesh >= 0) & (footing.mesh < len(self.names))
+        return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
+
+    def laid_out(self, face: Index, c: Floats, s: Floats) -> Floats:
+        """Vectors (3, n) in the world, from their parts along the two axes of their faces."""
+        return self._table.axis1.take(face, axis=1) * c + self._table.axis2.take(face, axis=1) * s
+
     # ---- moving
 
     def move(

@@ -1,0 +1,179 @@
+"""The cheapest way over triangles to a goal: a graph's shortest ways first, then straightened across the triangles; its direction
+in every point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+_ROUNDS = 40  # a band of points is worked out so often at most, since its points depend on each other
+_PASSES = 8  # over all bands at most: the order of the last pass is not quite that of this one
+_ENOUGH = 0.01  # of an edge: what a pass changes less than is left
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Land:
+    """Points (n, 3) and triangles (t, 3) of them; `open` (t,) says which can be crossed. `links` (k, 2) are points of different
+    surfaces that lie beside each other."""
+
+    points: Floats
+    triangles: Index
+    open: Flags
+    links: Index
+
+
+def ways(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
+    """The least cost of a way from each point to the goal, inf where there is none.
+
+    `cost` (t,) is that of a mm within each triangle, `start` the points at the goal and `first` what is still to go from there.
+    Dijkstra's shortest ways along edges, over all points, are an upper bound; then each point is worked out anew in their
+    order from the edges across from it, as a wave front that is straight within a triangle (R. Kimmel and J. A. Sethian,
+    Computing geodesic paths on manifolds, PNAS 95, 1998, p. 8432, whose update for obtuse corners is replaced by the edges'
+    bound)."""
+    bound = _along_edges(land, cost, start, first)
+    halves = _halves(land, cost)
+    enough = _ENOUGH * float(np.median(halves.length)) if len(halves.length) else 0.0
+    for _ in range(_PASSES):
+        before = bound.copy()
+        _straighten(bound, halves)
+        _over_links(land, cost, bound)
+        reached = np.isfinite(bound)
+        if (before[reached] - bound[reached]).max(initial=0.0) <= enough:
+            break
+    return bound
+
+
+def directions(land: Land, bound: Floats) -> Floats:
+    """Unit ways downhill of `bound` in each point (n, 3), the mean of the triangles around by their areas; nothing where there is
+    no way, or at the goal."""
+    corners, values = land.points[land.triangles], bound[land.triangles]
+    known = land.open & np.isfinite(values).all(axis=1)
+    corners, values, triangles = corners[known], values[known], land.triangles[known]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    twice = np.sqrt((across * across).sum(axis=1))
+    normal = across / np.where(twice > 0, twice, 1.0)[:, None]
+    uphill = np.zeros_like(normal)
+    for k in range(3):
+        edge = corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]
+        uphill += (values[:, k] - values[:, 0])[:, None] * np.cross(normal, edge)
+    way = -_unit(uphill) * twice[:, None]
+    total = np.stack(
+        [sum(np.bincount(triangles[:, k], way[:, axis], len(land.points)) for k in range(3)) for axis in range(3)], axis=1
+    )
+    return _unit(total)
+
+
+def _unit(v: Floats) -> Floats:
+    size = np.sqrt((v * v).sum(axis=1))
+    return v / np.where(size > 1e-12 * size.max(initial=0.0) + 1e-300, size, np.inf)[:, None]
+
+
+# --- along edges -----------------------------------------------------------------------------------------------------
+
+
+def _along_edges(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
+    """Shortest ways along the edges of the open triangles and the links."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+
+    n = len(land.points)
+    sides = land.triangles[land.open]
+    a = np.concatenate([sides[:, k] for k in range(3)])
+    b = np.concatenate([sides[:, (k + 1) % 3] for k in range(3)])
+    price = np.tile(cost[land.open], 3)
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    order = np.lexsort((price, high, low))
+    low, high, price = low[order], high[order], price[order]
+    fresh = np.concatenate(([True], (low[1:] != low[:-1]) | (high[1:] != high[:-1]))) if len(low) else np.zeros(0, bool)
+    low, high, price = low[fresh], high[fresh], price[fresh]
+    step = land.points[high] - land.points[low]
+    weight = np.sqrt((step * step).sum(axis=1)) * price
+    rows = [low, land.links[:, 0], np.full(len(start), n)]
+    columns = [high, land.links[:, 1], start]
+    # one more than they are: a way of length 0 would be no way for the graph
+    weights = [weight, _link_costs(land, cost), first + 1.0]
+    graph = coo_array((np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), shape=(n + 1, n + 1))
+    reached: Floats = dijkstra(graph.tocsr(), directed=False, indices=n)[:n]
+    return np.asarray(np.maximum(reached - 1.0, 0.0))
+
+
+def _link_costs(land: Land, cost: Floats) -> Floats:
+    step = land.points[land.links[:, 1]] - land.points[land.links[:, 0]]
+    usual = float(np.median(cost[land.open])) if land.open.any() else 1.0
+    return np.maximum(np.sqrt((step * step).sum(axis=1)), 1e-9) * usual
+
+
+def _over_links(land: Land, cost: Floats, bound: Floats) -> None:
+    price = _link_costs(land, cost)
+    for a, b in ((0, 1), (1, 0)):
+        np.minimum.at(bound, land.links[:, b], bound[land.links[:, a]] + price)
+
+
+# --- across triangles ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Halves:
+    """For each corner of each open triangle: the point there, the ends of the edge across from it, that edge's length, where the
+    corner's foot lies along it, how high the corner is above it, and the cost of a mm."""
+
+    corner: Index
+    one: Index
+    two: Index
+    length: Floats
+    foot: Floats
+    height: Floats
+    cost: Floats
+
+    def take(self, rows: Any) -> _Halves:
+        return _Halves(*(getattr(self, name)[rows] for name in self.__slots__))
+
+
+def _halves(land: Land, cost: Floats) -> _Halves:
+    t = land.triangles[land.open]
+    corner, one, two = (np.concatenate([t[:, (k + shift) % 3] for k in range(3)]) for shift in range(3))
+    edge, side = land.points[two] - land.points[one], land.points[corner] - land.points[one]
+    length = np.sqrt((edge * edge).sum(axis=1))
+    foot = (edge * side).sum(axis=1) / np.where(length > 0, length, 1.0)
+    height = np.sqrt(np.maximum((side * side).sum(axis=1) - foot * foot, 0.0))
+    sound = (length > 0) & (height > 0)
+    return _Halves(corner, one, two, length, foot, height, np.tile(cost[land.open], 3)).take(sound)
+
+
+def _straighten(bound: Floats, halves: _Halves) -> None:
+    """Lower `bound` in the order of what it is: band by band of points, each from the edges across from it."""
+    reached = np.isfinite(bound)
+    rank = np.empty(len(bound), np.int64)
+    rank[np.argsort(bound, kind="stable")] = np.arange(len(bound))
+    bands = max(1, int(2 * np.sqrt(reached.sum())))
+    band = rank * bands // max(1, int(reached.sum()))
+    usable = np.flatnonzero(reached[halves.corner] & reached[halves.one] & reached[halves.two])
+    usable = usable[np.lexsort((usable, halves.corner[usable], band[halves.corner[usable]]))]
+    ordered = halves.take(usable)
+    ends = np.searchsorted(band[ordered.corner], np.arange(bands + 1))
+    for first, last in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+        if first < last:
+            part = ordered.take(slice(first, last))
+            begin = np.flatnonzero(np.concatenate(([True], part.corner[1:] != part.corner[:-1])))
+            points = part.corner[begin]
+            for _ in range(_ROUNDS):
+                lower = np.minimum(bound[points], np.minimum.reduceat(_fronts(bound, part), begin))
+                if np.array_equal(lower, bound[points]):
+                    break
+                bound[points] = lower
+
+
+def _fronts(bound: Floats, h: _Halves) -> Floats:
+    """What a corner costs by the best straight way from the edge across from it."""
+    from_one, rise = bound[h.one], (bound[h.two] - bound[h.one]) / h.length
+    share = np.clip(rise / h.cost, -1 + 1e-12, 1 - 1e-12)
+    left = np.clip(h.foot - share * h.height / np.sqrt(1 - share * share), 0.0, h.length)
+    aside = h.foot - left
+    return from_one + rise * left + h.cost * np.sqrt(aside * aside + h.height * h.height)

@@ -1,0 +1,119 @@
+"""Points on triangles, near enough to each other for what is worked out in them: each face cut into n · n like ones, n a power of
+two. What lies between the points is found from a footing by one look into a table, without a search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_WELD = 1e-7  # of the extent: points nearer than this are one point
+_MOST_CUTS = 1024  # along one edge
+
+
+class LatticeTooFine(ValueError):
+    """More points than are allowed; `needed` is about how many."""
+
+    def __init__(self, needed: int) -> None:
+        super().__init__(f"about {needed:,} points")
+        self.needed = needed
+
+
+def slots_of(cuts: Index) -> int:
+    """How many slots faces with so many cuts along an edge have."""
+    return int(((cuts + 1) * (cuts + 2) // 2).sum())
+
+
+def cuts_for(longest: Floats, cell: float | Floats) -> Index:
+    """Powers of two that cut edges of these lengths (mm) into pieces of at most `cell`; 1 where that is infinite."""
+    with np.errstate(divide="ignore"):
+        pieces = np.clip(longest / cell, 1.0, _MOST_CUTS)
+    cuts: Index = np.left_shift(1, np.ceil(np.log2(pieces) - 1e-9).astype(np.int64))
+    return cuts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lattice:
+    """Face f has `cuts[f]` pieces along an edge and (cuts + 1)(cuts + 2) / 2 slots from `start[f]` on: row by row along the way
+    to the third corner, in a row along the way to the second."""
+
+    cuts: Index
+    start: Index
+
+    @staticmethod
+    def of(cuts: Index) -> Lattice:
+        sizes = (cuts + 1) * (cuts + 2) // 2
+        return Lattice(cuts, np.concatenate(([0], np.cumsum(sizes)))[:-1])
+
+    def __len__(self) -> int:
+        return slots_of(self.cuts)
+
+    def locate(self, face: Index, b1: Floats, b2: Floats) -> tuple[Index, Floats]:
+        """The three slots around each place (3, n), and their weights (3, n)."""
+        n, start = self.cuts.take(face), self.start.take(face)
+        u, v = b1 * n, b2 * n
+        j = np.clip(v.astype(np.int64), 0, n - 1)
+        i = np.clip(u.astype(np.int64), 0, n - 1 - j)
+        u, v = u - i, v - j
+        upper = (u + v > 1) & (i + j < n - 1)  # the like triangle that stands on its head
+        here = start + j * (n + 1) - j * (j - 1) // 2 + i
+        above = here + n + 1 - j
+        slots = np.stack([np.where(upper, above + 1, here), here + 1, above])
+        weights = np.stack([np.where(upper, u + v - 1, 1 - u - v), np.where(upper, 1 - v, u), np.where(upper, 1 - u, v)])
+        return slots, weights
+
+    def faces(self) -> Index:
+        """The face of each slot."""
+        return np.repeat(np.arange(len(self.cuts)), (self.cuts + 1) * (self.cuts + 2) // 2)
+
+    def weights(self) -> tuple[Floats, Floats]:
+        """Weights of the face's second and third corner, for each slot."""
+        b1, b2 = np.empty(len(self)), np.empty(len(self))
+        for n, chosen, i, j in self._groups():
+            at = self.start[chosen][:, None] + np.arange(len(i))
+            b1[at], b2[at] = i / n, j / n
+        return b1, b2
+
+    def triangles(self) -> tuple[Index, Index]:
+        """The small triangles: three slots each (t, 3), wound like their face, and their face (t,)."""
+        parts, owners = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
+        for n, chosen, i, j in self._groups():
+            own = np.arange(len(i))
+            low = own[i + j < n]
+            high = own[i + j < n - 1]
+            up = n + 1 - j
+            standing = np.stack([low, low + 1, low + up[low]], axis=1)
+            on_head = np.stack([high + 1, high + up[high] + 1, high + up[high]], axis=1)
+            small = np.concatenate([standing, on_head])
+            parts.append((self.start[chosen][:, None, None] + small).reshape(-1, 3))
+            owners.append(np.repeat(chosen, len(small)))
+        return np.concatenate(parts), np.concatenate(owners)
+
+    def _groups(self) -> list[tuple[int, Index, Index, Index]]:
+        """Faces with the same number of cuts n, and the column i and row j of each of their slots."""
+        found = []
+        for n in np.unique(self.cuts).tolist():
+            j = np.repeat(np.arange(n + 1), np.arange(n + 1, 0, -1))
+            i = np.arange(len(j)) - np.repeat(np.cumsum([0, *range(n + 1, 1, -1)]), np.arange(n + 1, 0, -1))
+            found.append((n, np.flatnonzero(self.cuts == n), i, j))
+        return found
+
+
+def welded(places: Floats, owner: NDArray[np.integer]) -> tuple[Index, int]:
+    """A number for each place (n, 3), the same for those of one owner at one place, and how many numbers there are."""
+    if not len(places):
+        return np.empty(0, np.int64), 0
+    low = places.min(axis=0)
+    grain = max(float((places.max(axis=0) - low).max()) * _WELD, 1e-300)
+    # half a grain and a bit off: round coordinates lie nowhere near the edge of a grain
+    keys = np.floor((places - low) / grain + 0.318).astype(np.int64)
+    order = np.lexsort((keys[:, 2], keys[:, 1], keys[:, 0], owner))
+    rows = np.column_stack([owner, keys])[order]
+    fresh = np.concatenate(([0], np.cumsum((rows[1:] != rows[:-1]).any(axis=1))))
+    point = np.empty(len(places), np.int64)
+    point[order] = fresh
+    return point, int(fresh[-1]) + 1

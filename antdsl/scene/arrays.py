@@ -1,0 +1,71 @@
+"""Reading of NPZ files with suspicion, from bytes or an open archive: no pickle, no compression, sizes held against the file.
+
+The layout is NumPy's own (NEP 1 inside an uncompressed zip): what `numpy.savez` writes can be read here."""
+
+from __future__ import annotations
+
+import io
+import re
+import zipfile
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+MEMBERS = 4096
+MAGIC = b"\x93NUMPY\x01\x00"
+DTYPES = ("<f4", "<f8", "<i4", "<i8", "<i2", "|i1", "|u1", "<u2", "<u4", "<u8", "|b1")
+_HEADER = re.compile(
+    r"\{'descr': '([<|][fiub][1248])', 'fortran_order': (False), 'shape': (\((?:[0-9]{1,18}, ?)*(?:[0-9]{1,18})?,?\)), *\} *\n?",
+    re.ASCII,
+)
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-#>|/]*", re.ASCII)
+
+
+class ArrayFileError(Exception):
+    """Why a file is not one of ours, or not whole, in words that fit after its name."""
+
+
+def read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
+    """All arrays of an NPZ file's bytes, checksums compared; ArrayFileError says what is wrong."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return members(archive, len(data))
+    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, OverflowError) as problem:
+        raise ArrayFileError(f"is damaged or no array file ({problem})") from None
+
+
+def members(archive: zipfile.ZipFile, size: int) -> dict[str, NDArray[Any]]:
+    """All arrays of an open archive of `size` bytes; ArrayFileError, or an error of zipfile's own, says what is wrong."""
+    entries = archive.infolist()
+    if len(entries) > MEMBERS:
+        raise ArrayFileError(f"has {len(entries):,} arrays, more than {MEMBERS:,}")
+    if sum(entry.file_size for entry in entries) > size:
+        raise ArrayFileError("says it holds more than its own size")
+    found: dict[str, NDArray[Any]] = {}
+    for entry in entries:
+        name = entry.filename.removesuffix(".npy")
+        if not entry.filename.endswith(".npy") or not _NAME.fullmatch(name) or ".." in name or "//" in name:
+            raise ArrayFileError(f"has a member of a strange name `{entry.filename[:40]!r}`")
+        if name in found:
+            raise ArrayFileError(f"has two arrays `{name}`")
+        if entry.compress_type != zipfile.ZIP_STORED or entry.flag_bits & 0x1 or entry.compress_size != entry.file_size:
+            raise ArrayFileError(f"has a compressed or locked array `{name}`")
+        found[name] = parse_npy(archive.read(entry), name)  # read compares the checksum
+    return found
+
+
+def parse_npy(data: bytes, name: str) -> NDArray[Any]:
+    """One array from the bytes of an .npy file, version 1; the shape is held against the number of bytes before use."""
+    if not data.startswith(MAGIC) or len(data) < 10:
+        raise ArrayFileError(f"has an array `{name}` of an unknown kind")
+    length = int.from_bytes(data[8:10], "little")
+    header = _HEADER.fullmatch(data[10 : 10 + length].decode("latin-1"))
+    if header is None or header[1] not in DTYPES:
+        raise ArrayFileError(f"has an array `{name}` whose header is not understood")
+    shape = tuple(int(part) for part in re.findall("[0-9]+", header[3]))
+    dtype = np.dtype(header[1])
+    if len(shape) > 8 or prod(shape) * dtype.itemsize != len(data) - 10 - length:
+        raise ArrayFileError(f"has an array `{name}` whose shape does not fit its size")
+    return np.frombuffer(data, dtype, offset=10 + length).reshape(shape)
