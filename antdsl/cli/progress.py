@@ -126,9 +126,10 @@ def _each(spent: Mapping[str, float], steps: int) -> str:
 
 def _tell_end(recording: Recording) -> None:
     spent = {**recording.seconds, **recording.world.timings}
-    bind = spent.pop("bind", 0.0)
+    set_up = spent.pop("bind", 0.0) + spent.pop("first_step", 0.0)
+    spent.pop("preroll", None)
     parts, behind = _each(spent, recording.steps), _each(recording.behind, recording.steps)
-    print(f"{len(recording.world):,} agents; set up in {bind:.1f} s; milliseconds a frame: {parts or 'none'}")
+    print(f"{len(recording.world):,} agents; set up in {set_up:.1f} s; milliseconds a frame: {parts or 'none'}")
     print(f"meanwhile, behind the simulation: {behind or 'none'}")
     if recording.world.faults.count:
         print(f"{recording.world.faults.count} faults: agents that got a number that is none")
