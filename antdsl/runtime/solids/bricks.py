@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Index = NDArray[np.int64]
+Distances = NDArray[np.float32]
 
 SIDE = 16  # nodes along the edge of a brick
 CUBE = SIDE**3
 AIR, SOLID = 0, 1  # slots that many bricks share
 STEPS = 256  # in which a voxel is filled
+WHOLE = (1 << 64) - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +47,9 @@ class Bricks:
     steps: int = 0
     steps_at_start: int = 0
     fresh: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  # by brick: to be meshed again
-    touched: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  # by brick: differs from the start
-    unread: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  # by brick: changed since the last digest
+    touched: dict[int, Distances | None] = field(default_factory=dict)  # bricks dug: what they were, None for undug solid
+    mark: int = 0  # sum over all nodes of what `mixed` makes of their distance, less that of the start
     started: bytes = b""  # digest of the start
-    _digests: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 32), np.uint8))
 
     @property
     def nodes(self) -> tuple[int, int, int]:
@@ -63,30 +64,35 @@ class Bricks:
 
     @property
     def nbytes(self) -> int:
-        arrays = (self.table, self.values, self.fresh, self.touched, self.unread, self._digests)
-        return sum(a.nbytes for a in arrays)
+        kept = sum(values.nbytes for values in self.touched.values() if values is not None)
+        return self.table.nbytes + self.values.nbytes + self.fresh.nbytes + kept
 
     def begin(self) -> None:
         """Count what is solid and take this as the start."""
-        count = self.table.size
-        stored = self.table >= 2
-        filled = filling(self.values[: self.used * CUBE], self.voxel).reshape(-1, CUBE).sum(axis=1, dtype=np.int64)
+        used = self.values[: self.used * CUBE]
+        filled = filling(used, self.voxel).reshape(-1, CUBE).sum(axis=1, dtype=np.int64)
         self.steps = self.steps_at_start = int(filled.take(self.table).sum())
-        self.fresh, self.touched, self.unread = stored.copy(), np.zeros(count, bool), stored.copy()
-        self._digests = np.zeros((self.used, 32), np.uint8)
-        self.started = self.digest()
+        self.fresh = np.zeros(self.table.size, bool)
+        self.mark_fresh(np.flatnonzero(self.table >= 2))
+        whole = sha256(np.array([*self.origin, self.voxel, self.least, self.most, *self.shape], np.float64).tobytes())
+        whole.update(self.table.tobytes() + used.tobytes())
+        self.started = whole.digest()
 
-    def own(self, bricks: Index) -> Index:
-        """Slots of some bricks (each named once, ascending), which from now on have nodes of their own."""
+    def open(self, bricks: Index) -> None:
+        """Make ready to write into bricks (each named once, ascending): from now on they have nodes of their own."""
         shared = bricks[self.table[bricks] < 2]
+        for brick in bricks:
+            if int(brick) not in self.touched:
+                slot = int(self.table[brick])
+                self.touched[int(brick)] = None if slot < 2 else self.values[slot * CUBE : (slot + 1) * CUBE].copy()
         if shared.size:
             self._grow(self.used + shared.size)
             slots = np.arange(self.used, self.used + shared.size)
             pool = self.values.reshape(-1, CUBE)
-            pool[slots] = np.where(self.table[shared] == AIR, np.float32(self.most), np.float32(self.least))[:, None]
+            pool[slots] = pool[self.table[shared]]
             self.table[shared] = slots
             self.used += shared.size
-        return self.table[bricks].astype(np.int64)
+        self.mark_fresh(bricks)
 
     def _grow(self, slots: int) -> None:
         room = self.values.size // CUBE
@@ -98,34 +104,21 @@ class Bricks:
     # ---- keeping
 
     def digest(self) -> bytes:
-        """Of all that is solid, whatever slots the bricks have."""
-        if len(self._digests) < self.used:
-            grown = np.zeros((self.used, 32), np.uint8)
-            grown[: len(self._digests)] = self._digests
-            self._digests = grown
-        pool = self.values.reshape(-1, CUBE)
-        for slot in self.table[np.flatnonzero(self.unread)]:
-            if slot >= 2:
-                self._digests[slot] = np.frombuffer(sha256(pool[slot].tobytes()).digest(), np.uint8)
-        self.unread[:] = False
-        stored = np.flatnonzero(self.table >= 2)
-        whole = sha256(np.array([*self.origin, self.voxel, self.least, self.most, *self.shape], np.float64).tobytes())
-        whole.update(np.int64(self.steps).tobytes() + stored.astype(np.int64).tobytes())
-        whole.update(np.minimum(self.table, 2).astype(np.uint8).tobytes())
-        whole.update(self._digests[self.table[stored]].tobytes())
-        return whole.digest()
+        """Equal for equal distances, whatever slots the bricks have; costs next to nothing."""
+        counts = np.array([self.mark, self.steps], np.uint64)
+        return sha256(self.started + counts.tobytes()).digest()
 
     def state(self) -> dict[str, NDArray[Any]]:
-        bricks = np.flatnonzero(self.touched)
+        bricks = np.array(sorted(self.touched), np.int64)
         return {
-            "bricks": bricks.astype(np.int64),
+            "bricks": bricks,
             "values": self.values.reshape(-1, CUBE)[self.table[bricks]],
             "steps": np.array(self.steps, np.int64),
             "start": np.frombuffer(self.started, np.uint8).copy(),
         }
 
     def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """As `Volume.restore`: this must not have been dug itself where the state has not."""
+        """As `Volume.restore`."""
         bricks, values, start = (np.asarray(arrays[name]) for name in ("bricks", "values", "start"))
         if start.tobytes() != self.started:
             raise ValueError("the solid is not made from the same mesh")
@@ -133,12 +126,18 @@ class Bricks:
             raise ValueError("the bricks of the solid are damaged")
         if len(bricks) and not (bricks.min() >= 0 and bricks.max() < self.table.size and (np.diff(bricks) > 0).all()):
             raise ValueError("the bricks of the solid are damaged")
-        if np.flatnonzero(self.touched & ~np.isin(np.arange(self.table.size), bricks)).size:
-            raise ValueError("the solid has been dug already")
-        self.values.reshape(-1, CUBE)[self.own(bricks.astype(np.int64))] = values
-        self.touched[bricks] = self.unread[bricks] = True
+        pool = self.values.reshape(-1, CUBE)
+        for brick, was in self.touched.items():
+            pool[self.table[brick]] = pool[SOLID] if was is None else was
+        self.mark_fresh(np.array(sorted(self.touched), np.int64))
+        self.open(bricks.astype(np.int64))
+        pool = self.values.reshape(-1, CUBE)
+        slots = self.table[bricks]
+        nodes = (bricks.astype(np.int64) << 12)[:, None] + np.arange(CUBE)
+        self.mark = int((mixed(nodes, values) - mixed(nodes, pool[slots])).sum(dtype=np.uint64)) & WHOLE
+        pool[slots] = values
+        self.touched = {brick: was for brick, was in self.touched.items() if brick in set(bricks.tolist())}
         self.steps = int(arrays["steps"])
-        self.mark_fresh(bricks)
 
     def mark_fresh(self, bricks: Index) -> None:
         """Some bricks changed: they and those before them, whose last cells reach into them, are meshed again."""
@@ -148,6 +147,18 @@ class Bricks:
             for b in (0, 1):
                 for c in (0, 1):
                     grid[np.maximum(i - a, 0), np.maximum(j - b, 0), np.maximum(k - c, 0)] = True
+
+
+def mixed(node: Index, distance: Distances) -> NDArray[np.uint64]:
+    """A number for the distance of a node, as good as drawn by lot (Steele, Lea, Flood, Fast Splittable Pseudorandom Number
+    Generators, 2014, p. 459): sums of them tell states apart, and change by what changed."""
+    bits = np.ascontiguousarray(distance, np.float32).view(np.uint32).astype(np.uint64)
+    x = (node.astype(np.uint64) << np.uint64(32)) ^ bits
+    x *= np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    x ^= x >> np.uint64(31)
+    return x
 
 
 def filling(distance: NDArray[np.float32], voxel: float) -> NDArray[np.int32]:

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.solids.bricks import CUBE
-from antdsl.runtime.solids.lattice import boxes
+from antdsl.runtime.solids.lattice import boxes, counted
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Distances = NDArray[np.float32]
 
+EXACT = 1.75  # voxels up to which a node is measured to all triangles: corners of a cell that the surface crosses are nearer
 FAR = np.float32(1e9)  # of nodes beyond the band
 _PIECE = 1 << 15  # pairs of node and triangle measured together, so that they stay in the processor's cache
 _STEPS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
@@ -45,38 +46,42 @@ def _moved(columns: list[Index], step: tuple[int, ...]) -> list[Index]:
 
 
 def beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
-    """Nodes within a voxel of the plane of each triangle and about a voxel of its outline: their columns, and the triangle.
+    """Nodes near the plane of each triangle, and about as near to its outline: their columns, and the triangle.
 
-    Seen along the axis that its normal is nearest to, a triangle covers few lines of nodes, and four nodes of a line are near.
+    Seen along the axis that its normal is nearest to, a triangle covers few lines of nodes, and few nodes of a line are near.
     """
     edges = corners[:, [1, 2]] - corners[:, :1]
     normal = np.cross(edges[:, 0], edges[:, 1])
-    axes = np.abs(normal).argmax(axis=1)
+    axes = np.where(normal.any(axis=1), np.abs(normal).argmax(axis=1), -1)  # no area: the sides are those of others
     for axis in range(3):
         which = np.flatnonzero(axes == axis)
         others = [k for k in range(3) if k != axis]
         flat = corners[which][:, :, others]
-        low = np.floor(flat.min(axis=1)).astype(np.int64)
-        count = np.ceil(flat.max(axis=1)).astype(np.int64) - low + 1
+        low = np.ceil(flat.min(axis=1) - EXACT).astype(np.int64)
+        count = np.floor(flat.max(axis=1) + EXACT).astype(np.int64) - low + 1
         slope = normal[which]
-        steep = np.where(slope[:, axis] != 0, slope[:, axis], 1.0)
         for t, u, v in boxes(low, count, _PIECE):
             near = _over(flat, t, u, v)
             t, u, v = t[near], u[near], v[near]
             first = corners[which[t], 0]
             level = (
                 first[:, axis]
-                - ((u - first[:, others[0]]) * slope[t, others[0]] + (v - first[:, others[1]]) * slope[t, others[1]]) / steep[t]
+                - ((u - first[:, others[0]]) * slope[t, others[0]] + (v - first[:, others[1]]) * slope[t, others[1]])
+                / slope[t, axis]
             )
-            lowest = np.floor(level).astype(np.int64) - 1
+            lean = np.abs(slope[t, axis]) / np.sqrt((slope[t] ** 2).sum(axis=1))
+            reach = EXACT / lean
+            lowest = np.ceil(level - reach).astype(np.int64)
+            count_up = np.maximum(np.floor(level + reach).astype(np.int64) - lowest + 1, 0)
+            which_line = np.repeat(np.arange(t.size), count_up)
             nodes: list[Index] = [u, u, u]
-            nodes[axis] = (lowest[:, None] + np.arange(4)).ravel()
-            nodes[others[0]], nodes[others[1]] = np.repeat(u, 4), np.repeat(v, 4)
-            yield nodes, np.repeat(which[t], 4)
+            nodes[axis] = lowest[which_line] + counted(count_up)
+            nodes[others[0]], nodes[others[1]] = u[which_line], v[which_line]
+            yield nodes, which[t[which_line]]
 
 
 def _over(flat: Floats, t: Index, u: Index, v: Index) -> Index:
-    """Which places are over their triangle (k, 3, 2) or within a voxel of the lines through its sides."""
+    """Which places are over their triangle (k, 3, 2) or near the lines through its sides."""
     inside = np.ones(t.size, bool)
     turn = np.sign(
         (flat[:, 1, 0] - flat[:, 0, 0]) * (flat[:, 2, 1] - flat[:, 0, 1])
@@ -84,7 +89,7 @@ def _over(flat: Floats, t: Index, u: Index, v: Index) -> Index:
     )
     for i, j in ((0, 1), (1, 2), (2, 0)):
         eu, ev = (flat[:, j, 0] - flat[:, i, 0]) * turn, (flat[:, j, 1] - flat[:, i, 1]) * turn
-        least = (eu * flat[:, i, 1] - ev * flat[:, i, 0]) - 1.001 * np.sqrt(eu * eu + ev * ev)
+        least = (eu * flat[:, i, 1] - ev * flat[:, i, 0]) - EXACT * 1.001 * np.sqrt(eu * eu + ev * ev)
         inside &= eu.take(t) * v - ev.take(t) * u >= least.take(t)
     return np.flatnonzero(inside)
 
@@ -140,13 +145,13 @@ class _Field:
         at = (slot << 12) + (((x & 15) << 8) + ((y & 15) << 4) + (z & 15))
         if new:
             here = np.where(inside, at, 0)
-            inside &= (self.away.take(here) > 1) & (self.nearest.take(here) != triangle)
+            inside &= (self.away.take(here) > EXACT) & (self.nearest.take(here) != triangle)
         rows = np.flatnonzero(inside)
         at, triangle = at[rows], triangle[rows]
         away = _away(self._triangles, triangle, [x[rows], y[rows], z[rows]])
         if not new:
-            # Beyond a voxel another triangle, which was not asked, may be nearer.
-            sure = np.flatnonzero(away <= 1)
+            # Beyond that another triangle, which was not asked, may be nearer.
+            sure = np.flatnonzero(away <= EXACT)
             at, away, triangle = at[sure], away[sure], triangle[sure]
         return at, away, triangle
 

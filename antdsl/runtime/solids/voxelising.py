@@ -16,7 +16,7 @@ from antdsl.runtime.solids.triangles import distances
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_IN, _OUT = 2.0, 4.0  # voxels of the band inside and outside
+_IN, _OUT = 1.75, 4.0  # voxels of the band inside and outside; a cell that the surface crosses has corners within 1.733
 _ASIDE = (0.37, 0.41, 0.43)  # voxels
 _BLOCK = 4.0  # voxels
 _ROOM = 24  # bytes of memory for each node near the surface while distances are found
