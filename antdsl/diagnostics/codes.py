@@ -99,7 +99,10 @@ CODES: dict[str, str] = {
     "two-decays": "a field says in two ways how fast it fades",
     "two-writers": "one value is set twice in one block, or by two machines",
     # --- the whole program ---
+    "at-start-alone": "`at_start` stands where there is no other side of a comparison",
+    "draw-in-spec": "a spec draws a random number",
     "empty-program": "a file declares a world and nothing that lives in it",
+    "empty-spec": "a spec expects nothing",
     "not-a-scene": "a spec does not name a scene",
     "not-yet": "a word of the language does not work yet",
     "shadowed-change": "a change stands below one that always happens",

@@ -61,8 +61,9 @@ def _program(
                 drafts.append(draft(declared, file, item))
     check_brought(declared)
     species = {work.names.name: complete(work) for work in drafts}
-    specs = tuple(check_spec(declared, file, item) for file in names for item in file.node.items if isinstance(item, nodes.Spec))
     params = {param.name: param for each in species.values() for param in each.params}
+    written = [(file, item) for file in names for item in file.node.items if isinstance(item, nodes.Spec)]
+    specs = tuple(check_spec(declared, file, item, params, made_fields) for file, item in written)
     return model.Program(
         species, dict(declared.things), made_fields, params, tuple(declared.events), specs, tuple(file.node for file in names)
     )  # fmt: skip

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import dataclass_transform
+from typing import TYPE_CHECKING, dataclass_transform
 
 from antdsl.program.kinds import Dim as Dim
 from antdsl.program.kinds import Kind as Kind
@@ -14,6 +14,9 @@ from antdsl.program.kinds import Rate as Rate
 from antdsl.program.kinds import Type as Type
 from antdsl.source import Span
 from antdsl.syntax import nodes
+
+if TYPE_CHECKING:
+    from antdsl.program.expected import Spec
 
 
 @dataclass_transform(eq_default=False, frozen_default=True)
@@ -396,5 +399,5 @@ class Program:
     fields: dict[str, Field]
     params: dict[str, Param]
     events: tuple[str, ...]
-    specs: tuple[nodes.Spec, ...]
+    specs: tuple[Spec, ...]
     sources: tuple[nodes.File, ...] = field(default=())

@@ -193,7 +193,7 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
         element = element_of(over.element.type, variable.text, variable)
         _check_shadow(scope, variable)
         inner = _within_set(scope, element).inside(locals={**scope.locals, variable.text: element})
-        body = _body(inner, how, argument.body)
+        body = body_of(inner, how, argument.body)
     made = Reduce(_result(how, body, element), Rate.AGENT, node.span, how, over, element, body)
     _check_nesting(scope, made, node)
     return made
@@ -223,7 +223,8 @@ def _check_shadow(scope: Scope, variable: nodes.Name) -> None:
         )
 
 
-def _body(scope: Scope, how: str, node: nodes.Expr) -> Expr:
+def body_of(scope: Scope, how: str, node: nodes.Expr) -> Expr:
+    """What a reduction takes of each: a truth to count, or a number (for sums a vector too)."""
     if how in ("count", "any", "every"):
         return condition(scope, node, f"`{how}`")
     found = value(scope, node)

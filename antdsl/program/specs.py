@@ -1,124 +1,250 @@
-"""Specs, looked at lightly: their names, the species and items they count, and the scene they run on."""
+"""Specs: on which scene, how long, with which seeds and params, and what is expected of the whole and of each agent."""
 
 from __future__ import annotations
 
-from antdsl.program.collect import EVENTS
-from antdsl.program.model import Kind, Type
-from antdsl.program.operators import wanted
-from antdsl.program.scope import TIME, Declared, FileNames, attributes_of, did_you_mean, listed
-from antdsl.program.vocabulary import BUILTINS, REDUCERS, RUN_NAMES
-from antdsl.program.walk import written
-from antdsl.program.world import outside
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from antdsl.program.expected import AtStart, Changed, Expectation, Measured, Reading, Spec, Whole
+from antdsl.program.folding import constant_behind
+from antdsl.program.model import Expr, Field, Kind, Op, Param, Rate
+from antdsl.program.operators import condition, wanted
+from antdsl.program.scope import NUMBER, TIME, Declared, FileNames, Keys, Scope, did_you_mean, listed
+from antdsl.program.units import measure, unit_of
+from antdsl.program.walk import parts, written
+from antdsl.program.wholes import SpecRules
+from antdsl.program.wording import quoted
+from antdsl.program.world import SETTINGS, of_the_run, outside
 from antdsl.syntax import nodes
 
-_WORDS = ("at_start", "motion", "state", *RUN_NAMES)
-_CALLS = ("total", "share", "mean", "min", "max", "count", "any", "every", "at_start", "abs", "first")
+MOST_SEEDS = 1000
+_COMPARED = ("lt", "le", "gt", "ge", "eq", "ne")
+_DRAWS = ("uniform", "normal", "pick", "random_agent", "chance")
+_FIXED = ("cell", "combine")  # what a field is made of: another value is another field
 
 
-def check_spec(declared: Declared, names: FileNames, spec: nodes.Spec) -> nodes.Spec:
-    """Complain about what a spec asks for that cannot be there."""
+@dataclass(slots=True)
+class _Work:
+    """One spec on its way."""
+
+    declared: Declared
+    names: FileNames
+    params: Mapping[str, Param]
+    fields: Mapping[str, Field]
+    duration: Expr | None = None
+    seeds: list[int] = field(default_factory=list)
+    changes: list[Changed] = field(default_factory=list)
+    expectations: list[Expectation] = field(default_factory=list)
+
+
+def check_spec(
+    declared: Declared, names: FileNames, spec: nodes.Spec, params: Mapping[str, Param], fields: Mapping[str, Field]
+) -> Spec:
+    """A spec with the types of all that it asks. Complains about what cannot be there."""
     if spec.scene is not None and not spec.scene.text.endswith((".yaml", ".yml")):
         declared.report.error(
             "not-a-scene", f"`{spec.scene.text}` is not the name of a scene", spec.scene.span, 'write `on "scene.yaml"`'
         )
+    work = _Work(declared, names, params, fields)
     for line in spec.lines:
-        _line(declared, names, line, None)
-    return spec
-
-
-def _line(declared: Declared, names: FileNames, line: nodes.SpecLine, species: str | None) -> None:
-    if line.time is not None:
-        wanted(outside(declared, names, "spec"), line.time, TIME, f"`{line.kind}`")
-    if line.kind == "set":
-        _set(declared, line)
-        return
-    if line.kind == "each" and isinstance(line.target, nodes.NameRef):
-        species = line.target.name.text
-        if species not in declared.species:
-            declared.report.error(
-                "unknown-species", f"no species `{species}`", line.target.span, did_you_mean(species, declared.species)
-            )
-            return
-    if line.condition is not None and line.kind != "seeds":
-        _names(declared, line.condition, species)
-    for inner in line.lines:
-        _line(declared, names, inner, species)
-
-
-def _set(declared: Declared, line: nodes.SpecLine) -> None:
-    text = line.target.span.text.strip() if line.target is not None else ""
-    params = [f"{s.name}.{p}" for s in declared.species.values() for p in s.params]
-    known = params + [
-        f"{field}.{word}" for field in declared.fields for word in ("half_life", "evaporate", "keeps", "diffuse", "limit")
-    ]
-    if line.target is not None and text not in known:
-        declared.report.error(
-            "unknown-name",
-            f"no param `{text}` to set",
-            line.target.span,
-            did_you_mean(text, known, f"there is {listed(params)}" if params else None),
+        _line(work, line)
+    if not any(line.kind not in ("for", "seeds", "set", "until") for line in spec.lines):
+        declared.report.warning(
+            "empty-spec", f"the spec {quoted(spec.name.span)} expects nothing", spec.name.span, "write `always: …` or `within 20 s: …`"
         )
-    elif text in params:
+    return Spec(
+        spec.name.text, spec.scene, work.duration, tuple(dict.fromkeys(work.seeds)), tuple(work.changes),
+        tuple(work.expectations), spec.span,
+    )  # fmt: skip
+
+
+def _line(work: _Work, line: nodes.SpecLine) -> None:
+    if line.kind == "for":
+        if work.duration is not None:
+            work.declared.report.error("duplicate-name", "`for` stands twice in one spec", line.span, "keep one of them")
+        work.duration = _time(work, line, outside(work.declared, work.names, "spec"))
+    elif line.kind == "seeds":
+        _seeds(work, line)
+    elif line.kind == "set":
+        _set(work, line)
+    elif line.kind == "each":
+        _each(work, line)
+    else:
+        _expect(work, line, None)
+
+
+def _time(work: _Work, line: nodes.SpecLine, scope: Scope) -> Expr | None:
+    assert line.time is not None
+    found = wanted(scope, line.time, TIME, f"`{line.kind}`")
+    if found.type.kind is Kind.BAD or not of_the_run(work.declared.report, found, f"`{line.kind}`"):
+        return None
+    known = constant_behind(found)
+    if known is not None and known.number <= 0:
+        work.declared.report.error(
+            "out-of-range", f"`{line.kind}` wants more than no time", line.time.span, "write a time above 0, such as `20 s`"
+        )
+        return None
+    return found
+
+
+def _seeds(work: _Work, line: nodes.SpecLine) -> None:
+    node = line.condition
+    assert node is not None
+    ends = (node.low, node.high) if isinstance(node, nodes.RangeExpr) else (node,)
+    found = [_whole_number(work, end) for end in ends]
+    numbers = [number for number in found if number is not None]
+    if len(numbers) < len(found):
+        return
+    low, high = numbers[0], numbers[-1]
+    if high < low:
+        work.declared.report.error("empty-range", "the seeds end before they begin", node.span, "write the lesser one first")
+    elif high - low >= MOST_SEEDS:
+        work.declared.report.error(
+            "too-many", f"more than {MOST_SEEDS:,} seeds", node.span, "a spec that holds for ten will likely hold for a thousand"
+        )
+    else:
+        work.seeds += range(low, high + 1)
+
+
+def _whole_number(work: _Work, node: nodes.Expr) -> int | None:
+    found = wanted(outside(work.declared, work.names, "spec"), node, NUMBER, "`seeds`")
+    known = constant_behind(found)
+    if known is not None and known.number == int(known.number) and 0 <= known.number < 2**53:
+        return int(known.number)
+    if found.type.kind is not Kind.BAD:
+        work.declared.report.error(
+            "wrong-count", f"a seed is a whole number, not {quoted(node.span)}", node.span, "write `seeds 1 .. 5`"
+        )
+    return None
+
+
+def _set(work: _Work, line: nodes.SpecLine) -> None:
+    declared, scope = work.declared, outside(work.declared, work.names, "spec")
+    assert line.target is not None and line.condition is not None
+    text = "".join(line.target.span.text.split())
+    thing, _, word = text.partition(".")
+    if text in work.params:
+        param = work.params[text]
         declared.used.add(("param", text))
+        found = wanted(scope, line.condition, param.type, f"`{text}`")
+        if found.type.kind is Kind.BAD:
+            return
+        if constant_behind(found) is None:
+            of_the_run(declared.report, found, f"`{text}`")
+            return
+        _in_range(work, line.condition, param, found)
+        work.changes.append(Changed(text, found, line.span))
+    elif thing in work.fields and word in SETTINGS and word not in _FIXED:
+        declared.used.add(("field", thing))
+        value = SETTINGS[word](scope, nodes.Setting(nodes.Name(word, line.target.span), line.condition, line.span))
+        if value is not None:
+            work.changes.append(Changed(text, value, line.span))
+    else:
+        known = [*work.params, *(f"{name}.{word}" for name in work.fields for word in SETTINGS if word not in _FIXED)]
+        advice = did_you_mean(text, known, f"there is {listed(work.params)}" if work.params else None)
+        declared.report.error("unknown-name", f"no param `{text}` to set", line.target.span, advice)
 
 
-def _names(declared: Declared, root: nodes.Expr, species: str | None) -> None:
-    """Every name of a condition, and every value of a species or of items; elements of sets are let through."""
-    members: dict[int, nodes.Member] = {}
-    calls: set[int] = set()
-    bound: set[str] = set()
-    for part, _ in written(root):
-        if isinstance(part, nodes.Member) and isinstance(part.owner, nodes.NameRef):
-            members[id(part.owner)] = part
-        elif isinstance(part, nodes.Call) and isinstance(part.function, nodes.NameRef):
-            calls.add(id(part.function))
-            name = part.function.name
-            if name.text not in _CALLS and name.text not in BUILTINS and name.text not in REDUCERS:
-                declared.report.error(
-                    "unknown-behaviour",
-                    f"a spec cannot ask `{name.text}(…)`",
-                    name.span,
-                    did_you_mean(name.text, _CALLS, f"it can ask {listed(_CALLS)}"),
-                )
-        elif isinstance(part, nodes.Comprehension):
-            bound.add(part.variable.text)
-        elif isinstance(part, nodes.NameRef) and id(part) not in calls and part.name.text not in bound:
-            _name(declared, part, members.get(id(part)), species)
-
-
-def _name(declared: Declared, ref: nodes.NameRef, member: nodes.Member | None, species: str | None) -> None:
-    name = ref.name.text
-    names = declared.species.get(name)
-    thing = declared.things.get(name)
-    if member is not None and (names is not None or (thing is not None and thing.kind == "items")):
-        type = Type(Kind.AGENT, of=name) if names is not None else Type(Kind.ITEM, of=name)
-        known = set(attributes_of(declared, type)) | ({"state"} if names is not None else set())
-        if member.name.text not in known:
-            declared.report.error(
-                "unknown-name", f"`{name}` has no `{member.name.text}`", member.name.span, did_you_mean(member.name.text, known)
+def _in_range(work: _Work, node: nodes.Expr, param: Param, found: Expr) -> None:
+    constant = constant_behind(found)
+    for bound, sign in ((param.low, 1), (param.high, -1)):
+        alike = constant is not None and bound is not None and (bound.u, bound.step) == (constant.u, constant.step)
+        if constant is not None and bound is not None and alike and sign * (constant.number - bound.number) < 0:
+            low, high = (end.span.text if end is not None else "" for end in (param.low, param.high))
+            work.declared.report.error(
+                "out-of-range",
+                f"`{param.name}` = {constant.span.text} is outside {low} .. {high}",
+                node.span,
+                "write a value inside the range",
             )
-        declared.used.add(("attribute", f"{name}.{member.name.text}"))
-        return
-    if _known(declared, name, species):
-        return
-    where = (ref.span.source.path, "spec", name)
-    if where in declared.told:
-        return
-    declared.told.add(where)
-    known = {*declared.species, *declared.things, *declared.fields, *_WORDS}
-    declared.report.error(
-        "unknown-name", f"no `{name}` is known here", ref.span, did_you_mean(name, known, f"there is {listed(known)}")
-    )
 
 
-def _known(declared: Declared, name: str, species: str | None) -> bool:
-    if name in declared.fields:
-        declared.used.add(("field", name))
-    own = declared.species.get(species) if species else None
-    if own is not None and (name in own.attributes or name in attributes_of(declared, Type(Kind.AGENT, of=own.name))):
-        declared.used.add(("attribute", f"{own.name}.{name}"))
-        return True
-    machines = [machine for each in declared.species.values() for machine in each.machines.values()]
-    states = any(name in machine.states or name == machine.name for machine in machines)
-    events = name in declared.events or name in EVENTS
-    return states or events or name in _WORDS or name in declared.species or name in declared.things or name in declared.fields
+# --- what is expected ------------------------------------------------------------------------------------------------
+
+
+def _each(work: _Work, line: nodes.SpecLine) -> None:
+    declared = work.declared
+    assert isinstance(line.target, nodes.NameRef)
+    species = line.target.name.text
+    if species not in declared.species:
+        declared.report.error(
+            "unknown-species", f"no species `{species}`", line.target.span, did_you_mean(species, declared.species)
+        )
+        return
+    declared.used.add(("species", species))
+    for inner in line.lines:
+        if inner.kind in ("for", "seeds", "set", "each"):
+            declared.report.error(
+                "misplaced-line", f"`{inner.kind}` belongs to the whole spec", inner.span, f"write it outside of `each {species}`"
+            )
+        else:
+            _expect(work, inner, species)
+
+
+def _expect(work: _Work, line: nodes.SpecLine, species: str | None) -> None:
+    assert line.condition is not None
+    rules = SpecRules(work.declared)
+    scope = outside(rules.declared, work.names, f"{species or ''}.spec")
+    if species is not None:
+        scope = scope.inside(species=work.declared.species[species], keys=Keys(f"{species}.spec"))
+    time = _time(work, line, scope) if line.kind == "within" else None
+    found = condition(scope, line.condition, f"`{line.kind}`")
+    if found.type.kind is Kind.BAD or any(isinstance(p, Expr) and p.type.kind is Kind.BAD for p in parts(found)):
+        return
+    at_end = any(isinstance(part, Measured) for part in parts(found))
+    if _fits(work, line, species, found, at_end):
+        work.expectations.append(
+            Expectation(line.kind, species, found, time, tuple(_readings(found, line.condition)), at_end, line.span)
+        )
+
+
+def _fits(work: _Work, line: nodes.SpecLine, species: str | None, found: Expr, at_end: bool) -> bool:
+    """Whether the line can be judged; complains otherwise."""
+    report, text = work.declared.report, quoted(found.span)
+    if species is None and found.rate > Rate.STEP:
+        names = [name for name, each in work.declared.species.items() if each.node is not None] or ["walker"]
+        report.error(
+            "wrong-rate",
+            f"{text} differs from agent to agent, and nobody in particular is asked",
+            found.span,
+            f"write it in `each {names[0]} {{ … }}`, or ask for the `share`, `mean`, `min` or `max` of all",
+        )
+        return False
+    if at_end and (species is not None or line.kind not in ("always", "never")):
+        report.error(
+            "wrong-argument",
+            "`motion` is measured over the whole run, and known when that is over",
+            found.span,
+            "bound it in a line of the spec itself: `always: motion.circling < 5 %`",
+        )
+        return False
+    draw = next((p for p in parts(found) if isinstance(p, Op) and p.name in _DRAWS), None)
+    if draw is not None:
+        report.error(
+            "draw-in-spec", f"{quoted(draw.span)} draws a random number, and a spec only looks", draw.span, "leave it out"
+        )
+        return False
+    return True
+
+
+def _readings(found: Expr, node: nodes.Expr) -> Iterator[Reading]:
+    """The sides of all comparisons of a condition, and what else it asks, in the order of the text."""
+    units = [part.unit for part, _ in written(node) if isinstance(part, nodes.Quantity)]
+    stack: list[Expr] = [found]
+    while stack:
+        part = stack.pop()
+        if isinstance(part, Op) and part.name in ("and", "or", "not", *_COMPARED):
+            stack += [arg for arg in reversed(part.args) if arg is not None]
+        elif part.rate > Rate.RUN or isinstance(part, Whole | AtStart | Measured):
+            yield Reading(part, _unit(part, units))
+
+
+def _unit(part: Expr, units: list[str]) -> str:
+    """A unit for a number: the first that the author wrote of its dimension, or a usual one."""
+    if part.type.kind is not Kind.NUMBER:
+        return ""
+    for unit in units:
+        known = measure(unit)
+        if known is not None and known.dim == part.type.dim:
+            return unit
+    return unit_of(part.type.dim)

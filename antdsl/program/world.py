@@ -169,12 +169,12 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
     settings: dict[str, nodes.Setting] = {}
     for setting in node.settings:
         word = setting.name.text
-        if word not in _SETTINGS:
+        if word not in SETTINGS:
             report.error(
                 "unknown-setting",
                 f"a field has no setting `{word}`",
                 setting.name.span,
-                did_you_mean(word, _SETTINGS, f"settings are {listed(_SETTINGS)}"),
+                did_you_mean(word, SETTINGS, f"settings are {listed(SETTINGS)}"),
             )
             if not isinstance(setting.value, nodes.NameRef):
                 scope.typed(setting.value)
@@ -183,7 +183,7 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
         else:
             settings[word] = setting
     _one_decay(report, settings)
-    found = {word: _SETTINGS[word](scope, setting) for word, setting in settings.items()}
+    found = {word: SETTINGS[word](scope, setting) for word, setting in settings.items()}
     if "cell" not in settings:
         report.error(
             "missing-setting",
@@ -310,7 +310,7 @@ def _combine(scope: Scope, node: nodes.Setting) -> Expr | None:
     return number(float(word == "max"), node.value.span)
 
 
-_SETTINGS: dict[str, Callable[[Scope, nodes.Setting], Expr | None]] = {
+SETTINGS: dict[str, Callable[[Scope, nodes.Setting], Expr | None]] = {
     "cell": _setting(LENGTH, 0, above=True),
     "half_life": _setting(TIME, 0, above=True),
     "evaporate": _setting(PER_SECOND, 0),
