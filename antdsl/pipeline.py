@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from antdsl import __version__
 from antdsl.diagnostics import Report
@@ -16,6 +16,7 @@ from antdsl.loading import Loaded, Parsed, shown
 
 if TYPE_CHECKING:
     from antdsl.plan.ir import Plan
+    from antdsl.program.expected import Changed
     from antdsl.program.model import Program
     from antdsl.runtime import Options, World
     from antdsl.scene import Scene
@@ -34,6 +35,7 @@ class Choices:
     frames: FrameRange | None = None
     seed: int | None = None
     params: Mapping[str, str] = field(default_factory=dict)
+    changes: tuple[Changed, ...] = ()  # what a spec sets besides: params and settings of fields
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,16 +76,17 @@ def _checked(loaded: Loaded, strict: bool) -> tuple[Program | None, Report]:
     return program, report
 
 
-def open_scene(path: Path, choices: Choices | None = None) -> tuple[Shot | None, Report]:
-    """Everything from a scene's file to a shot: read, compile, match, lower, optimise, stage."""
+def open_scene(path: Path, choices: Choices | None = None, *, parsed: Parsed | None = None) -> tuple[Shot | None, Report]:
+    """Everything from a scene's file to a shot: read, compile, match, lower, optimise, stage. `parsed` as in `compile_files`."""
     from antdsl import passes, plan
     from antdsl.scene.matching import layer_order
     from antdsl.scene.staging import stage
 
     choices = choices or Choices()
-    scene, program, loaded, report = _read_scene(path, choices)
+    scene, program, loaded, report = _read_scene(path, choices, parsed=parsed)
     if scene is None or program is None or not report.ok:
         return None, report
+    program = _with_fields(program, choices.changes)
     orders = {name: order for name in scene.model.layers if (order := layer_order(scene, program, name)[0]) is not None}
     lowered, findings = plan.lower(program, orders=orders)
     report.extend(findings)
@@ -93,9 +96,34 @@ def open_scene(path: Path, choices: Choices | None = None) -> tuple[Shot | None,
     report.extend(findings)
     if setting is None or not report.ok:
         return None, report
+    setting = _with_params(setting, scene, program, choices.changes)
     inputs = {"antdsl": __version__, "scene": _digest(repr(_result_relevant(scene))), **loaded.hashes(), **meshes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
+    inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
     return Shot(scene, program, passes.optimise(lowered), setting, inputs), report
+
+
+def _with_fields(program: Program, changes: Iterable[Changed]) -> Program:
+    """The program with other settings of its fields; of the ways to fade there is one."""
+    fields = dict(program.fields)
+    for change in changes:
+        name, _, word = change.name.partition(".")
+        if name in fields and change.name not in program.params:
+            faded: dict[str, Any] = dict.fromkeys(_FADING) if word in _FADING else {}
+            fields[name] = replace(fields[name], **{**faded, word: change.value})
+    return replace(program, fields=fields)
+
+
+_FADING = ("half_life", "evaporate", "keeps")
+
+
+def _with_params(setting: Setting, scene: Scene, program: Program, changes: Iterable[Changed]) -> Setting:
+    from antdsl.program.folding import constant_behind
+    from antdsl.scene.matching import const_base
+
+    known = {change.name: constant_behind(change.value) for change in changes if change.name in program.params}
+    changed = {name: const_base(value, scene) for name, value in known.items() if value is not None}
+    return replace(setting, params={**setting.params, **changed}) if changed else setting
 
 
 def _read_scene(

@@ -11,7 +11,7 @@ gc.set_threshold(100_000, 50, 50)
 
 import typer  # noqa: E402
 
-from antdsl.cli import check, doctor, info, new, plan, render, run  # noqa: E402
+from antdsl.cli import check, doctor, info, new, plan, render, run, test  # noqa: E402
 from antdsl.cli.exits import Exit, Stop  # noqa: E402
 
 # In the order of `antdsl --help`: what one does first comes first.
@@ -19,6 +19,7 @@ COMMANDS = (
     ("new", new.new),
     ("check", check.check),
     ("run", run.run),
+    ("test", test.test),
     ("render", render.render),
     ("info", info.info),
     ("plan", plan.plan),

@@ -13,7 +13,7 @@ from antdsl.cli.exits import Exit, Stop
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
     from antdsl.loading import Parsed
-    from antdsl.program.model import Program
+    from antdsl.program.model import Const, Param, Program
 
 
 class Format(StrEnum):
@@ -32,7 +32,7 @@ def check(
     explain: str = typer.Option(
         None, "--explain", metavar="CODE", help="Say what a code such as `unknown-state` means, and stop."
     ),
-    params: bool = typer.Option(False, "--params", help="List every param with its default and range."),
+    params: bool = typer.Option(False, "--params", help="List every param as a table: default, unit, range, help."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
 ) -> None:
     """Find mistakes in .ant files and scenes without running them."""
@@ -90,14 +90,42 @@ def _explain(code: str) -> None:
 
 
 def _params(programs: list[tuple[Path, Program]]) -> None:
-    """Each param under the first file that brings it."""
+    """A table of the params under the first file that brings them."""
     listed = set()
     for file, program in programs:
         new = [param for param in program.params.values() if param.span not in listed]
+        listed.update(param.span for param in new)
         if new:
             typer.echo(f"{file}:")
-        for param in new:
-            listed.add(param.span)
-            low, high = (p.span.text if p is not None else "" for p in (param.low, param.high))
-            bounds = f"  in {low} .. {high}" if low or high else ""
-            typer.echo(f"  {param.name} = {param.default.span.text}{bounds}  {param.help}".rstrip())
+            rows = [_HEADS, *(_row(param) for param in new)]
+            widths = [max(len(row[k]) for row in rows) for k in range(len(_HEADS) - 1)]
+            for row in rows:
+                cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
+                typer.echo("  " + "  ".join([*cells, row[-1]]).rstrip())
+    if not listed:
+        typer.echo("no program here has a param")
+
+
+_HEADS = ("param", "default", "unit", "range", "help")
+
+
+def _row(param: Param) -> tuple[str, ...]:
+    """Name, default, unit, range and help; numbers in the unit that the author wrote, those of another kind as written."""
+    from antdsl.diagnostics.places import safe
+    from antdsl.program.kinds import Kind
+    from antdsl.program.units import measure
+
+    known = measure(param.unit) if param.unit else None
+
+    def cell(value: Const | None) -> str:
+        if value is None:
+            return "…"
+        if param.type.kind is Kind.BOOL:
+            return "true" if value.number else "false"
+        if known is None or (known.u, known.step) != (value.u, value.step):
+            return " ".join(value.span.text.split()) if param.unit else f"{value.number:.6g}"
+        return f"{value.number / known.factor:.6g}"
+
+    bounded = param.low is not None or param.high is not None
+    range = f"{cell(param.low)} .. {cell(param.high)}" if bounded else "any"
+    return param.name, cell(param.default), param.unit or "-", range, safe(param.help)

@@ -36,6 +36,13 @@ species walker {
     state
   }
 }
+
+spec "walkers keep moving, none too fast" on "scene.yaml" {
+  for 5 s
+  always: share(state == rest) < 50 %
+  always: motion.circling < 10 %
+  each walker { always: speed < 1.01 * pace }
+}
 """
 
 SCENE = """\
@@ -66,6 +73,7 @@ def new(
     (folder / "ground.ply").write_bytes(ground())
     typer.echo(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
     typer.echo(f"  antdsl run {folder / 'scene.yaml'}")
+    typer.echo(f"  antdsl test {folder}")
     typer.echo(f"  antdsl render {folder / 'out' / 'scene'} --sheet")
 
 

@@ -66,7 +66,7 @@ def run(
     from antdsl.runtime import Options
 
     options = Options(
-        backend=backend.value, chunk=chunk, threads=threads or _cores(), shuffle_rows=shuffle, on_fault=on_fault.value
+        backend=backend.value, chunk=chunk, threads=threads or cores(), shuffle_rows=shuffle, on_fault=on_fault.value
     )
     folder = out if out is not None else scene.resolve().parent / "out" / scene.stem
     recording = _begin(shot, folder, options, choices, resume, force)
@@ -77,7 +77,8 @@ def run(
         write_summary(summary, recording)
 
 
-def _cores() -> int:
+def cores() -> int:
+    """How many threads may run at once here."""
     import os
 
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -153,6 +153,9 @@ CODES: dict[str, str] = {
     "field-too-fine": "a field would need more cells than are allowed",
     "flow-too-fine": "a flow would be worked out in more points than are allowed",
     "unstable-field": "a field spreads faster than its cells can follow at the scene's frame rate",
+    # --- running specs ---
+    "no-scene": "a spec does not say on which scene it runs, and none lies beside its program",
+    "other-scene": "the scene of a spec does not use the spec's program",
     # --- pictures ---
     "cannot-write": "a file cannot be written where it was asked for",
     "missing-extra": "what was asked for needs an extra of the package that is not installed",

@@ -11,7 +11,7 @@ from antdsl.plan.inside import inside
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.values import Element, Group, Hit, Hits, Named, Own, Ref, Value, Vec
 from antdsl.plan.writing import AXES, KINDS, NONE, NotYet, Writer
-from antdsl.program import model
+from antdsl.program import expected, model
 
 
 def lower(w: Writer, expr: model.Expr) -> Value:
@@ -338,8 +338,12 @@ def _reduce(w: Writer, e: model.Reduce) -> Value:
     return reduce(w, e)
 
 
+def _told(w: Writer, e: model.Expr) -> Value:
+    return w.tell(e)
+
+
 _LOWER: dict[type, Callable[[Writer, Any], Value]] = {
     model.Const: _const, model.NoneRef: _none, model.StateConst: _state, model.ParamRef: _param, model.Thing: _thing,
     model.Local: _local, model.Inline: _inline, model.Attribute: _attribute, model.Op: _op,
-    model.SetOf: _set, model.Reduce: _reduce,
+    model.SetOf: _set, model.Reduce: _reduce, expected.Whole: _told, expected.AtStart: _told, expected.Measured: _told,
 }  # fmt: skip

@@ -74,6 +74,7 @@ OPS: dict[str, Operation] = {
     "param": Operation("", ("name",), F, _R, "a param's value in base units"),
     "run": Operation("", ("name",), F, _R, "dt (s), u (mm per scene unit), up_x, up_y, up_z (the scene's up)"),
     "step": Operation("", ("name",), F, _T, "time (s), frame"),
+    "told": Operation("", ("name",), F, _T, "a number about a whole that a spec has worked out for this frame"),
     # elementwise; float32, IEEE, in exactly this order of operations
     "add": Operation("ff", (), F, _C, "a + b"),
     "sub": Operation("ff", (), F, _C, "a - b"),

@@ -120,6 +120,10 @@ class Writer:
         self.fleeting.clear()
         self.memories.clear()
 
+    def tell(self, e: model.Expr) -> values.Value:
+        """What a spec asks about a whole; programs themselves cannot."""
+        raise PlanError(f"only a spec asks that: {e.span.text!r}")
+
     # --- statements --------------------------------------------------------------------------------------------------
 
     def add(self, statement: Statement) -> None:

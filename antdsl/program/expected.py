@@ -36,7 +36,7 @@ class Measured(Expr):
 
 @value
 class Reading:
-    """A part of a condition whose value is told where it fails; `unit` as the author wrote one of this dimension, or a usual one."""
+    """A part of a condition whose value is told where it fails; `unit` is one that the author wrote there, or a usual one."""
 
     expr: Expr
     unit: str
@@ -47,6 +47,7 @@ class Expectation:
     """`kind`: always never eventually within until. `species`: judged of each agent of it; None: of the whole."""
 
     kind: str
+    block: int  # 0 is the spec itself, then the `each` blocks in their order
     species: str | None
     condition: Expr
     time: Expr | None

@@ -35,6 +35,7 @@ class _Work:
     seeds: list[int] = field(default_factory=list)
     changes: list[Changed] = field(default_factory=list)
     expectations: list[Expectation] = field(default_factory=list)
+    blocks: int = 0
 
 
 def check_spec(
@@ -50,7 +51,10 @@ def check_spec(
         _line(work, line)
     if not any(line.kind not in ("for", "seeds", "set", "until") for line in spec.lines):
         declared.report.warning(
-            "empty-spec", f"the spec {quoted(spec.name.span)} expects nothing", spec.name.span, "write `always: …` or `within 20 s: …`"
+            "empty-spec",
+            f"the spec {quoted(spec.name.span)} expects nothing",
+            spec.name.span,
+            "write `always: …` or `within 20 s: …`",
         )
     return Spec(
         spec.name.text, spec.scene, work.duration, tuple(dict.fromkeys(work.seeds)), tuple(work.changes),
@@ -172,6 +176,7 @@ def _each(work: _Work, line: nodes.SpecLine) -> None:
         )
         return
     declared.used.add(("species", species))
+    work.blocks += 1
     for inner in line.lines:
         if inner.kind in ("for", "seeds", "set", "each"):
             declared.report.error(
@@ -193,9 +198,8 @@ def _expect(work: _Work, line: nodes.SpecLine, species: str | None) -> None:
         return
     at_end = any(isinstance(part, Measured) for part in parts(found))
     if _fits(work, line, species, found, at_end):
-        work.expectations.append(
-            Expectation(line.kind, species, found, time, tuple(_readings(found, line.condition)), at_end, line.span)
-        )
+        readings, block = tuple(_readings(found, line.condition)), work.blocks if species else 0
+        work.expectations.append(Expectation(line.kind, block, species, found, time, readings, at_end, line.span))
 
 
 def _fits(work: _Work, line: nodes.SpecLine, species: str | None, found: Expr, at_end: bool) -> bool:

@@ -22,6 +22,7 @@ from antdsl.syntax import nodes
 
 WHOLES = ("total", "share", "sum", "mean", "min", "max", "count", "any", "every")
 _OF_CELLS = ("total", "sum", "mean", "min", "max")
+_TRUTHS = ("share", "count", "any", "every")
 _COMPARED = ("<", "<=", ">", ">=", "==", "!=")
 _SETS = ("neighbours", "all", "feelers")
 
@@ -56,7 +57,10 @@ class SpecRules:
     def _at_start(self, scope: Scope, found: Expr, span: Span) -> Expr:
         if self.inside:
             scope.report.error(
-                "set-in-set", "`at_start` cannot stand inside of what is asked of each", span, "write `at_start(total(food.load))`"
+                "set-in-set",
+                "`at_start` cannot stand inside of what is asked of each",
+                span,
+                "write `at_start(total(food.load))`",
             )
             return bad(span)
         if found.type.kind is Kind.BAD:
@@ -75,7 +79,12 @@ class SpecRules:
                 return self._motion(scope, node)
             self_there = scope.locals.get(owner.name.text)
             species = scope.declared.species.get(owner.name.text)
-            if isinstance(self_there, Thing) and species is not None and name in species.params and name not in species.attributes:
+            if (
+                isinstance(self_there, Thing)
+                and species is not None
+                and name in species.params
+                and name not in species.attributes
+            ):
                 scope.use("param", f"{species.name}.{name}")
                 return ParamRef(species.params[name], Rate.RUN, node.span, f"{species.name}.{name}")
         return expressions.member_of(scope, node, want)
@@ -155,7 +164,11 @@ class SpecRules:
         body: Expr | None = None
         if not (name in ("count", "any") and bare == over.of):
             self.inside = True
-            body = condition(inner, asked, f"`{name}`") if name in ("share", "count", "any", "every") else body_of(inner, name, asked)
+            body = (
+                condition(inner, asked, f"`{name}`")
+                if name in ("share", "count", "any", "every")
+                else body_of(inner, name, asked)
+            )
             self.inside = False
             if body.type.kind is Kind.BAD:
                 return bad(node.span)
@@ -167,7 +180,10 @@ class SpecRules:
     def _no_vector(scope: Scope, node: nodes.Call, asked: nodes.Expr) -> Expr:
         text = " ".join(asked.span.text.split())
         scope.report.error(
-            "wrong-kind", f"{quoted(node.span)} would be a vector, and a spec bounds numbers", asked.span, f"write `length({text})`"
+            "wrong-kind",
+            f"{quoted(node.span)} would be a vector, and a spec bounds numbers",
+            asked.span,
+            f"write `length({text})`",
         )
         return bad(node.span)
 

@@ -51,6 +51,8 @@ def act(world: World) -> None:
     _run(world, "act")
     for population in world.populations.values():
         _count_transitions(world, population)
+    for watch in world.watchers:
+        watch(world)
 
 
 def blend(world: World) -> None:

@@ -35,6 +35,8 @@ def uniform_leaf(world: World, node: ir.Node) -> Value:
             return np.int64(node.attrs[0])
         case "param":
             return world.params[node.attrs[0]]
+        case "told":
+            return world.told[node.attrs[0]]
         case "step":
             return np.float32(world.frame * world.dt if node.attrs[0] == "time" else world.frame)
         case "run":

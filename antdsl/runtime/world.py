@@ -6,7 +6,7 @@ Registers are one array each, float32 unless the plan says otherwise; positions 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -152,6 +152,8 @@ class World:
     clearances: dict[tuple[str, str, int], NDArray[np.float32]] = field(default_factory=dict)  # of this step
     transitions: dict[str, int] = field(default_factory=dict)
     carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last hand-over; None: nobody asks
+    told: dict[str, np.float32] = field(default_factory=dict)  # numbers about wholes that a spec asks for, by name
+    watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step once all have acted
 
     @property
     def dt(self) -> float:

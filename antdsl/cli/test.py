@@ -1,0 +1,110 @@
+"""`antdsl test PATH…`: runs the specs of programs, headless, over their seeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.run import Backend
+
+if TYPE_CHECKING:
+    from antdsl.specs import Case, Run
+    from antdsl.specs.coverage import Coverage
+
+
+def test(
+    paths: list[Path] = typer.Argument(..., help="Programs (.ant), scenes (.yaml) or folders. Folders are searched."),
+    named: str = typer.Option("", "-k", metavar="NAME", help="Only specs whose name has this in it."),
+    seeds: int = typer.Option(None, "--seeds", metavar="N", min=1, max=1000, help="Run each spec with the seeds 1 to N."),
+    junit: Path = typer.Option(None, "--junit", metavar="FILE", help="Write the results as JUnit XML, for build servers."),
+    json: Path = typer.Option(None, "--json", metavar="FILE", help="Write the results and the coverage as JSON."),
+    root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
+    threads: int = typer.Option(0, "--threads", min=0, max=256, help="Threads for rays and chunks; 0 takes all cores."),
+    backend: Backend = typer.Option(Backend.numpy, "--backend", help="`reference` is slow and plain: one agent at a time."),
+    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but failures and how many there are."),
+) -> None:
+    """Run the specs of programs and say what was not as expected."""
+    from antdsl.cli.arguments import grants
+    from antdsl.cli.reports import show, verdict
+    from antdsl.cli.run import cores
+    from antdsl.runtime import Options
+    from antdsl.specs import cases, run_cases
+    from antdsl.specs.coverage import Coverage
+    from antdsl.specs.telling import counted, failed, one_line, uncovered
+
+    for flag, file in (("--junit", junit), ("--json", json)):
+        if file is not None and not file.absolute().parent.is_dir():
+            raise typer.BadParameter(f"there is no folder `{file.parent}`", param_hint=flag)
+    runs, report = cases(paths, grants=grants(root), seeds=seeds, named=named)
+    show(report, to_stderr=True)
+    everything = [case for run in runs for case in run.cases]
+    if not everything and report.ok:
+        what = f"no spec here has `{named}` in its name" if named else "there is no spec here"
+        raise Stop(Exit.USAGE, f"error: {what}", 'write one in a program: `spec "…" on "scene.yaml" { always: … }`')
+
+    progress = _Progress(quiet, len(runs))
+
+    def done(case: Case) -> None:
+        progress.clear()
+        if case.failures:
+            typer.echo(failed(case))
+        elif not quiet:
+            typer.echo(one_line(case))
+
+    coverage = Coverage()
+    stopped = False
+    try:
+        run_cases(runs, Options(backend=backend.value, threads=threads or cores()), coverage, done, progress.frame)
+    except KeyboardInterrupt:
+        stopped = True
+        progress.clear()
+    if everything:
+        typer.echo(counted(everything) if quiet else f"{counted(everything)}\n{uncovered(coverage)}".rstrip())
+    _write(junit, json, everything, coverage)
+    if stopped:
+        raise Stop(Exit.INTERRUPTED, "stopped by Ctrl-C; the specs above were finished")
+    if any(case.failures for case in everything):
+        raise Stop(Exit.FINDINGS)
+    if not report.ok:
+        raise Stop(verdict(report))
+
+
+class _Progress:
+    """Which run is under way and how far, on a terminal; nothing elsewhere."""
+
+    def __init__(self, quiet: bool, runs: int) -> None:
+        import sys
+
+        self.stream = sys.stderr if sys.stderr.isatty() and not quiet else None
+        self.runs = runs
+        self.seen: set[int] = set()
+        self.drawn = 0.0
+
+    def frame(self, run: Run, frame: int, last: int) -> None:
+        from time import monotonic
+
+        self.seen.add(id(run))
+        if self.stream is not None and monotonic() - self.drawn > 0.2:
+            self.drawn = monotonic()
+            name = run.cases[0].name if len(run.cases) == 1 else f"{len(run.cases)} specs"
+            words = f"run {len(self.seen)} of {self.runs}: {name}, seed {run.seed}, frame {frame} of {last}"
+            self.stream.write(f"\r{words[:100]:<100}")
+            self.stream.flush()
+
+    def clear(self) -> None:
+        if self.stream is not None:
+            self.stream.write("\r" + " " * 100 + "\r")
+            self.stream.flush()
+
+
+def _write(junit: Path | None, json: Path | None, cases: list[Case], coverage: Coverage) -> None:
+    from antdsl.outputs.npz import write_whole
+    from antdsl.specs.telling import as_json, as_junit
+
+    if junit is not None:
+        write_whole(junit, as_junit(cases).encode(), sync=False)
+    if json is not None:
+        write_whole(json, as_json(cases, coverage).encode(), sync=False)

@@ -1,0 +1,165 @@
+"""The cases that paths mean: a spec, its scene and a seed each; and what became of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from antdsl.diagnostics import Report
+from antdsl.loading import Parsed
+from antdsl.pipeline import Choices, Shot, check_path, find_files, open_scene
+from antdsl.plan.judging import SpecPlan, lower_spec
+from antdsl.program.expected import Spec
+from antdsl.program.model import Program
+from antdsl.scene.paths import PathRefused, Roots
+from antdsl.source import Span
+
+DEFAULT_SCENE = "scene.yaml"
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """What a spec expected and did not see. `values`: text as written and its value. `agent`: species and id, for `each`."""
+
+    message: str
+    span: Span | None
+    frame: int | None = None
+    time: float | None = None  # seconds since the spec's first frame
+    values: tuple[tuple[str, str], ...] = ()
+    agent: tuple[str, int] | None = None
+
+
+@dataclass(slots=True, eq=False)
+class Case:
+    """One spec with one seed. `outcome`: passed, failed, or waiting where it was not run to its end."""
+
+    spec: Spec
+    plan: SpecPlan
+    scene: Path
+    seed: int
+    outcome: str = "waiting"
+    failures: list[Failure] = field(default_factory=list)
+    frames: int = 0
+    seconds: float = 0.0
+
+    @property
+    def name(self) -> str:
+        return self.spec.name
+
+
+@dataclass(slots=True, eq=False)
+class Run:
+    """Cases that are judged in one and the same simulation."""
+
+    shot: Shot
+    seed: int
+    cases: list[Case]
+
+
+def cases(
+    paths: Iterable[Path],
+    *,
+    grants: Mapping[str, Path] | None = None,
+    seeds: int | None = None,
+    named: str = "",
+) -> tuple[list[Run], Report]:
+    """What there is to run for programs, scenes and folders, and complaints about files, scenes and specs.
+
+    `seeds`: 1 to so many instead of each spec's own; `named`: only specs whose name has this in it."""
+    paths = list(paths)
+    files, report = find_files(paths)
+    parsed: Parsed = {}
+    finder = _Finder(dict(grants or {}), parsed, report, frozenset(path.resolve() for path in paths))
+    for file in files:
+        program, findings = check_path(file, Choices(finder.grants), parsed=parsed)
+        report.extend(findings)
+        if program is None or not findings.ok:
+            continue
+        for spec in program.specs:
+            if named.lower() in spec.name.lower():
+                finder.add(file, spec)
+    return finder.runs(seeds), report
+
+
+class _Finder:
+    """Opens each scene once for each set of changed params."""
+
+    def __init__(self, grants: dict[str, Path], parsed: Parsed, report: Report, named: frozenset[Path]) -> None:
+        self.grants, self.parsed, self.report, self.named = grants, parsed, report, named
+        self.shots: dict[tuple[Path, tuple[str, ...]], Shot | None] = {}
+        self.found: dict[tuple[Path, Span], tuple[Path, Spec]] = {}
+
+    def add(self, file: Path, spec: Spec) -> None:
+        """A spec with its scene, once, however many paths lead there. A scene brings the specs that are meant for it."""
+        own = Path(spec.span.source.path)
+        scene = self._scene(own, spec, file)
+        if scene is not None and (file.suffix == ".ant" or scene.resolve() == file.resolve()):
+            self.found.setdefault((scene.resolve(), spec.span), (scene, spec))
+
+    def _scene(self, own: Path, spec: Spec, file: Path) -> Path | None:
+        """The scene of a spec; without `on`, the scene that was named, or `scene.yaml` beside the program."""
+        folder = own.resolve().parent
+        if spec.scene is None:
+            if file.suffix != ".ant" and file.resolve() in self.named:
+                return file
+            if (folder / DEFAULT_SCENE).is_file():
+                return own.parent / DEFAULT_SCENE
+            self.report.error(
+                "no-scene", f"the spec `{spec.name}` does not say on which scene it runs, and there is no `{DEFAULT_SCENE}` here",
+                _head(spec), f'write `spec "{spec.name}" on "{DEFAULT_SCENE}" {{ … }}`',
+            )  # fmt: skip
+            return None
+        roots = Roots(folder, self.grants)
+        try:
+            roots.exists(spec.scene.text)
+        except PathRefused as refused:
+            self.report.error(refused.code, str(refused), spec.scene.span, refused.help)
+            return None
+        path = roots.path(spec.scene.text)
+        return own.parent / spec.scene.text if (own.parent / spec.scene.text).resolve() == path.resolve() else path
+
+    def runs(self, seeds: int | None) -> list[Run]:
+        made: dict[tuple[int, int], Run] = {}
+        for scene, spec in self.found.values():
+            shot = self._shot(scene, spec)
+            plan = None if shot is None else self._plan(shot, spec, scene)
+            if shot is None or plan is None:
+                continue
+            for seed in range(1, seeds + 1) if seeds else spec.seeds or (shot.scene.model.seed,):
+                run = made.setdefault((id(shot), seed), Run(shot, seed, []))
+                run.cases.append(Case(plan.spec, plan, scene, seed))
+        return list(made.values())
+
+    def _shot(self, scene: Path, spec: Spec) -> Shot | None:
+        key = (scene.resolve(), tuple(sorted(f"{c.name} = {' '.join(c.value.span.text.split())}" for c in spec.changes)))
+        if key not in self.shots:
+            shot, report = open_scene(scene, Choices(self.grants, changes=spec.changes), parsed=self.parsed)
+            self.report.extend(report)
+            self.shots[key] = shot
+        return self.shots[key]
+
+    def _plan(self, shot: Shot, spec: Spec, scene: Path) -> SpecPlan | None:
+        """The spec as the scene's own program has it: that may have more species than the file by itself."""
+        mine = _same(shot.program, spec)
+        if mine is None:
+            self.report.error(
+                "other-scene", f"`{scene.name}` has no crowd from `{Path(spec.span.source.path).name}`", _head(spec),
+                "name a scene that uses this program, or add a line to its `crowd`",
+            )  # fmt: skip
+            return None
+        plan, report = lower_spec(mine, shot.program, shot.plan)
+        self.report.extend(report)
+        return plan
+
+
+def _same(program: Program, spec: Spec) -> Spec | None:
+    place = (spec.span.source, spec.span.start)
+    return next((each for each in program.specs if (each.span.source, each.span.start) == place), None)
+
+
+def _head(spec: Spec) -> Span:
+    """The first line of a spec."""
+    source, start = spec.span.source, spec.span.start
+    end = source.text.find("\n", start)
+    return Span(source, start, min(spec.span.end, end if end >= 0 else spec.span.end))

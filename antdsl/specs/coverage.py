@@ -1,0 +1,85 @@
+"""Which states somebody was in and which changes somebody made, over all runs together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from antdsl.program.model import Machine, Program
+from antdsl.runtime.world import World
+from antdsl.source import Span
+
+Key = tuple[str, int, str]  # source, place in it, name
+
+
+@dataclass(slots=True)
+class Counted:
+    """A state (`forager.main.search`) or a change by its key (`forager.main.search->approach#1`), with how often it was met:
+    agents in a state each frame, agents that changed."""
+
+    name: str
+    span: Span
+    count: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Machine:
+    """A machine's states and changes in the order of their numbers in the plan; `taking` are changes that hang on a claim."""
+
+    species: str
+    name: str
+    states: tuple[Counted, ...]
+    changes: tuple[Counted, ...]
+    taking: tuple[int, ...]
+
+
+@dataclass(slots=True)
+class Coverage:
+    states: dict[Key, Counted] = field(default_factory=dict)
+    changes: dict[Key, Counted] = field(default_factory=dict)
+
+    def watch(self, world: World, program: Program) -> None:
+        """Count in this world from now on."""
+        machines = [self._machine(s.name, m) for s in program.species.values() for m in s.machines]
+        world.watchers.append(partial(_count_all, machines=machines))
+
+    def _machine(self, species: str, machine: Machine) -> _Machine:
+        pairs = [change for state in machine.states for change in state.transitions]
+        return _Machine(
+            species,
+            machine.name,
+            tuple(self._known(self.states, f"{species}.{machine.name}.{s.name}", s.span) for s in machine.states),
+            tuple(self._known(self.changes, change.key, change.span) for change in pairs),
+            tuple(number for number, change in enumerate(pairs, 1) if change.take is not None),
+        )
+
+    @staticmethod
+    def _known(table: dict[Key, Counted], name: str, span: Span) -> Counted:
+        return table.setdefault((span.source.path, span.start, name), Counted(name, span))
+
+
+def _count_all(world: World, machines: list[_Machine]) -> None:
+    for machine in machines:
+        _count(world, machine)
+
+
+def _count(world: World, machine: _Machine) -> None:
+    """Called when all have acted: who dies in this step is still there. The changes are numbered as `plan.machines` does."""
+    population = world.populations[machine.species]
+    before, after = (table.get(f"{machine.name}.state") for table in (population.start, population.now))
+    if before is not None and after is not None:
+        met = np.bincount(before, minlength=len(machine.states)) + np.bincount(
+            after[before != after], minlength=len(machine.states)
+        )
+        for state, number in zip(machine.states, met, strict=True):
+            state.count += int(number)
+    pending, won = (population.now.get(f"~{machine.name}.{word}") for word in ("pending", "won"))
+    if pending is None:
+        return
+    if machine.taking and won is not None:
+        pending = np.where(np.isin(pending, machine.taking) & ~won, 0, pending)
+    made = np.bincount(pending, minlength=len(machine.changes) + 1)
+    for change, number in zip(machine.changes, made[1:], strict=True):
+        change.count += int(number)

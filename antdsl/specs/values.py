@@ -1,0 +1,45 @@
+"""A value as the author would write it: with a unit, a state by its name, an item by its name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from antdsl.program.model import Kind, Type
+from antdsl.program.units import measure
+from antdsl.runtime.world import World
+
+
+def shown(world: World, value: Any, type: Type, unit: str, whole: bool = False) -> str:
+    """`41.3 mm/s`, `12 %`, `carry`, `yes`, `apple`. `whole`: a number to its last place instead of the sixth."""
+    match type.kind:
+        case Kind.BOOL:
+            return "yes" if value else "no"
+        case Kind.STATE:
+            return _state(world, int(value), type.of or "")
+        case Kind.ITEM:
+            names = world.items[type.of].names if type.of in world.items else ()
+            return names[int(value)] if 0 <= int(value) < len(names) else "none"
+        case Kind.AGENT:
+            return f"{type.of} {int(value)}" if int(value) >= 0 else "none"
+    return _number(world, value, unit, whole)
+
+
+def _state(world: World, index: int, machine: str) -> str:
+    species, _, name = machine.partition(".")
+    plan = world.plan.species.get(species)
+    states = next((m.states for m in plan.machines if m.name == name), ()) if plan is not None else ()
+    return states[index] if 0 <= index < len(states) else str(index)
+
+
+def _number(world: World, value: Any, unit: str, whole: bool) -> str:
+    if np.isnan(value):
+        return "no number"
+    if np.isinf(value):
+        return "endless" if value > 0 else "minus endless"
+    known = measure(unit) if unit else None
+    one = 1.0 if known is None else known.factor * world.setting.unit_mm**known.u * world.dt**known.step
+    number = type(value)(float(value) / one)
+    text = np.format_float_positional(number, trim="-") if whole else f"{number:.6g}"
+    return f"{text} {unit}".strip()

@@ -1,0 +1,142 @@
+"""`antdsl test` as people and build servers meet it: words, exit codes, JUnit, JSON, Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from test_cli import ROOT, antdsl
+
+from antdsl.cli import _run as run_in_process
+
+PROGRAM = """ant 1
+species a {
+  tick = 0
+  start go
+  state go { tick += 1 /s; when tick > 99 -> never }
+  state never { when after 1 s -> go }
+}
+spec "fine" on "scene.yaml" { seeds 1 .. 2; always: count(a) == 3 }
+spec "slow <&>" on "scene.yaml" { each a { always: tick < 0.25 } }
+"""
+SCENE = "antdsl: 1\nfps: 10\nframes: 1..11\ncrowd: [{species: a, from: a.ant, count: 3, place: {radius: 9 mm}}]\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "a.ant").write_text(PROGRAM)
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    return tmp_path
+
+
+def run(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *words: str) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["antdsl", "test", *words])
+    code = run_in_process()
+    return code, *capfd.readouterr()
+
+
+def test_results_are_told_in_words(folder: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    code, out, err = run(capfd, monkeypatch, ".")
+    assert code == 1 and not err
+    assert [line.strip() for line in re.sub(r": \d+ frames, [0-9.]+ s", "", out).splitlines()] == [
+        'passed  "fine", seed 1',
+        'passed  "fine", seed 2',
+        'failed  "slow <&>", seed 0',
+        "a.ant:9:44: always: tick < 0.25",
+        "first at frame 4, 0.3 s from the start, by a 0",
+        "tick is 0.3",
+        "2 passed, 1 failed",
+        "states entered: 1 of 2",
+        "changes made: 0 of 2",
+        "a.ant:5:28: `a.go -> never` was never made",
+        "a.ant:6:9: `a.never` was never entered",
+        "a.ant:6:17: `a.never -> go` was never made",
+    ]
+    assert run(capfd, monkeypatch, "a.ant", "-k", "FIN", "--seeds", "3", "-q") == (0, "3 passed\n", "")
+
+
+def test_results_are_written_for_build_servers(
+    folder: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, *_ = run(capfd, monkeypatch, "scene.yaml", "--junit", "out.xml", "--json", "out.json", "--backend", "reference")
+    assert code == 1
+    root = ElementTree.parse(folder / "out.xml").getroot()
+    assert (root.get("tests"), root.get("failures"), root.get("skipped")) == ("3", "1", "0")
+    failed = [case for case in root.iter("testcase") if case.find("failure") is not None]
+    assert [case.get("name") for case in failed] == ["slow <&> [scene.yaml, seed 0]"]
+    assert failed[0].get("file") == "a.ant" and failed[0].get("line") == "9"
+    failure = failed[0].find("failure")
+    assert failure is not None and "tick is 0.3" in (failure.text or "") and failure.get("message") == "always: tick < 0.25"
+    told = json.loads((folder / "out.json").read_text())
+    assert (told["passed"], told["failed"]) == (2, 1)
+    (bad,) = told["specs"][-1]["failures"]
+    assert bad["agent"] == {"species": "a", "id": 0} and (bad["frame"], bad["time"]) == (4, 0.3)
+    assert bad["place"] == {"file": "a.ant", "line": 9, "column": 44} and bad["values"] == [{"text": "tick", "value": "0.3"}]
+    counts = {each["name"]: each["count"] for table in told["coverage"].values() for each in table}
+    assert counts["a.main.go"] > 0 and counts["a.main.go->never#1"] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["none.ant"], 3, "none.ant"),
+        (["a.ant", "-k", "nothing"], 2, "no spec here has `nothing` in its name"),
+        (["plain.ant"], 2, "there is no spec here"),
+        (["bad.ant"], 1, "no `total(b.load)`"),
+        (["lost.ant"], 1, "there is no file `lost.yaml`"),
+        (["a.ant", "--junit", "none/x.xml"], 2, "there is no folder"),
+        (["a.ant", "--seeds", "0"], 2, "--seeds"),
+        (["a.ant", "bad.ant", "-k", "fine"], 1, "2 passed"),
+    ],
+)
+def test_what_cannot_run_ends_in_words_and_an_exit_code(
+    folder: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: list[str], code: int, said: str
+) -> None:
+    (folder / "plain.ant").write_text(PROGRAM[: PROGRAM.index('spec "')])
+    (folder / "bad.ant").write_text(PROGRAM.replace("count(a) == 3", "total(b.load) == 3"))
+    (folder / "lost.ant").write_text(PROGRAM.replace("scene.yaml", "lost.yaml"))
+    found, out, err = run(capfd, monkeypatch, *words)
+    assert found == code and (said in out + err or "error[" in err), out + err
+    assert "Traceback" not in out + err
+
+
+def test_ctrl_c_writes_what_was_finished(folder: Path) -> None:
+    (folder / "a.ant").write_text(PROGRAM + 'spec "long" on "scene.yaml" { seeds 5; for 999 min; always: count(a) == 3 }\n')
+    command = [sys.executable, "-m", "antdsl", "test", ".", "--junit", "out.xml"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    running = subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert running.stdout is not None
+    while "slow" not in running.stdout.readline():  # the long one comes last
+        assert running.poll() is None
+    time.sleep(0.2)
+    running.send_signal(signal.SIGINT)
+    out, err = running.communicate(timeout=60)
+    assert running.returncode == 130 and "stopped by Ctrl-C" in err and "Traceback" not in err
+    assert "2 passed, 1 failed, 1 not finished" in out
+    root = ElementTree.parse(folder / "out.xml").getroot()
+    assert (root.get("tests"), root.get("failures"), root.get("skipped")) == ("4", "1", "1")
+
+
+def test_a_new_project_has_a_spec_that_holds(tmp_path: Path) -> None:
+    assert antdsl("new", "ants", cwd=tmp_path).returncode == 0
+    done = antdsl("test", "ants", "--quiet", cwd=tmp_path)
+    assert done.returncode == 0 and done.stdout == "1 passed\n", done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_the_specs_of_the_examples_hold() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "antdsl", "test", "examples"], cwd=ROOT, capture_output=True, text=True, timeout=900,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
