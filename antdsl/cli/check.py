@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from antdsl.diagnostics import Report
     from antdsl.loading import Parsed
     from antdsl.program.model import Const, Param, Program
+    from antdsl.source import Span
 
 
 class Format(StrEnum):
@@ -91,7 +92,7 @@ def _explain(code: str) -> None:
 
 def _params(programs: list[tuple[Path, Program]]) -> None:
     """A table of the params under the first file that brings them."""
-    listed = set()
+    listed: set[Span] = set()
     for file, program in programs:
         new = [param for param in program.params.values() if param.span not in listed]
         listed.update(param.span for param in new)

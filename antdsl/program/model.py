@@ -5,150 +5,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, dataclass_transform
+from dataclasses import field
+from typing import TYPE_CHECKING
 
 from antdsl.program.kinds import Dim as Dim
 from antdsl.program.kinds import Kind as Kind
 from antdsl.program.kinds import Rate as Rate
 from antdsl.program.kinds import Type as Type
+from antdsl.program.typed import Attribute as Attribute
+from antdsl.program.typed import Binding as Binding
+from antdsl.program.typed import Const as Const
+from antdsl.program.typed import Expr as Expr
+from antdsl.program.typed import Inline as Inline
+from antdsl.program.typed import Local as Local
+from antdsl.program.typed import NoneRef as NoneRef
+from antdsl.program.typed import Op as Op
+from antdsl.program.typed import ParamRef as ParamRef
+from antdsl.program.typed import Reduce as Reduce
+from antdsl.program.typed import SetOf as SetOf
+from antdsl.program.typed import StateConst as StateConst
+from antdsl.program.typed import Thing as Thing
+from antdsl.program.typed import value as value
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
 if TYPE_CHECKING:
     from antdsl.program.expected import Spec
-
-
-@dataclass_transform(eq_default=False, frozen_default=True)
-def value(cls: type) -> type:
-    return dataclass(frozen=True, slots=True, eq=False, repr=False)(cls)
-
-
-# --- expressions -----------------------------------------------------------------------------------------------------
-
-
-@value
-class Expr:
-    type: Type
-    rate: Rate
-    span: Span
-
-
-@value
-class Const(Expr):
-    """A number in base units (mm, s, g, rad; bool as 0 or 1), times `unit ** u` (mm per scene unit) and `dt ** step`."""
-
-    number: float
-    u: float = 0
-    step: float = 0
-
-
-@value
-class NoneRef(Expr):
-    """No item or no agent; the type says of what."""
-
-
-@value
-class StateConst(Expr):
-    """A state's index within its machine."""
-
-    machine: str
-    index: int
-
-
-@value
-class ParamRef(Expr):
-    """A param by its qualified name, `forager.smell`."""
-
-    name: str
-
-
-@value
-class Attribute(Expr):
-    """An attribute of the agent itself (`of` None), or of the agent, item, hit or set element that `of` gives.
-
-    Given names are attributes too: position velocity heading up speed id age group size mass radius clearance max_speed
-    max_force max_turn response, items' position and radius, a hit's distance, normal and position.
-    A machine's: `MACHINE.state`, `MACHINE.previous`, `MACHINE.next`, `MACHINE.time_in_state`, always with the machine.
-    `likes[n]`, the agent's own value about another, has that other as `of`; its declaration says `each`."""
-
-    of: Expr | None
-    name: str
-
-
-@value
-class Binding:
-    """A named value: `let` (value), `argument` (value), `keep` (value is the first, `then` the next), `element` of a set,
-    `latch` (value switches on, `then` off). `key` is the stable identity of memories: `forager.main.search.wander#1.bearing`.
-    A species-level `let` reads the agent as it was at the start of the step (`snapshot`)."""
-
-    name: str
-    role: str
-    type: Type
-    rate: Rate
-    span: Span
-    value: Expr | None = None
-    then: Expr | None = None
-    key: str = ""
-    snapshot: bool = False
-
-
-@value
-class Local(Expr):
-    """A use of a binding."""
-
-    binding: Binding
-
-
-@value
-class Thing(Expr):
-    """A thing of the world or a species as an argument: its name; its kind says what it is. `self` (AGENT) is the agent."""
-
-    name: str
-
-
-@value
-class Op(Expr):
-    """A built-in operation of vocabulary.OPS with its arguments in the vocabulary's order, defaults filled in (an absent
-    optional argument is None). `site` is the stable identity of a draw (`….uniform#1`) or of a ray, else empty."""
-
-    name: str
-    args: tuple[Expr | None, ...]
-    site: str = ""
-
-
-@value
-class SetOf(Expr):
-    """A set: `source` is `neighbours` (args radius, fov), `all` (args within or None), `feelers` (args count, spread, reach);
-    `of` names the species, items or obstacle; `where` is the condition on `element` (or None)."""
-
-    source: str
-    of: str
-    args: tuple[Expr | None, ...]
-    element: Binding
-    where: Expr | None
-
-
-@value
-class Reduce(Expr):
-    """`how`: sum mean min max count any every best (the element with the greatest body) nearest (the element with the least
-    distance; body None). `element` is bound in `body`; it may differ from `over.element`, which is bound in its `where`."""
-
-    how: str
-    over: SetOf
-    element: Binding
-    body: Expr | None
-
-
-@value
-class Inline(Expr):
-    """A behaviour call, expanded for the types of this call: bind `arguments`, then `body` (lets, keeps), then `result`."""
-
-    behaviour: str
-    key: str
-    arguments: tuple[Binding, ...]
-    body: tuple[Binding, ...]
-    result: Expr
 
 
 # --- statements ------------------------------------------------------------------------------------------------------
