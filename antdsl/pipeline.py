@@ -179,7 +179,7 @@ def _digest(text: str) -> str:
 
 def _result_relevant(scene: Scene) -> object:
     """The scene less what changes no result: camera, output, and the last frame, so that a cache can be continued past it."""
-    kept = sorted(set(type(scene.model).model_fields) - {"camera", "output", "frames"})
+    kept = sorted(set(type(scene.model).model_fields) - {"camera", "output", "frames", "extends"})
     values = [(name, getattr(scene.model, name)) for name in kept if name != "crowd"]
     return [*values, *((line.species, line.count, line.place) for line in scene.model.crowd), scene.model.frames.first]
 

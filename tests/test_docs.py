@@ -150,7 +150,7 @@ def test_complaints_look_as_the_documents_show_them() -> None:
 def test_scenes_read_as_the_documents_say(block: Block) -> None:
     from antdsl.scene import Roots, load_text
 
-    _, report = load_text(block.text.encode(), str(block), Roots(ROOT, {}))
+    _, report = load_text(block.text.encode(), str(block), Roots(ROOT / "examples" / "foraging", {}))
     codes = [d.code for d in report.errors]
     assert codes == ([] if block.wanted_error is None else [block.wanted_error]), report.errors
 

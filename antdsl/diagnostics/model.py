@@ -40,18 +40,26 @@ class Diagnostic:
     fix: Fix | None = None
 
 
+def _key(diagnostic: Diagnostic) -> tuple[str | int, ...]:
+    """By the name of the file and not by the text that was read: a file that many scenes extend is read for each of them."""
+    span = diagnostic.span
+    if span is None:
+        return (diagnostic.code, diagnostic.message)
+    return (diagnostic.code, span.source.path, span.start, span.end)
+
+
 @dataclass(slots=True)
 class Report:
     """Everything one or more stages had to say. The same code at the same place is kept once."""
 
     diagnostics: list[Diagnostic] = field(default_factory=list)
-    _seen: set[tuple[str, Span | str]] = field(init=False, repr=False, compare=False, default_factory=set)
+    _seen: set[tuple[str | int, ...]] = field(init=False, repr=False, compare=False, default_factory=set)
 
     def __post_init__(self) -> None:
-        self._seen.update((d.code, d.span or d.message) for d in self.diagnostics)
+        self._seen.update(_key(d) for d in self.diagnostics)
 
     def add(self, diagnostic: Diagnostic) -> None:
-        key = (diagnostic.code, diagnostic.span or diagnostic.message)
+        key = _key(diagnostic)
         if key not in self._seen:
             self._seen.add(key)
             self.diagnostics.append(diagnostic)

@@ -11,6 +11,7 @@ from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.scene.document import Key, MappingNode, decode, find, plain, read_document
+from antdsl.scene.extending import extended
 from antdsl.scene.paths import PathRefused, Roots, read_named
 from antdsl.source import Source, Span
 
@@ -28,7 +29,8 @@ _ELSEWHERE = {
     "plugin": "a scene can load no code",
     "plugins": "a scene can load no code",
     "import": "a scene can load no code",
-    "include": "a scene is one file",
+    "include": "write `extends: base.yaml` and below it what differs",
+    "base": "write `extends: base.yaml` and below it what differs",
 }
 
 
@@ -68,6 +70,9 @@ def load_text(data: bytes, name: str, roots: Roots) -> tuple[Scene | None, Repor
     if not report.ok:
         return None, report
     document, report = read_document(source)
+    if document is None:
+        return None, report
+    document = extended(document, name, roots, report)
     if document is None:
         return None, report
     from pydantic import ValidationError

@@ -255,6 +255,7 @@ class StartFrom(Part):
 
 class SceneModel(Part):
     edition: Annotated[str, BeforeValidator(one_of("1"))] = Field(alias="antdsl")
+    extends: FilePath | None = None  # is gone once the scenes are put together
     units: Unit = "mm"
     up: Axis = "y"
     fps: Fps = Fraction(24)

@@ -1,0 +1,76 @@
+"""A scene that `extends` another: what it says itself goes before what the other says, mapping by mapping. Every value keeps its
+place in the file where it was written."""
+
+from __future__ import annotations
+
+from antdsl import limits
+from antdsl.diagnostics import Report
+from antdsl.scene.document import MappingNode, Node, ScalarNode, decode, read_document
+from antdsl.scene.paths import PathRefused, Roots
+from antdsl.source import Span
+
+KEY = "extends"
+_OWN = frozenset((KEY, "antdsl"))  # said by each file for itself
+
+
+def extended(document: MappingNode, name: str, roots: Roots, report: Report) -> MappingNode | None:
+    """The tree with everything that comes from the scenes behind it, nearest first; None with errors in the report.
+
+    A scene is looked for beside the one that names it, so that the paths of both mean the same."""
+    seen = [name.replace("\\", "/").rsplit("/", 1)[-1]]
+    behind = document
+    while (node := behind.entries.get(KEY)) is not None:
+        other = _read(node, name, seen, roots, report)
+        if other is None:
+            return None
+        document, behind = _over(document, other, _OWN), other
+    return MappingNode(
+        {key: value for key, value in document.entries.items() if key != KEY},
+        {key: span for key, span in document.keys.items() if key != KEY},
+        document.span,
+    )
+
+
+def _read(node: Node, name: str, seen: list[str], roots: Roots, report: Report) -> MappingNode | None:
+    text = node.text.strip() if isinstance(node, ScalarNode) else ""
+    if not text:
+        report.error("wrong-value", "the name of a scene is wanted here", node.span, f"write `{KEY}: base.yaml`")
+        return None
+    if "/" in text or "\\" in text:
+        words = f"`{text[:80]}` does not lie beside this scene"
+        report.error("bad-path", words, node.span, "put it into this folder and write its name alone")
+        return None
+    if text in seen:
+        circle = " → ".join(f"`{each}`" for each in [*seen[seen.index(text) :], text])
+        words = f"these scenes extend each other in a circle: {circle}"
+        report.error("circle", words, node.span, "let one of them stand by itself")
+        return None
+    if len(seen) > limits.USE_DEPTH:
+        report.error("too-deep", f"more than {limits.USE_DEPTH} scenes extend each other", node.span, "join some of them")
+        return None
+    seen.append(text)
+    try:
+        data = roots.read(text, limits.SCENE_BYTES)
+    except PathRefused as refused:
+        report.error(refused.code, str(refused), node.span, refused.help)
+        return None
+    head, sign, _ = name.replace("\\", "/").rpartition("/")
+    source, findings = decode(data, f"{head}{sign}{text}")
+    report.extend(findings)
+    if not findings.ok:
+        return None
+    other, findings = read_document(source)
+    report.extend(findings)
+    return other
+
+
+def _over(own: MappingNode, other: MappingNode, apart: frozenset[str] = frozenset()) -> MappingNode:
+    """Mappings of both are put together, key by key; anything else of `own` replaces the other's. Keys `apart` are not taken."""
+    entries: dict[str, Node] = {key: value for key, value in other.entries.items() if key not in apart}
+    keys: dict[str, Span] = {key: span for key, span in other.keys.items() if key not in apart}
+    for key, value in own.entries.items():
+        before = entries.get(key)
+        both = isinstance(value, MappingNode) and isinstance(before, MappingNode)
+        entries[key] = _over(value, before) if both else value  # type: ignore[arg-type]
+        keys[key] = own.keys[key]
+    return MappingNode(entries, keys, own.span)
