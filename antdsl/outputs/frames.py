@@ -22,6 +22,8 @@ from antdsl.outputs.manifest import (
 )
 from antdsl.outputs.solid_pieces import PieceMaker, start_pieces
 from antdsl.program.model import Dim, Kind, Program
+from antdsl.runtime.fields.growing import GrowingCells
+from antdsl.runtime.fields.pheromone import PheromoneField
 from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import Setting
 
@@ -57,6 +59,9 @@ class FrameMaker:
             cells = np.flatnonzero(values)
             arrays[f"field.{name}.cells"] = cells.astype(np.int32)
             arrays[f"field.{name}.values"] = values[cells].astype(np.float32)
+            if "places" in field.added:
+                places = field.added["places"][:, :3] + world.origin
+                arrays[f"field.{name}.added"] = (places * self.scale).astype(np.float32)
         for name, items in world.items.items():
             for attribute, amount in items.amounts.items():
                 arrays[f"items.{name}.{attribute}"] = amount.copy()
@@ -123,8 +128,13 @@ def static_arrays(world: World, setting: Setting) -> Arrays:
         arrays[f"mesh.{name}.faces"] = mesh.faces
     arrays |= start_pieces(world, scale)
     for name, field in world.fields.items():
-        arrays[f"field.{name}.P"] = ((np.asarray(field.cells.position) + world.origin) * scale).astype(np.float32)
+        arrays[f"field.{name}.P"] = ((_places_at_start(field) + world.origin) * scale).astype(np.float32)
     return arrays
+
+
+def _places_at_start(field: PheromoneField) -> NDArray[np.float64]:
+    cells = field.cells
+    return cells.position[: cells.at_start] if isinstance(cells, GrowingCells) else cells.position
 
 
 def describe(

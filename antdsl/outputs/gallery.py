@@ -150,6 +150,9 @@ class Gallery:
             cells, values = arrays.get(f"field.{field.name}.cells"), arrays.get(f"field.{field.name}.values")
             if cells is not None and values is not None and len(cells):
                 places = self._places.setdefault(field.name, np.asarray(self.static[f"field.{field.name}.P"], np.float64))
+                added = arrays.get(f"field.{field.name}.added")
+                if added is not None:
+                    places = np.concatenate([places, np.asarray(added, np.float64)])
                 strength = np.zeros(len(places))
                 strength[cells] = values
                 full = self._strongest().get(field.name) or None

@@ -65,7 +65,7 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> Wor
         motion=Motion(),
     )
     _params(world)
-    _fields(world, meshes)
+    _fields(world, {**meshes, **{name: _moved(solid.mesh, origin) for name, solid in setting.solids.items()}})
     _flows(world)
     with np.errstate(all="ignore"):
         populate(world)

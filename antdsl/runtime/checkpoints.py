@@ -43,6 +43,7 @@ def state(world: World, *, history: bool) -> Arrays:
         for attribute, amounts in items.amounts.items():
             found[f"items.{name}.{attribute}"] = amounts
     for name, field in world.fields.items():
+        found |= {f"field.{name}.{key}": array for key, array in field.added.items()}
         found[f"field.{name}"] = field.values
     for name, flow in world.flows.items():
         found |= {f"flow.{name}.{key}": array for key, array in flow.state().items()}
@@ -71,7 +72,7 @@ def show(still: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     for name, items in still.items.items():
         items.amounts = {attribute: arrays[f"items.{name}.{attribute}"] for attribute in items.amounts}
     for name, field in still.fields.items():
-        field.values[:] = arrays[f"field.{name}"]
+        field.show(arrays[f"field.{name}"], {key: arrays[f"field.{name}.{key}"] for key in field.added})
     for name, flow in still.flows.items():
         flow.show({key: arrays[f"flow.{name}.{key}"] for key in flow.state()})
 
@@ -89,6 +90,8 @@ def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
             amounts[:] = _take(arrays, f"items.{name}.{attribute}", amounts.shape)
         items.show()
     for name, field in world.fields.items():
+        if field.added:
+            field.grow_again(_take(arrays, f"field.{name}.keys"), _take(arrays, f"field.{name}.places"))
         field.values[:] = _take(arrays, f"field.{name}", field.values.shape)
     for name, volume in world.solids.items():
         kept = {key: _take(arrays, f"solid.{name}.{key}") for key in volume.state()}

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.effects import CarveEntry
+from antdsl.runtime.fields.walls import grow
 from antdsl.runtime.world import AXES, Population, World
 
 
@@ -39,13 +40,17 @@ def _carve(world: World, solid: str, entries: list[tuple[Population, CarveEntry]
     owner = np.empty(len(order), np.int64)
     owner[order] = np.arange(len(order))
     removed = world.solids[solid].carve(middle, radius, owner)
+    dug = order[removed[order] > 0]
+    fields = [field for name, field in world.fields.items() if solid in world.plan.fields[name].surfaces]
+    if fields:
+        grow(fields, world.solids[solid], middle[dug], radius[dug])
     if world.carved is not None:
         world.carved.setdefault(solid, []).append(np.column_stack([middle, radius]))
     first = 0
     for population, entry in entries:
         _give(population, entry, removed[first : first + len(entry.rows)])
         first += len(entry.rows)
-    return bool(removed.any())
+    return len(dug) > 0
 
 
 def _give(population: Population, entry: CarveEntry, removed: NDArray[np.float64]) -> None:

@@ -11,6 +11,7 @@ from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.plan import ir
 from antdsl.runtime.fields.cells import FieldTooFine, SurfaceCells
+from antdsl.runtime.fields.growing import GrowingCells
 from antdsl.runtime.fields.pheromone import PheromoneField, largest_stable_diffusion
 from antdsl.scene.setting import FieldStart, MeshData
 
@@ -32,7 +33,8 @@ def bind_fields(world: World, meshes: dict[str, MeshData], value: Callable[[Worl
         if key not in cells:
             surfaces = [(m.vertices, m.faces) for name in plan.surfaces if (m := meshes.get(name)) is not None]
             try:
-                cells[key] = SurfaceCells(surfaces, size)
+                kind = GrowingCells if any(name in world.solids for name in plan.surfaces) else SurfaceCells
+                cells[key] = kind(surfaces, size)
             except FieldTooFine as why:
                 report.error(
                     "field-too-fine",

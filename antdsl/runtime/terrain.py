@@ -143,7 +143,7 @@ class Terrain:
         for k, volume in enumerate(self._volumes):
             rows = self._solid_rows(standing, k)
             if rows.size:
-                result[rows] = _normals(volume, self.position(standing.take(rows)))
+                result[rows] = volume.upright(self.position(standing.take(rows)), result[rows])
         return result
 
     # ---- moving
@@ -167,7 +167,14 @@ class Terrain:
                 break
             rows = self._stretch(walk, rows, body, threads, last=hop == _HOPS - 1)
         return MoveResult(
-            walk.standing, walk.place, walk.up, walk.heading, walk.direction, walk.gone, walk.blocked, standing.mesh < 0
+            walk.standing,  # type: ignore[arg-type]  # a ground has footings of its own kind
+            walk.place,
+            walk.up,
+            walk.heading,
+            walk.direction,
+            walk.gone,
+            walk.blocked,
+            standing.mesh < 0,
         )
 
     def settle(self, standing: Standing, up: Floats, body: Floats) -> tuple[Standing, Floats, Floats, Rows]:
@@ -282,18 +289,20 @@ class Terrain:
         walk.direction[rows] = turned(way.T, before.T, normal.T, way.T).T
         walk.place[rows], walk.up[rows] = place, normal
         walk.gone[rows] += travelled * part
-        walk.left[rows] = walk.direction[rows] * (np.zeros(len(rows)) if last else travelled * (1 - part))[:, None]
+        rest = np.zeros(len(rows)) if last else travelled * (1 - part)
+        walk.left[rows] = walk.direction[rows] * rest[:, None]
         walk.standing.put(rows, Standing.on_solid(self._meshes + k, place))
-        return rows[(walk.left[rows] != 0).any(axis=1)]
+        again: Rows = rows[rest > 0]
+        return again
 
     def _on_volume(self, walk: _Walk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, last: bool) -> Rows:
         start = walk.place[rows]
-        moved = walk_on(volume, start, walk.left[rows], walk.heading[rows], walk.up[rows])
-        met, part, footing = self._across(start, moved.points, walk.up[rows], moved.normal, body[rows], threads)
+        moved = walk_on(volume, start, walk.left[rows], walk.heading[rows], walk.up[rows], body[rows])
+        met, part, footing = self._across(start, moved.points, walk.up[rows], moved.up, body[rows], threads)
         free = ~met
         stay = rows[free]
         walk.standing.put(stay, Standing.on_solid(self._meshes + k, moved.points[free]))
-        walk.place[stay], walk.up[stay] = moved.points[free], moved.normal[free]
+        walk.place[stay], walk.up[stay] = moved.points[free], moved.up[free]
         walk.heading[stay], walk.direction[stay] = moved.heading[free], moved.direction[free]
         walk.gone[stay] += moved.travelled[free]
         walk.blocked[stay] |= moved.blocked[free]
@@ -303,7 +312,7 @@ class Terrain:
             return np.empty(0, np.intp)
         onto = footing.take(met)
         normal = self._ground.upright(onto, start[met] - moved.points[met])  # the side that they come from
-        before, way = moved.normal[met], moved.direction[met]
+        before, way = moved.up[met], moved.direction[met]
         walk.heading[down] = _level(turned(moved.heading[met].T, before.T, normal.T, way.T).T, normal)
         walk.direction[down] = turned(way.T, before.T, normal.T, way.T).T
         walk.standing.put(down, Standing.on_mesh(onto))
@@ -359,7 +368,7 @@ def _dropped(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArra
     height = float(_length((volume.high - volume.low)[None, :])[0])
     middle = (volume.low + volume.high) / 2
     start = points + up * (((middle - points) * up).sum(axis=1) + height)[:, None]
-    hits = SolidFeelers(volume).feelers(*start.T, *(-up).T, 2 * height)
+    hits = SolidFeelers(volume).feelers(*start.T, -up[:, 0], -up[:, 1], -up[:, 2], 2 * height)
     place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
     landed = volume.project(place, up, 2 * volume.voxel)
     return landed.points, hits.hit & landed.found

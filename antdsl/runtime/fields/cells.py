@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -21,7 +21,7 @@ Cells = NDArray[np.int32]
 NEAREST = 16
 _DENSE = 8_000_000  # voxels of a box that may be listed one by one
 _ALONG = 1 << 19  # voxels along an axis; three packed with a side stay in 63 bits
-_BLOCK = tuple((x, y, z) for x, y, z in product((-1, 0, 1), repeat=3))
+BLOCK = tuple((x, y, z) for x, y, z in product((-1, 0, 1), repeat=3))
 _CHUNK = 1 << 15
 
 
@@ -68,6 +68,7 @@ class SurfaceCells:
         self._gather(corners, scaled, across / np.maximum(area, 1e-300)[:, None], cap)
         self._voxels = self._keys // 6
         self._start_table = self._starts()
+        self._tables: dict[int, Cells] = {}
 
     def _gather(self, corners: Floats, scaled: Floats, normal: Floats, cap: int) -> None:
         """Keys, positions and normals of all cells, from the part of each triangle in each voxel that it touches."""
@@ -78,13 +79,13 @@ class SurfaceCells:
             middle = voxel.astype(np.float64) * self.cell
             point = nearest_on_triangle(middle, corners[face])
             part = np.column_stack([point, normal[face], np.ones(len(face))])
-            waiting.append(_summed(self._key(voxel - self._low, side[face]), part))
+            waiting.append(summed(self._key(voxel - self._low, side[face]), part))
             if sum(len(k) for k, _ in waiting) > max(1 << 20, len(keys)):
-                keys, sums = _summed(*(np.concatenate(c) for c in zip((keys, sums), *waiting, strict=True)))
+                keys, sums = summed(*(np.concatenate(c) for c in zip((keys, sums), *waiting, strict=True)))
                 waiting.clear()
                 if len(keys) > cap:
                     raise FieldTooFine(len(keys), cap)
-        keys, sums = _summed(*(np.concatenate(c) for c in zip((keys, sums), *waiting, strict=True)))
+        keys, sums = summed(*(np.concatenate(c) for c in zip((keys, sums), *waiting, strict=True)))
         if len(keys) > cap:
             raise FieldTooFine(len(keys), cap)
         self._keys = keys
@@ -127,6 +128,12 @@ class SurfaceCells:
             first, last = (self._voxels.searchsorted(v).astype(np.int64) for v in (flat, flat + 1))
         return first, np.where(within, last - first, 0)
 
+    def _cells_in(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
+        """The cells of voxels [n,3], one of each at a time, and whether there is one."""
+        first, count = self._in_voxel(voxel)
+        for step in range(self._most):
+            yield np.minimum(first + step, len(self) - 1), step < count
+
     def lookup(self, points: Floats, normals: Floats) -> Cells:
         """The cell of each point [n,3] on a face with a normal [n,3] (the face's own, not the agent's side).
 
@@ -147,11 +154,7 @@ class SurfaceCells:
             key *= self._size[axis]
             key += np.where(within, step, 0.0).astype(np.int64)
         key = key * 6 + side
-        if self._direct is not None:
-            cell = np.where(within, self._direct.take(np.where(within, key, 0)), np.int32(-1))
-        else:
-            at = np.minimum(self._keys.searchsorted(key), len(self) - 1)
-            cell = np.where(within & (self._keys.take(at) == key), at, -1).astype(np.int32)
+        cell = self._find(key, within)
         missed = np.flatnonzero(cell < 0)
         if missed.size:
             missed = missed[np.isfinite(points[missed]).all(axis=1)]
@@ -159,6 +162,13 @@ class SurfaceCells:
             voxel = np.floor(bounded).astype(np.int64) - self._low
             cell[missed] = self._nearby(points[missed], voxel, side[missed])
         return cell
+
+    def _find(self, key: NDArray[np.int64], within: NDArray[np.bool_]) -> Cells:
+        """The cell of each key that lies within the box, -1 for none."""
+        if self._direct is not None:
+            return np.where(within, self._direct.take(np.where(within, key, 0)), np.int32(-1))
+        at = np.minimum(self._keys.searchsorted(key), len(self) - 1)
+        return np.where(within & (self._keys.take(at) == key), at, -1).astype(np.int32)
 
     @cached_property
     def _direct(self) -> Cells | None:
@@ -175,12 +185,10 @@ class SurfaceCells:
 
     def _nearby(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
         best, distance = np.full(len(points), -1, np.int64), np.full(len(points), np.inf)
-        for offset in _BLOCK:
-            first, count = self._in_voxel(voxel + np.array(offset))
-            for step in range(self._most):
-                at = np.minimum(first + step, len(self) - 1)
+        for offset in BLOCK:
+            for at, there in self._cells_in(voxel + np.array(offset)):
                 gap = ((self.position[at] - points) ** 2).sum(axis=1)
-                closer = (step < count) & compatible(self.side_of(at), side) & (gap < distance)
+                closer = there & compatible(self.side_of(at), side) & (gap < distance)
                 best, distance = np.where(closer, at, best), np.where(closer, gap, distance)
         return best
 
@@ -192,16 +200,14 @@ class SurfaceCells:
         )
         side, rows = self.side_of(cells), []
         for offset in block:
-            first, count = self._in_voxel(voxel + np.array(offset))
-            for step in range(self._most):
-                at = np.minimum(first + step, len(self) - 1)
-                rows.append(np.where((step < count) & compatible(self.side_of(at), side), at, -1))
+            for at, there in self._cells_in(voxel + np.array(offset)):
+                rows.append(np.where(there & compatible(self.side_of(at), side), at, -1))
         return np.stack(rows)
 
     @cached_property
     def links(self) -> Links:
         """Which cells share a face of their voxels, or a voxel, and do not face opposite ways."""
-        block = [o for o in _BLOCK if sum(map(abs, o)) <= 1]
+        block = [o for o in BLOCK if sum(map(abs, o)) <= 1]
         counts, cells = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
         for a in range(0, len(self), _CHUNK):
             own = np.arange(a, min(a + _CHUNK, len(self)))
@@ -211,17 +217,23 @@ class SurfaceCells:
             cells.append(around[here].astype(np.int32))
         return Links(np.cumsum(np.concatenate(counts)), np.concatenate(cells))
 
-    @cached_property
+    @property
     def block(self) -> Cells:
         """For each cell the nearest 16 of its 3³ block with itself, int32[n,16], ascending; `len(self)` where there are fewer."""
         return self.nearest(NEAREST)
 
     def nearest(self, k: int) -> Cells:
-        """For each cell the nearest `k` of its 3³ block, itself included, by (distance, cell)."""
-        table = np.full((len(self), k), len(self), np.int32)
-        for a in range(0, len(self), _CHUNK):
-            own = np.arange(a, min(a + _CHUNK, len(self)))
-            around = self._around(own, _BLOCK)
+        """For each cell the nearest `k` of its 3³ block, itself included, by (distance, cell), int32[n,k], ascending."""
+        if k not in self._tables:
+            self._tables[k] = self._nearest(np.arange(len(self)), k)
+        return self._tables[k]
+
+    def _nearest(self, cells: NDArray[np.int64], k: int) -> Cells:
+        """Rows of `nearest` for some cells."""
+        table = np.full((len(cells), k), len(self), np.int32)
+        for a in range(0, len(cells), _CHUNK):
+            own = cells[a : a + _CHUNK]
+            around = self._around(own, BLOCK)
             gap = np.zeros(around.shape)
             for axis in range(3):
                 gap += (self.position[around, axis] - self.position[own, axis]) ** 2
@@ -237,7 +249,7 @@ def compatible(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
     return (a ^ 1) != b
 
 
-def _summed(keys: NDArray[np.int64], parts: Floats) -> tuple[NDArray[np.int64], Floats]:
+def summed(keys: NDArray[np.int64], parts: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Distinct keys, ascending, with the sums of their parts."""
     order = np.argsort(keys, kind="stable")
     keys, parts = keys[order], parts[order]

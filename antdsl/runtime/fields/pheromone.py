@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.runtime import compiled
 from antdsl.runtime.fields.cells import NEAREST, Cells, SurfaceCells
+from antdsl.runtime.fields.growing import GrowingCells
 from antdsl.runtime.senses.sorting import stable_order
 
 Floats = NDArray[np.float32]
@@ -39,13 +40,47 @@ class PheromoneField:
         self._padded = np.zeros(len(cells) + 1)  # one past the end: what a cell that is not there holds
         self._pending = np.zeros(len(cells), np.int64)
         self._touched = False
-        self._blocks: dict[int, Cells] = {}
+        self._added: dict[str, NDArray[Any]] | None = None  # of a snapshot: as it was
         self._askers: dict[int, tuple[NDArray[np.int64], Cells]] = {}
 
     @property
     def values(self) -> NDArray[np.float64]:
         """What each cell holds; write into it to restore a state."""
         return self._padded[:-1]
+
+    def grow(self, new: NDArray[np.int64]) -> None:
+        """Make room for cells that were added."""
+        more = len(self.cells) - len(self.values)
+        if more:
+            self._padded = np.concatenate([self.values, np.zeros(more + 1)])
+            self._pending = np.concatenate([self._pending, np.zeros(more, np.int64)])
+            for name in ("_places", "_seen"):
+                self.__dict__.pop(name, None)
+        elif "_places" in self.__dict__:
+            self._places[:, new] = self.cells.position[new].T
+            self._seen[:, new] = self._places[:, new]
+        self.__dict__.pop("_laplacian", None)
+
+    @property
+    def added(self) -> dict[str, NDArray[Any]]:
+        """Cells added since the start, for `grow_again`; no entry where none can be."""
+        if self._added is not None:
+            return self._added
+        return self.cells.added if isinstance(self.cells, GrowingCells) else {}
+
+    def grow_again(self, keys: NDArray[np.int64], places: NDArray[np.float64]) -> None:
+        """Add the cells that `added` told of, where they have not been; other fields may share them."""
+        assert isinstance(self.cells, GrowingCells)
+        known = self.cells.used - self.cells.at_start
+        self.cells.add(keys[known:], places[known:])
+        self.grow(np.arange(self.cells.at_start, self.cells.used))
+
+    def show(self, values: NDArray[np.float64], added: dict[str, NDArray[Any]]) -> None:
+        """Let a snapshot hold other values, of as many cells as there are by then."""
+        if len(values) != len(self.values):
+            self._padded = np.zeros(len(values) + 1)
+        self._padded[:-1] = values
+        self._added = added
 
     def snapshot(self) -> PheromoneField:
         """This field with a copy of what its cells hold; deposits that have not landed are left out."""
@@ -156,7 +191,7 @@ class PheromoneField:
         """Cells of whose row in `block` some hold anything, bool[cells + 1]; where most do, all but the last."""
         found = np.zeros(len(self.cells) + 1, np.bool_)
         holding = np.flatnonzero(self.values)
-        if holding.size > len(self.cells) * _SPARSE:
+        if holding.size > len(self.cells) * _SPARSE or (holding.size and isinstance(self.cells, GrowingCells)):
             found[:-1] = True
         elif holding.size:
             k = block.shape[1]
@@ -197,11 +232,7 @@ class PheromoneField:
         return tuple(np.where(known, g, 0.0).astype(np.float32) for g in _solved(moments, slope))  # type: ignore[return-value]
 
     def _block(self, k: int) -> Cells:
-        if k == NEAREST:
-            return self.cells.block
-        if k not in self._blocks:
-            self._blocks[k] = self.cells.nearest(k)
-        return self._blocks[k]
+        return self.cells.nearest(k)
 
     @cached_property
     def _seen(self) -> NDArray[np.float32]:

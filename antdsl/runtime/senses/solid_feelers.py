@@ -17,7 +17,7 @@ from antdsl.runtime.solids.bricks import CUBE, SIDE
 
 Floats = NDArray[np.float64]
 
-_MARCHES = 96  # steps of one ray, after which it counts as free
+_MARCHES = 96  # steps of one ray besides those through open air, after which it counts as free
 _LEAST = 0.25  # voxels: a ray goes on at least so far
 _THROUGH = 0.02  # voxels under the surface that a ray along it may dip without having hit it
 _HALVINGS = 8
@@ -35,7 +35,7 @@ class SolidFeelers:
         """A distance (mm, float32[n]) within which places have no surface; 0 when near."""
         place = np.stack([x, y, z], axis=1).astype(np.float64)
         away = np.maximum(np.maximum(self.volume.low - place, place - self.volume.high), 0.0)
-        outside = np.sqrt((away * away).sum(axis=1)).astype(np.float32)
+        outside: NDArray[np.float32] = np.sqrt((away * away).sum(axis=1)).astype(np.float32)
         within = np.flatnonzero(outside == 0)
         if within.size:
             near = np.abs(self.volume.sample(place[within])) - np.float32(self.volume.voxel)
@@ -64,7 +64,7 @@ class SolidFeelers:
         gone = np.zeros(n)
         rows = np.flatnonzero(far > 0)
         before = self.volume.sample(origin[rows]).astype(np.float64)
-        for _ in range(_MARCHES):
+        for _ in range(_MARCHES + int(far.max(initial=0.0) / self.volume.band[1])):
             step = np.maximum(np.abs(before), _LEAST * voxel)
             ahead = np.minimum(gone[rows] + step, far[rows])
             here = self.volume.sample(origin[rows] + ahead[:, None] * way[rows]).astype(np.float64)
