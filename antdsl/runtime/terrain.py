@@ -44,15 +44,15 @@ class Terrain:
     """Meshes (a `Ground`, or None without any) and solids by name; names of solids come after those of meshes."""
 
     def __init__(self, ground: Ground | None, solids: Mapping[str, Volume]) -> None:
-        self._ground = ground
+        self.meshes = ground
         self._volumes = tuple(solids.values())
         self.names = (*(ground.names if ground is not None else ()), *solids)
-        self._meshes = len(self.names) - len(self._volumes)
+        self._count = len(self.names) - len(self._volumes)
 
     @property
     def meshes(self) -> Ground | None:
         """The part of the ground that is made of meshes."""
-        return self._ground
+        return self.meshes
 
     # ---- asking
 
@@ -65,17 +65,17 @@ class Terrain:
         unknown = [name for name in names if name not in self.names]
         if unknown:
             raise KeyError(f"no surface `{unknown[0]}` on this ground, which has {', '.join(self.names) or 'none'}")
-        meshes = [name for name in names if name in self.names[: self._meshes]]
+        meshes = [name for name in names if name in self.names[: self._count]]
         standing, found = Standing.on_mesh(Footing.nowhere(len(points))), np.zeros(len(points), np.bool_)
-        if meshes and self._ground is not None:
-            footing, found = self._ground.place(points, up, meshes)
+        if meshes and self.meshes is not None:
+            footing, found = self.meshes.place(points, up, meshes)
             standing = Standing.on_mesh(footing)
         up = np.broadcast_to(np.asarray(up, np.float64), points.shape)
         place = self.position(standing)
         known = standing.mesh >= 0
         height = np.where(known, ((place - points) * up).sum(axis=1), -np.inf)
         for k, volume in enumerate(self._volumes):
-            asked = self.names[self._meshes + k] in names
+            asked = self.names[self._count + k] in names
             buried = known & (volume.sample(place) < -_SUNK * volume.voxel)
             rows = np.arange(len(points)) if asked else np.flatnonzero(buried)
             if not rows.size:
@@ -84,7 +84,7 @@ class Terrain:
             higher = met & (((top - points[rows]) * up[rows]).sum(axis=1) > height[rows])
             higher |= met & buried[rows]
             chosen = rows[higher]
-            standing.put(chosen, Standing.on_solid(self._meshes + k, top[higher]))
+            standing.put(chosen, Standing.on_solid(self._count + k, top[higher]))
             place[chosen] = top[higher]
             height[chosen] = ((top[higher] - points[chosen]) * up[chosen]).sum(axis=1)
             found = found.copy()
@@ -95,15 +95,15 @@ class Terrain:
         """Footings at the nearest point of the meshes, or of the solids where those are nearer, and the distance float64[n]."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         standing, distance = Standing.on_mesh(Footing.nowhere(len(points))), np.full(len(points), np.inf)
-        if self._ground is not None:
-            footing, distance = self._ground.nearest(points)
+        if self.meshes is not None:
+            footing, distance = self.meshes.nearest(points)
             standing, distance = Standing.on_mesh(footing), distance.copy()
         for k, volume in enumerate(self._volumes):
             hints = volume.gradient(points).astype(np.float64)
             landed = volume.project(points, hints / np.maximum(_length(hints), 1e-12)[:, None], volume.band[1])
             away = _length(landed.points - points)
             rows = np.flatnonzero(landed.found & (away < distance))
-            standing.put(rows, Standing.on_solid(self._meshes + k, landed.points[rows]))
+            standing.put(rows, Standing.on_solid(self._count + k, landed.points[rows]))
             distance[rows] = away[rows]
         return standing, distance
 
@@ -111,16 +111,16 @@ class Terrain:
         """Places in the world, float64[n,3]; zero for footings nowhere."""
         place = np.stack([standing.x, standing.y, standing.z], axis=1)
         rows = self._mesh_rows(standing)
-        if rows.size and self._ground is not None:
-            place[rows] = self._ground.position(standing.footing(rows))
+        if rows.size and self.meshes is not None:
+            place[rows] = self.meshes.position(standing.footing(rows))
         return place
 
     def normal(self, standing: Standing) -> Floats:
         """Unit normals, float64[n,3]: of the faces by how they are wound, out of the solids; zero for footings nowhere."""
         normal = np.zeros((len(standing), 3))
         rows = self._mesh_rows(standing)
-        if rows.size and self._ground is not None:
-            normal[rows] = self._ground.normal(standing.footing(rows))
+        if rows.size and self.meshes is not None:
+            normal[rows] = self.meshes.normal(standing.footing(rows))
         for k, volume in enumerate(self._volumes):
             rows = self._solid_rows(standing, k)
             if rows.size:
@@ -130,16 +130,16 @@ class Terrain:
     def sides(self, standing: Standing) -> NDArray[np.int64]:
         """Which of six ways the normals point most, as `Ground.sides`."""
         rows = self._mesh_rows(standing)
-        if rows.size == len(standing) and self._ground is not None:
-            return self._ground.sides(standing.footing(rows))
+        if rows.size == len(standing) and self.meshes is not None:
+            return self.meshes.sides(standing.footing(rows))
         return np.where(standing.mesh >= 0, facing(self.normal(standing)), 0)
 
     def upright(self, standing: Standing, up: Floats) -> Floats:
         """Smooth unit normals float64[n,3]: on meshes on the side that `up` points to, on solids outwards."""
         result = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(standing), 3)))
         rows = self._mesh_rows(standing)
-        if rows.size and self._ground is not None:
-            result[rows] = self._ground.upright(standing.footing(rows), result[rows])
+        if rows.size and self.meshes is not None:
+            result[rows] = self.meshes.upright(standing.footing(rows), result[rows])
         for k, volume in enumerate(self._volumes):
             rows = self._solid_rows(standing, k)
             if rows.size:
@@ -189,7 +189,7 @@ class Terrain:
             start, reach = place[rows], float(volume.band[1] * 4)
             landed = volume.project(start, _normals(volume, start), reach)
             gone = np.flatnonzero(~landed.found)
-            on, end = Standing.on_solid(self._meshes + k, landed.points), landed.points.copy()
+            on, end = Standing.on_solid(self._count + k, landed.points), landed.points.copy()
             normal = landed.normals.copy()
             met, _, face_of = self._across(start, end, up[rows], landed.normals, body[rows], 1)
             if gone.size:  # nothing of the solid is left near by
@@ -200,8 +200,8 @@ class Terrain:
             if met.any():
                 footing = face_of.take(met)
                 on.put(np.flatnonzero(met), Standing.on_mesh(footing))
-                assert self._ground is not None
-                end[met], normal[met] = self._ground.position(footing), self._ground.upright(footing, (start - end)[met])
+                assert self.meshes is not None
+                end[met], normal[met] = self.meshes.position(footing), self.meshes.upright(footing, (start - end)[met])
             standing.put(rows, on)
             place[rows], up[rows] = end, normal
             moved.append(rows)
@@ -213,19 +213,19 @@ class Terrain:
         """Walk `rows` on what they stand on; those who meet something else stand on that, and are returned if way is left."""
         again = []
         on = walk.standing.mesh[rows]
-        mesh = rows[on < self._meshes]
+        mesh = rows[on < self._count]
         if mesh.size:
             again.append(self._on_meshes(walk, mesh, body, threads, last))
         for k, volume in enumerate(self._volumes):
-            mine = rows[on == self._meshes + k]
+            mine = rows[on == self._count + k]
             if mine.size:
                 again.append(self._on_volume(walk, mine, k, volume, body, threads, last))
         return np.concatenate(again)
 
     def _on_meshes(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
-        assert self._ground is not None
+        assert self.meshes is not None
         start = walk.place[rows]
-        moved = self._ground.move(
+        moved = self.meshes.move(
             walk.standing.footing(rows), walk.left[rows], walk.heading[rows], walk.up[rows], body[rows], threads
         )
         entered, which, part = self._entering(start, moved.position)
@@ -291,7 +291,7 @@ class Terrain:
         walk.gone[rows] += travelled * part
         rest = np.zeros(len(rows)) if last else travelled * (1 - part)
         walk.left[rows] = walk.direction[rows] * rest[:, None]
-        walk.standing.put(rows, Standing.on_solid(self._meshes + k, place))
+        walk.standing.put(rows, Standing.on_solid(self._count + k, place))
         again: Rows = rows[rest > 0]
         return again
 
@@ -301,22 +301,22 @@ class Terrain:
         met, part, footing = self._across(start, moved.points, walk.up[rows], moved.up, body[rows], threads)
         free = ~met
         stay = rows[free]
-        walk.standing.put(stay, Standing.on_solid(self._meshes + k, moved.points[free]))
+        walk.standing.put(stay, Standing.on_solid(self._count + k, moved.points[free]))
         walk.place[stay], walk.up[stay] = moved.points[free], moved.up[free]
         walk.heading[stay], walk.direction[stay] = moved.heading[free], moved.direction[free]
         walk.gone[stay] += moved.travelled[free]
         walk.blocked[stay] |= moved.blocked[free]
         walk.left[stay] = 0.0
         down = rows[met]
-        if not down.size or self._ground is None:
+        if not down.size or self.meshes is None:
             return np.empty(0, np.intp)
         onto = footing.take(met)
-        normal = self._ground.upright(onto, start[met] - moved.points[met])  # the side that they come from
+        normal = self.meshes.upright(onto, start[met] - moved.points[met])  # the side that they come from
         before, way = moved.up[met], moved.direction[met]
         walk.heading[down] = _level(turned(moved.heading[met].T, before.T, normal.T, way.T).T, normal)
         walk.direction[down] = turned(way.T, before.T, normal.T, way.T).T
         walk.standing.put(down, Standing.on_mesh(onto))
-        walk.place[down], walk.up[down] = self._ground.position(onto), normal
+        walk.place[down], walk.up[down] = self.meshes.position(onto), normal
         walk.gone[down] += moved.travelled[met] * part[met]
         rest = np.zeros(len(down)) if last else moved.travelled[met] * (1 - part[met])
         walk.left[down] = walk.direction[down] * rest[:, None]
@@ -327,19 +327,19 @@ class Terrain:
     ) -> tuple[NDArray[np.bool_], Floats, Footing]:
         """Whose way a mesh lies across, seen from a little above it; after what part, and the footing there."""
         n = len(start)
-        if self._ground is None:
+        if self.meshes is None:
             return np.zeros(n, np.bool_), np.ones(n), Footing.nowhere(n)
         lift = (_LIFT * body)[:, None]
         a, b = start + up * lift, end + up_after * lift
-        return self._ground.met(a, b - a, threads)
+        return self.meshes.met(a, b - a, threads)
 
     # ---- footings
 
     def _mesh_rows(self, standing: Standing) -> Rows:
-        return np.flatnonzero((standing.mesh >= 0) & (standing.mesh < self._meshes))
+        return np.flatnonzero((standing.mesh >= 0) & (standing.mesh < self._count))
 
     def _solid_rows(self, standing: Standing, k: int) -> Rows:
-        return np.flatnonzero(standing.mesh == self._meshes + k)
+        return np.flatnonzero(standing.mesh == self._count + k)
 
 
 def _normals(volume: Volume, place: Floats) -> Floats:
