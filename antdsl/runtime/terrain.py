@@ -49,11 +49,6 @@ class Terrain:
         self.names = (*(ground.names if ground is not None else ()), *solids)
         self._count = len(self.names) - len(self._volumes)
 
-    @property
-    def meshes(self) -> Ground | None:
-        """The part of the ground that is made of meshes."""
-        return self.meshes
-
     # ---- asking
 
     def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Standing, NDArray[np.bool_]]:
