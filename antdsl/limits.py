@@ -24,6 +24,7 @@ DIAGNOSTICS_SHOWN: Final = 50
 NODES: Final = 20_000  # of the tree, behaviours put in place of their calls
 STATES: Final = 256
 LAYERS: Final = 32
+RULES: Final = 64  # of one `fuzzy`
 ATTRIBUTES: Final = 256
 FIELDS: Final = 64
 

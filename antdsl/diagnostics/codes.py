@@ -62,6 +62,7 @@ CODES: dict[str, str] = {
     "unknown-type": "the language has no type of that name",
     # --- types and units ---
     "division-by-zero": "a constant division by 0",
+    "empty-fuzzy": "a `fuzzy` has no rules",
     "empty-range": "a range ends before it begins, or has no width",
     "kinds-differ": "two values that must be alike are different kinds of things",
     "missing-unit": "a number has no unit, and its place wants one",

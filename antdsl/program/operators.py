@@ -206,6 +206,10 @@ def _logic(scope: Scope, node: nodes.Binary) -> Expr:
     left, right = value(scope, node.left, BOOL), value(scope, node.right, BOOL)
     if left.type == NUMBER and right.type == NUMBER:
         return op("min" if node.op == "and" else "max", NUMBER, node.span, left, right)
+    if scope.shades and NUMBER in (left.type, right.type):  # elsewhere a number beside a yes or no is mostly a slip
+        pairs = ((node.left, left), (node.right, right))
+        parts = (e if e.type == NUMBER else truth(scope, n, e, f"`{node.op}`") for n, e in pairs)
+        return op(node.op, NUMBER, node.span, *parts)
     a = truth(scope, node.left, left, f"`{node.op}`")
     b = truth(scope, node.right, right, f"`{node.op}`")
     return op(node.op, BOOL, node.span, a, b)

@@ -127,6 +127,7 @@ class Scope:
     generic: bool = False  # a behaviour by itself: types may still be open
     no_keep: str | None = None  # why no memory may stand here, in words
     no_let: str | None = None  # why a `let` cannot be read here
+    shades: bool = False  # a rule of `fuzzy`: beside a shade of truth a yes or no counts as 1 or 0
     once: bool = False  # happens once, not each step: shares and amounts instead of rates
 
     def inside(self, **changes: Any) -> Scope:

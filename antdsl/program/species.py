@@ -31,7 +31,9 @@ from antdsl.program.scope import (
     did_you_mean,
     duplicate,
 )
+from antdsl.program.shades import rules
 from antdsl.program.statements import ACTION, HANDLER, statements
+from antdsl.program.vocabulary import GIVEN
 from antdsl.program.wording import quoted, type_words
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -55,7 +57,7 @@ def draft(declared: Declared, file: FileNames, node: nodes.Species) -> Draft:
     names = declared.species[node.name.text]
     scope = Scope(declared, file, Keys(names.name), declared.report, species=names, no_keep=_PURE)
     _check_names(scope, node)
-    names.pending = {m.name.text for m in _members(node, nodes.Let, nodes.Latch)}
+    names.pending = {m.name.text for m in _members(node, nodes.Let, nodes.Latch, nodes.Fuzzy)} - GIVEN.keys()
     params = [p for m in node.members if isinstance(m, nodes.ParamDecl) and (p := param(scope, m.declaration)) is not None]
     return Draft(names, node, scope, params, attributes_in(scope, node))
 
@@ -76,14 +78,9 @@ def _check_names(scope: Scope, node: nodes.Species) -> None:
     for member in _members(node, nodes.Declaration, nodes.ParamDecl, nodes.Let, nodes.Latch, nodes.Fuzzy):
         each = member.declaration if isinstance(member, nodes.ParamDecl) else member
         if isinstance(each, nodes.Fuzzy):
-            scope.report.error(
-                "not-yet",
-                "`fuzzy` is a word of the language that does not work yet",
-                each.name.span,
-                "use `rising`, `falling` and `around` with `and` and `or`",
-            )
-            continue
-        value_span = each.on.span if isinstance(each, nodes.Latch) else each.value.span
+            value_span = each.rules[0].value.span if each.rules else each.name.span
+        else:
+            value_span = each.on.span if isinstance(each, nodes.Latch) else each.value.span
         if each.name.text in seen:
             duplicate(scope.report, "name", each.name, seen[each.name.text])
         else:
@@ -165,16 +162,18 @@ def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declarat
     )  # fmt: skip
 
 
-def _parts(member: nodes.Let | nodes.Latch) -> list[nodes.Expr]:
+def _parts(member: nodes.Let | nodes.Latch | nodes.Fuzzy) -> list[nodes.Expr]:
+    if isinstance(member, nodes.Fuzzy):
+        return [part for rule in member.rules for part in (rule.condition, rule.value)]
     return [member.value] if isinstance(member, nodes.Let) else [member.on, member.until]
 
 
 def _bindings(scope: Scope, node: nodes.Species) -> list[Binding]:
-    """Lets and latches, those used first before those that use them."""
+    """Lets, latches and rules, those used first before those that use them."""
     names = scope.species
     assert names is not None
-    declared: dict[str, nodes.Let | nodes.Latch] = {}
-    for member in _members(node, nodes.Let, nodes.Latch):
+    declared: dict[str, nodes.Let | nodes.Latch | nodes.Fuzzy] = {}
+    for member in _members(node, nodes.Let, nodes.Latch, nodes.Fuzzy):
         declared.setdefault(member.name.text, member)
     order, circular = ordered(scope.report, "lets", declared, _parts, lambda m: m.name)
     made: list[Binding] = []
@@ -183,8 +182,8 @@ def _bindings(scope: Scope, node: nodes.Species) -> list[Binding]:
         inner = scope.inside(keys=Keys(f"{names.name}.{name}"))
         if name in circular:
             binding = Binding(name, "let", BAD, Rate.CONST, each.name.span, bad(each.name.span), snapshot=True)
-        elif isinstance(each, nodes.Let):
-            found = inner.typed(each.value)
+        elif isinstance(each, (nodes.Let, nodes.Fuzzy)):
+            found = rules(inner, each) if isinstance(each, nodes.Fuzzy) else inner.typed(each.value)
             binding = Binding(name, "let", found.type, found.rate, each.name.span, found, snapshot=True)
         else:
             on, until = condition(inner, each.on, "`latch`"), condition(inner, each.until, "`until`")

@@ -301,8 +301,8 @@ SIGN_OPS = {
 # Further ops of the typed tree:
 #   if(condition, then, else)      is_none(x)  (also `no x`; for a set: it is empty)      chance(rate or share)
 #   is_some(x)      field_value(field)      flow_value(flow)      map_value(map)      slope()
-#   run(dt | time | frame as Thing)      event(its name as Thing)
-OTHER_OPS = ("if", "is_none", "is_some", "chance", "field_value", "flow_value", "map_value", "slope", "run", "event")
+#   run(dt | time | frame as Thing)      event(its name as Thing)      fuzzy(degree, output, degree, output, …)
+OTHER_OPS = ("if", "is_none", "is_some", "chance", "field_value", "flow_value", "map_value", "slope", "run", "event", "fuzzy")
 
 # Words with a meaning to come. Used as a name they are refused, used as a construct they get a placed "not yet".
-RESERVED = ("noise", "play", "fuzzy", "repeat", "import", "share", "total", "clip")
+RESERVED = ("noise", "play", "repeat", "import", "share", "total", "clip")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from antdsl.plan.expressions import as_truth, lower, present, select, truth
+from antdsl.plan.expressions import as_truth, lower, present, scalar, select, truth
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.values import Value
 from antdsl.plan.writing import Writer
@@ -30,6 +30,17 @@ def _shade(w: Writer, e: model.Expr) -> Node:
     if isinstance(value, Node) and value.kind is Kind.F32:
         return value
     return w.b("number", as_truth(w, value, e))
+
+
+def _fuzzy(w: Writer, e: model.Op) -> Value:
+    """What the rules say, weighted by how true each is; 0 when none is. A degree counts from 0 to 1; one that is NaN as 0."""
+    b = w.b
+    above = below = b.number(0)
+    for degree, said in zip(e.args[::2], e.args[1::2], strict=True):
+        assert degree is not None and said is not None
+        weight = b("min", b("max", _shade(w, degree), b.number(0)), b.number(1))
+        above, below = b("add", above, b("mul", weight, scalar(w, said))), b("add", below, weight)
+    return b("where", b("gt", below, b.number(0)), b("div", above, below), b.number(0))
 
 
 def _not(w: Writer, e: model.Op) -> Value:
@@ -67,5 +78,5 @@ def _first(w: Writer, e: model.Op) -> Value:
 
 RULES = {
     "and": _joined("and", "min"), "or": _joined("or", "max"), "not": _not, "if": _if, "is_some": _is_some, "is_none": _is_none,
-    "first": _first,
+    "first": _first, "fuzzy": _fuzzy,
 }  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Report
 from antdsl.program.checks.checked import Checked
-from antdsl.program.model import Species
+from antdsl.program.model import Op, Species
 from antdsl.syntax import nodes
 
 
@@ -40,8 +40,9 @@ def _species(checked: Checked, species: Species, report: Report) -> None:
             )
     for binding in (*species.lets, *species.latches):
         if not checked.uses("let", f"{species.name}.{binding.name}"):
+            word = "fuzzy" if isinstance(binding.value, Op) and binding.value.name == "fuzzy" else binding.role
             report.warning(
-                f"unused-{binding.role}", f"`{binding.role} {binding.name}` is never used", binding.span, "use it, or delete it"
+                f"unused-{binding.role}", f"`{word} {binding.name}` is never used", binding.span, "use it, or delete it"
             )
 
 
