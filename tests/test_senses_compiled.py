@@ -118,3 +118,21 @@ def test_a_crowd_goes_the_same_way_compiled_and_not(monkeypatch) -> None:
             step(under_way)
             hashes[-1].append(state_hash(under_way))
     assert hashes[0] == hashes[1]
+
+
+def test_items_are_the_same_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    from antdsl.runtime import pairs
+
+    places, _ = crowd((400, 10, 400), 3000)
+    rng = np.random.default_rng(4)
+    for many in (0, 1, 7, 200):
+        seen = {axis: rng.uniform(-200, 200, many).astype(np.float32) for axis in "xyz"}
+        items = type("Held", (), {"seen": seen, "__len__": lambda self: many})()
+        for radius in (np.float32(np.inf), np.float32(60), rng.uniform(-5, 300, 3000).astype(np.float32)):
+            with np.errstate(invalid="ignore"):
+                slow = pairs._items_by_item(items, tuple(places), radius)
+            monkeypatch.setattr(compiled, "wanted", lambda count: True)
+            fast = pairs._items(items, tuple(places), radius, 3000)
+            for name in ("i", "j", "dx", "dy", "dz", "distance"):
+                a, b = getattr(slow, name), getattr(fast, name)
+                assert np.array_equal(a, b, equal_nan=a.dtype == np.float32) and a.dtype.itemsize == b.dtype.itemsize

@@ -105,7 +105,7 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
     `nearby` is what was found for the chunk before; this adds to it."""
     own = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     if node.op == "set.items":
-        return _items(world.items[node.attrs[0]], own, args[0])
+        return _items(world.items[node.attrs[0]], own, args[0], len(population))
     other = world.populations[node.attrs[0]]
     ids = population.ids[rows] if other is population else None
     if node.op == "set.every":
@@ -166,7 +166,17 @@ def _every(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | 
     return PairRows(other, n, i, j, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
 
 
-def _items(items: Items, own: tuple[Floats, ...], radius: Any) -> PairRows:
+def _items(items: Items, own: tuple[Floats, ...], radius: Any, crowd: int) -> PairRows:
+    if compiled.wanted(crowd):
+        from antdsl.runtime.pairs_compiled import within
+
+        reach = np.full(len(own[0]), radius, np.float32) if np.ndim(radius) == 0 else np.asarray(radius, np.float32)
+        places = tuple(np.asarray(items.seen[axis], np.float32) for axis in AXES)
+        return PairRows(items, len(own[0]), *within(*places, *own, reach))
+    return _items_by_item(items, own, radius)
+
+
+def _items_by_item(items: Items, own: tuple[Floats, ...], radius: Any) -> PairRows:
     n = len(own[0])
     parts: list[tuple[NDArray[Any], ...]] = []
     for k in range(len(items)):
