@@ -44,6 +44,13 @@ crowd: [{species: walker, from: walker.ant, count: 5, place: {radius: 20 mm}}]
 """
 
 
+GROUND = (
+    "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    "-60 0 -60\n-60 0 60\n60 0 60\n60 0 -60\n3 0 1 2\n3 0 2 3\n"
+)
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "scene.yaml").write_text(SCENE)
@@ -89,6 +96,8 @@ LINES = [
     ("always: count(f in all(food, with: load > 1): true) == 1 and min(food.radius) == 10 mm", None),
     ("always: mean(walker.speed) <= 30.001 mm/s and time < 3.15 s", None),
     ("always: motion.standing <= 100 % and motion.overlap_p99 <= 1 and motion.turn_p99 <= 180 deg", None),
+    ("each walker { always: tick <= 2 * mean(walker.tick) + share(load > 9) }", None),
+    ("each walker { always: tick <= 0.5 * max(walker.tick) or tick < at_start(total(food.load)) / 4 }", 6),
     ("always: motion.straightness > 0.9 and motion.circling < 5 %", None),
     ("for 1 s; never: motion.straightness <= 1", None),  # nobody has walked for two seconds: there is no such number
     ("for 1 s; always: motion.straightness <= 1", 11),
@@ -167,6 +176,60 @@ species fly {
 FLIES = "antdsl: 1\nfps: 10\nframes: 1..21\ncrowd: [{species: fly, from: walker.ant, count: 4, place: {radius: 9 mm}}]\n"
 
 
+SOLID = """ant 1
+world { surface ground; solid block }
+species mole {
+  start dig
+  state dig { carve block(radius: 2 mm) }
+}
+"""
+BLOCK = """ply
+format ascii 1.0
+element vertex 8
+property float x
+property float y
+property float z
+element face 12
+property list uchar int vertex_indices
+end_header
+-8 -8 -8
+8 -8 -8
+8 8 -8
+-8 8 -8
+-8 -8 8
+8 -8 8
+8 8 8
+-8 8 8
+3 0 2 1
+3 0 3 2
+3 4 5 6
+3 4 6 7
+3 0 1 5
+3 0 5 4
+3 3 6 2
+3 3 7 6
+3 0 4 7
+3 0 7 3
+3 1 2 6
+3 1 6 5
+"""
+
+
+def test_the_volume_of_a_solid_is_asked_for(tmp_path: Path) -> None:
+    (tmp_path / "block.ply").write_text(BLOCK)
+    (tmp_path / "scene.yaml").write_text(
+        "antdsl: 1\nfps: 10\nframes: 1..6\nworld: {ground: {mesh: ground.ply}, block: {mesh: block.ply, voxel: 1 mm}}\n"
+        "crowd: [{species: mole, from: walker.ant, count: 3, place: {radius: 4 mm}}]\n"
+    )
+    (tmp_path / "ground.ply").write_text(GROUND)
+    specs = spec("always: total(block) <= at_start and total(block) > 4000 mm^3; eventually: total(block) < at_start - 20 mm^3")
+    specs += spec("always: total(block) == at_start")
+    sound, dug = judged(tmp_path, specs, SOLID)
+    assert not sound.failures
+    (failure,) = dug.failures
+    assert failure.frame == 2 and failure.values[1] == ("at_start", "4096 mm^3")
+
+
 EACH = [
     ("within 0.5 s: tick >= 0.45", None, None, ""),
     ("within 0.3 s: tick >= 0.45", 4, 0, "the time is over"),
@@ -196,19 +259,14 @@ def test_seeds_params_and_fields_are_set(folder: Path) -> None:
     program = WALKER.replace("tick += pace", "tick += pace; deposit scent 10 /s").replace(
         "species walker", "field scent on ground { cell 4 mm; half_life 8 s }\nspecies walker"
     ).replace("world {", "world { surface ground;")  # fmt: skip
-    (folder / "ground.ply").write_text(
-        "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
-        "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
-        "-60 0 -60\n-60 0 60\n60 0 60\n60 0 -60\n3 0 1 2\n3 0 2 3\n"
-    )
+    (folder / "ground.ply").write_text(GROUND)
     (folder / "scene.yaml").write_text(SCENE.replace("world:", "world:\n  ground: {mesh: ground.ply}"))
     specs = [
         'spec "quick" on "scene.yaml" { seeds 1 .. 2; seeds 7; set walker.pace = 4 /s; for 0.6 s; '
         "always: share(state == go) == 1 }",
         'spec "gone" on "scene.yaml" { set scent.keeps = 0 %/step; for 0.6 s; '
         "always: total(scent) <= 5.001; eventually: max(scent) > 0 }",
-        'spec "stays" on "scene.yaml" { for 0.6 s; eventually: total(scent) > 5.001; '
-        "each walker { eventually: scent > 0 } }",
+        'spec "stays" on "scene.yaml" { for 0.6 s; eventually: total(scent) > 5.001; each walker { eventually: scent > 0 } }',
     ]
     found = judged(folder, "\n".join(specs) + "\n", program)
     assert [(c.name, c.seed, c.failures[0].frame if c.failures else None) for c in found] == [

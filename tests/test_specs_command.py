@@ -96,7 +96,7 @@ def test_results_are_written_for_build_servers(
         (["lost.ant"], 1, "there is no file `lost.yaml`"),
         (["a.ant", "--junit", "none/x.xml"], 2, "there is no folder"),
         (["a.ant", "--seeds", "0"], 2, "--seeds"),
-        (["a.ant", "bad.ant", "-k", "fine"], 1, "2 passed"),
+        (["a.ant", "bad.ant", "-k", "fine"], 1, "2 passed, 2 mistakes in files"),
     ],
 )
 def test_what_cannot_run_ends_in_words_and_an_exit_code(
@@ -105,9 +105,11 @@ def test_what_cannot_run_ends_in_words_and_an_exit_code(
     (folder / "plain.ant").write_text(PROGRAM[: PROGRAM.index('spec "')])
     (folder / "bad.ant").write_text(PROGRAM.replace("count(a) == 3", "total(b.load) == 3"))
     (folder / "lost.ant").write_text(PROGRAM.replace("scene.yaml", "lost.yaml"))
-    found, out, err = run(capfd, monkeypatch, *words)
+    found, out, err = run(capfd, monkeypatch, *words, "--json", "told.json")
     assert found == code and (said in out + err or "error[" in err), out + err
     assert "Traceback" not in out + err
+    if (folder / "told.json").exists() and code == 1:
+        assert json.loads((folder / "told.json").read_text())["problems"][0]["place"]["file"].endswith(".ant")
 
 
 def test_ctrl_c_writes_what_was_finished(folder: Path) -> None:

@@ -11,6 +11,7 @@ from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.run import Backend
 
 if TYPE_CHECKING:
+    from antdsl.diagnostics import Report
     from antdsl.specs import Case, Run
     from antdsl.specs.coverage import Coverage
 
@@ -61,9 +62,9 @@ def test(
     except KeyboardInterrupt:
         stopped = True
         progress.clear()
-    if everything:
-        typer.echo(counted(everything) if quiet else f"{counted(everything)}\n{uncovered(coverage)}".rstrip())
-    _write(junit, json, everything, coverage)
+    words = counted(everything, len(report.errors))
+    typer.echo(words if quiet else f"{words}\n{uncovered(coverage)}".rstrip())
+    _write(junit, json, everything, coverage, report)
     if stopped:
         raise Stop(Exit.INTERRUPTED, "stopped by Ctrl-C; the specs above were finished")
     if any(case.failures for case in everything):
@@ -100,11 +101,11 @@ class _Progress:
             self.stream.flush()
 
 
-def _write(junit: Path | None, json: Path | None, cases: list[Case], coverage: Coverage) -> None:
+def _write(junit: Path | None, json: Path | None, cases: list[Case], coverage: Coverage, report: Report) -> None:
     from antdsl.outputs.npz import write_whole
     from antdsl.specs.telling import as_json, as_junit
 
     if junit is not None:
-        write_whole(junit, as_junit(cases).encode(), sync=False)
+        write_whole(junit, as_junit(cases, report).encode(), sync=False)
     if json is not None:
-        write_whole(json, as_json(cases, coverage).encode(), sync=False)
+        write_whole(json, as_json(cases, coverage, report).encode(), sync=False)

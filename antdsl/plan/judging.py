@@ -14,7 +14,7 @@ from antdsl.plan import ir
 from antdsl.plan.actions import complain
 from antdsl.plan.builder import Builder
 from antdsl.plan.expressions import lower, scalar, truth
-from antdsl.plan.ir import SENSES, Block, Kind, Node, Rate, Register, SpeciesPlan, Store
+from antdsl.plan.ir import OPS, Block, Kind, Node, Rate, Register, SpeciesPlan, Store
 from antdsl.plan.lazy import lazy
 from antdsl.plan.lower import DEEP
 from antdsl.plan.values import Own, Ref, Value, Vec, length
@@ -24,14 +24,13 @@ from antdsl.program import expected, model
 from antdsl.source import Span
 
 _TRUTHS = ("share", "count", "any", "every")
-_NO_ITEM = SENSES | {"surface.touching", "id", "age", "event", "draw"}  # what only an agent has
 _OF_ITEMS = "items have a position, a radius and their own values"
-_KINDS = {model.Kind.SPECIES: "species", model.Kind.ITEMS: "items", model.Kind.FIELD: "field"}
+_KINDS = {model.Kind.SPECIES: "species", model.Kind.ITEMS: "items", model.Kind.FIELD: "field", model.Kind.SOLID: "solid"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WholePlan:
-    """A number about all agents of a species, items of a name or cells of a field, told to the nodes `told NAME`.
+    """A number about all agents of a species, items of a name, cells of a field or a solid, told to the nodes `told NAME`.
 
     `where` and `body` are registers that `decide` has filled; `amount` is an item's attribute that is taken as it is kept."""
 
@@ -161,7 +160,7 @@ class _Work:
         name, of = f"whole#{len(self.wholes) + 1}", e.over.of or ""
         kind = _KINDS[e.over.kind]
         where = body = amount = None
-        if kind != "field":
+        if kind in ("species", "items"):
             w = self.of_items(of) if kind == "items" else self.of_agents(of, e.span)
             for element in e.elements:
                 w.environment[element] = Own()
@@ -192,7 +191,7 @@ class _Work:
         if w.statements:
             w.statements.clear()
             raise NotYet("something that remembers, in a spec,", e.span, "ask for what it does: an attribute, a state, a speed")
-        if w.species.name in self.lowered.items and any(n.op in _NO_ITEM for n in needed([node])):
+        if w.species.name in self.lowered.items and any(_of_an_agent(n) for n in needed([node])):
             raise NotYet("a sense of an item", e.span, _OF_ITEMS)
         return node
 
@@ -222,6 +221,11 @@ class _Work:
         if value.rate <= Rate.STEP:
             return ReadingPlan(e.span, type, reading.unit, node=value)
         return ReadingPlan(e.span, type, reading.unit, register=w.result("blend", name, value, e.span))
+
+
+def _of_an_agent(node: Node) -> bool:
+    """Whether only an agent has such a value: a sense, its age; an item has registers alone."""
+    return node.op != "snap" and (OPS[node.op].rate is Rate.AGENT or node.kind is Kind.SET)
 
 
 def lower_spec(spec: expected.Spec, program: model.Program, plan: ir.Plan) -> tuple[SpecPlan | None, Report]:

@@ -9,7 +9,8 @@ from antdsl.syntax import nodes
 
 @value
 class Whole(Expr):
-    """A number or truth about all there are. `how`: total mean min max share count any every; `over`: a SPECIES, ITEMS or FIELD.
+    """A number or truth about all there are. `how`: total mean min max share count any every; `over`: a SPECIES, ITEMS, FIELD
+    or SOLID (its total is the volume).
 
     `where` and `body` are expressions of one of them: an agent itself, or an item. `elements` are the names that stand for it."""
 

@@ -24,6 +24,7 @@ WHOLES = ("total", "share", "sum", "mean", "min", "max", "count", "any", "every"
 _OF_CELLS = ("total", "sum", "mean", "min", "max")
 _TRUTHS = ("share", "count", "any", "every")
 _COMPARED = ("<", "<=", ">", ">=", "==", "!=")
+_VOLUME = Type(Kind.NUMBER, Dim(length=3))
 _SETS = ("neighbours", "all", "feelers")
 
 
@@ -157,6 +158,10 @@ class SpecRules:
         if bare in scope.declared.fields and name in _OF_CELLS:
             scope.use("field", bare)
             return Whole(NUMBER, Rate.STEP, node.span, how, Type(Kind.FIELD, of=bare), (), None, None)
+        solid = scope.declared.things.get(bare)
+        if solid is not None and solid.kind == "solid" and name == "total":
+            scope.use("thing", bare)
+            return Whole(_VOLUME, Rate.STEP, node.span, how, Type(Kind.SOLID, of=bare), (), None, None)
         over = _whom(scope, node, asked)
         if over is None:
             return bad(node.span)

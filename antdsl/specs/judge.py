@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from antdsl.plan import ir
 from antdsl.plan.judging import JudgementPlan, ReadingPlan, SpecPlan
 from antdsl.plan.walk import needed, operands, statements
+from antdsl.program.expected import MOTION
 from antdsl.runtime.backends import BACKENDS
 from antdsl.runtime.births import find_cells
 from antdsl.runtime.effects import Effects
@@ -56,6 +57,7 @@ class Judge:
             _Line(j, None if j.time is None else _steps(float(value_of(world, j.time, {})), fps)) for j in plan.judgements
         ]
         self.told: dict[str, Any] = {}
+        self.names = [w.name for w in plan.wholes] + [s.name for s in plan.starts] + [f"motion.{name}" for name in MOTION]
         self.starts: dict[str, tuple[Ids, NDArray[np.float32]]] = {}
         self.failures: list[Failure] = []
         self.over = False
@@ -98,7 +100,7 @@ class Judge:
             name: self._items(world.items[name]) if name in world.items else self._agents(there, world.populations[name])
             for name in self.plan.plan.species
         }
-        there.told = {name: np.float32(number) for name, number in self.told.items()}
+        there.told = dict.fromkeys(self.names, np.float32(0))  # nobody has been asked yet
         self.backend.begin(there)
         self._run(there, "decide")
         for each in self.plan.wholes:

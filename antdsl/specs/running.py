@@ -49,6 +49,8 @@ def _fail(run: Run, failure: Failure) -> None:
 def _run(run: Run, options: Options, coverage: Coverage, told: Callable[[Run, int, int], None]) -> None:
     shot = run.shot
     world = bind(shot.plan, replace(shot.setting, seed=run.seed), options)
+    if world.faults.told:
+        raise FaultStop(world.faults.told[0])  # at birth
     coverage.watch(world, shot.program)
     for _ in range(shot.scene.model.preroll):
         step(world)

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+from antdsl.diagnostics import Diagnostic, Report
+from antdsl.diagnostics.full import full
 from antdsl.diagnostics.places import area, safe
 from antdsl.loading import shown
 from antdsl.source import Span
@@ -37,11 +39,14 @@ def _lines(failure: Failure) -> list[str]:
     return lines + [f"    {safe(text)} is {safe(value)}" for text, value in failure.values]
 
 
-def counted(cases: Sequence[Case]) -> str:
-    """`5 passed, 1 failed`."""
-    numbers = [(sum(case.outcome == word for case in cases), word) for word in ("passed", "failed", "waiting")]
-    words = {"waiting": "not finished"}
-    return ", ".join(f"{number} {words.get(word, word)}" for number, word in numbers if number or word == "passed")
+def counted(cases: Sequence[Case], mistakes: int) -> str:
+    """`5 passed, 1 failed, 2 mistakes in files`."""
+    numbers = {word: sum(case.outcome == word for case in cases) for word in ("passed", "failed", "waiting")}
+    told = [f"{numbers['passed']} passed"]
+    told += [f"{numbers['failed']} failed"] if numbers["failed"] else []
+    told += [f"{numbers['waiting']} not finished"] if numbers["waiting"] else []
+    told += [f"{mistakes} mistake{'s' if mistakes > 1 else ''} in files"] if mistakes else []
+    return ", ".join(told)
 
 
 def uncovered(coverage: Coverage) -> str:
@@ -72,12 +77,17 @@ def _never(coverage: Coverage) -> list[tuple[Counted, str]]:
 # --- JSON ------------------------------------------------------------------------------------------------------------
 
 
-def as_json(cases: Sequence[Case], coverage: Coverage) -> str:
-    """All cases and the coverage, one document."""
+def as_json(cases: Sequence[Case], coverage: Coverage, report: Report) -> str:
+    """All cases, the coverage, and what kept others from being run, one document."""
     document = {
         "passed": sum(case.outcome == "passed" for case in cases),
         "failed": sum(case.outcome == "failed" for case in cases),
         "specs": [_case(case) for case in cases],
+        "problems": [
+            {"code": d.code, "message": d.message, "place": _place(d.span), "help": d.help}
+            for d in report.sorted()
+            if d.severity == "error"
+        ],
         "coverage": {
             "states": [_met(each) for each in coverage.states.values()],
             "changes": [_met(each) for each in coverage.changes.values()],
@@ -125,9 +135,15 @@ def _place(span: Span | None) -> dict[str, Any] | None:
 # --- JUnit -----------------------------------------------------------------------------------------------------------
 
 
-def as_junit(cases: Sequence[Case]) -> str:
-    """A suite for each program, as build servers read it; a case that was not finished counts as skipped."""
-    root = ElementTree.Element("testsuites", {"name": "antdsl test"} | _counts(cases))
+def as_junit(cases: Sequence[Case], report: Report) -> str:
+    """A suite for each program, as build servers read it. What was not finished counts as skipped; mistakes in files, which kept
+    specs from being run, stand in a suite of their own as errors."""
+    errors = [d for d in report.sorted() if d.severity == "error"]
+    root = ElementTree.Element("testsuites", {"name": "antdsl test"} | _counts(cases, len(errors)))
+    if errors:
+        suite = ElementTree.SubElement(root, "testsuite", {"name": "files"} | _counts((), len(errors)))
+        for problem in errors:
+            _junit_error(suite, problem)
     for path in dict.fromkeys(case.spec.span.source.path for case in cases):
         mine = [case for case in cases if case.spec.span.source.path == path]
         suite = ElementTree.SubElement(root, "testsuite", {"name": safe(path)} | _counts(mine))
@@ -137,14 +153,20 @@ def as_junit(cases: Sequence[Case]) -> str:
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _counts(cases: Sequence[Case]) -> dict[str, str]:
+def _counts(cases: Sequence[Case], errors: int = 0) -> dict[str, str]:
     numbers = {
-        "tests": len(cases),
+        "tests": len(cases) + errors,
         "failures": sum(case.outcome == "failed" for case in cases),
-        "errors": 0,
+        "errors": errors,
         "skipped": sum(case.outcome == "waiting" for case in cases),
     }
     return {name: str(number) for name, number in numbers.items()} | {"time": f"{sum(case.seconds for case in cases):.3f}"}
+
+
+def _junit_error(suite: ElementTree.Element, problem: Diagnostic) -> None:
+    where = "antdsl" if problem.span is None else area(problem.span).path
+    case = ElementTree.SubElement(suite, "testcase", classname=safe(where), name=problem.code)
+    ElementTree.SubElement(case, "error", message=safe(problem.message), type=problem.code).text = full([problem], 0)
 
 
 def _junit_case(suite: ElementTree.Element, case: Case) -> None:

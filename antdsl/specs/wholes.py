@@ -34,6 +34,8 @@ def whole(world: World, judged: dict[str, Population], plan: WholePlan) -> Any:
     if plan.kind == "field":
         values = world.fields[plan.of].values
         return _of_values(plan.how, values, len(values))
+    if plan.kind == "solid":
+        return np.float64(world.solids[plan.of].volume())
     population = judged[plan.of]
     chosen = None if plan.where is None else population.now[plan.where]
     count = len(population) if chosen is None else int(np.count_nonzero(chosen))
