@@ -244,7 +244,7 @@ def _told(world: World, found: list[tuple[ReadingPlan, Any]], line: str) -> tupl
     alike = len(set(values)) < len({float(value) for _, value in found})
     if alike or any(float(number) in written for text in values for number in _NUMBER.findall(text)[:1]):
         values = [shown(world, value, reading.type, reading.unit, True) for reading, value in found]
-    return tuple(zip(texts, values, strict=True))
+    return tuple(dict.fromkeys(zip(texts, values, strict=True)))
 
 
 def _answers(registers: Mapping[str, ir.Register], known: Mapping[str, Any], count: int) -> dict[str, NDArray[Any]]:
