@@ -34,6 +34,7 @@ YAML_DEPTH: Final = 32
 YAML_NODES: Final = 50_000
 MESH_BYTES: Final = 512 * MIB
 MESH_FACES: Final = 10_000_000
+MOVES_BYTES: Final = 4 * GIB  # of all frames of one thing of the world that moves
 VOXELS: Final = 512_000_000
 GRID_BYTES: Final = 8 * GIB
 AGENTS: Final = 5_000_000

@@ -29,7 +29,7 @@ FORBIDDEN_ATTRIBUTES = frozenset(
     [("np", "load"), ("numpy", "load"), ("yaml", "load"), ("yaml", "unsafe_load"), ("yaml", "full_load"), ("os", "system")]
 )
 FORBIDDEN_NAMES = frozenset(["utils", "util", "helpers", "common", "base", "manager", "misc"])
-HEAVY = frozenset(["open3d", "scipy", "skimage", "trimesh", "PIL", "imageio_ffmpeg"])
+HEAVY = frozenset(["open3d", "pxr", "scipy", "skimage", "trimesh", "PIL", "imageio_ffmpeg"])
 OPEN3D_DOOR = PACKAGE / "runtime" / "senses" / "rays.py"
 
 

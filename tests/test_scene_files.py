@@ -18,7 +18,7 @@ from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.scene import PathRefused, Roots
 from antdsl.scene.meshes import MeshError, placed, read_mesh
 from antdsl.scene.setting import MeshData
-from antdsl.scene.staging import height_over
+from antdsl.scene.laying import height_over
 
 ROOT = Path(__file__).resolve().parent.parent
 PROGRAM = """ant 1

@@ -10,6 +10,7 @@ PACKAGES = ("numpy", "scipy", "lark", "pydantic", "yaml", "typer", "rich", "trim
 _NAMES = {"yaml": "pyyaml", "PIL": "pillow", "skimage": "scikit-image"}
 EXTRAS = {
     "imageio_ffmpeg": "films: pip install 'antdsl[video]'",
+    "pxr": "sets in USD files: pip install 'antdsl[usd]'",
     "numba": "speed with thousands of agents: pip install 'antdsl[fast]'",
 }
 

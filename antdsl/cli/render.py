@@ -137,7 +137,7 @@ def _draw(
             picture = gallery.picture(frame, agents=frozenset(agents))
         except CacheError as why:
             raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
-        if standing is None or (camera is View.eye and not rest):
+        if standing is None or (camera is View.eye and not rest) or (camera is View.scene and gallery.camera_moves):
             standing = _camera(gallery, picture, camera, agents, width / height)
         try:
             image = renderer.draw(picture, standing, show=show)
@@ -156,7 +156,7 @@ def _camera(gallery: Gallery, picture: Picture, which: View, agents: tuple[int, 
                 Exit.FINDINGS, f"error: there is no agent {agents[0] if agents else ''} to stand beside".replace("  ", " ")
             )
         return found
-    own = gallery.camera() if which is View.scene else None
+    own = gallery.camera(picture.frame or 0) if which is View.scene else None
     return own if own is not None else camera_over(picture, aspect=aspect)
 
 

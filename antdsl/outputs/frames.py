@@ -22,6 +22,7 @@ from antdsl.outputs.manifest import (
 )
 from antdsl.outputs.solid_pieces import PieceMaker, start_pieces
 from antdsl.program.model import Dim, Kind, Program
+from antdsl.runtime.carrying import ground_velocity, vertices_at
 from antdsl.runtime.fields.growing import GrowingCells
 from antdsl.runtime.fields.pheromone import PheromoneField
 from antdsl.runtime.world import Population, World
@@ -65,7 +66,24 @@ class FrameMaker:
         for name, items in world.items.items():
             for attribute, amount in items.amounts.items():
                 arrays[f"items.{name}.{attribute}"] = amount.copy()
+        arrays |= self._moved(world, rows)
         return arrays if self.pieces is None else arrays | self.pieces.frame(world)
+
+    def _moved(self, world: World, rows: Mapping[str, NDArray[np.intp]]) -> Arrays:
+        """Where what moves is in this frame, and how fast the ground went that agents stand on."""
+        moves = world.setting.moves
+        arrays: Arrays = {}
+        for name in moves.meshes:
+            arrays[f"mesh.{name}.vertices"] = ((vertices_at(world, name, world.frame) + world.origin) * self.scale).astype(
+                np.float32
+            )
+        for name, places in moves.items.items():
+            arrays[f"items.{name}.P"] = (moves.points(places, world.frame) * self.scale).astype(np.float32)
+        speeds = [ground_velocity(world, world.populations[name]) for name in rows]
+        if speeds and all(speed is not None for speed in speeds):
+            parts = [speed[rows[name]] for name, speed in zip(rows, speeds, strict=True) if speed is not None]
+            arrays["v_ground"] = (np.concatenate(parts) * self.scale).astype(np.float32)
+        return arrays
 
     def _attribute(self, world: World, attribute: str, number: int, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
         population = world.populations[name]
@@ -127,6 +145,10 @@ def static_arrays(world: World, setting: Setting) -> Arrays:
         arrays[f"mesh.{name}.vertices"] = mesh.vertices * scale
         arrays[f"mesh.{name}.faces"] = mesh.faces
     arrays |= start_pieces(world, scale)
+    if setting.camera is not None and len(setting.camera.at) > 1:
+        for name in ("at", "look_at"):
+            arrays[f"camera.{name}"] = getattr(setting.camera, name) * scale
+        arrays |= {"camera.up": setting.camera.up, "camera.focal": setting.camera.focal}
     for name, field in world.fields.items():
         arrays[f"field.{name}.P"] = ((_places_at_start(field) + world.origin) * scale).astype(np.float32)
     return arrays
@@ -175,8 +197,8 @@ def describe(
             _species(world.populations[name], bodies.get(name), feelers.get(name, ())) for name in sorted(world.populations)
         ),
         meshes=(
-            *(MeshEntry(name=name, kind="surface") for name in setting.surfaces),
-            *(MeshEntry(name=name, kind="obstacle") for name in setting.obstacles),
+            *(MeshEntry(name=name, kind="surface", moves=name in setting.moves.meshes) for name in setting.surfaces),
+            *(MeshEntry(name=name, kind="obstacle", moves=name in setting.moves.meshes) for name in setting.obstacles),
             *(MeshEntry(name=name, kind="solid") for name in setting.solids),
         ),
         fields=tuple(FieldEntry(name=name, cell=float(field.cells.cell) * scale) for name, field in world.fields.items()),
@@ -187,6 +209,7 @@ def describe(
                 position=tuple((x * scale, y * scale, z * scale) for x, y, z in (item.position for item in items)),
                 radius=tuple(item.radius * scale for item in items),
                 attributes=tuple(world.items[name].amounts) if name in world.items else (),
+                moves=name in setting.moves.items,
             )
             for name, items in setting.items.items()
         ),

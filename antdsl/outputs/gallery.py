@@ -16,6 +16,7 @@ from antdsl.outputs.cache import Arrays, Cache, CacheError
 from antdsl.outputs.dug_solids import DugSolids
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.manifest import SpeciesEntry
+from antdsl.outputs.pictures.camera import three
 from antdsl.outputs.pictures.model import Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
 from antdsl.outputs.pictures.trails import robust_full
 
@@ -56,7 +57,7 @@ class Gallery:
             self._first = self.cache.frame(frames[0]) if frames else arrays
         crowds, legend = self._crowds(frame, arrays, agents)
         return Picture(
-            solids=(*self._stones, *self._dug.at(frame)),
+            solids=(*self._solids(arrays), *self._dug.at(frame)),
             crowds=crowds,
             items=self._items(arrays),
             trails=self._trails(arrays),
@@ -66,10 +67,31 @@ class Gallery:
             grain=self._grain(self._first),
         )
 
-    def camera(self) -> Camera | None:
-        """The scene's own camera, if it has one."""
+    @property
+    def camera_moves(self) -> bool:
+        """Whether the scene's own camera is elsewhere in other frames."""
+        return self.manifest.camera is not None and self.manifest.camera.moves
+
+    def camera(self, frame: int) -> Camera | None:
+        """The scene's own camera at a frame, if it has one."""
         own = self.manifest.camera
-        return None if own is None else Camera(own.at, own.look_at, focal=own.focal or 35.0)
+        if own is None:
+            return None
+        if not own.moves:
+            return Camera(own.at, own.look_at, focal=own.focal or 35.0, up=own.up)
+        k = min(max(frame - self.manifest.first, 0), len(self.static["camera.at"]) - 1)
+        at, look_at, up = (three(self.static[f"camera.{name}"][k]) for name in ("at", "look_at", "up"))
+        return Camera(at, look_at, focal=float(self.static["camera.focal"][k]) or 35.0, up=up)
+
+    def _solids(self, arrays: Arrays) -> tuple[Solid, ...]:
+        """The meshes, those that move as they are in a frame."""
+        moved = {mesh.name: f"mesh.{mesh.name}.vertices" for mesh in self.manifest.meshes if mesh.moves}
+        return tuple(
+            replace(solid, vertices=np.asarray(arrays[moved[solid.name]], np.float64))
+            if moved.get(solid.name) in arrays
+            else solid
+            for solid in self._stones
+        )
 
     def _solid(self, name: str, kind: str) -> Solid:
         look: Kind = next((k for word, k in _KINDS if word in name.lower()), "stone" if kind == "obstacle" else "ground")
@@ -129,7 +151,9 @@ class Gallery:
     def _items(self, arrays: Arrays) -> tuple[Item, ...]:
         made = []
         for group in self.manifest.items:
-            for number, (name, position, radius) in enumerate(zip(group.names, group.position, group.radius, strict=True)):
+            moved = arrays.get(f"items.{group.name}.P") if group.moves else None
+            places = group.position if moved is None else [three(place) for place in moved]
+            for number, (name, position, radius) in enumerate(zip(group.names, places, group.radius, strict=True)):
                 shape = cast(Shape, shape_of(group.name, name))
                 made.append(Item(name, position, radius, self._left(group.name, group.attributes, number, arrays), shape))
         return tuple(made)

@@ -57,8 +57,11 @@ class SpeciesEntry(Part):
 
 
 class MeshEntry(Part):
+    """`moves`: each frame has its vertices."""
+
     name: Word
     kind: Literal["surface", "obstacle", "solid"]
+    moves: bool = False
 
 
 class FieldEntry(Part):
@@ -70,21 +73,24 @@ class FieldEntry(Part):
 
 class ItemsEntry(Part):
     """Items of one name: their own names, and the attributes that each frame has an array for. Positions and radii in scene
-    units."""
+    units, at the first simulated frame; `moves`: each frame has its own."""
 
     name: Word
     names: tuple[Word, ...]
     position: tuple[Triple, ...]
     radius: tuple[float, ...]
     attributes: tuple[Word, ...]
+    moves: bool = False
 
 
 class CameraEntry(Part):
-    """Points in scene units, focal length in mm for a sensor 36 mm wide."""
+    """Points in scene units, focal length in mm for a sensor 36 mm wide. `moves`: `static.npz` has it for each frame."""
 
     at: Triple
     look_at: Triple
     focal: float | None
+    up: Triple | None = None
+    moves: bool = False
 
 
 class Manifest(Part):

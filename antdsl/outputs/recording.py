@@ -19,7 +19,8 @@ from antdsl.outputs.solid_pieces import PieceMaker, forget_changes
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, restore, state_hash, step
-from antdsl.scene.model import millimetres
+from antdsl.scene.model import Camera, millimetres
+from antdsl.scene.setting import CameraData
 
 
 @dataclass(slots=True, eq=False)
@@ -178,8 +179,16 @@ def _write(recording: Recording, writer: CacheWriter) -> None:
 
 def _camera(shot: Shot) -> CameraEntry | None:
     camera = shot.scene.model.camera
-    if camera is None:
+    if shot.setting.camera is not None:
+        return _file_camera(shot.setting.camera, 1.0 / shot.setting.unit_mm)
+    if not isinstance(camera, Camera):
         return None
     unit_mm = shot.scene.model.unit_mm
     points: list[Any] = [tuple(part / unit_mm for part in millimetres(point, unit_mm)) for point in (camera.at, camera.look_at)]
     return CameraEntry(at=points[0], look_at=points[1], focal=camera.focal.number if camera.focal is not None else None)
+
+
+def _file_camera(camera: CameraData, scale: float) -> CameraEntry:
+    """A camera that a file brought, as it is in the first frame."""
+    at, look_at, up = (tuple(float(v) for v in row) for row in (camera.at[0] * scale, camera.look_at[0] * scale, camera.up[0]))
+    return CameraEntry(at=at, look_at=look_at, focal=float(camera.focal[0]), up=up, moves=len(camera.at) > 1)  # type: ignore[arg-type]

@@ -12,6 +12,7 @@ from antdsl.outputs.cache import CacheError, checkpoint_path, open_cache
 from antdsl.outputs.manifest import ManifestError
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, World, restore
+from antdsl.runtime.carrying import pose
 from antdsl.scene.paths import PathRefused
 
 _SAME_PLACE = 1e-6  # mm
@@ -69,6 +70,7 @@ def start_from_cache(shot: Shot, world: World) -> None:
         raise _error(shot, "wrong-value", words, "cache", "begin with a cache of the same programs") from None
     shift = first - world.frame
     world.frame = first
+    pose(world, first)
     world.params = params
     world.transitions.clear()
     world.motion.reset()

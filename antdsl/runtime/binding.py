@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from antdsl.diagnostics import Report
 from antdsl.plan import ir
 from antdsl.runtime.backends import BACKENDS
 from antdsl.runtime.backends.numpy_backend import uniform_values
+from antdsl.runtime.carrying import curve
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.motion import Motion
 from antdsl.runtime.placing import populate
@@ -20,7 +22,6 @@ from antdsl.runtime.world import AXES, Items, Options, World, empty_population
 from antdsl.scene.setting import FlowData, MeshData, Setting
 
 _FAR = 1e5  # mm: a scene that lies farther out than this is moved to its own middle, or float32 would see it in steps
-_CURVE_PIECE = 1.0  # mm: a curve is asked for its nearest point and way in pieces of this length
 
 
 class BindError(ValueError):
@@ -40,7 +41,7 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> Wor
     up = np.asarray(setting.up, np.float64)
     meshes = {name: _moved(mesh, origin) for name, mesh in {**setting.surfaces, **setting.obstacles}.items()}
     solids = _solids(setting, origin)
-    ground = _ground({name: meshes[name] for name in setting.surfaces}, solids, up)
+    ground = _ground({name: meshes[name] for name in setting.surfaces}, solids, up, setting.moves.meshes)
     world = World(
         plan=plan,
         setting=setting,
@@ -54,7 +55,7 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> Wor
         fields={},
         field_rates={},
         obstacles=_scenes(meshes, solids),
-        curves={name: _curve(setting.curves[name] - origin) for name in plan.curves if name in setting.curves},
+        curves={name: curve(setting.curves[name] - origin) for name in plan.curves if name in setting.curves},
         flows={},
         maps={},
         ground=ground,
@@ -114,17 +115,30 @@ def _solids(setting: Setting, origin: NDArray[np.float64]) -> dict[str, Any]:
     return found
 
 
-def _ground(meshes: dict[str, MeshData], solids: dict[str, Any], up: NDArray[np.float64]) -> Any:
+def _ground(meshes: dict[str, MeshData], solids: dict[str, Any], up: NDArray[np.float64], moving: Iterable[str]) -> Any:
     if not meshes and not solids:
         return Plane(up)
-    from antdsl.runtime.senses.ground import Ground
-
-    ground = Ground({name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}) if meshes else None
+    ground = _meshes(meshes, moving)
     if not solids:
         return ground
     from antdsl.runtime.terrain import Terrain
 
     return Terrain(ground, solids)
+
+
+def _meshes(meshes: dict[str, MeshData], moving: Iterable[str]) -> Any:
+    """The part of the ground that is made of meshes; None without any."""
+    surfaces = {name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
+    moved = [name for name in moving if name in surfaces]
+    if moved:
+        from antdsl.runtime.senses.moving_ground import MovingGround
+
+        return MovingGround(surfaces, moved)
+    if not surfaces:
+        return None
+    from antdsl.runtime.senses.ground import Ground
+
+    return Ground(surfaces)
 
 
 def _scenes(meshes: dict[str, MeshData], solids: dict[str, Any]) -> dict[str, Any]:
@@ -139,12 +153,6 @@ def _scenes(meshes: dict[str, MeshData], solids: dict[str, Any]) -> dict[str, An
 
         found |= {name: SolidFeelers(volume) for name, volume in solids.items()}
     return found
-
-
-def _curve(points: NDArray[np.float64]) -> Any:
-    from antdsl.runtime.senses.curves import Curve
-
-    return Curve(points, _CURVE_PIECE)
 
 
 def _items(setting: Setting, plan: ir.ItemsPlan, origin: NDArray[np.float64]) -> Items:

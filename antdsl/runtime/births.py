@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.plan import ir
+from antdsl.runtime.carrying import rest_places
 from antdsl.runtime.effects import EmitEntry
 from antdsl.runtime.reading import reach, statement_nodes, walk
 from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows, shares_start, stored_registers
@@ -22,10 +23,11 @@ def find_cells(world: World, population: Population) -> None:
     """Each agent's own cell of every field."""
     if world.fields and len(population):
         sides = world.ground.sides(population.footing)
+        place = rest_places(world, population)
         found: dict[int, Any] = {}  # fields may share their cells
         for name, field in world.fields.items():
             if id(field.cells) not in found:
-                found[id(field.cells)] = field.cells.lookup_sides(population.position, sides)
+                found[id(field.cells)] = field.cells.lookup_sides(place, sides)
             population.cells[name] = found[id(field.cells)]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime.carrying import pose, pose_ground
 from antdsl.runtime.motion import Motion
 from antdsl.runtime.world import Population, World
 
@@ -75,6 +76,7 @@ def show(still: World, arrays: Mapping[str, NDArray[Any]]) -> None:
         field.show(arrays[f"field.{name}"], {key: arrays[f"field.{name}.{key}"] for key in field.added})
     for name, flow in still.flows.items():
         flow.show({key: arrays[f"flow.{name}.{key}"] for key in flow.state()})
+    pose_ground(still, still.frame)
 
 
 def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -111,6 +113,7 @@ def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     )
     world.grids.clear()
     world.clearances.clear()
+    pose(world, world.frame)
 
 
 def _arrays(population: Population) -> Arrays:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.plan.ir import Kind
-from antdsl.runtime import births, claims, digging, faults, moving
+from antdsl.runtime import births, carrying, claims, digging, faults, moving
 from antdsl.runtime.senses.sorting import stable_order
 from antdsl.runtime.world import Population, World, select_rows
 
@@ -149,6 +149,7 @@ PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
     ("fields", fields),  # what is there spreads and fades, then deposits land: what is laid at t is whole at t+1
     ("solids", digging.dig),  # before moving: who digs goes on into what it dug
     ("move", move),
+    ("carry", carrying.carry),  # after walking: who has walked stands on ground that goes on from here
     ("births", bear),  # after moving: a child starts where its parent is now
     ("commit", commit),
 )

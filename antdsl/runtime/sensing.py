@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.plan import ir
-from antdsl.runtime import randomness
+from antdsl.runtime import carrying, randomness
 from antdsl.runtime.clearances import clearance, may_touch
 from antdsl.runtime.world import AXES, DTYPES, Population, World
 
@@ -153,11 +153,13 @@ def _field_strongest(world: World, population: Population, node: ir.Node, rows: 
     field, count = node.attrs
     value, *place = world.fields[field].strongest(population.cells[field][rows], int(count))
     nothing = ~(value > 0)
-    return value, *(np.where(nothing, own, there) for own, there in zip(_place(world, population, rows), place, strict=True))
+    there = carrying.from_rest(world, population, rows, tuple(place))
+    return value, *(np.where(nothing, own, k) for own, k in zip(_place(world, population, rows), there, strict=True))
 
 
 def _field_gradient(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
-    return tuple(world.fields[node.attrs[0]].gradient(population.cells[node.attrs[0]][rows]))
+    slope = tuple(world.fields[node.attrs[0]].gradient(population.cells[node.attrs[0]][rows]))
+    return carrying.turned_from_rest(world, population, rows, slope)
 
 
 def _curve_closest(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import copy, deepcopy
 
+from antdsl.runtime.carrying import moving
 from antdsl.runtime.world import Population, World
 
 
@@ -21,6 +22,9 @@ def snapshot(world: World) -> World:
     found.fields = {name: field.snapshot() for name, field in world.fields.items()}
     found.flows = {name: copy(flow) for name, flow in world.flows.items()}
     found.grids, found.clearances = {}, {}
+    ground = moving(world)
+    if ground is not None:
+        found.ground = ground.copy() if world.ground is ground else world.ground.with_meshes(ground.copy())
     return found
 
 

@@ -49,6 +49,10 @@ class Terrain:
         self.names = (*(ground.names if ground is not None else ()), *solids)
         self._count = len(self.names) - len(self._volumes)
 
+    def with_meshes(self, ground: Ground) -> Terrain:
+        """The same solids with other meshes of the same names."""
+        return Terrain(ground, dict(zip(self.names[self._meshes :], self._volumes, strict=True)))
+
     # ---- asking
 
     def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Standing, NDArray[np.bool_]]:

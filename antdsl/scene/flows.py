@@ -18,6 +18,7 @@ from antdsl.scene.meshes import RawMesh, rotated, turned_up
 from antdsl.scene.painted import PaintError, read_painted
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.setting import Target
+from antdsl.scene.things import first_turn, shortened, usd_paint
 
 if TYPE_CHECKING:
     from antdsl.scene.staging import Staging
@@ -105,7 +106,7 @@ def _goals(scene: Scene, program: Program, lines_only: bool) -> list[str]:
 def _own_surface(scene: Scene, surfaces: list[str], thing: model.PaintedThing) -> str | None:
     """The surface whose own file has the paint."""
     meshes = {n: scene.model.world.get(n) for n in surfaces}
-    own = [n for n, m in meshes.items() if isinstance(m, model.MeshThing) and m.mesh == thing.painted]
+    own = [n for n, m in meshes.items() if thing.painted in (getattr(m, "mesh", None), getattr(m, "usd", None))]
     return own[0] if len(own) == 1 else None
 
 
@@ -205,6 +206,9 @@ def _painted(staging: Staging, name: str, thing: model.PaintedThing, width: int)
     surfaces = [n for n, t in staging.program.world.items() if t.kind == "surface"]
     surface = thing.on or _own_surface(staging.scene, surfaces, thing) or surfaces[0]
     raw, mesh = staging.raw.get(surface), staging.scene.model.world.get(surface)
+    if isinstance(mesh, model.UsdThing) and mesh.usd == thing.painted:
+        values = usd_paint(staging, name, thing, mesh, width)
+        return None if values is None else stage_of.Painted(surface, values, False)
     data = staging.read(thing.painted, limits.MESH_BYTES, "world", name, "painted")
     if data is None or raw is None or not isinstance(mesh, model.MeshThing):
         return None  # what is wrong with the mesh was told with the mesh
@@ -230,10 +234,7 @@ def _painted(staging: Staging, name: str, thing: model.PaintedThing, width: int)
     if width == 3:
         values = values * (-1.0 if mesh.scale < 0 else 1.0)
         up = staging.scene.model.up
-        angles = tuple(a.number for a in mesh.rotate) if mesh.rotate else (0.0, 0.0, 0.0)
-        values = rotated(turned_up(values, mesh.up or up, up), angles)  # type: ignore[arg-type]
-        longest = np.maximum(np.sqrt((values * values).sum(axis=1)), 1.0)
-        values = values / longest[:, None]
+        values = shortened(rotated(turned_up(values, mesh.up or up, up), first_turn(staging, mesh)))
     return stage_of.Painted(surface, values if width == 3 else values[:, 0], of_faces)
 
 

@@ -34,6 +34,9 @@ _ELSEWHERE = {
 }
 
 
+_TAGS = ("-thing", "-camera", "-here")  # of the models that a value may be of; no key of a scene ends so
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
     """A scene as it was written and typed, not yet matched with a program."""
@@ -139,7 +142,7 @@ def _unknown_key(report: Report, document: MappingNode, path: tuple[Key, ...]) -
 
 
 def _place(path: tuple[Key, ...]) -> str:
-    above = [part for part in path[:-1] if isinstance(part, str) and not part.endswith("-thing")]
+    above = [part for part in path[:-1] if isinstance(part, str) and not part.endswith(_TAGS)]
     return f"`{above[-1]}`" if above else "a scene"
 
 
@@ -150,6 +153,8 @@ def _allowed(path: tuple[Key, ...]) -> list[str]:
     # the last word of the path (tags of the schema are among them) that tells which model complained
     models: dict[str, type[model.Part]] = {
         **dict(model.HEADS.values()),
+        "usd-camera": model.UsdCamera,
+        "keys": model.PlaceKey,
         "place": model.Placement,
         "crowd": model.CrowdLine,
         "fields": model.FieldStart,

@@ -5,7 +5,7 @@ No mesh is read here; that the named files are there is looked at. `CHECKS` is t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from antdsl import limits
@@ -16,16 +16,16 @@ from antdsl.program.units import dimension_words, shown, unit_of, with_unit
 from antdsl.scene.document import Key
 from antdsl.scene.flows import match_flow
 from antdsl.scene.load import Scene
-from antdsl.scene.model import CurveThing, FlowThing, MeshThing, PaintedThing, Placement
+from antdsl.scene.model import CurveThing, FlowThing, MeshThing, PaintedThing, Placement, UsdThing
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 
 _FORMS: dict[str, tuple[Any, str, str]] = {
-    "surface": (MeshThing, "a mesh", "{mesh: ground.ply}"),
-    "obstacle": (MeshThing, "a mesh", "{mesh: stones.ply}"),
-    "solid": (MeshThing, "a mesh", "{mesh: hill.ply, voxel: 1 mm}"),
-    "curve": (CurveThing, "a curve", "{curve: way.json}"),
-    "items": (dict, "items", "{one: {at: [0, 0, 0]}}"),
+    "surface": ((MeshThing, UsdThing), "a mesh", "{mesh: ground.ply}"),
+    "obstacle": ((MeshThing, UsdThing), "a mesh", "{mesh: stones.ply}"),
+    "solid": ((MeshThing, UsdThing), "a mesh", "{mesh: hill.ply, voxel: 1 mm}"),
+    "curve": ((CurveThing, UsdThing), "a curve", "{curve: way.json}"),
+    "items": ((dict, UsdThing), "items", "{one: {at: [0, 0, 0]}}"),
     "flow": ((FlowThing, PaintedThing), "a flow", "{toward: [0, 0, 0], radius: 50 mm}"),
     "map": (PaintedThing, "a map", "{painted: ground.ply, attribute: NAME}"),
 }
@@ -55,8 +55,10 @@ def _unknown(report: Report, scene: Scene, path: tuple[Key, ...], what: str, kno
 
 
 def _file(scene: Scene, report: Report, text: str, *path: Key) -> None:
+    """Look whether a file is there, or the files of a sequence."""
     try:
-        size = scene.roots.exists(text)
+        files = scene.roots.sequence(text).values() if "#" in text else (text,)
+        size = max(scene.roots.exists(file) for file in files)
     except PathRefused as refused:
         report.error(refused.code, str(refused), scene.span(*path), refused.help)
         return
@@ -107,8 +109,14 @@ def _surfaces(program: Program, *others: str) -> list[str]:
 
 def _thing(scene: Scene, program: Program, report: Report, name: str, thing: WorldThing) -> None:
     value = scene.model.world[name]
-    if isinstance(value, MeshThing):
-        _file(scene, report, value.mesh, "world", name, "mesh")
+    if thing.kind == "solid":
+        _stays(scene, report, name)
+    if isinstance(value, MeshThing | UsdThing):
+        if isinstance(value, MeshThing):
+            _file(scene, report, value.mesh, "world", name, "mesh")
+        else:
+            _file(scene, report, value.usd, "world", name, "usd")
+            _each(scene, report, name, thing)
         if thing.kind == "solid" and value.voxel is None:
             report.error(
                 "missing-key", f"`{name}` is solid, and nothing says how fine", scene.span("world", name),
@@ -137,17 +145,46 @@ def _thing(scene: Scene, program: Program, report: Report, name: str, thing: Wor
         if file is not None:
             _file(scene, report, file[1], "world", name, file[0])
     else:
-        declared = {a.name: a for a in thing.attributes}
+        declared = [a.name for a in thing.attributes]
         for item, placed in value.items():
             if placed.on is not None and placed.on not in _surfaces(program):
                 _unknown(report, scene, ("world", name, item, "on"), "no surface is named", _surfaces(program), key=False)
-            for key, quantity in (placed.model_extra or {}).items():
-                if key not in declared:
-                    _unknown(
-                        report, scene, ("world", name, item, key), f"`{name}` has no attribute", [*declared, "at", "on", "radius"]
-                    )
-                elif declared[key].type.kind is Kind.NUMBER:
-                    _dimension(scene, report, quantity, declared[key].type.dim, key, "world", name, item, key)
+            known = [*declared, "at", "on", "radius", "keys"]
+            _attributes(scene, report, name, thing, placed.model_extra or {}, known, "world", name, item)
+
+
+def _attributes(
+    scene: Scene, report: Report, name: str, thing: WorldThing, given: Mapping[str, Quantity], known: list[str], *path: Key
+) -> None:
+    """Values of items' attributes against what the program declares."""
+    declared = {a.name: a for a in thing.attributes}
+    for key, quantity in given.items():
+        if key not in declared:
+            _unknown(report, scene, (*path, key), f"`{name}` has no attribute", known)
+        elif declared[key].type.kind is Kind.NUMBER:
+            _dimension(scene, report, quantity, declared[key].type.dim, key, *path, key)
+
+
+def _each(scene: Scene, report: Report, name: str, thing: WorldThing) -> None:
+    value = scene.model.world[name]
+    if isinstance(value, UsdThing) and "each" in value.model_fields_set:
+        if thing.kind != "items":
+            report.error(
+                "wrong-kind",
+                f"`each` is for items, and `{name}` is a {thing.kind}",
+                scene.span("world", name, "each", key=True),
+                "delete it",
+            )
+        else:
+            known = [a.name for a in thing.attributes] + ["radius"]
+            _attributes(scene, report, name, thing, value.each.model_extra or {}, known, "world", name, "each")
+
+
+def _stays(scene: Scene, report: Report, name: str) -> None:
+    value = scene.model.world[name]
+    if isinstance(value, MeshThing | UsdThing) and (value.keys or (isinstance(value, MeshThing) and "#" in value.mesh)):
+        path: tuple[Key, ...] = ("world", name, "keys" if value.keys else "mesh")
+        report.error("wrong-value", f"the solid `{name}` cannot move", scene.span(*path), "give it one place for all frames")
 
 
 def _dimension(scene: Scene, report: Report, value: Quantity, dim: Dim, name: str, *path: Key) -> bool:
@@ -196,7 +233,9 @@ def item_names(scene: Scene) -> dict[str, tuple[str, str]]:
 
 
 def _around(scene: Scene, report: Report, around: object, radius: object, *path: Key) -> None:
-    if isinstance(around, str) and around not in item_names(scene):
+    # the names of items that come out of a USD file are known when it is read
+    later = any(isinstance(value, UsdThing) for value in scene.model.world.values())
+    if isinstance(around, str) and around not in item_names(scene) and not later:
         _unknown(report, scene, (*path, "around"), "no item is named", item_names(scene), key=False)
     if around is not None and radius is None:
         report.error(

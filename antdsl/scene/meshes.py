@@ -40,22 +40,31 @@ class RawMesh:
     counts: tuple[int, int]
 
 
-def read_mesh(data: bytes, name: str) -> RawMesh:
-    """The triangles of an .obj, .ply or .stl file's bytes; MeshError says why there are none."""
+def read_mesh(data: bytes, name: str, group: str | None = None) -> RawMesh:
+    """The triangles of an .obj, .ply or .stl file's bytes, of an .obj those of one `group` where it is given; MeshError says why
+    there are none."""
+    return sound(*mesh_arrays(data, name, group))
+
+
+def mesh_arrays(data: bytes, name: str, group: str | None = None) -> tuple[Floats, Faces]:
+    """As `read_mesh`, all that the file has, nothing looked at but what reading needs."""
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     reader = READERS.get(kind)
     if reader is None:
         raise MeshError(f"is not one of {', '.join('.' + k for k in READERS)}")
     try:
-        vertices, faces = reader(data)
+        if group is not None:
+            if kind != "obj":
+                raise MeshError("has no groups, as only .obj files do")
+            return _read_obj(data, group)
+        return reader(data)
     except MeshError:
         raise
     except Exception as problem:  # a reader of other people's making meets a file of other people's making
         raise MeshError(f"cannot be read ({type(problem).__name__})") from problem
-    return _sound(vertices, faces)
 
 
-def _sound(vertices: Floats, faces: Faces) -> RawMesh:
+def sound(vertices: Floats, faces: Faces) -> RawMesh:
     """The checks that hold for every format."""
     if len(vertices) == 0 or len(faces) == 0:
         raise MeshError("has no faces")
@@ -103,12 +112,15 @@ def _number(text: bytes) -> float:
     return float(text)
 
 
-def _read_obj(data: bytes) -> tuple[Floats, Faces]:
-    """Vertices and faces of a Wavefront file; materials, normals and everything else are passed over, polygons cut into fans."""
+def _read_obj(data: bytes, group: str | None = None) -> tuple[Floats, Faces]:
+    """Vertices and faces of a Wavefront file, of one group or object where one is named; materials, normals and everything else
+    are passed over, polygons cut into fans."""
     if b"\0" in data[:4096]:
         raise MeshError("is not a text file")
     points: list[tuple[float, float, float]] = []
     triangles: list[tuple[int, int, int]] = []
+    names: dict[str, None] = {}
+    in_group, in_object = group is None, False
     for line_number, line in enumerate(data.split(b"\n"), 1):
         if line[:2] in (b"v ", b"v\t"):
             try:
@@ -116,14 +128,34 @@ def _read_obj(data: bytes) -> tuple[Floats, Faces]:
             except ValueError:
                 raise MeshError(f"has no three numbers after `v` in line {line_number}") from None
             points.append((x, y, z))
-        elif line[:2] in (b"f ", b"f\t"):
+        elif group is not None and line.split(None, 1)[:1] == [b"g"]:
+            words = line.decode("utf-8", "replace").split()[1:] or ["default"]
+            names |= dict.fromkeys(words)
+            in_group = group in words
+        elif group is not None and line[:2] == b"o ":
+            word = line[2:].decode("utf-8", "replace").strip()
+            names[word] = None
+            in_object = group == word
+        elif line[:2] in (b"f ", b"f\t") and (in_group or in_object):
             corners = [_obj_index(word, len(points), line_number) for word in line.split()[1:]]
             if len(corners) < 3:
                 raise MeshError(f"has a face of fewer than three corners in line {line_number}")
             triangles.extend((corners[0], corners[i], corners[i + 1]) for i in range(1, len(corners) - 1))
             if len(triangles) > limits.MESH_FACES:
                 raise MeshError(f"has more than {limits.MESH_FACES:,} faces")
+    if group is not None and not triangles:
+        raise MeshError(_no_group(group, list(names)))
     return np.array(points, np.float64).reshape(-1, 3), np.array(triangles, np.int64).reshape(-1, 3)
+
+
+def _no_group(group: str, names: list[str]) -> str:
+    from antdsl.diagnostics.suggestion import nearest_name
+
+    if group in names:
+        return f"has no faces in its group `{group}`"
+    near = nearest_name(group, names)
+    there = f"did you mean `{near}`?" if near else "it has " + (", ".join(f"`{n[:40]}`" for n in names[:8]) or "no groups")
+    return f"has no group `{group[:60]}`: {there}"
 
 
 def _obj_index(word: bytes, count: int, line_number: int) -> int:
@@ -210,7 +242,11 @@ def placed(
     """A file's mesh in the scene: millimetres, the scene's axes. A mirrored mesh keeps its outside outside. MeshError when
     it lies too far out."""
     vertices = rotated(turned_up(mesh.vertices * factor, own_up, up), angles) + np.array(at)
+    return within_reach(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
+
+
+def within_reach(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
+    """Vertices in mm as a mesh; MeshError when one lies too far out."""
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > _FARTHEST:
         raise MeshError("lies more than a thousand kilometres out")
-    faces = mesh.faces[:, ::-1] if factor < 0 else mesh.faces
     return MeshData(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int32))

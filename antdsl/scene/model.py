@@ -21,6 +21,7 @@ from antdsl.scene.values import (
     Name,
     PositiveLength,
     PositiveTime,
+    Word,
     number,
     one_of,
     refuse,
@@ -32,6 +33,7 @@ UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 Unit = Annotated[str, BeforeValidator(one_of(*UNIT_MM))]
 Body = Annotated[str, BeforeValidator(one_of("ant", "person", "arrow", "ball"))]
 Axis = Annotated[str, BeforeValidator(one_of("y", "z"))]
+Purpose = Annotated[str, BeforeValidator(one_of("render", "proxy"))]
 Factor = Annotated[float, BeforeValidator(number(1e-9, 1e9))]
 Point = tuple[Length, Length, Length]
 
@@ -46,11 +48,23 @@ class Part(BaseModel):
     )
 
 
+class PlaceKey(Part):
+    """Where a thing is at one frame; between keys it goes evenly, before the first and after the last it rests."""
+
+    at: Point | None = None
+    rotate: tuple[Angle, Angle, Angle] | None = None
+
+
+Keys = dict[Annotated[int, BeforeValidator(whole(-limits.FRAMES, limits.FRAMES * 1000))], PlaceKey]
+
+
 class MeshThing(Part):
-    """A mesh file, turned and moved into the scene: scaled, its `up` made the scene's, rotated about x, then y, then z, then
-    put `at`."""
+    """A mesh file (`####` in its name: one a frame), turned and moved into the scene: scaled, its `up` made the scene's, rotated
+    about x, then y, then z, then put `at`. `group`: of an .obj file only the faces of that group or object."""
 
     mesh: FilePath
+    group: Word | None = None
+    keys: Keys = {}
     units: Unit | None = None
     up: Axis | None = None
     at: Point | None = None
@@ -59,10 +73,35 @@ class MeshThing(Part):
     voxel: PositiveLength | None = None
 
 
+class UsdEach(Part):
+    """What the points of a USD file have as items where the file says nothing: a radius, and values of attributes."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, arbitrary_types_allowed=True, hide_input_in_errors=True)
+    __pydantic_extra__: dict[str, AnyQuantity] = Field(init=False)
+
+    radius: PositiveLength | None = None
+
+
+class UsdThing(Part):
+    """What lies at and below a prim of a USD file: meshes, one curve, or points. Units, axes, places and time are the file's;
+    `scale`, `rotate`, `at` and `keys` come after them."""
+
+    usd: FilePath
+    prim: Word
+    purpose: Purpose = "render"
+    at: Point | None = None
+    rotate: tuple[Angle, Angle, Angle] | None = None
+    scale: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
+    voxel: PositiveLength | None = None
+    keys: Keys = {}
+    each: UsdEach = UsdEach()
+
+
 class CurveThing(Part):
-    """A polyline from a JSON file of points."""
+    """A polyline from a JSON file of points (`####` in its name: one a frame)."""
 
     curve: FilePath
+    keys: Keys = {}
     units: Unit | None = None
     up: Axis | None = None
     at: Point | None = None
@@ -155,11 +194,13 @@ class ItemThing(Part):
     at: Point
     on: Name | None = None
     radius: PositiveLength | None = None
+    keys: Keys = {}
 
 
 # The key that says what a thing of the world is, unless it is the name of an item.
 HEADS: dict[str, tuple[str, type[Part]]] = {
     "mesh": ("mesh-thing", MeshThing),
+    "usd": ("usd-thing", UsdThing),
     "curve": ("curve-thing", CurveThing),
     "tangent": ("tangent-thing", TangentFlow),
     "toward": ("toward-thing", TowardFlow),
@@ -189,6 +230,7 @@ def _items(value: Any) -> Any:
 
 WorldThing = Annotated[
     Annotated[MeshThing, Tag("mesh-thing")]
+    | Annotated[UsdThing, Tag("usd-thing")]
     | Annotated[CurveThing, Tag("curve-thing")]
     | Annotated[TangentFlow, Tag("tangent-thing")]
     | Annotated[TowardFlow, Tag("toward-thing")]
@@ -241,6 +283,17 @@ class Camera(Part):
     focal: PositiveLength | None = None
 
 
+class UsdCamera(Part):
+    """A camera of a USD file, with all that it does over time."""
+
+    usd: FilePath
+    prim: Word
+
+
+def _kind_of_camera(value: Any) -> str:
+    return "usd-camera" if isinstance(value, dict) and "usd" in value else "camera-here"
+
+
 class Output(Part):
     attributes: tuple[Annotated[str, BeforeValidator(lambda v: v)], ...] = DEFAULT_ATTRIBUTES
     checkpoint: Annotated[int, BeforeValidator(whole(1, 100_000))] = 50
@@ -269,7 +322,10 @@ class SceneModel(Part):
     set: dict[str, AnyQuantity] = {}
     fields: dict[Name, FieldStart] = {}
     layers: dict[Name, tuple[str, ...]] = {}
-    camera: Camera | None = None
+    camera: (
+        Annotated[Annotated[Camera, Tag("camera-here")] | Annotated[UsdCamera, Tag("usd-camera")], Discriminator(_kind_of_camera)]
+        | None
+    ) = None
     output: Output = Output()
 
     @property

@@ -15,6 +15,7 @@ _DEVICES = frozenset(["con", "prn", "aux", "nul", *(f"com{i}" for i in range(10)
 _PART = re.compile(r"[A-Za-z0-9_.,+@() \u00a1-\uffff\-]+")
 _GRANTED = re.compile(r"([A-Za-z][A-Za-z0-9_]{1,31}):(?!//)(.*)", re.DOTALL)
 _PATH_CHARACTERS = 500
+_SEQUENCE = re.compile("([^#]*?)(#{1,9})([^#/]*)")
 
 
 class PathRefused(Exception):
@@ -66,6 +67,24 @@ class Roots:
             return _regular(handle, text)
         finally:
             os.close(handle)
+
+    def sequence(self, text: str) -> dict[int, str]:
+        """The files that a path such as `walls.####.ply` means, by frame: `#` stand for the frame's number, padded with zeros to
+        as many digits. PathRefused when there is none, or the path is refused."""
+        named = _SEQUENCE.fullmatch(text)
+        if named is None:
+            raise _refuse(text, "has `#` outside of its file's name, or in two places", "write `walls.####.ply`")
+        root, parts = self.locate(f"{named[1]}{0:0{len(named[2])}d}{named[3]}")
+        start = parts[-1][: len(parts[-1]) - len(named[2]) - len(named[3])]
+        found = {}
+        for name in _names_below(root, parts[:-1], text):
+            digits = name[len(start) : len(name) - len(named[3])]
+            fits = name.startswith(start) and name.endswith(named[3]) and re.fullmatch("-?[0-9]{1,9}", digits, re.ASCII)
+            if fits and digits == f"{int(digits):0{len(named[2]) + (digits[0] == '-')}d}":
+                found[int(digits)] = f"{named[1]}{digits}{named[3]}"
+        if not found:
+            raise PathRefused("no-such-file", f"there is no file `{text}` with a number for `{named[2]}`", None)
+        return dict(sorted(found.items()))
 
 
 def read_named(path: Path, cap: int) -> bytes:
@@ -141,21 +160,45 @@ def _open_below(root: Path, parts: tuple[str, ...], shown: str) -> int:
         if not whole.resolve().is_relative_to(root.resolve()):
             raise _refuse(shown, "leaves its folder by a link", None)
         return os.open(whole, os.O_RDONLY | getattr(os, "O_BINARY", 0))
+    folder = _folder_below(root, parts[:-1], shown)
     try:
-        folder = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError:
-        raise PathRefused("no-such-file", f"there is no folder `{root}`") from None
-    try:
-        for part in parts[:-1]:
-            _exact_name(folder, part, shown)
-            inner = os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=folder)
-            os.close(folder)
-            folder = inner
         _exact_name(folder, parts[-1], shown)
         # O_NONBLOCK: opening a named pipe must not wait for somebody to write
         return os.open(parts[-1], os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
     except OSError as problem:
         raise _why_not(problem, folder, shown) from None
+    finally:
+        os.close(folder)
+
+
+def _folder_below(root: Path, parts: tuple[str, ...], shown: str) -> int:
+    """A folder below a root, opened part by part."""
+    try:
+        opened = [os.open(root, os.O_RDONLY | os.O_DIRECTORY)]
+    except OSError:
+        raise PathRefused("no-such-file", f"there is no folder `{root}`") from None
+    try:
+        for part in parts:
+            _exact_name(opened[-1], part, shown)
+            opened.append(os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=opened[-1]))
+        return opened.pop()
+    except OSError as problem:
+        raise _why_not(problem, opened[-1], shown) from None
+    finally:
+        for handle in opened:
+            os.close(handle)
+
+
+def _names_below(root: Path, parts: tuple[str, ...], shown: str) -> list[str]:
+    """The names in a folder below a root."""
+    if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
+        whole = root.joinpath(*parts)
+        if not whole.resolve().is_relative_to(root.resolve()) or not whole.is_dir():
+            raise _refuse(shown, "leaves its folder by a link, or names none", None)
+        return os.listdir(whole)
+    folder = _folder_below(root, parts, shown)
+    try:
+        return os.listdir(folder)
     finally:
         os.close(folder)
 

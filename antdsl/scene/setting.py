@@ -13,6 +13,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.scene.moves import Moves
+
 Point = tuple[float, float, float]
 
 
@@ -140,9 +142,21 @@ class FieldStart:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class CameraData:
+    """A camera over the written frames, one row a frame or a single one: places and directions in mm and the scene's axes, the
+    focal length in mm for a sensor 36 mm wide."""
+
+    at: NDArray[np.float64]
+    look_at: NDArray[np.float64]
+    up: NDArray[np.float64]
+    focal: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Setting:
     """Everything that binding a plan needs. `unit_mm` is the length of `u`; `up` a unit vector; `params` by qualified name
-    (`forager.smell`), those absent take their default; `first_frame` is the number of the first simulated frame."""
+    (`forager.smell`), those absent take their default; `first_frame` is the number of the first simulated frame. Meshes, items
+    and curves are where they are at that frame; `moves` says where they go. `camera` is one that a file brings."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -160,6 +174,8 @@ class Setting:
     params: Mapping[str, float] = field(default_factory=dict)
     field_start: Mapping[str, FieldStart] = field(default_factory=dict)
     solids: Mapping[str, SolidData] = field(default_factory=dict)
+    moves: Moves = field(default_factory=Moves)
+    camera: CameraData | None = None
 
     @property
     def dt(self) -> float:

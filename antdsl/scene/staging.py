@@ -6,28 +6,38 @@ allocated."""
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
+from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Const, Expr, Op, ParamRef, Program
 from antdsl.program.vocabulary import LENGTH
 from antdsl.scene import setting as stage_of
 from antdsl.scene.document import Key
 from antdsl.scene.flows import check_densities, stage_flows
+from antdsl.scene.laying import items_of
 from antdsl.scene.load import Scene
 from antdsl.scene.matching import const_base
-from antdsl.scene.meshes import MeshError, RawMesh, placed, read_mesh, turned_up
-from antdsl.scene.model import UNIT_MM, CurveThing, ItemThing, MeshThing, Placement, Point, millimetres
+from antdsl.scene.meshes import MeshError, RawMesh, placed, read_mesh, within_reach
+from antdsl.scene.model import UNIT_MM, CurveThing, MeshThing, Placement, Point, UsdCamera, UsdThing, millimetres
+from antdsl.scene.moves import MeshMoves, Moves
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.points import POINT_BYTES, PointsError, read_points
 from antdsl.scene.quantities import Quantity
+from antdsl.scene.things import (
+    curve_places,
+    moving_mesh,
+    placed_moves,
+    usd_camera,
+    usd_mesh,
+)
 
-DEFAULT_ITEM_RADIUS = 10.0  # mm
 _UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _WIDEST = 1e6  # body lengths: ants in a whole county
 _FAR = 1e7  # mm from the origin; float32 steps are 1 mm there
@@ -42,6 +52,8 @@ class Staging:
     report: Report = field(default_factory=Report)
     hashes: dict[str, str] = field(default_factory=dict)
     raw: dict[str, RawMesh] = field(default_factory=dict)  # surfaces and obstacles as their files have them
+    moves: dict[str, MeshMoves] = field(default_factory=dict)  # by mesh
+    layers: dict[str, Any] = field(default_factory=dict)  # USD files that were judged, by name
 
     def read(self, text: str, cap: int, *path: Key) -> bytes | None:
         """A file's bytes, or None and a complaint at the path that names it."""
@@ -64,6 +76,14 @@ class Staging:
             self.report.error("bad-points", f"`{text}` {why}", self.scene.span(*path))
             return None
 
+    def sequence(self, text: str, *path: Key) -> dict[int, str] | None:
+        """The files of a path with `####` by frame, or None and a complaint."""
+        try:
+            return self.scene.roots.sequence(text)
+        except PathRefused as refused:
+            self.report.error(refused.code, str(refused), self.scene.span(*path), refused.help)
+            return None
+
 
 def stage(
     scene: Scene, program: Program, overrides: Mapping[str, Quantity] | None = None
@@ -78,10 +98,9 @@ def stage(
         _check_cells(staging, {**surfaces, **{name: solid.mesh for name, solid in solids.items()}})
         _check_scale(staging, surfaces)
     curves = _curves(staging)
-    items = {
-        name: tuple(_items(staging, name, value, surfaces)) for name, value in model.world.items() if isinstance(value, dict)
-    }
-    flows, maps = stage_flows(staging, items, curves)
+    laid = {name: found for name in model.world if (found := items_of(staging, name, surfaces)) is not None}
+    items = {name: found for name, (found, _) in laid.items()}
+    flows, maps = stage_flows(staging, items, {name: found[0] for name, found in curves.items()})
     places = {item.name: item.position for group in items.values() for item in group} | {
         name: group[0].position for name, group in items.items() if group
     }
@@ -90,6 +109,15 @@ def stage(
         for number, line in enumerate(model.crowd)
     )
     check_densities(staging, maps)
+    camera = usd_camera(staging, model.camera) if isinstance(model.camera, UsdCamera) else None
+    starts = {
+        name: stage_of.FieldStart(
+            start.start,
+            _point(staging, places, start.around, start.radius, "fields", name),
+            _length(scene, start.radius),
+        )
+        for name, start in model.fields.items()
+    }
     if not staging.report.ok:
         return None, staging.report, staging.hashes
     dt = float(1 / model.fps)
@@ -104,18 +132,20 @@ def stage(
         surfaces=surfaces,
         obstacles=obstacles,
         items=items,
-        curves=curves,
+        curves={name: found[0] for name, found in curves.items()},
         flows=flows,
         maps=maps,
         crowds=crowds,
         params=params,
-        field_start={
-            name: stage_of.FieldStart(
-                start.start, _point(scene, places, start.around, start.radius), _length(scene, start.radius)
-            )
-            for name, start in model.fields.items()
-        },
+        field_start=starts,
         solids=solids,
+        moves=Moves(
+            first=model.frames.first - model.preroll,
+            meshes={name: moves for name, moves in staging.moves.items() if name in {**surfaces, **obstacles}},
+            items={name: found for name, (_, found) in laid.items() if len(found) > 1},
+            curves={name: found for name, found in curves.items() if len(found) > 1},
+        ),
+        camera=camera,
     )
     return made, staging.report, staging.hashes
 
@@ -127,58 +157,89 @@ def _length(scene: Scene, value: Quantity | None) -> float | None:
 Places = Mapping[str, stage_of.Point]
 
 
-def _point(scene: Scene, places: Places, around: Point | str | None, radius: Quantity | None) -> stage_of.Point | None:
+def _point(
+    staging: Staging, places: Places, around: Point | str | None, radius: Quantity | None, *path: Key
+) -> stage_of.Point | None:
     """Where something lies about: a point, an item's place, the origin where only a radius is given."""
     if around is None:
         return None if radius is None else (0.0, 0.0, 0.0)
-    return places.get(around) if isinstance(around, str) else millimetres(around, scene.model.unit_mm)
+    if not isinstance(around, str):
+        return millimetres(around, staging.scene.model.unit_mm)
+    if around not in places and staging.report.ok:
+        near = nearest_name(around, places)
+        help = f"did you mean `{near}`?" if near else None
+        staging.report.error("unknown-thing", f"no item is named `{around}`", staging.scene.span(*path, "around"), help)
+    return places.get(around)
 
 
 def _meshes(staging: Staging, kind: str) -> dict[str, stage_of.MeshData]:
     found = {}
     for name, thing in staging.program.world.items():
         value = staging.scene.model.world.get(name)
-        if thing.kind == kind and isinstance(value, MeshThing):
+        if thing.kind == kind and isinstance(value, MeshThing | UsdThing):
             mesh = _mesh(staging, name, value)
             if mesh is not None:
                 found[name] = mesh
     return found
 
 
-def _mesh(staging: Staging, name: str, value: MeshThing) -> stage_of.MeshData | None:
+def _mesh(staging: Staging, name: str, value: MeshThing | UsdThing) -> stage_of.MeshData | None:
+    """A mesh where it is at the first frame; how it moves goes into `staging.moves`."""
     scene, report = staging.scene, staging.report
-    data = staging.read(value.mesh, limits.MESH_BYTES, "world", name, "mesh")
-    if data is None:
+    up, unit_mm = scene.model.up, scene.model.unit_mm
+    if isinstance(value, UsdThing):
+        key, shown, factor, own_up = "prim", value.prim, value.scale, up
+        found = usd_mesh(staging, name, value)
+    else:
+        key, shown = "mesh", value.mesh
+        factor, own_up = UNIT_MM[value.units or scene.model.units] * value.scale, value.up or up
+        found = moving_mesh(staging, name, value) if "#" in value.mesh else _still_mesh(staging, name, value)
+    if found is None:
         return None
-    span = scene.span("world", name, "mesh")
-    unit_mm = scene.model.unit_mm
+    raw, inner = found
+    span = scene.span("world", name, key)
     try:
-        raw = read_mesh(data, value.mesh)
         mesh = placed(
             raw,
-            factor=UNIT_MM[value.units or scene.model.units] * value.scale,
-            own_up=value.up or scene.model.up,
-            up=scene.model.up,
+            factor=factor,
+            own_up=own_up,
+            up=up,
             angles=tuple(angle.number for angle in value.rotate) if value.rotate else (0.0, 0.0, 0.0),  # type: ignore[arg-type]
             at=millimetres(value.at, unit_mm) if value.at else (0.0, 0.0, 0.0),
         )
+        moving = placed_moves(staging, value, raw, inner, factor, own_up)
+        if moving is not None:
+            rest, moves = moving
+            mesh = within_reach(rest, mesh.faces)
+            if moves is not None:
+                staging.moves[name] = moves
     except MeshError as why:
-        report.error("bad-mesh", f"the mesh `{value.mesh}` {why}", span)
+        report.error("bad-mesh", f"the mesh `{shown}` {why}", span)
         return None
     staging.raw[name] = raw
     if raw.dropped:
         faces = "face" if raw.dropped == 1 else "faces"
-        report.warning(
-            "degenerate-faces", f"{raw.dropped:,} {faces} of `{value.mesh}` without area or given twice left out", span
-        )
+        report.warning("degenerate-faces", f"{raw.dropped:,} {faces} of `{shown}` without area or given twice left out", span)
     if np.abs(mesh.vertices).max() > _FAR:
         report.warning(
             "far-away",
-            f"the mesh `{value.mesh}` lies more than 10 km from the origin",
+            f"the mesh `{shown}` lies more than 10 km from the origin",
             span,
             "move it with `at`, or check its `units`",
         )
     return mesh
+
+
+def _still_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh, None] | None:
+    data = staging.read(value.mesh, limits.MESH_BYTES, "world", name, "mesh")
+    if data is None:
+        return None
+    try:
+        return read_mesh(data, value.mesh, value.group), None
+    except MeshError as why:
+        key = "mesh" if value.group is None else "group"
+        staging.report.error("bad-mesh", f"the mesh `{value.mesh}` {why}", staging.scene.span("world", name, key))
+        return None
 
 
 def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
@@ -186,7 +247,8 @@ def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
     scene, found = staging.scene, {}
     for name, mesh in _meshes(staging, "solid").items():
         value = scene.model.world[name]
-        if not isinstance(value, MeshThing) or value.voxel is None:  # complained about when the scene was matched
+        # without a voxel: complained about when the scene was matched
+        if not isinstance(value, MeshThing | UsdThing) or value.voxel is None:
             continue
         edge = value.voxel.length(scene.model.unit_mm)
         across = [float(side) / edge + 1 for side in np.ptp(mesh.vertices, axis=0)]
@@ -261,52 +323,15 @@ def _refuse_if_many(
 
 
 def _curves(staging: Staging) -> dict[str, NDArray[np.float64]]:
+    """The points (frames, k, 3) of each curve, a single frame where it stands still."""
     found = {}
-    model = staging.scene.model
-    for name, value in model.world.items():
-        if isinstance(value, CurveThing):
-            points = staging.points(value.curve, 2, "world", name, "curve")
-            if points is not None:
-                moved = turned_up(points * UNIT_MM[value.units or model.units], value.up or model.up, model.up)
-                found[name] = moved + np.array(millimetres(value.at, model.unit_mm) if value.at else (0.0, 0.0, 0.0))
+    for name, value in staging.scene.model.world.items():
+        thing = staging.program.world.get(name)
+        if isinstance(value, CurveThing) or (isinstance(value, UsdThing) and thing is not None and thing.kind == "curve"):
+            places = curve_places(staging, name, value)
+            if places is not None:
+                found[name] = places
     return found
-
-
-def _items(
-    staging: Staging, name: str, value: Mapping[str, ItemThing], surfaces: Mapping[str, stage_of.MeshData]
-) -> Iterator[stage_of.ItemData]:
-    model = staging.scene.model
-    dt = float(1 / model.fps)
-    for item, thing in value.items():
-        position = millimetres(thing.at, model.unit_mm)
-        if thing.on is not None and thing.on in surfaces:
-            height = height_over(surfaces[thing.on], position, model.up)
-            if height is None:
-                span = staging.scene.span("world", name, item, "at")
-                staging.report.error(
-                    "off-surface", f"`{item}` is neither over nor under `{thing.on}`", span, "move it, or leave out `on`"
-                )
-                continue
-            position = (position[0], height, position[2]) if model.up == "y" else (position[0], position[1], height)
-        radius = _length(staging.scene, thing.radius)
-        attributes = {key: quantity.base(model.unit_mm, dt) for key, quantity in (thing.model_extra or {}).items()}
-        yield stage_of.ItemData(item, position, DEFAULT_ITEM_RADIUS if radius is None else radius, attributes)
-
-
-def height_over(mesh: stage_of.MeshData, point: stage_of.Point, up: str) -> float | None:
-    """The highest place of a mesh on the line through a point along the scene's up, or None where there is none."""
-    flat, tall = ([0, 2], 1) if up == "y" else ([0, 1], 2)
-    corners = mesh.vertices[mesh.faces]
-    plan = corners[:, :, flat] - np.array(point)[flat]
-    # twice the areas of the three triangles that the point makes with the edges, seen from above
-    across = [plan[:, i, 0] * plan[:, (i + 1) % 3, 1] - plan[:, i, 1] * plan[:, (i + 1) % 3, 0] for i in range(3)]
-    whole = across[0] + across[1] + across[2]
-    inside = (np.abs(whole) > 1e-12) & np.all([part * np.sign(whole) >= -1e-12 * np.abs(whole) for part in across], axis=0)
-    if not inside.any():
-        return None
-    heights = corners[inside, :, tall]
-    weights = np.stack([across[1][inside], across[2][inside], across[0][inside]], axis=1) / whole[inside, None]
-    return float((heights * weights).sum(axis=1).max())
 
 
 def _place(staging: Staging, places: Places, place: Placement, *path: Key) -> stage_of.PlaceData:
@@ -318,7 +343,7 @@ def _place(staging: Staging, places: Places, place: Placement, *path: Key) -> st
             points = points * scene.model.unit_mm
     return stage_of.PlaceData(
         on=(place.on,) if place.on is not None else (),
-        around=_point(scene, places, place.around, place.radius),
+        around=_point(staging, places, place.around, place.radius, *path),
         radius=_length(scene, place.radius),
         points=points,
         density=place.density,

@@ -18,6 +18,7 @@ from antdsl.program.units import dimension_words, with_unit
 from antdsl.scene.quantities import BadQuantity, Quantity, parse_number, parse_quantity
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+_WORD_CHARACTERS = 1000
 LENGTH, ANGLE, TIME = Dim(length=1), Dim(angle=1), Dim(time=1)
 
 
@@ -181,6 +182,14 @@ def _path(value: Any) -> str:
     return _text(value, "the path of a file")
 
 
+def _word(value: Any) -> str:
+    text = _text(value, "a word")
+    if len(text) > _WORD_CHARACTERS:
+        raise refuse(f"{_shown(text)} is too long")
+    return text
+
+
+Word = Annotated[str, BeforeValidator(_word)]
 Name = Annotated[str, BeforeValidator(_name)]
 FilePath = Annotated[str, BeforeValidator(_path)]
 AnyQuantity = Annotated[Quantity, BeforeValidator(_quantity)]

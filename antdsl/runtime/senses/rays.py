@@ -17,6 +17,7 @@ Mesh = tuple[Vectors, NDArray[np.int32]]
 
 _NO_FACE = 0xFFFFFFFF
 _CROWD = 2_000  # places asked about at once, from which on finer distances pay
+_BRIEF_CELLS = 1000
 _FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
 
 
@@ -66,10 +67,14 @@ def _open3d() -> Any:
 class RayScene:
     """Triangle meshes that rays can be cast at. Vertices are float64[n,3], faces int[m,3]; lengths in millimetres.
 
-    The scene works in float32, far from the world's origin around the middle of its meshes, so that nothing is lost.
+    The scene works in float32, far from the world's origin around the middle of its meshes, so that nothing is lost. One that is
+    `brief`, asked for a single step, knows less well who is far from it, and is made faster.
     """
 
-    def __init__(self, vertices: Vectors, faces: NDArray[np.int32]) -> None:
+    _cells: int | None = None
+
+    def __init__(self, vertices: Vectors, faces: NDArray[np.int32], brief: bool = False) -> None:
+        self._cells = _BRIEF_CELLS if brief else None
         self._fill([(vertices, faces)])
 
     @classmethod
@@ -188,11 +193,15 @@ class RayScene:
         if self._scene is None:
             return np.full(len(x), np.inf, np.float32)
         if self._grid is None:
-            self._grid = DistanceGrid(self._vertices, self._faces)
-        if len(x) >= _CROWD and not self._refined:
+            self._grid = self._distances()
+        if len(x) >= _CROWD and not self._refined and self._cells is None:
             self._refined = True
             self._grid.refine(lambda places: self.closest(places)[3])
         return self._grid.at_least(x, y, z)
+
+    def _distances(self) -> DistanceGrid:
+        args = () if self._cells is None else (self._cells,)
+        return DistanceGrid(self._vertices, self._faces, *args)
 
     def feelers(
         self,
@@ -256,7 +265,7 @@ class RayScene:
         normal = np.zeros((3, n), np.float32)
         if self._scene is not None and n:
             if self._grid is None:
-                self._grid = DistanceGrid(self._vertices, self._faces)
+                self._grid = self._distances()
             asked = np.flatnonzero(self._grid.at_least(x, y, z) <= reach)
             points = np.stack([x[asked], y[asked], z[asked]], axis=1).astype(np.float64)
             _, _, place, distance = self.closest(points, threads)
@@ -297,7 +306,7 @@ class RayScene:
         if self._scene is None:
             return np.empty(0, np.int64)
         if self._grid is None:
-            self._grid = DistanceGrid(self._vertices, self._faces)
+            self._grid = self._distances()
         half = reach * np.float32(0.5)
         least = self._grid.at_least(x + dx * half, y + dy * half, z + dz * half)
         return np.flatnonzero(least <= half * np.float32(1 + 1e-4) + np.float32(1e-4))

@@ -3,7 +3,7 @@ where the surface is. Input is vertices float64[n,3] and faces int32[m,3] of one
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 _WELD = 1e-6  # of the extent: corners nearer than this are one corner
+_NO_WIDTH = 1e12  # weights gained by a mm across a face that has none
 _FLAT = 1e-7  # height over longest edge below which a triangle is a line
 _CREASE = np.cos(np.radians(45.0))  # faces meeting more sharply than this are not smoothed into each other
 
@@ -47,30 +48,67 @@ class Topology:
     pieces: int
     forked: bool  # whether any edge leads on differently on its two sides, being of more than two faces
     smooth: Floats  # (9, m): unit normal at corner 0, 1, 2
+    weld: Ints  # (m, 3): numbers of corners, those of one place being one
+
+    def copy(self) -> Topology:
+        """One whose shape may be changed without changing this."""
+        return replace(self, **{name: getattr(self, name).copy() for name in _FLOATS})
 
 
 def build(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
     """Tables for faces whose `mesh` int32[m] says which mesh each is of; corners are joined within a mesh only."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    edge1, edge2 = b - a, c - a
-    across = np.cross(edge1, edge2)
-    area = _length(across)
     weld = _weld(vertices, faces, mesh, extent)
-    live = _live(weld, area, (edge1, edge2, c - b))
-    normal = across / np.where(live, area, 1.0)[:, None]
-    length1 = np.where(live, _length(edge1), 1.0)
-    axis1 = edge1 / length1[:, None]
-    axis2 = np.cross(normal, axis1)
-    x2, y2 = (edge2 * axis1).sum(axis=1), np.where(live, (edge2 * axis2).sum(axis=1), 1.0)
-    direction = _edge_directions(length1, x2, y2)
+    live = _live(weld, _length(np.cross(b - a, c - a)), (b - a, c - a, c - b))
     link = _links(vertices, faces, weld, live)
     piece, pieces = _pieces(link, live)
     forked = bool((link[0] != link[1]).any())
-    frame = [np.ascontiguousarray(v.T) for v in (a, edge1, edge2, normal, axis1, axis2)]
-    smooth = _smooth_normals(vertices, faces, weld, live, normal)
-    rates = (1 / length1, 1 / y2, x2 / (y2 * length1))
-    floats = dict(zip(_FLOATS, (*frame, *rates, *direction, smooth), strict=True))
-    return Topology(live=live, link=link, piece=piece, pieces=pieces, forked=forked, **floats)
+    return Topology(
+        live=live, link=link, piece=piece, pieces=pieces, forked=forked, weld=weld, **_shape(vertices, faces, weld, live)
+    )
+
+
+def repose(table: Topology, vertices: Floats, faces: Ints, rows: slice) -> None:
+    """Give the faces of `rows`, all those of a mesh, the shape that they have with other vertices; changes the table's arrays.
+    What hangs together stays as it was. A face that has lost its area keeps its way up and has no more than no width."""
+    live, weld = table.live[rows], table.weld[rows]
+    before = {name: getattr(table, name)[:, rows].copy() for name in ("normal", "axis1", "axis2")}
+    edges = {name: getattr(table, name).reshape(-1, 3)[rows].copy() for name in ("edge_c", "edge_s")}
+    shape = _shape(vertices, faces[rows], weld - weld.min(initial=0), live)
+    flat = live & ~(np.isfinite(shape["rate1"]) & np.isfinite(shape["rate2"]) & (shape["rate2"] > 0))
+    for name in _FLOATS:
+        array = getattr(table, name)
+        if name in ("edge_c", "edge_s"):
+            array.reshape(-1, 3)[rows] = shape[name].reshape(-1, 3)
+        else:
+            array[..., rows] = shape[name]
+    if flat.any():
+        at = np.flatnonzero(flat) + (rows.start or 0)
+        for name, old in before.items():
+            getattr(table, name)[:, at] = old[:, flat]
+        for name, old in edges.items():
+            getattr(table, name).reshape(-1, 3)[at] = old[flat]
+        table.rate1[at], table.rate2[at], table.shear[at] = _NO_WIDTH, _NO_WIDTH, 0.0
+        table.smooth[:, at] = np.tile(table.normal[:, at], (3, 1))
+
+
+def _shape(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> dict[str, Floats]:
+    """All of a table that depends on where the corners are, by the names in _FLOATS."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    edge1, edge2 = b - a, c - a
+    across = np.cross(edge1, edge2)
+    with np.errstate(all="ignore"):  # a face that moves may lose its area
+        normal = across / np.where(live, _length(across), 1.0)[:, None]
+        length1 = np.where(live, _length(edge1), 1.0)
+        axis1 = edge1 / length1[:, None]
+        normal = np.where(np.isfinite(normal), normal, 0.0)
+        axis2 = np.cross(normal, axis1)
+        x2, y2 = (edge2 * axis1).sum(axis=1), np.where(live, (edge2 * axis2).sum(axis=1), 1.0)
+        direction = _edge_directions(length1, x2, y2)
+        frame = [np.ascontiguousarray(v.T) for v in (a, edge1, edge2, normal, axis1, axis2)]
+        smooth = _smooth_normals(vertices, faces, weld, live, normal)
+        rates = (1 / length1, 1 / y2, x2 / (y2 * length1))
+    return dict(zip(_FLOATS, (*frame, *rates, *direction, smooth), strict=True))
 
 
 def _length(v: Floats) -> Floats:

@@ -3,6 +3,8 @@ own surface: same operations in the same order and so the same bits. Whoever els
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -26,12 +28,20 @@ def packed(table: Topology, mesh_of: NDArray[np.int32]) -> Floats:
     space = np.empty(_WIDTH * m + 8)
     start = -space.ctypes.data % 64 // 8
     result = space[start : start + _WIDTH * m]
-    rows = result.reshape(m, _WIDTH)
-    vectors = (table.corner, table.edge1, table.edge2, table.normal, table.axis1, table.axis2)
-    parts = [v.T for v in vectors] + [v.reshape(m, 1) for v in (table.rate1, table.rate2, table.shear)]
-    parts += [table.edge_c.reshape(m, 3), table.edge_s.reshape(m, 3), table.smooth.T, table.link[0].reshape(m, 3)]
-    np.concatenate([*parts, mesh_of.reshape(m, 1)], axis=1, out=rows)
+    pack(result, table, mesh_of, slice(0, m))
     return result
+
+
+def pack(into: Floats, table: Topology, mesh_of: NDArray[np.int32], rows: slice) -> None:
+    """Write the numbers of some faces into a packed table."""
+    m = rows.stop - rows.start
+    halves = slice(3 * rows.start, 3 * rows.stop)
+    vectors = (table.corner, table.edge1, table.edge2, table.normal, table.axis1, table.axis2)
+    parts: list[NDArray[Any]] = [v[:, rows].T for v in vectors]
+    parts += [v[rows].reshape(m, 1) for v in (table.rate1, table.rate2, table.shear)]
+    parts += [v[halves].reshape(m, 3) for v in (table.edge_c, table.edge_s)]
+    parts += [table.smooth[:, rows].T, table.link[0, halves].reshape(m, 3), mesh_of[rows].reshape(m, 1)]
+    np.concatenate(parts, axis=1, out=into.reshape(-1, _WIDTH)[rows])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -1,0 +1,182 @@
+"""A ground of which some meshes move between steps: what hangs together stays, where it lies is said anew for each frame.
+
+Only what moved is worked out again, and its rays have scenes of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from copy import copy
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.senses.clearances import Clearances, Parts
+from antdsl.runtime.senses.ground import Floats, Footing, Ground, Index
+from antdsl.runtime.senses.rays import Hits, Mesh, RayScene
+from antdsl.runtime.senses.surroundings import NOISE
+from antdsl.runtime.senses.topology import repose
+
+Axes = tuple[Floats, Floats, Floats]
+
+
+class MovingGround(Ground):
+    """As `Ground`; the meshes named `moving` may be posed. `rest` is where all lay at first: cells of fields are in it."""
+
+    def __init__(self, surfaces: Mapping[str, Mesh], moving: Iterable[str]) -> None:
+        super().__init__(surfaces)
+        counts = [len(np.reshape(v, (-1, 3))) for v, _ in surfaces.values()]
+        ends = np.cumsum([0, *counts])
+        self._corners = {name: slice(int(ends[k]), int(ends[k + 1])) for k, name in enumerate(self.names)}
+        self._rows = {name: slice(int(self._first[k]), int(self._first[k + 1])) for k, name in enumerate(self.names)}
+        self._moves = np.isin(self.names, list(moving))
+        self._rest = self._table.copy()
+        self._still_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
+        self._clearances = _Clearances(self)  # type: ignore[assignment]
+
+    def copy(self) -> MovingGround:
+        """One that can be posed apart from this one."""
+        made = copy(self)
+        made._vertices, made._table = self._vertices.copy(), self._table.copy()
+        made._scenes, made._packed = {}, None
+        made._clearances = _Clearances(made)  # type: ignore[assignment]
+        return made
+
+    def pose(self, places: Mapping[str, Floats]) -> None:
+        """Put the vertices (n, 3) of moving meshes where they are now."""
+        for name, vertices in places.items():
+            rows = self._rows[name]
+            self._vertices[self._corners[name]] = vertices
+            repose(self._table, self._vertices, self._faces, rows)
+            if self._packed is not None:
+                from antdsl.runtime.senses.walk_compiled import pack
+
+                pack(self._packed, self._table, self._mesh, rows)
+        used = self._vertices[self._faces.ravel()]
+        self.low, self.high = used.min(axis=0), used.max(axis=0)
+        self.extent = max(self.extent, float((self.high - self.low).max()))
+        self._scenes = {}
+        self._clearances.forget()  # type: ignore[attr-defined]
+
+    def carries(self, mesh: NDArray[np.int32]) -> NDArray[np.intp]:
+        """Which of the numbers of meshes that agents stand on are of one that moves; other numbers are of no mesh."""
+        known = (mesh >= 0) & (mesh < len(self._moves))
+        return np.flatnonzero(known & self._moves.take(np.where(known, mesh, 0)))
+
+    def axes(self, footing: Footing) -> Axes:
+        """The frames (3, n) of the faces where agents stand: along the first edge, across it, and up by the winding."""
+        face, _ = self._faces_of(footing)
+        t = self._table
+        return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
+
+    def rest_axes(self, footing: Footing) -> Axes:
+        """As `axes`, where the faces lay at rest."""
+        face, _ = self._faces_of(footing)
+        t = self._rest
+        return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
+
+    def rest_position(self, footing: Footing) -> Floats:
+        """Places (n, 3) where the points that agents stand on lay at rest."""
+        face, known = self._faces_of(footing)
+        t = self._rest
+        place = t.corner.take(face, axis=1) + footing.b1 * t.edge1.take(face, axis=1) + footing.b2 * t.edge2.take(face, axis=1)
+        return np.ascontiguousarray(np.where(known, place, 0.0).T)
+
+    def _scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
+        """Rays against some surfaces: those that stand still and those that move, each a scene of its own."""
+        chosen = tuple(range(len(self.names))) if on is None else tuple(sorted(self.names.index(n) for n in self._known(on)))
+        if chosen not in self._scenes:
+            still = tuple(k for k in chosen if not self._moves[k])
+            if still not in self._still_scenes:
+                self._still_scenes[still] = self._rays(still)
+            moved, live = self._rays(tuple(k for k in chosen if self._moves[k]))
+            first, first_live = self._still_scenes[still]
+            self._scenes[chosen] = _Both(first, moved, len(first_live)), np.concatenate([first_live, live])  # type: ignore[assignment]
+        return self._scenes[chosen]
+
+    def _rays(self, chosen: tuple[int, ...]) -> tuple[RayScene, Index]:
+        live = np.flatnonzero(self._table.live & np.isin(self._mesh, chosen))
+        return RayScene(self._vertices, self._faces[live]), live
+
+
+class _Both:
+    """Two ray scenes of one mesh each as one; the faces of the second are numbered after those of the first."""
+
+    def __init__(self, one: RayScene, two: RayScene, faces: int) -> None:
+        self._one, self._two, self._faces = one, two, faces
+
+    def cast(self, origin: Floats, direction: Floats, threads: int = 1) -> Hits:
+        a, b = (scene.cast(origin, direction, threads) for scene in (self._one, self._two))
+        second = b.hit & (b.t < a.t)
+        face = np.where(second, b.face + np.int32(self._faces), a.face)
+        u, v = np.where(second, b.u, a.u), np.where(second, b.v, a.v)
+        normal = np.where(second[:, None], b.normal, a.normal)
+        return Hits(np.where(second, b.t, a.t), np.where(second, b.mesh, a.mesh), face, u, v, normal)
+
+    def cast_within(
+        self, origin: Floats, step: Floats, threads: int = 1
+    ) -> tuple[Index, NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+        n = len(origin)
+        part, mesh, face = np.full(n, np.inf, np.float32), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
+        for scene, before in ((self._one, 0), (self._two, self._faces)):
+            which, t, _, local = scene.cast_within(origin, step, threads)
+            nearer = t < part[which]
+            which = which[nearer]
+            part[which], mesh[which], face[which] = t[nearer], 0, local[nearer] + before
+        met = np.flatnonzero(mesh >= 0)
+        return met, part[met], mesh[met], face[met]
+
+    def closest(self, points: Floats, threads: int = 1) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats]:
+        a, b = (scene.closest(points, threads) for scene in (self._one, self._two))
+        second = b[3] < a[3]
+        face = np.where(second, b[1] + np.int32(self._faces), a[1])
+        return np.where(second, b[0], a[0]), face, np.where(second[:, None], b[2], a[2]), np.where(second, b[3], a[3])
+
+
+class _Clearances:
+    """As `Clearances`. Those between meshes that stand still are measured once; who is near a box around a mesh that moves, and
+    who stands on one near anything, always looks out."""
+
+    def __init__(self, ground: MovingGround) -> None:
+        self._ground = ground
+        self.noise = ground.extent * NOISE
+        self._loose = ground._moves.take(ground._mesh)
+        self._fixed = np.flatnonzero(~self._loose)
+        corners = ground._vertices[ground._faces[self._fixed]]
+        low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
+        self._still = Clearances(corners, ground._table.piece[self._fixed], low, self.noise)
+        pieces = {name: int((np.unique(ground._table.piece[rows]) >= 0).sum()) for name, rows in ground._rows.items()}
+        self._several = [name for k, name in enumerate(ground.names) if ground._moves[k] and pieces[name] > 1]
+        self._parts: Parts | None = None
+
+    def forget(self) -> None:
+        self._parts = None
+
+    def within(self, reach: float) -> Parts:
+        """Clearances that tell distances up to `reach` mm apart, where the meshes are now."""
+        if self._parts is None or self._parts.reach < reach:
+            self._parts = self._measured(1.5 * reach)
+        return self._parts
+
+    def _measured(self, reach: float) -> Parts:
+        ground = self._ground
+        still = self._still.within(reach)
+        count, first = np.zeros(len(ground._faces), np.int32), np.zeros(len(ground._faces), np.int64)
+        count[self._fixed], first[self._fixed] = still.count, still.first
+        at = self._touched(reach)
+        count[at], first[at] = 1, len(still.least)
+        return Parts(reach, first, count, np.append(still.least, 0.0))
+
+    def _touched(self, reach: float) -> Index:
+        """Faces that may have a mesh within `reach` where one of the two moves."""
+        ground = self._ground
+        corners = ground._vertices[ground._faces]
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        wide = reach + 2 * self.noise
+        found = np.zeros(len(corners), np.bool_)
+        for k, (name, rows) in enumerate(ground._rows.items()):
+            if not rows.stop > rows.start:
+                continue
+            near = ((low <= high[rows].max(axis=0) + wide) & (high >= low[rows].min(axis=0) - wide)).all(axis=1)
+            near[rows] = name in self._several
+            found |= near if ground._moves[k] else near & self._loose
+        return np.flatnonzero(found)

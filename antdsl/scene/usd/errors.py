@@ -1,0 +1,45 @@
+"""Why something of a USD file cannot be used, and the one place that imports usd-core."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import Any
+
+
+class UsdError(Exception):
+    """`code` is a diagnostic's code, the text its message, `help` what to do instead, `key` the key of the scene it is about."""
+
+    def __init__(self, code: str, message: str, help: str | None = None, key: str = "prim") -> None:
+        super().__init__(message)
+        self.code, self.help, self.key = code, help, key
+
+
+def words_of(problem: Exception) -> str:
+    """What USD's own exception says, less where in its sources it says so."""
+    found = re.findall(r"in file \S+ : '(.*?)'\s*(?:\n|$)", str(problem), re.DOTALL)
+    line = " ".join((found[-1] if found else type(problem).__name__).split())
+    return line if len(line) <= 200 else line[:197] + "…"
+
+
+def usd_exception() -> type[Exception]:
+    """The type of USD's own exceptions; one that is never raised where USD is not installed."""
+    try:
+        found: type[Exception] = pxr("Tf").ErrorException
+    except UsdError:
+        return UsdError
+    return found
+
+
+@cache
+def pxr(module: str) -> Any:
+    """A module of usd-core, such as `UsdGeom`; UsdError when it is not installed."""
+    from importlib import import_module
+
+    try:
+        return import_module(f"pxr.{module}")
+    except ImportError as problem:
+        missing = "USD files need the package usd-core"
+        if getattr(problem, "name", "") not in ("pxr", f"pxr.{module}"):
+            missing += f", which cannot be loaded ({problem})"
+        raise UsdError("missing-extra", missing, 'install it: pip install "antdsl[usd]"', "usd") from None
