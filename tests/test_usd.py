@@ -477,6 +477,55 @@ def test_shapes_that_are_no_meshes_are_warned_of(tmp_path: Path) -> None:
     assert shot is not None and [d.code for d in report.diagnostics] == ["usd-left-out"]
 
 
+PAINTED = """ant 1
+use steering
+world { surface ground; flow comb; map damp }
+species walker {
+  size 4 mm
+  max_speed 20 mm/s
+  wet = 0
+  start go
+  state go amber { steer along(comb); wet = damp }
+  layers { state }
+}
+"""
+
+
+def test_paint_comes_out_of_the_file_of_its_surface(tmp_path: Path) -> None:
+    """Painted in a z-up file along its y, on ground that the scene turns about its up and carries off."""
+    more = 'float[] primvars:damp = [0, 1, 1, 0] ( interpolation = "vertex" )\n'
+    more += 'vector3f[] primvars:comb = [(0,2,0), (0,1,0), (0,1,0), (0,1,0)] ( interpolation = "vertex" )'
+    head = 'metersPerUnit = 0.1\nupAxis = "Z"'
+    (tmp_path / "g.usda").write_text(usda(mesh(more=more), head))
+    (tmp_path / "w.ant").write_text(PAINTED)
+    text = "antdsl: 1\nframes: 1..5\nworld:\n  ground: {usd: g.usda, prim: /m, KEYS}\n"
+    text += "  comb: {painted: g.usda, on: ground}\n  damp: {painted: g.usda, attribute: damp}\n"
+    text += "crowd: [{species: walker, from: w.ant, count: 30, place: {on: ground}}]\n"
+    for keys, way in (
+        ("rotate: [0, 90, 0]", (-1, 0, 0)),
+        ("keys: {1: {rotate: [0, 0, 0]}, 5: {at: [0, 0, 50], rotate: [0, 90, 0]}}", (0, 0, -1)),
+    ):
+        (tmp_path / "scene.yaml").write_text(text.replace("KEYS", keys))
+        shot, report = open_scene(tmp_path / "scene.yaml")
+        assert shot is not None and not report.errors, report.errors
+        painted = shot.setting.flows["comb"].values  # type: ignore[union-attr]
+        assert np.allclose(painted, [way] * 4, atol=1e-12), "along the file's y, and no longer than 1"
+        for world in simulate(shot):
+            walkers = world.populations["walker"]
+        turned = np.array([(-1.0, 0, 0)])  # in both the ground has turned by a quarter at the end
+        heading = walkers.vector("velocity")
+        fast = np.linalg.norm(heading, axis=1) > 1
+        assert fast.any() and (heading[fast] @ turned[0] > 0.9 * np.linalg.norm(heading[fast], axis=1)).mean() > 0.9
+        corner = walkers.now["wet"]
+        assert corner.min() >= 0 and corner.max() <= 1 and np.ptp(corner) > 0.5
+    for old, new, code in (
+        ("attribute: damp", "attribute: dry", "no-such-prim"),
+        ("attribute: damp", "attribute: comb", "bad-paint"),
+    ):
+        (tmp_path / "scene.yaml").write_text(text.replace("KEYS", "scale: 2").replace(old, new))
+        assert [d.code for d in open_scene(tmp_path / "scene.yaml")[1].errors] == [code]
+
+
 # --- groups of an .obj ---------------------------------------------------------------------------------------------------
 
 GROUPED = b"v 0 0 0\nv 1 0 0\nv 0 0 1\nv 0 1 0\no hill\nf 1 2 3\ng stones big\nf 1 2 4\nf 2 3 4\ng\nf 1 3 4\no tree\nf 1 3 4\n"

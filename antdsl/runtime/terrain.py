@@ -51,7 +51,7 @@ class Terrain:
 
     def with_meshes(self, ground: Ground) -> Terrain:
         """The same solids with other meshes of the same names."""
-        return Terrain(ground, dict(zip(self.names[self._meshes :], self._volumes, strict=True)))
+        return Terrain(ground, dict(zip(self.names[self._count :], self._volumes, strict=True)))
 
     # ---- asking
 
