@@ -456,3 +456,40 @@ def test_a_camera_of_a_usd_file_moves_in_pictures(tmp_path: Path) -> None:
     assert all(camera is not None and camera.focal == 35 for camera in cameras)
     assert np.allclose([camera.at[0] for camera in cameras if camera], [-50, 50, 50])
     assert found.setting.fps == Fraction(24)
+
+
+DIGGERS = """ant 1
+use steering
+world { surface plate; solid hill }
+species digger {
+  size 4 mm
+  max_speed 20 mm/s
+  response 0.1 s
+  start dig
+  state dig amber { steer wander(); carve hill(radius: size / 2) }
+  layers { state }
+}
+"""
+
+
+def test_a_plate_moves_beside_a_hill_that_is_dug(folder: Path) -> None:
+    write(folder, "hill.obj", meshes.box((60, -10, -20), (100, 10, 20)))
+    (folder / "dig.ant").write_text(DIGGERS)
+    (folder / "scene.yaml").write_text(
+        "antdsl: 1\nframes: 1..9\nworld:\n  plate: {mesh: ground.obj, keys: {1: {at: [0, 0, 0]}, 9: {at: [0, 0, 40]}}}\n"
+        "  hill: {mesh: hill.obj, voxel: 2 mm}\n"
+        "crowd:\n  - {species: digger, from: dig.ant, count: 20, place: {on: plate}}\n"
+        "  - {species: digger, from: dig.ant, count: 20, place: {on: hill}}\n"
+    )
+    found, report = open_scene(folder / "scene.yaml")
+    assert found is not None and not report.errors, report.errors
+    start = None
+    for world in simulate(found):
+        diggers = world.populations["digger"]
+        place = diggers.position[diggers.in_id_order()]
+        start = place.copy() if start is None else start
+        assert np.abs(world.ground.position(diggers.footing) - diggers.position).max() < 1e-9
+    went = place[:, 2] - start[:, 2]
+    assert went[:20].min() > 30 and abs(went[20:]).max() < 10, "those on the plate went along, those on the hill did not"
+    *_, done = record(begin(found, folder / "dug", Options(), resume=False, force=False))
+    assert done.surface_error < 1e-4 and done.hash == state_hash(world)
