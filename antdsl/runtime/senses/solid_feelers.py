@@ -18,7 +18,7 @@ from antdsl.runtime.solids.bricks import CUBE, SIDE
 Floats = NDArray[np.float64]
 
 _MARCHES = 96  # steps of one ray besides those through open air, after which it counts as free
-_LEAST = 0.25  # voxels: a ray goes on at least so far
+_LEAST = 0.5  # voxels: a ray goes on at least so far
 _THROUGH = 0.02  # voxels under the surface that a ray along it may dip without having hit it
 _HALVINGS = 8
 _BLOCK = 4  # edge, in nodes, of the blocks of which one place each says where the surface is, for those far from it
@@ -60,8 +60,7 @@ class SolidFeelers:
         n = len(origin)
         far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
         voxel, through = self.volume.voxel, -_THROUGH * self.volume.voxel
-        t = np.full(n, np.inf)
-        gone = np.zeros(n)
+        free, shut, gone = np.zeros(n), np.full(n, np.inf), np.zeros(n)
         rows = np.flatnonzero(far > 0)
         before = self.volume.sample(origin[rows]).astype(np.float64)
         for _ in range(_MARCHES + int(far.max(initial=0.0) / self.volume.band[1])):
@@ -69,16 +68,15 @@ class SolidFeelers:
             ahead = np.minimum(gone[rows] + step, far[rows])
             here = self.volume.sample(origin[rows] + ahead[:, None] * way[rows]).astype(np.float64)
             met = (here < through) & (before >= through)
-            if met.any():
-                hit = rows[met]
-                t[hit] = self._entry(origin[hit], way[hit], gone[hit], ahead[met])
+            free[rows[met]], shut[rows[met]] = gone[rows[met]], ahead[met]
             on = ~met & (ahead < far[rows])
             gone[rows] = ahead
             rows, before = rows[on], here[on]
             if not rows.size:
                 break
-        hit = np.flatnonzero(np.isfinite(t))
-        normal = np.zeros((3, n), np.float32)
+        hit = np.flatnonzero(np.isfinite(shut))
+        t, normal = np.full(n, np.inf), np.zeros((3, n), np.float32)
+        t[hit] = self._entry(origin[hit], way[hit], free[hit], shut[hit])
         normal[:, hit] = self._normals(origin[hit] + t[hit, None] * way[hit])
         return FeelerHits(np.isfinite(t), t.astype(np.float32), *normal)
 

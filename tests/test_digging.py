@@ -1,0 +1,211 @@
+"""Digging: tunnels are walked through, nobody passes undug solid, what is removed is counted, and a run can be repeated and
+continued to the bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import digging_shots
+import numpy as np
+import pytest
+from test_cli import antdsl
+
+from antdsl.outputs.cache import open_cache
+from antdsl.outputs.dug_solids import DugSolids
+from antdsl.pipeline import Shot
+from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, state_hash, step
+
+STEPS = 80
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return digging_shots.folder(tmp_path_factory.mktemp("dig"))
+
+
+@pytest.fixture(scope="module")
+def shot(scene: Path) -> Shot:
+    return digging_shots.opened(scene)
+
+
+def bound(shot: Shot, **options: object) -> World:
+    return bind(shot.plan, shot.setting, Options(**options))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def watched(shot: Shot) -> tuple[World, list[str], dict[str, list[np.ndarray]]]:
+    """A run, its hashes, and where everybody stood at each frame."""
+    world = bound(shot)
+    hashes = [state_hash(world)]
+    places: dict[str, list[np.ndarray]] = {"digger": [], "walker": [], "on": [], "off": []}
+    hill = world.solids["hill"]
+    for _ in range(STEPS):
+        before = {name: p.position[p.in_id_order()] for name, p in world.populations.items()}
+        step(world)
+        hashes.append(state_hash(world))
+        for name, population in world.populations.items():
+            rows = population.in_id_order()
+            place, mesh = population.position[rows], population.footing.mesh[rows]
+            places[name].append(place)
+            away = hill.sample(place).astype(np.float64)
+            assert (away[mesh == 0] > -0.06 * hill.voxel).all(), "on ground that is inside undug solid"
+            assert (np.abs(away[mesh == 1]) < 1e-4 * 4).all(), "off the solid's surface"
+            middle = hill.sample((place + before[name]) / 2)
+            assert (middle > -0.75 * hill.voxel).all(), "through undug solid"
+            gone = np.sqrt(((place - before[name]) ** 2).sum(axis=1))
+            assert (gone < 30 / 24 + 3.0 + 1e-6).all(), "farther than a step and a fall into a hole"
+            heading, up = population.vector("heading")[rows], population.vector("up")[rows]
+            assert np.abs((heading * up).sum(axis=1)).max() < 1e-4
+            assert np.abs((heading * heading).sum(axis=1) - 1).max() < 1e-4
+    return world, hashes, places
+
+
+def test_diggers_come_out_on_the_other_side_of_the_hill_they_went_into(watched, shot):
+    _, _, places = watched
+    digger = np.stack(places["digger"])
+    fresh = bound(shot).solids["hill"]
+    inside = fresh.sample(digger.reshape(-1, 3)).reshape(digger.shape[:2])
+    through = (inside.min(axis=0) < -1.5) & (digger[0, :, 0] < -15) & (digger[-1, :, 0] > 15)
+    assert through.sum() >= 3
+    assert digger[:, through, 1].max() < 9, "through, not over: the hill is 17 high"
+
+
+def test_who_does_not_dig_is_kept_out(watched, shot):
+    _, _, places = watched
+    walker = np.stack(places["walker"])
+    dug = watched[0].solids["hill"].sample(walker.reshape(-1, 3))
+    assert dug.min() > -0.06
+    assert (walker[-1, :, 0] > 0).sum() > 2, "over the hill, round it or through what others dug"
+    assert walker[:, :, 1].max() > 5, "some of them climbed it"
+
+
+def test_what_is_removed_is_what_was_counted(watched, shot):
+    world = watched[0]
+    hill = world.solids["hill"]
+    held = world.populations["digger"].now["soil"].astype(np.float64).sum()
+    given = world.items["heap"].amounts["soil"].sum()
+    before = bound(shot).solids["hill"].volume()
+    assert hill.removed > 500 and given > 100
+    assert held + given == hill.removed == before - hill.volume()
+
+
+def test_open_ground_in_a_tunnel_is_walked_on(watched, shot):
+    """The floor of a tunnel is the ground's own triangles where they are in the open again."""
+    fresh = bound(shot)
+    hill, ground = fresh.solids["hill"], fresh.ground
+    middle = np.array([[0.0, 0.0, 0.0]])
+    standing, _ = ground.place(middle, fresh.up, ["ground"])
+    assert standing.mesh[0] == 1, "closed by the hill: the place is on top of it"
+    floor = ground.meshes.position(ground.meshes.place(middle, fresh.up, None)[0])
+    hill.carve(floor + [[0.0, 2.0, 0.0]], np.array([5.0]), np.zeros(1, np.int64))
+    way = np.array([[1.0, 0.0, 0.0]])
+    onto = ground.nearest(floor)[0]
+    moved = ground.move(onto, way, way, np.array([[0.0, 1.0, 0.0]]), 4.0)
+    assert moved.footing.mesh[0] == 0 and not moved.blocked[0]
+    assert moved.position[0, 0] == pytest.approx(floor[0, 0] + 1.0, abs=0.05)
+
+
+def test_fields_lie_on_the_walls_that_were_dug(watched):
+    world = watched[0]
+    field = world.fields["trail"]
+    cells = field.cells
+    assert cells.used - cells.at_start > 50
+    new = slice(cells.at_start, cells.used)
+    assert (field.values[new] > 0).sum() > 10, "scent was laid in them"
+    away = np.abs(world.solids["hill"].sample(cells.position[new]))
+    assert np.quantile(away, 0.5) < 1.0
+    assert (cells.lookup(cells.position[new], cells.normal[new]) >= 0).all()
+    table, none = cells.block[new], len(cells)
+    assert ((table == np.arange(cells.at_start, cells.used)[:, None]).any(axis=1)).all() and (table < none).sum(axis=1).min() > 2
+    again = cells._nearest(np.arange(cells.used), 16)
+    assert np.array_equal(again, cells.block[: cells.used]), "rows kept up to date are those made anew"
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"chunk": 3, "shuffle_rows": 1}, {"threads": 2, "chunk": 5}, {"backend": "reference", "shuffle_rows": 4}],
+    ids=str,
+)
+def test_the_same_hash_at_every_frame(shot, watched, options):
+    world = bound(shot, **options)
+    for frame in range(40):
+        step(world)
+        assert state_hash(world) == watched[1][frame + 1], frame
+
+
+def test_a_checkpoint_goes_on_to_the_same_hashes(shot, watched):
+    world = bound(shot)
+    for _ in range(45):
+        step(world)
+    kept = checkpoint(world)
+    other = bound(shot, shuffle_rows=2)
+    restore(other, kept)
+    for frame in range(45, 60):
+        assert state_hash(other) == watched[1][frame]
+        step(other)
+    kept["solid.hill.values"] = kept["solid.hill.values"][:-1]
+    with pytest.raises(CheckpointError, match="hill"):
+        restore(bound(shot), kept)
+
+
+def run(*words: str | Path, code: int = 0) -> str:
+    done = antdsl(*map(str, words), cwd=Path.cwd())
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def surface(folder: Path, frame: int, solids: DugSolids | None = None) -> tuple[np.ndarray, np.ndarray]:
+    cache = open_cache(folder)
+    (found,) = (solids or DugSolids(cache, cache.static())).at(frame)
+    return found.vertices, found.faces
+
+
+def triangles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    corners = vertices[faces].reshape(-1, 9)
+    return corners[np.lexsort(corners.T)]
+
+
+def test_a_cache_shows_what_was_dug_and_can_be_continued(scene, shot, tmp_path):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    run("run", scene, "--out", whole)
+    run("run", scene, "--out", parts, "--frames", "1..21")
+    run("run", scene, "--out", parts, "--frames", "1..40", "--resume")
+    assert open_cache(whole).hashes() == open_cache(parts).hashes()
+    world = bound(shot)
+    cache = open_cache(whole)
+    in_order = DugSolids(cache, cache.static())
+    counts = set()
+    for frame in range(1, 41):
+        if frame in (1, 20, 29, 40):
+            pieces = [(v, f) for _, v, f in world.solids["hill"].surface(changed_only=False)]
+            shift = np.cumsum([0, *(len(v) for v, _ in pieces)])
+            faces = np.concatenate([f + s for (_, f), s in zip(pieces, shift, strict=False)])
+            true = triangles(np.concatenate([v for v, _ in pieces]), faces)
+            counts.add(len(true))
+            for found in (surface(whole, frame), surface(parts, frame), surface(whole, frame, in_order)):
+                assert np.array_equal(triangles(*found), true), frame
+        step(world)
+    assert len(counts) > 2, "something was dug in between"
+    assert in_order.at(40)[0] is in_order.at(40)[0]
+    run("render", whole, "--frames", "40..40", "--width", "160", "--height", "90")
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "word"),
+    [
+        ("  hill: {mesh: hill.ply}", "missing-key", "voxel: 1 mm"),
+        ("  hill: {mesh: hill.ply, voxel: 0.001 mm}", "too-large", "voxels of"),
+        ("  hill: {mesh: ground.ply, voxel: 1 mm}", "bad-mesh", "closed"),
+    ],
+)
+def test_solids_that_cannot_be(tmp_path, line, code, word):
+    text = digging_shots.SCENE.replace("  hill: {mesh: hill.ply, voxel: 1 mm}", line)
+    scene = digging_shots.folder(tmp_path, scene=text)
+    said = run("run", scene, "--out", tmp_path / "out", "--frames", "1..2", code=1)
+    assert code in said and word in said
+
+
+def test_a_surface_has_no_voxels(tmp_path):
+    text = digging_shots.SCENE.replace("  ground: {mesh: ground.ply}", "  ground: {mesh: ground.ply, voxel: 1 mm}")
+    scene = digging_shots.folder(tmp_path, scene=text)
+    assert "only solids have voxels" in run("check", scene, code=1)
