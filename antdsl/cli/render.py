@@ -34,7 +34,7 @@ def render(
     sheet: bool = typer.Option(False, "--sheet", help="One picture with several frames on it, and the last frame by itself."),
     film: bool = typer.Option(False, "--film", help="An .mp4; needs the extra [video]."),
     show: str = typer.Option(
-        "trail", "--show", metavar="WORD,…", help="What to draw besides: trail, feelers, velocity, ids; `none` for nothing."
+        "trail", "--show", metavar="WORD,…", help="What to draw besides: trail, flow, feelers, velocity, ids; `none` for nothing."
     ),
     agents: str = typer.Option(
         None, "--agents", metavar="ID,…", help="Only these agents' ids, velocities, feelers; the eye camera follows the first."

@@ -22,6 +22,8 @@ _OPS: dict[str, Callable[..., float]] = {
     "max": max,
 }
 
+_PROGRAM = Program.__module__.rsplit(".", 1)[0] + "."  # the room whose values are looked through
+
 
 def feelers_of(program: Program, species: str, params: Mapping[str, Any], unit_mm: float, dt: float) -> tuple[FeelersEntry, ...]:
     """All feelers of a species' layers and states. Those whose numbers change from step to step are left out."""
@@ -42,7 +44,7 @@ def _parts(value: object) -> Iterator[object]:
         part = stack.pop()
         if isinstance(part, tuple | list):
             stack.extend(reversed(part))
-        elif dataclasses.is_dataclass(part) and id(part) not in seen and type(part).__module__ == Const.__module__:
+        elif dataclasses.is_dataclass(part) and id(part) not in seen and type(part).__module__.startswith(_PROGRAM):
             seen.add(id(part))
             yield part
             stack.extend(getattr(part, f.name) for f in reversed(dataclasses.fields(part)))

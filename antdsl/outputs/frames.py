@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.outputs.flow_arrows import arrows
 from antdsl.outputs.manifest import (
     CameraEntry,
     FeelersEntry,
@@ -138,7 +139,7 @@ def orientation(heading: NDArray[np.float32], up: NDArray[np.float32]) -> NDArra
 
 
 def static_arrays(world: World, setting: Setting) -> Arrays:
-    """What stands still: meshes and the places of field cells, in scene units."""
+    """What stands still: meshes, the places of field cells, flows as arrows, in scene units."""
     scale = 1.0 / setting.unit_mm
     arrays: Arrays = {}
     for name, mesh in {**setting.surfaces, **setting.obstacles}.items():
@@ -151,7 +152,7 @@ def static_arrays(world: World, setting: Setting) -> Arrays:
         arrays |= {"camera.up": setting.camera.up, "camera.focal": setting.camera.focal}
     for name, field in world.fields.items():
         arrays[f"field.{name}.P"] = ((_places_at_start(field) + world.origin) * scale).astype(np.float32)
-    return arrays
+    return arrays | arrows(world, scale)
 
 
 def _places_at_start(field: PheromoneField) -> NDArray[np.float64]:

@@ -15,15 +15,17 @@ from antdsl.bodies.placed import shape_of
 from antdsl.outputs.cache import Arrays, Cache, CacheError
 from antdsl.outputs.dug_solids import DugSolids
 from antdsl.outputs.feelers import rays
+from antdsl.outputs.flow_arrows import drawn
 from antdsl.outputs.manifest import SpeciesEntry
 from antdsl.outputs.pictures.camera import three
-from antdsl.outputs.pictures.model import Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
+from antdsl.outputs.pictures.model import Arrows, Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
 from antdsl.outputs.pictures.trails import robust_full
 
 _KINDS: tuple[tuple[str, Kind], ...] = (("boulder", "boulder"), ("rock", "boulder"), ("hill", "hill"), ("stone", "stone"))
 _UPS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 WANTED = ("P", "orient", "pscale")
 _DYES = ((0.68, 0.10, 0.46), (0.05, 0.46, 0.62), (0.80, 0.40, 0.05), (0.30, 0.22, 0.66))  # fields in their order
+_ARROWS = ((250, 246, 226), (60, 214, 255), (255, 150, 60), (190, 140, 255))  # flows in their order
 _LOOKED_AT = 8  # frames that say how strong a field grows
 
 
@@ -44,6 +46,10 @@ class Gallery:
         self.static = cache.static()
         self._stones = tuple(self._solid(m.name, m.kind) for m in self.manifest.meshes if m.kind != "solid")
         self._dug = DugSolids(cache, self.static)
+        self.flows = tuple(
+            Arrows(name, place, way, _ARROWS[number % len(_ARROWS)])
+            for number, (name, (place, way)) in enumerate(drawn(self.static).items())
+        )
         self._walked: dict[str, tuple[int, NDArray[np.int64], NDArray[np.float64]]] = {}
         self._first: Arrays | None = None
         self._full: dict[str, float] | None = None
@@ -61,6 +67,7 @@ class Gallery:
             crowds=crowds,
             items=self._items(arrays),
             trails=self._trails(arrays),
+            flows=self.flows,
             up=_UPS[self.manifest.up],
             legend=legend,
             frame=frame,

@@ -24,9 +24,9 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-_PIECES = 10  # of a radius or border, where no cell is given
-_ACROSS = 100  # pieces of the ground's extent, where there is no radius either
-_ACROSS_CROWD = 64  # the same, where it is worked out again and again
+_PIECES = 8  # of a radius or border, where no cell is given
+_ACROSS = 64  # pieces of the ground's extent, where there is no radius either
+_ACROSS_CROWD = 48  # the same, where it is worked out again and again
 _OWN_POINTS = 200_000  # at most, where the cell is not given
 _ROOM_COST = 8.0  # beside an obstacle a mm costs so much more
 _LIFT = 0.25  # of an edge: how high over the ground obstacles are looked for between two points
@@ -203,7 +203,7 @@ def _border(world: World, flow: BorderFlow) -> Flow:
 def _solved(world: World, flow: SolvedFlow) -> Flow:
     chosen = _chosen(world, flow.on)
     own = world.ground.meshes.extent / (_ACROSS_CROWD if flow.crowding else _ACROSS)
-    own = min(own, flow.room / 3 if flow.room else own)
+    own = min(own, flow.room / 2 if flow.room else own)
     lattice = _lattice(world, chosen, flow.cell, own)
     grounds = _grounds(world, lattice, chosen)
     start, first = _goal(world, flow, grounds)

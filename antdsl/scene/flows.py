@@ -67,6 +67,9 @@ def match_flow(scene: Scene, program: Program, report: Report, name: str, thing:
                 f"add `on: {surfaces[0]}`",
             )
         return "painted", thing.painted
+    if isinstance(thing, model.TangentFlow) and thing.gather and thing.radius is None:
+        words = "`gather` says how strongly at the radius, and there is no `radius`"
+        report.error("missing-key", words, scene.span("world", name, "gather", key=True), "add `radius: 50 mm`")
     if isinstance(thing, model.SolvedFlow):
         _match_solved(scene, program, report, name, thing)
     key, text = goal_of(thing) or ("", "")
@@ -172,8 +175,8 @@ def _flow(
             target, thing.slope, room, dict(thing.maps), thing.crowding, every, thing.strength, mm(thing.cell), on
         )
     assert isinstance(thing, model.SpreadFlow)
-    way = goal[0]
-    return stage_of.SpreadFlow(way, target, mm(thing.radius), thing.falloff, thing.strength, mm(thing.cell), on)  # type: ignore[arg-type]
+    way, gather = goal[0], thing.gather if isinstance(thing, model.TangentFlow) else 0.0
+    return stage_of.SpreadFlow(way, target, mm(thing.radius), thing.falloff, thing.strength, mm(thing.cell), on, gather)  # type: ignore[arg-type]
 
 
 def _target(

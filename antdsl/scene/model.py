@@ -127,9 +127,11 @@ class SpreadFlow(FlowThing):
 
 
 class TangentFlow(SpreadFlow):
-    """Along a curve as it was drawn: a curve of the world, or a JSON file of points."""
+    """Along a curve as it was drawn: a curve of the world, or a JSON file of points. With `gather` it leads onto the curve as
+    well: at the radius so much as it leads along."""
 
     tangent: FilePath
+    gather: Annotated[float, BeforeValidator(number(0, 10))] = 0.0
 
 
 def _point_or_text(value: Any) -> str:

@@ -54,7 +54,8 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpreadFlow:
-    """A flow about a target: along it (a line), toward it, or away; less the further off, nothing beyond `radius` mm.
+    """A flow about a target: along it (a line), toward it, or away; less the further off, nothing beyond `radius` mm. With
+    `gather` a flow along leads onto the line as well, at the radius so much as it leads along.
 
     `cell`: how near (mm) the points lie in which it is worked out; else a share of the radius. `on`: surfaces; empty: all."""
 
@@ -65,6 +66,7 @@ class SpreadFlow:
     strength: float = 1.0
     cell: float | None = None
     on: tuple[str, ...] = ()
+    gather: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""What a picture is made of: solids, crowds, items, trails, a camera. Plain values; nothing here draws."""
+"""What a picture is made of: solids, crowds, items, trails, flows, a camera. Plain values; nothing here draws."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -69,6 +69,16 @@ class Trail:
     full: float | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrows:
+    """A flow on the ground: arrows from `position` (n, 3) to `position + way`; `colour` is one of display values 0..255."""
+
+    name: str
+    position: Array
+    way: Array
+    colour: tuple[int, int, int]
+
+
 @dataclass(frozen=True, slots=True)
 class Camera:
     """A pinhole on a 36 mm wide sensor: `focal` in millimetres, or `fov` (degrees across the width) where that is given."""
@@ -99,6 +109,7 @@ class Picture:
     crowds: tuple[Crowd, ...] = ()
     items: tuple[Item, ...] = ()
     trails: tuple[Trail, ...] = ()
+    flows: tuple[Arrows, ...] = ()
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
     legend: tuple[LegendRow, ...] = field(default=())
     frame: int | None = None

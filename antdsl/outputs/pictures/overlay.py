@@ -8,12 +8,13 @@ from PIL import Image as PillowImage
 from PIL import ImageDraw, ImageFont
 
 from antdsl.outputs.pictures.camera import View
-from antdsl.outputs.pictures.model import Crowd, LegendRow, Picture
+from antdsl.outputs.pictures.model import Arrows, Crowd, LegendRow, Picture
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _VELOCITY, _FEELER = (255, 250, 235), (255, 96, 64)
+_HEAD, _SPREAD = 0.34, 0.45  # of an arrow: how long its head is, and how wide (radians)
 _AHEAD = 0.25  # seconds of way that a velocity line shows
 _MOST_IDS = 2000
 
@@ -30,12 +31,14 @@ def draw_overlay(
     """`image` with the lines, ids, legend and frame number that `show` and `picture` ask for, less what is behind ground.
 
     `far`: distance of the still things per sample, rows first."""
-    lines = [word for word in ("velocity", "feelers", "ids") if word in show]
+    lines = [word for word in ("flow", "velocity", "feelers", "ids") if word in show]
     if not (lines or picture.legend or picture.frame is not None):
         return image
     canvas = PillowImage.fromarray(image)
     draw = ImageDraw.Draw(canvas, "RGBA")
     depth = far.reshape(view.height, samples, view.width, samples)[:, samples // 2, :, samples // 2]
+    for flow in picture.flows if "flow" in show else ():
+        _draw_arrows(draw, view, flow, _unhidden(flow.position, view, depth))
     for crowd in picture.crowds:
         seen = _visible(crowd, view, depth)
         if "velocity" in show and crowd.velocity is not None:
@@ -82,6 +85,24 @@ def _draw_lines(draw: ImageDraw.ImageDraw, view: View, ends: Array, colour: tupl
     width = 2 if view.height >= 900 else 1
     for a, b, c, d in pairs[kept].tolist():
         draw.line((a, b, c, d), fill=(*colour, 215), width=width)
+
+
+def _draw_arrows(draw: ImageDraw.ImageDraw, view: View, flow: Arrows, seen: NDArray[np.bool_]) -> None:
+    """Arrows of a flow whose start is seen."""
+    start, way = flow.position[seen], flow.way[seen]
+    if not len(start):
+        return
+    (a, near), (b, far) = view.project(start), view.project(start + way)
+    kept = (near > 0) & (far > 0) & (np.abs(a) < 1e5).all(axis=1) & (np.abs(b) < 1e5).all(axis=1)
+    a, b = a[kept], b[kept]
+    back = (a - b) * _HEAD
+    c, s = np.cos(_SPREAD), np.sin(_SPREAD)
+    for sign in (-1, 1):
+        turned = np.stack([back[:, 0] * c - sign * back[:, 1] * s, sign * back[:, 0] * s + back[:, 1] * c], axis=1)
+        for line in np.concatenate([b, b + turned], axis=1).tolist():
+            draw.line(line, fill=(*flow.colour, 225), width=1)
+    for line in np.concatenate([a, b], axis=1).tolist():
+        draw.line(line, fill=(*flow.colour, 225), width=1)
 
 
 def _draw_ids(draw: ImageDraw.ImageDraw, view: View, crowd: Crowd, rows: NDArray[np.int64]) -> None:

@@ -26,7 +26,7 @@ from antdsl.outputs.pictures.vectors import Floats
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-SHOWN = ("trail", "feelers", "velocity", "ids")
+SHOWN = ("trail", "flow", "feelers", "velocity", "ids")
 _CONTACT_RAYS = 4
 
 

@@ -130,6 +130,9 @@ def spread(flow: SpreadFlow, target: Target) -> Source:
     def vectors(places: Floats) -> Floats:
         distance, point, along = nearest(target, places)
         way = along
+        if flow.gather and flow.radius is not None:
+            way = along + (point - places) * (flow.gather / flow.radius)
+            way /= np.maximum(np.sqrt((way * way).sum(axis=1)), 1e-12)[:, None]
         if flow.way != "tangent":
             away = places - point
             away /= np.where(distance > 1e-9, distance, 1.0)[:, None]

@@ -1,0 +1,50 @@
+"""Flows as arrows on the ground, few enough to be seen one by one: what a cache keeps of them for pictures.
+
+static.npz  flow.NAME.P f4 (n, 3) where arrows begin, flow.NAME.V f4 (n, 3) how far they point, as at the first frame"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.world import World
+
+_ACROSS = 44  # arrows side by side over the longest side of the ground
+_LONG = 0.85  # of that distance an arrow of strength 1 is long
+_WEAK = 0.02  # flows weaker than so are not drawn
+_LIFT = 0.06
+
+
+def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
+    """Arrays of all flows that lie on meshes, in scene units (`scale` per mm)."""
+    meshes = world.ground.meshes
+    if meshes is None:
+        return {}
+    table = meshes.triangles[3]
+    step = max(float(meshes.extent) / _ACROSS, 1e-9)
+    found: dict[str, NDArray[Any]] = {}
+    for name, flow in world.flows.items():
+        face, (b1, b2) = flow.lattice.faces(), flow.lattice.weights()
+        strong = np.flatnonzero(flow.c * flow.c + flow.s * flow.s > _WEAK * _WEAK)
+        face, b1, b2 = face[strong], b1[strong], b2[strong]
+        place = table.corner.take(face, axis=1) + b1 * table.edge1.take(face, axis=1) + b2 * table.edge2.take(face, axis=1)
+        way = meshes.laid_out(face, flow.c[strong], flow.s[strong])
+        cells = np.floor((place.T - meshes.low) / step).astype(np.int64)
+        middle = (np.abs(place.T - meshes.low - (cells + 0.5) * step)).sum(axis=1)
+        order = np.lexsort((middle, *cells.T))
+        first = np.ones(len(order), bool)
+        first[1:] = (cells[order][1:] != cells[order][:-1]).any(axis=1)
+        chosen = order[first]
+        lifted = place[:, chosen] + _LIFT * step * table.normal.take(face[chosen], axis=1)
+        found[f"flow.{name}.P"] = ((lifted.T + world.origin) * scale).astype(np.float32)
+        found[f"flow.{name}.V"] = (way[:, chosen].T * (_LONG * step * scale)).astype(np.float32)
+    return found
+
+
+def drawn(static: Mapping[str, NDArray[Any]]) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Where arrows begin and how far they point (n, 3), by the flow's name."""
+    names = [key.removeprefix("flow.").removesuffix(".P") for key in static if key.startswith("flow.") and key.endswith(".P")]
+    return {n: (np.asarray(static[f"flow.{n}.P"], np.float64), np.asarray(static[f"flow.{n}.V"], np.float64)) for n in names}
