@@ -11,7 +11,12 @@ import trimesh
 
 from antdsl.cli.new import ground
 from antdsl.diagnostics import Report
+from antdsl.outputs.cache import open_cache
+from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.pictures import Camera, render_frame
+from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import Choices, Shot, open_scene, simulate
+from antdsl.runtime import Options, state_hash
 from antdsl.scene.setting import BorderFlow, Painted, SolvedFlow, SpreadFlow
 
 PROGRAM = """ant 1
@@ -83,9 +88,10 @@ def drift(folder: Path, text: str) -> object:
 
 
 def test_every_form_of_a_flow(folder: Path) -> None:
-    flow = drift(folder, "{tangent: way, radius: 4 cm, falloff: linear, strength: -0.5, cell: 3 mm, on: ground}")
+    flow = drift(folder, "{tangent: way, radius: 4 cm, falloff: linear, strength: -0.5, cell: 3 mm, on: ground, gather: 2}")
     assert isinstance(flow, SpreadFlow) and flow.way == "tangent" and flow.target.line and flow.target.places.shape == (2, 3)
     assert (flow.radius, flow.falloff, flow.strength, flow.cell, flow.on) == (40, "linear", -0.5, 3, ("ground",))
+    assert flow.gather == 2
     flow = drift(folder, "{tangent: way.json}")
     assert isinstance(flow, SpreadFlow) and flow.radius is None and flow.target.line
     flow = drift(folder, "{toward: home, radius: 30}")
@@ -152,6 +158,7 @@ def test_attributes_of_ply_files_turn_with_their_mesh(folder: Path, text: bool) 
         ("radius: 40 mm", "raduis: 40 mm", "unknown-key", "did you mean `radius`?"),
         ("radius: 40 mm", "falloff: soft", "wrong-value", "none of `none`"),
         ("radius: 40 mm", "strength: 2", "wrong-value", "not between -1 and 1"),
+        ("radius: 40 mm", "gather: 1", "missing-key", "add `radius: 50 mm`"),
         ("radius: 40 mm", "on: grund", "unknown-thing", "did you mean `ground`?"),
         (DRIFT, "{border: ground}", "missing-key", "`drift` has no `within`"),
         (DRIFT, "{border: nest, within: 5 mm}", "unknown-thing", "no surface is named `nest`"),
@@ -218,3 +225,33 @@ def test_too_many_points_are_told_before_anything_is_allocated(folder: Path) -> 
     with pytest.raises(BindError) as caught:
         bind(shot.plan, shot.setting)
     assert [d.code for d in caught.value.report.errors] == ["flow-too-fine"]
+
+
+def test_a_run_that_is_continued_between_two_looks_at_the_crowd_goes_on_the_same(folder: Path) -> None:
+    text = SCENE.replace(DRIFT, "{solved: nest, crowding: 3, every: 4 step, cell: 30 mm}").replace("1..3", "1..11")
+    shot, report = opened(folder, text)
+    assert shot is not None, report.errors
+    whole = {world.frame: state_hash(world) for world in simulate(shot)}
+    recording = begin(shot, folder / "out", Options(), resume=False, force=False)
+    for state in record(recording):
+        state.stop = state.frame == 7  # the crowd was looked at two frames ago
+    going_on = begin(shot, folder / "out", Options(), resume=True, force=False)
+    assert going_on.resumed_from == 7
+    assert [state.frame for state in record(going_on)] == [8, 9, 10, 11]
+    assert open_cache(folder / "out").hashes() == whole
+
+
+def test_arrows_of_a_flow_are_kept_in_the_cache_and_drawn(folder: Path) -> None:
+    shot, report = opened(folder, SCENE.replace(DRIFT, "{toward: [0, 0, 0]}"))
+    assert shot is not None, report.errors
+    for _ in record(begin(shot, folder / "out", Options(), resume=False, force=False)):
+        pass
+    gallery = Gallery(open_cache(folder / "out"))
+    (flow,) = gallery.flows
+    far = np.linalg.norm(flow.position, axis=1) > 10
+    place, way = flow.position[far][:, [0, 2]], flow.way[far][:, [0, 2]]
+    cosine = -(place * way).sum(axis=1) / np.linalg.norm(place, axis=1) / np.linalg.norm(way, axis=1)
+    assert flow.name == "drift" and far.sum() > 40 and cosine.min() > 0.9
+    picture, above = gallery.picture(1), Camera((0, 300, 1), (0, 0, 0))
+    plain, drawn = (render_frame(picture, above, 160, 90, show=show).astype(int) for show in ((), ("flow",)))
+    assert (np.abs(plain - drawn).max(axis=2) > 20).sum() > 100

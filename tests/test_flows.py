@@ -23,6 +23,7 @@ from antdsl.scene.setting import (
     Painted,
     PlaceData,
     Setting,
+    SolidData,
     SolvedFlow,
     SpreadFlow,
     Target,
@@ -141,6 +142,16 @@ def test_a_curve_leads_along_itself_and_fades_beside_it(cells: int) -> None:
     assert read(made, (75, 0))[0, 2] < -0.4  # it turns with the curve
 
 
+def test_a_drawn_way_may_gather_them_onto_it() -> None:
+    straight = Target(np.array([[-200.0, 0, 0], [200.0, 0, 0]]), np.zeros(2), line=True)
+    made = world(SpreadFlow("tangent", straight, 60.0, "none", gather=1.0), 1)
+    found = read(made, (0, 0), (0, 30), (0, -59))
+    half = np.sqrt(0.5)
+    assert np.abs(found - [[1, 0, 0], [2 / np.sqrt(5), 0, -1 / np.sqrt(5)], [half, 0, half]]).max() < 0.05
+    places = run(made, 160)
+    assert np.abs(places[-1, :, 2]).max() < 4 < np.abs(places[0, :, 2]).max()
+
+
 def test_toward_and_away_of_points_and_curves_and_their_falloff() -> None:
     two = Target(np.array([[-100.0, 0, 0], [100.0, 0, 0]]), np.zeros(2))
     made = world(SpreadFlow("toward", two, 50.0, "linear"), 1)
@@ -173,6 +184,20 @@ def test_without_a_surface_a_flow_about_a_place_is_known_all_the_same() -> None:
     before = away(made, 150, 0)
     run(made, 24)
     assert (away(made, 150, 0) < before - 15).all()
+
+
+def test_a_flow_leads_over_what_may_be_dug_as_well() -> None:
+    text = "ant 1\nuse steering\nworld { surface ground; solid hill; flow drift }\nspecies ant { state s { steer along(drift) } }\n"
+    lowered, report = plan.lower(checked(text)[0])
+    assert complaints(report) == []
+    hill = SolidData(MeshData(*meshes.box((-60, -10, -60), (60, 25, 60))), 3.0)
+    crowd = CrowdData("ant", 5, PlaceData(points=np.array([[-90.0, 0, 5.0 * k] for k in range(5)])))
+    floor = {"ground": MeshData(*meshes.grid(400.0, 4))}
+    flow = SpreadFlow("toward", Target(np.array([[150.0, 10, 0]]), np.zeros(1)))
+    made = bind(lowered, Setting(surfaces=floor, solids={"hill": hill}, flows={"drift": flow}, crowds=(crowd,)))
+    places = run(made, 260)
+    assert (places[:, :, 1].max(axis=0) > 20).all()  # up the hill, over its top
+    assert (away(made, 150, 0) < 60).all()
 
 
 # --- borders ---------------------------------------------------------------------------------------------------------
