@@ -53,7 +53,7 @@ def test_results_are_told_in_words(folder: Path, capfd: pytest.CaptureFixture[st
         'passed  "fine", seed 2',
         'failed  "slow <&>", seed 0',
         "a.ant:9:44: always: tick < 0.25",
-        "first at frame 4, 0.3 s from the start, by a 0",
+        "first at frame 4, 0.3 s from the start, by a 0 and 2 more",
         "tick is 0.3",
         "2 passed, 1 failed",
         "states entered: 1 of 2",

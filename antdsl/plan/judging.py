@@ -132,6 +132,7 @@ class _Work:
         self.b = Builder()
         self.wholes: list[WholePlan] = []
         self.starts: list[StartPlan] = []
+        self.known: dict[model.Expr, Node] = {}
         self.writers: dict[str, _Writer] = {}
         nobody = model.Layers("budget", (), next(iter(program.species.values())).span)
         self._nobody = nobody
@@ -157,6 +158,12 @@ class _Work:
     # --- wholes and starts -------------------------------------------------------------------------------------------
 
     def whole(self, e: expected.Whole) -> Node:
+        """What is told about a whole, asked once however often the rules look at the expression."""
+        if e not in self.known:
+            self.known[e] = self._whole(e)
+        return self.known[e]
+
+    def _whole(self, e: expected.Whole) -> Node:
         name, of = f"whole#{len(self.wholes) + 1}", e.over.of or ""
         kind = _KINDS[e.over.kind]
         where = body = amount = None
@@ -176,6 +183,12 @@ class _Work:
         return self.b("ne", told, self.b.number(0)) if e.type.kind is model.Kind.BOOL else told
 
     def start(self, w: _Writer, e: expected.AtStart) -> Node:
+        """What is told about the start, or kept of it for each agent."""
+        if e not in self.known:
+            self.known[e] = self._start(w, e)
+        return self.known[e]
+
+    def _start(self, w: _Writer, e: expected.AtStart) -> Node:
         node = scalar(w, e.value)
         name = f"start#{len(self.starts) + 1}"
         if node.rate <= Rate.STEP:

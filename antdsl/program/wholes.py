@@ -12,7 +12,7 @@ from antdsl.program.expected import MOTION, AtStart, Measured, Whole
 from antdsl.program.expressions import Known
 from antdsl.program.model import Binding, Dim, Expr, Kind, Local, ParamRef, Rate, Reduce, Thing, Type
 from antdsl.program.operators import condition, value
-from antdsl.program.scope import BOOL, NUMBER, Declared, Scope, bad, did_you_mean, listed, type_from_words
+from antdsl.program.scope import BOOL, NUMBER, Declared, Scope, attributes_of, bad, did_you_mean, listed, type_from_words
 from antdsl.program.sets import body_of
 from antdsl.program.vocabulary import GIVEN
 from antdsl.program.walk import written
@@ -22,6 +22,7 @@ from antdsl.syntax import nodes
 
 WHOLES = ("total", "share", "sum", "mean", "min", "max", "count", "any", "every")
 _OF_CELLS = ("total", "sum", "mean", "min", "max")
+_TRUTHS = ("share", "count", "any", "every")
 _TRUTHS = ("share", "count", "any", "every")
 _COMPARED = ("<", "<=", ">", ">=", "==", "!=")
 _VOLUME = Type(Kind.NUMBER, Dim(length=3))
@@ -88,7 +89,24 @@ class SpecRules:
             ):
                 scope.use("param", f"{species.name}.{name}")
                 return ParamRef(species.params[name], Rate.RUN, node.span, f"{species.name}.{name}")
+            if self._one_of_many(scope, owner.name.text, node):
+                return bad(node.span)
         return expressions.member_of(scope, node, want)
+
+    def _one_of_many(self, scope: Scope, owner: str, node: nodes.Member) -> bool:
+        """Complains about `forager.load` where nobody says which forager."""
+        kind, name = _things(scope.declared, owner), node.name.text
+        type = Type(Kind.AGENT if kind is Kind.SPECIES else Kind.ITEM, of=owner)
+        params = scope.declared.species[owner].params if kind is Kind.SPECIES else {}
+        if kind is None or owner in scope.locals or name in params or name not in attributes_of(scope.declared, type):
+            return False
+        who = "agent" if kind is Kind.SPECIES else "item"
+        also = f", or of each: `each {owner} {{ always: {name} … }}`" if kind is Kind.SPECIES else ""
+        scope.report.error(
+            "wrong-rate", f"`{name}` is a value of each {who}, and `{owner}` is all of them", node.span,
+            f"ask of all: `total({owner}.{name})`, `share({owner}.{name} …)`{also}",
+        )  # fmt: skip
+        return True
 
     def _motion(self, scope: Scope, node: nodes.Member) -> Expr:
         words = MOTION.get(node.name.text)
@@ -168,18 +186,25 @@ class SpecRules:
         inner, elements = _one_of(scope, over, node.span)
         body: Expr | None = None
         if not (name in ("count", "any") and bare == over.of):
+            if bare == over.of:
+                return self._no_value(scope, node, bare)
             self.inside = True
-            body = (
-                condition(inner, asked, f"`{name}`")
-                if name in ("share", "count", "any", "every")
-                else body_of(inner, name, asked)
-            )
+            body = condition(inner, asked, f"`{name}`") if name in _TRUTHS else body_of(inner, name, asked)
             self.inside = False
             if body.type.kind is Kind.BAD:
                 return bad(node.span)
             if body.type.kind is Kind.VECTOR:
                 return self._no_vector(scope, node, asked)
         return Whole(_result(how, body), Rate.STEP, node.span, how, over, elements, None, body)
+
+    @staticmethod
+    def _no_value(scope: Scope, node: nodes.Call, who: str) -> Expr:
+        value = f"{who}.{'size' if who in scope.declared.species else 'radius'}"
+        scope.report.error(
+            "wrong-argument", f"{quoted(node.span)} does not say which value of `{who}`", node.span,
+            f"name one, such as `{value}`, or write `count({who})` for how many there are",
+        )  # fmt: skip
+        return bad(node.span)
 
     @staticmethod
     def _no_vector(scope: Scope, node: nodes.Call, asked: nodes.Expr) -> Expr:

@@ -20,7 +20,8 @@ DEFAULT_SCENE = "scene.yaml"
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """What a spec expected and did not see. `values`: text as written and its value. `agent`: species and id, for `each`."""
+    """What a spec expected and did not see. `values`: text as written and its value. `agent`: species and id of the first of
+    those that `each` is about, `others`: how many more in that frame."""
 
     message: str
     span: Span | None
@@ -28,6 +29,7 @@ class Failure:
     time: float | None = None  # seconds since the spec's first frame
     values: tuple[tuple[str, str], ...] = ()
     agent: tuple[str, int] | None = None
+    others: int = 0
 
 
 @dataclass(slots=True, eq=False)
@@ -66,12 +68,13 @@ def cases(
 ) -> tuple[list[Run], Report]:
     """What there is to run for programs, scenes and folders, and complaints about files, scenes and specs.
 
-    `seeds`: 1 to so many instead of each spec's own; `named`: only specs whose name has this in it."""
+    Folders are searched for programs; a scene counts when it is named. `seeds`: 1 to so many instead of each spec's own; `named`:
+    only specs whose name has this in it."""
     paths = list(paths)
     files, report = find_files(paths)
     parsed: Parsed = {}
-    finder = _Finder(dict(grants or {}), parsed, report, frozenset(path.resolve() for path in paths))
-    for file in files:
+    finder = _Finder(dict(grants or {}), parsed, report)
+    for file in (file for file in files if file.suffix == ".ant" or file in paths):
         program, findings = check_path(file, Choices(finder.grants), parsed=parsed)
         report.extend(findings)
         if program is None or not findings.ok:
@@ -85,8 +88,8 @@ def cases(
 class _Finder:
     """Opens each scene once for each set of changed params."""
 
-    def __init__(self, grants: dict[str, Path], parsed: Parsed, report: Report, named: frozenset[Path]) -> None:
-        self.grants, self.parsed, self.report, self.named = grants, parsed, report, named
+    def __init__(self, grants: dict[str, Path], parsed: Parsed, report: Report) -> None:
+        self.grants, self.parsed, self.report = grants, parsed, report
         self.shots: dict[tuple[Path, tuple[str, ...]], Shot | None] = {}
         self.found: dict[tuple[Path, Span], tuple[Path, Spec]] = {}
 
@@ -101,7 +104,7 @@ class _Finder:
         """The scene of a spec; without `on`, the scene that was named, or `scene.yaml` beside the program."""
         folder = own.resolve().parent
         if spec.scene is None:
-            if file.suffix != ".ant" and file.resolve() in self.named:
+            if file.suffix != ".ant":
                 return file
             if (folder / DEFAULT_SCENE).is_file():
                 return own.parent / DEFAULT_SCENE

@@ -29,17 +29,18 @@ from antdsl.specs.wholes import value_of, whole
 
 Ids = NDArray[np.int64]
 _NOBODY = np.empty(0, np.int64)
+_UNKNOWN = 1e300  # what no float32 can be: of agents that were not there yet
 _NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 
 
 @dataclass(slots=True, eq=False)
 class _Line:
-    """One judgement under way. `fine`: ids of agents that have shown what they must; `waiting`: those that have not."""
+    """One judgement under way. `fine`, by id: agents that have shown what they must; `waiting`: ids of those that have not."""
 
     plan: JudgementPlan
     steps: int | None  # for `within`
     open: bool = True
-    fine: Ids = field(default_factory=_NOBODY.copy)
+    fine: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
     waiting: Ids = field(default_factory=_NOBODY.copy)
 
 
@@ -58,7 +59,7 @@ class Judge:
         ]
         self.told: dict[str, Any] = {}
         self.names = [w.name for w in plan.wholes] + [s.name for s in plan.starts] + [f"motion.{name}" for name in MOTION]
-        self.starts: dict[str, tuple[Ids, NDArray[np.float32]]] = {}
+        self.starts: dict[str, NDArray[np.float64]] = {}  # by id
         self.failures: list[Failure] = []
         self.over = False
         self.smelling = {name for name, species in plan.plan.species.items() if _smells(species)}
@@ -79,7 +80,8 @@ class Judge:
         for line in self.lines:
             if line.plan.kind == "until" and line.plan.species is not None:
                 judged = there.populations[line.plan.species]
-                line.fine = np.union1d(line.fine, judged.ids[_answer(judged, line)])
+                line.fine = _by_id(line.fine, judged, False)
+                line.fine[judged.ids[_answer(judged, line)]] = True
         if final:
             self._end(world, there)
         self.over = final or not any(line.open for line in self.lines if line.plan.kind != "until")
@@ -144,14 +146,10 @@ class Judge:
 
     def _remember(self, judged: Population, name: str, asked: str) -> None:
         """What a number was in each agent's first frame, into the register that the conditions read."""
-        ids, values = self.starts.get(name, (_NOBODY, np.empty(0, np.float32)))
-        new = ~np.isin(judged.ids, ids)
-        if new.any():
-            ids, values = np.concatenate([ids, judged.ids[new]]), np.concatenate([values, judged.now[asked][new]])
-            order = np.argsort(ids)
-            ids, values = ids[order], values[order]
-            self.starts[name] = ids, values
-        judged.start[name] = values[np.searchsorted(ids, judged.ids)] if len(ids) else values
+        ids, now = judged.ids, judged.now[asked]
+        values = self.starts[name] = _by_id(self.starts.get(name, np.zeros(0)), judged, _UNKNOWN)
+        values[ids] = np.where(values[ids] == _UNKNOWN, now, values[ids])
+        judged.start[name] = values[ids].astype(np.float32)
 
     # --- lines -------------------------------------------------------------------------------------------------------
 
@@ -175,28 +173,34 @@ class Judge:
         kind, name = line.plan.kind, line.plan.species
         judged = there.populations[name]  # type: ignore[index]
         holds = _answer(judged, line)
-        free = self._released(line)
+        free = self._released(line, judged)
         if kind in ("always", "never"):
-            wrong = judged.ids[holds == (kind == "never")]
-            wrong = wrong[~np.isin(wrong, free)]
+            wrong = judged.ids[(holds == (kind == "never")) & ~free]
             if len(wrong):
-                self._failed(world, there, line, int(wrong.min()), "")
+                self._failed(world, there, line, wrong, "")
             return
-        line.fine = np.union1d(np.union1d(line.fine, judged.ids[holds]), free)
-        gone = line.waiting[~np.isin(line.waiting, judged.ids)]
-        line.waiting = np.sort(judged.ids[~np.isin(judged.ids, line.fine)])
+        line.fine = _by_id(line.fine, judged, False)
+        line.fine[judged.ids[holds | free]] = True
+        there_now = np.zeros(len(line.fine), np.bool_)
+        there_now[judged.ids] = True
+        gone = line.waiting[~there_now[line.waiting]]
+        rows = np.flatnonzero(~line.fine[judged.ids])
+        line.waiting = judged.ids[rows]
         if len(gone):
-            self._failed(world, there, line, int(gone.min()), "it left before")
+            self._failed(world, there, line, gone, "it left before")
         elif line.steps is not None:
-            begun = np.maximum(judged.born[judged.rows_of(line.waiting)], self.first)
+            begun = np.maximum(judged.born[rows], self.first)
             late = line.waiting[world.frame >= begun + line.steps]
             if len(late):
-                self._failed(world, there, line, int(late.min()), "the time is over")
+                self._failed(world, there, line, late, "the time is over")
 
-    def _released(self, line: _Line) -> Ids:
-        """Agents for which an `until` of the same block has held before this frame."""
-        untils = [other.fine for other in self.lines if other.plan.kind == "until" and other.plan.block == line.plan.block]
-        return np.unique(np.concatenate(untils)) if untils else _NOBODY
+    def _released(self, line: _Line, judged: Population) -> NDArray[np.bool_]:
+        """The agents for which an `until` of the same block has held before this frame."""
+        free = np.zeros(len(judged), np.bool_)
+        for other in self.lines:
+            if other.plan.kind == "until" and other.plan.block == line.plan.block:
+                free |= _by_id(other.fine, judged, False)[judged.ids]
+        return free
 
     def _end(self, world: World, there: World) -> None:
         """The run is over: what should have come and has not, has failed."""
@@ -206,7 +210,7 @@ class Judge:
             if line.plan.species is None:
                 self._failed(world, there, line, None, "the run is over")
             elif line.plan.kind == "eventually" and len(line.waiting):
-                self._failed(world, there, line, int(line.waiting.min()), "the run is over")
+                self._failed(world, there, line, line.waiting, "the run is over")
 
     def _values(self, world: World, there: World, plan: JudgementPlan, row: int | None) -> tuple[tuple[str, str], ...]:
         found: list[tuple[ReadingPlan, Any]] = []
@@ -217,17 +221,26 @@ class Judge:
                 found.append((reading, there.populations[plan.species].now[reading.register][row]))  # type: ignore[index]
         return _told(world, found, plan.span.text)
 
-    def _failed(self, world: World, there: World, line: _Line, agent: int | None, why: str) -> None:
+    def _failed(self, world: World, there: World, line: _Line, agents: Ids | None, why: str) -> None:
+        """Close a line, and tell the values of the whole, or of the agent with the least id of those that it is about."""
         line.open = False
         plan = line.plan
+        agent = None if agents is None else int(agents.min())
         row = None if agent is None else int(there.populations[plan.species].rows_of(np.array([agent]))[0])  # type: ignore[index]
         if row is not None and row >= 0:
             self._run(there, "blend", plan.species, np.array([row]))
         values = self._values(world, there, plan, row)
         text = " ".join(plan.span.text.split())
         whose = None if agent is None or plan.species is None else (plan.species, agent)
+        others = 0 if agents is None else len(agents) - 1
         time = (world.frame - self.first) / float(world.setting.fps)
-        self.failures.append(Failure(f"{text}{f' ({why})' if why else ''}", plan.span, world.frame, time, values, whose))
+        self.failures.append(Failure(f"{text}{f' ({why})' if why else ''}", plan.span, world.frame, time, values, whose, others))
+
+
+def _by_id(table: NDArray[Any], judged: Population, unknown: Any) -> NDArray[Any]:
+    """The table, long enough for every id that there is; ids are counted from 0."""
+    more = int(judged.ids.max(initial=-1)) + 1 - len(table)
+    return table if more <= 0 else np.concatenate([table, np.full(max(more, len(table)), unknown, table.dtype)])
 
 
 def _answer(judged: Population, line: _Line) -> NDArray[np.bool_]:

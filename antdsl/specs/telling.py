@@ -35,7 +35,8 @@ def _lines(failure: Failure) -> list[str]:
     if failure.frame is not None:
         when = f"  first at frame {failure.frame}"
         when += f", {failure.time:.6g} s from the start" if failure.time is not None else ""
-        lines.append(when + (f", by {failure.agent[0]} {failure.agent[1]}" if failure.agent else ""))
+        more = f" and {failure.others} more" if failure.others else ""
+        lines.append(when + (f", by {failure.agent[0]} {failure.agent[1]}{more}" if failure.agent else ""))
     return lines + [f"    {safe(text)} is {safe(value)}" for text, value in failure.values]
 
 
@@ -117,6 +118,7 @@ def _failure(failure: Failure) -> dict[str, Any]:
         "frame": failure.frame,
         "time": failure.time,
         "agent": None if failure.agent is None else {"species": failure.agent[0], "id": failure.agent[1]},
+        "others": failure.others,
         "values": [{"text": text, "value": value} for text, value in failure.values],
     }
 
