@@ -79,6 +79,7 @@ def _checked(loaded: Loaded, strict: bool) -> tuple[Program | None, Report]:
 def open_scene(path: Path, choices: Choices | None = None, *, parsed: Parsed | None = None) -> tuple[Shot | None, Report]:
     """Everything from a scene's file to a shot: read, compile, match, lower, optimise, stage. `parsed` as in `compile_files`."""
     from antdsl import passes, plan
+    from antdsl.scene.adjusting import with_fields
     from antdsl.scene.matching import layer_order
     from antdsl.scene.staging import stage
 
@@ -86,13 +87,15 @@ def open_scene(path: Path, choices: Choices | None = None, *, parsed: Parsed | N
     scene, program, loaded, report = _read_scene(path, choices, parsed=parsed)
     if scene is None or program is None or not report.ok:
         return None, report
+    overrides = _overrides(scene, program, choices, Report())
+    program = with_fields(program, scene, {**scene.model.set, **overrides})
     program = _with_fields(program, choices.changes)
     orders = {name: order for name in scene.model.layers if (order := layer_order(scene, program, name)[0]) is not None}
     lowered, findings = plan.lower(program, orders=orders)
     report.extend(findings)
     if not report.ok:
         return None, report
-    setting, findings, meshes = stage(scene, program, _overrides(scene, program, choices, Report()))
+    setting, findings, meshes = stage(scene, program, overrides)
     report.extend(findings)
     if setting is None or not report.ok:
         return None, report
@@ -105,16 +108,15 @@ def open_scene(path: Path, choices: Choices | None = None, *, parsed: Parsed | N
 
 def _with_fields(program: Program, changes: Iterable[Changed]) -> Program:
     """The program with other settings of its fields; of the ways to fade there is one."""
+    from antdsl.scene.adjusting import FADING
+
     fields = dict(program.fields)
     for change in changes:
         name, _, word = change.name.partition(".")
         if name in fields and change.name not in program.params:
-            faded: dict[str, Any] = dict.fromkeys(_FADING) if word in _FADING else {}
+            faded: dict[str, Any] = dict.fromkeys(FADING) if word in FADING else {}
             fields[name] = replace(fields[name], **{**faded, word: change.value})
     return replace(program, fields=fields)
-
-
-_FADING = ("half_life", "evaporate", "keeps")
 
 
 def _with_params(setting: Setting, scene: Scene, program: Program, changes: Iterable[Changed]) -> Setting:

@@ -11,6 +11,7 @@ _NAMES = {"yaml": "pyyaml", "PIL": "pillow", "skimage": "scikit-image"}
 EXTRAS = {
     "imageio_ffmpeg": "films: pip install 'antdsl[video]'",
     "pxr": "sets in USD files: pip install 'antdsl[usd]'",
+    "matplotlib": "plots of sweeps: pip install 'antdsl[plots]'",
     "numba": "speed with thousands of agents: pip install 'antdsl[fast]'",
 }
 

@@ -91,7 +91,7 @@ def progress(recording: Recording, quiet: bool) -> Iterator[Watch]:
     if quiet:
         yield Watch(recording)
         return
-    if _fancy():
+    if fancy():
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         left = (
@@ -108,7 +108,8 @@ def progress(recording: Recording, quiet: bool) -> Iterator[Watch]:
         _tell_end(recording)
 
 
-def _fancy() -> bool:
+def fancy() -> bool:
+    """Whether a bar can be drawn where the words go."""
     if not sys.stdout.isatty():
         return False
     try:

@@ -13,6 +13,7 @@ from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Const, Dim, Kind, Program, WorldThing
 from antdsl.program.units import dimension_words, shown, unit_of, with_unit
+from antdsl.scene import adjusting
 from antdsl.scene.document import Key
 from antdsl.scene.flows import match_flow
 from antdsl.scene.load import Scene
@@ -278,12 +279,20 @@ def _params(scene: Scene, program: Program, report: Report) -> None:
 
 
 def check_param(scene: Scene, program: Program, report: Report, name: str, value: Quantity, *path: Key) -> None:
-    """One param's value against its declaration: name, dimension, range."""
+    """One param's value, or that of a field's setting, against its declaration: name, dimension, range."""
+    dim = adjusting.dimension(program, name)
+    if dim is not None:
+        advice = adjusting.refused(name, value)
+        if _dimension(scene, report, value, dim, name, *(path or ("antdsl",))) and advice:
+            place = scene.span(*path) if path else None
+            report.error("out-of-range", f"`{name}` cannot be {value.text}", place, advice)
+        return
     if name not in program.params:
+        known = [*program.params, *adjusting.settable(program)]
         if path:
-            _unknown(report, scene, path, "no program has a param", program.params)
+            _unknown(report, scene, path, "no program has a param", known)
         else:
-            near = nearest_name(name, program.params)
+            near = nearest_name(name, known)
             report.error("unknown-thing", f"no program has a param `{name}`", None, f"did you mean `{near}`?" if near else None)
         return
     param = program.params[name]

@@ -121,7 +121,8 @@ def stage(
     if not staging.report.ok:
         return None, staging.report, staging.hashes
     dt = float(1 / model.fps)
-    params = {name: value.base(model.unit_mm, dt) for name, value in {**model.set, **(overrides or {})}.items()}
+    given = {**model.set, **(overrides or {})}
+    params = {name: value.base(model.unit_mm, dt) for name, value in given.items() if name in program.params}
     made = stage_of.Setting(
         fps=model.fps,
         substeps=model.substeps,

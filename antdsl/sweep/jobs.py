@@ -1,0 +1,118 @@
+"""What there is to run: each scene, with each combination of values, with each seed; and a key that tells one run from another."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from antdsl.diagnostics import Report
+from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.scene.values import FrameRange
+
+
+@dataclass(frozen=True, slots=True)
+class Variation:
+    """A scene with values of its own: one line of the table."""
+
+    scene: Path
+    params: Mapping[str, str]
+    label: str
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run. `until`: amounts (`food.load`, `food.apple.load`) that end it once all of them are 0. `key` has a hash of all that
+    the result depends on. Made of plain values, so that it can be sent to another process."""
+
+    scene: str
+    label: str
+    params: tuple[tuple[str, str], ...]
+    seed: int
+    frames: tuple[int, int]
+    until: tuple[str, ...]
+    grants: tuple[tuple[str, str], ...]
+    key: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.label}, seed {self.seed}"
+
+    def choices(self) -> Choices:
+        """What opens the scene as this run has it."""
+        grants = {name: Path(folder) for name, folder in self.grants}
+        return Choices(grants, FrameRange(*self.frames), self.seed, dict(self.params))
+
+
+def variations(scenes: Iterable[Path], vary: Mapping[str, tuple[str, ...]]) -> list[Variation]:
+    """Every scene with every combination of the values, the last name changing fastest."""
+    scenes = list(scenes)
+    stems = [scene.stem for scene in scenes]
+    found = []
+    for scene in scenes:
+        head = [scene.stem if stems.count(scene.stem) == 1 else str(scene.with_suffix(""))] if len(scenes) > 1 or not vary else []
+        for values in itertools.product(*vary.values()):
+            params = dict(zip(vary, values, strict=True))
+            words = [f"{name.rpartition('.')[2]} {value}" for name, value in params.items()]
+            found.append(Variation(scene, params, ", ".join(head + words)))
+    return found
+
+
+def jobs(
+    chosen: Iterable[Variation],
+    seeds: Iterable[int],
+    *,
+    frames: FrameRange | None,
+    until: tuple[str, ...],
+    grants: Mapping[str, Path],
+) -> tuple[list[Job], Report]:
+    """All runs, seed by seed, so that a sweep that is stopped has something of every variation. What is wrong with a scene or a
+    value is in the report, once."""
+    report = Report()
+    shots: list[tuple[Variation, Shot]] = []
+    for variation in chosen:
+        shot, findings = open_scene(variation.scene, Choices(grants, frames, None, variation.params))
+        report.extend(findings)
+        if shot is not None and findings.ok:
+            _known(shot, until, report)
+            shots.append((variation, shot))
+    granted = tuple((name, str(folder)) for name, folder in grants.items())
+    made = []
+    for seed in seeds:
+        for variation, shot in shots:
+            first, last = shot.frames
+            params = tuple(variation.params.items())
+            key = _key(shot, seed, until)
+            made.append(Job(str(variation.scene), variation.label, params, seed, (first, last), until, granted, key))
+    return made, report
+
+
+def _key(shot: Shot, seed: int, until: tuple[str, ...]) -> str:
+    about = {"inputs": dict(shot.inputs), "seed": seed, "frames": list(shot.frames), "until": list(until)}
+    return hashlib.blake2b(json.dumps(about, sort_keys=True).encode(), digest_size=12).hexdigest()
+
+
+def _known(shot: Shot, until: tuple[str, ...], report: Report) -> None:
+    """Complain about amounts that the scene does not have."""
+    known = list(amounts(shot))
+    for wanted in until:
+        if not any(matches(wanted, name) for name in known):
+            shown = ", ".join(f"`{name}`" for name in known[:6]) or "none: it has no items"
+            report.error("unknown-thing", f"`{shot.scene.source.path}` has no amount `{wanted}`", None, f"amounts are {shown}")
+
+
+def amounts(shot: Shot) -> Iterator[str]:
+    """Every amount of every item, as `food.apple.load`."""
+    for name, items in shot.plan.items.items():
+        for item in shot.setting.items.get(name, ()):
+            for attribute in items.attributes:
+                yield f"{name}.{item.name}.{attribute}"
+
+
+def matches(wanted: str, name: str) -> bool:
+    """Whether `food.load` or `food.apple.load` means the amount `food.apple.load`."""
+    items, _, rest = name.partition(".")
+    return wanted in (name, f"{items}.{rest.partition('.')[2]}")

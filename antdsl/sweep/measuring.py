@@ -1,0 +1,84 @@
+"""One run of a sweep, without a cache: all that `antdsl run --summary` tells, and the frame at which each amount ran out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from antdsl.outputs.recording import Recording
+from antdsl.outputs.scribe import surface_error
+from antdsl.outputs.starting import start_from_cache
+from antdsl.outputs.summary import summary
+from antdsl.pipeline import open_scene
+from antdsl.runtime import Options, World, bind, state_hash, step
+from antdsl.sweep.jobs import Job, matches
+
+
+class Unfit(Exception):
+    """The scene cannot be opened any more; the message says why."""
+
+
+def measure(job: Job, threads: int, told: Callable[[int], None]) -> dict[str, Any]:
+    """Simulate a run and give its measures, by name: numbers, and None for what did not happen. `told` hears of each frame.
+
+    Everything but `seconds` and `fps` is the same for the same job."""
+    shot, report = open_scene(Path(job.scene), job.choices())
+    if shot is None or not report.ok:
+        raise Unfit("; ".join(problem.message for problem in report.errors))
+    began = time.perf_counter()
+    world = bind(shot.plan, shot.setting, Options(threads=threads))
+    recording = Recording(shot, Path(), world, shot.inputs)
+    start_from_cache(shot, world)
+    for _ in range(shot.scene.model.preroll):
+        step(world)
+    world.motion.reset()
+    empty: dict[str, int | None] = {}
+    _look(world, empty)
+    recording.surface_error = surface_error(world)
+    while world.frame < shot.frames.last and not _over(world, job.until):
+        step(world)
+        _look(world, empty)
+        recording.surface_error = max(recording.surface_error, surface_error(world))
+        recording.steps += 1
+        told(world.frame)
+    recording.frame = world.frame
+    recording.hash = state_hash(world)
+    recording.spend("step", began)
+    found = dict(_flat("", summary(recording)))
+    found |= {f"empty.{name}": frame for name, frame in empty.items()}
+    found |= {f"left.{name}": amount for name, amount in _amounts(world)}
+    return found | {"seconds": round(time.perf_counter() - began, 3)}
+
+
+def _amounts(world: World) -> Iterator[tuple[str, float]]:
+    for name, items in world.items.items():
+        for attribute, values in items.amounts.items():
+            for item, value in zip(items.names, values, strict=True):
+                yield f"{name}.{item}.{attribute}", float(value)
+
+
+def _look(world: World, empty: dict[str, int | None]) -> None:
+    """Remember the frame at which an amount that was there is gone for the first time."""
+    for name, amount in _amounts(world):
+        if amount > 0:
+            empty.setdefault(name, None)
+        elif name in empty and empty[name] is None:
+            empty[name] = world.frame
+
+
+def _over(world: World, until: tuple[str, ...]) -> bool:
+    return bool(until) and not any(amount > 0 for name, amount in _amounts(world) for wanted in until if matches(wanted, name))
+
+
+_APART = frozenset(("seconds", "peak_memory"))  # of the process, and of many runs in a row
+
+
+def _flat(head: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if not isinstance(value, dict):
+        yield head, value
+        return
+    for name, inner in value.items():
+        if head or name not in _APART:
+            yield from _flat(f"{head}.{name}" if head else name, inner)

@@ -1,0 +1,144 @@
+"""The table: median and quartiles over seeds, for each variation and measure; as text, CSV and JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from antdsl.sweep.jobs import Job
+from antdsl.sweep.keeping import about
+
+Result = tuple[Job, Mapping[str, Any]]
+NOT_COMPARED = ("seconds", "fps")  # say something about the machine
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One measure of one variation. What did not happen counts as later than everything: a quantile in it is infinite."""
+
+    label: str
+    measure: str
+    runs: int
+    happened: int
+    median: float
+    lower: float
+    upper: float
+    least: float
+    most: float
+
+
+def quantile(values: Sequence[float], share: float) -> float:
+    """The quantile of sorted values, straight between two of them; infinite where it touches an infinite one."""
+    place = share * (len(values) - 1)
+    low, high = math.floor(place), math.ceil(place)
+    if low == high or values[low] == values[high]:
+        return values[low]
+    return math.inf if math.isinf(values[high]) else values[low] + (place - low) * (values[high] - values[low])
+
+
+def rows(results: Iterable[Result]) -> list[Row]:
+    """All measures that are numbers, in the order in which the runs tell them."""
+    found: dict[tuple[str, str], list[float]] = {}
+    counts: dict[str, int] = {}
+    for job, measures in results:
+        counts[job.label] = counts.get(job.label, 0) + 1
+        for name, value in measures.items():
+            if name not in NOT_COMPARED and (value is None or isinstance(value, int | float)):
+                found.setdefault((job.label, name), []).append(math.inf if value is None else float(value))
+    return [_row(label, name, values, counts[label]) for (label, name), values in found.items()]
+
+
+def _row(label: str, name: str, values: list[float], runs: int) -> Row:
+    # a count that a run does not tell, such as that of a change which nobody made, is 0
+    values = sorted(values + [0.0] * (runs - len(values)))
+    median, lower, upper = (quantile(values, share) for share in (0.5, 0.25, 0.75))
+    return Row(label, name, runs, sum(map(math.isfinite, values)), median, lower, upper, values[0], values[-1])
+
+
+def shown(table: Sequence[Row], wanted: Sequence[str]) -> list[str]:
+    """The measures to show: those whose names begin so; by itself when things ran out, else how it moved."""
+    names = list(dict.fromkeys(row.measure for row in table))
+    if not wanted:
+        empty = [row.measure for row in table if row.measure.startswith("empty.") and row.happened]
+        wanted = tuple(dict.fromkeys(empty)) or ("motion.",)
+    return [name for name in names if any(name.startswith(start) for start in wanted)]
+
+
+def text(table: Sequence[Row], measures: Sequence[str]) -> str:
+    """Lines of variations, columns of measures: median (lower quartile – upper quartile)."""
+    found = {(row.label, row.measure): row for row in table}
+    labels = list(dict.fromkeys(row.label for row in table))
+    lines = [["", "runs", *(name.removeprefix("empty.") + (" 0 at" if name.startswith("empty.") else "") for name in measures)]]
+    for label in labels:
+        runs = next(row.runs for row in table if row.label == label)
+        lines.append([label, str(runs), *(_cell(found.get((label, name))) for name in measures)])
+    widths = [max(len(line[column]) for line in lines) for column in range(len(lines[0]))]
+    return (
+        "\n".join("  ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines)
+        + "\n"
+    )
+
+
+def _cell(row: Row | None) -> str:
+    if row is None:
+        return "–"
+    words = f"{_number(row.median)} ({_number(row.lower)} – {_number(row.upper)})"
+    return words if row.happened == row.runs else f"{words}, {row.happened} of {row.runs}"
+
+
+def _number(value: float) -> str:
+    return "never" if math.isinf(value) else f"{value:.6g}"
+
+
+def _plain(value: float) -> float | None:
+    return None if math.isinf(value) else value
+
+
+def as_csv(table: Sequence[Row]) -> str:
+    """One line a variation and measure; what never happened is empty."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["label", "measure", "runs", "happened", "median", "lower_quartile", "upper_quartile", "least", "most"])
+    for row in table:
+        numbers = [_plain(v) for v in (row.median, row.lower, row.upper, row.least, row.most)]
+        writer.writerow([row.label, row.measure, row.runs, row.happened, *("" if n is None else f"{n:.9g}" for n in numbers)])
+    return out.getvalue()
+
+
+def runs_csv(results: Sequence[Result]) -> str:
+    """One line a run, with all its measures."""
+    names = list(dict.fromkeys(name for _, measures in results for name in measures if name not in NOT_COMPARED))
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["label", "seed", *names])
+    for job, measures in results:
+        writer.writerow([job.label, job.seed, *("" if (v := measures.get(name)) is None else v for name in names)])
+    return out.getvalue()
+
+
+def as_json(results: Sequence[Result], table: Sequence[Row]) -> str:
+    """Everything, one document."""
+    document = {
+        "runs": [about(job) | {"measures": dict(measures)} for job, measures in results],
+        "table": [_entry(row) for row in table],
+    }
+    return json.dumps(document, indent=1) + "\n"
+
+
+def _entry(row: Row) -> dict[str, Any]:
+    return {
+        "label": row.label,
+        "measure": row.measure,
+        "runs": row.runs,
+        "happened": row.happened,
+        "median": _plain(row.median),
+        "lower_quartile": _plain(row.lower),
+        "upper_quartile": _plain(row.upper),
+        "least": _plain(row.least),
+        "most": _plain(row.most),
+    }
