@@ -1,4 +1,4 @@
-"""Many runs of scenes: values and seeds to vary in, one table out. Runs go to processes of their own; what is finished is kept."""
+"""Many runs of scenes: values and seeds to vary in, one table out. Runs go to processes of their own; the finished ones stay."""
 
 from antdsl.sweep.jobs import Job, Variation, jobs, variations
 from antdsl.sweep.keeping import Keeper

@@ -1,4 +1,4 @@
-"""What there is to run: each scene, with each combination of values, with each seed; and a key that tells one run from another."""
+"""What there is to run: each scene with each combination of values and each seed; and a key that tells one run from another."""
 
 from __future__ import annotations
 
