@@ -74,11 +74,12 @@ def write(values, at, nodes, news, news_bits, before, before_bits, balls, scale,
         if now < 0 or news[row] > news[now] or (news[row] == news[now] and balls[row] < balls[now]):
             best[slot] = row
     mark = np.uint64(0)
-    for row in best:
-        if row >= 0:
-            values[at[row]] = news[row]
-            lost[balls[row]] += _filled(before[row], scale) - _filled(news[row], scale)
-            mark += _mixed(nodes[row], news_bits[row]) - _mixed(nodes[row], before_bits[row])
+    for place in range(room):
+        last = best[place]
+        if last >= 0:
+            values[at[last]] = news[last]
+            lost[balls[last]] += _filled(before[last], scale) - _filled(news[last], scale)
+            mark += _mixed(nodes[last], news_bits[last]) - _mixed(nodes[last], before_bits[last])
     return mark
 
 

@@ -63,7 +63,7 @@ def _piece(bricks: Bricks, brick: int) -> Piece:
     if not (values.min() < 0 < values.max()):
         return brick, np.empty((0, 3)), np.empty((0, 3), np.int32)
     cut: Any = marching_cubes
-    vertices, faces, _, _ = cut(values, 0.0, gradient_direction="ascent", allow_degenerate=False)
+    vertices, faces, _, _ = cut(values, 0.0, gradient_direction="descent", allow_degenerate=False)
     corner = np.stack(np.unravel_index(brick, bricks.shape)).astype(np.float64) * SIDE
     places = np.round(vertices.astype(np.float64) * _GRAIN) / _GRAIN + corner
     return brick, bricks.origin + places * bricks.voxel, np.ascontiguousarray(faces, np.int32)

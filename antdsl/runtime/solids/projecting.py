@@ -13,8 +13,8 @@ from antdsl.runtime.solids.trilinear import Columns, field
 Floats = NDArray[np.float64]
 
 CLOSE = 1e-5  # voxels: as near as float32 nodes make sense
-_STEPS = 40
-_FLAT = 0.01  # square of a gradient that says nothing about the way
+SETTLING = 60
+FLAT = 0.01  # square of a gradient that says nothing about the way
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +50,15 @@ def settle(
     found = np.zeros(place[0].size, bool)
     rows = np.flatnonzero(np.isfinite(place[0] + place[1] + place[2]))
     within = np.broadcast_to(np.asarray(close, np.float64), found.shape)
-    for _ in range(_STEPS):
+    for turn in range(SETTLING):
         if not rows.size:
             break
         at = [p[rows] for p in place]
         d, gx, gy, gz = field(bricks, *at)
         square = (gx * gx + gy * gy) + gz * gz
         here = np.abs(d) <= within[rows]
-        flat = square < _FLAT
+        # Between two caves that meet, gradients send to and fro: each third step keeps to the hint.
+        flat = (square < FLAT) | (turn % 3 == 2)
         done = np.flatnonzero(here & (square > 0))
         size = np.sqrt(square[done])
         for into, slope in zip(normal, (gx, gy, gz), strict=True):

@@ -14,7 +14,7 @@ Index = NDArray[np.int64]
 Columns = Sequence[Floats]
 
 _OFFSETS = (0, 1, 16, 17, 256, 257, 272, 273)  # of a cell's corners, in a brick
-_LEAN = 0.4  # voxels: how far around a place the smooth normal looks, each way
+LEAN = 0.5  # voxels: how far around a place the smooth normal looks, each way
 
 
 def distance(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Floats:
@@ -38,14 +38,14 @@ def field(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floa
 
 
 def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> list[Floats]:
-    """A gradient that changes steadily from place to place, unlike the field's own: differences between four places around."""
-    a = _LEAN * bricks.voxel
-    low, high = (x - a, y - a, z - a), (x + a, y + a, z + a)
-    d1, d2 = distance(bricks, high[0], low[1], low[2]), distance(bricks, low[0], low[1], high[2])
-    d3, d4 = distance(bricks, low[0], high[1], low[2]), distance(bricks, high[0], high[1], high[2])
-    far, near = d4 + d1, d2 + d3
-    scale = 0.25 / a
-    return [(far - near) * scale, ((d4 - d1) + (d3 - d2)) * scale, ((d4 - d1) - (d3 - d2)) * scale]
+    """A gradient that changes steadily from place to place, unlike the field's own: differences along each axis."""
+    a = LEAN * bricks.voxel
+    scale = 0.5 / a
+    return [
+        (distance(bricks, x + a, y, z) - distance(bricks, x - a, y, z)) * scale,
+        (distance(bricks, x, y + a, z) - distance(bricks, x, y - a, z)) * scale,
+        (distance(bricks, x, y, z + a) - distance(bricks, x, y, z - a)) * scale,
+    ]
 
 
 def _mix(a: Floats, b: Floats, t: Floats) -> Floats:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime import compiled
 from antdsl.runtime.solids.bricks import Bricks
-from antdsl.runtime.solids.projecting import CLOSE, settle
-from antdsl.runtime.solids.trilinear import distance, field, smooth
+from antdsl.runtime.solids.projecting import CLOSE, FLAT, SETTLING, settle
+from antdsl.runtime.solids.trilinear import LEAN, distance, field, smooth
 from antdsl.runtime.solids.volume import Volume
 
 Floats = NDArray[np.float64]
@@ -17,7 +18,7 @@ Index = NDArray[np.int64]
 Columns = list[Floats]
 Found = tuple[Columns, Columns, Floats]  # places, and the gradient and distance there
 
-STRIDE = 0.75  # voxels of one step at most
+STRIDE = 1.0  # voxels of one step at most
 LEAST = 1 / 128  # voxels of one step, below which there is no way on
 OFF = 0.12  # voxels that the middle of a step may be off the surface: else an edge is cut, or a thin wall is passed
 BACK = -0.25  # cosine of the turn of the normal in one step, below which another wall may have been met
@@ -25,7 +26,9 @@ FARTHER = 1.3  # lengths of one step that it may lead at most
 EDGE = 0.1  # voxels of a step so short that a sharp turn is an edge and no other wall
 NEWTON = 4
 BISECTIONS = 24
+DONE = 1e-6  # voxels of way left that are none
 CROSSINGS = 400  # steps of one move
+RULES = (STRIDE, LEAST, NEWTON, BISECTIONS, OFF, FARTHER, EDGE, BACK, DONE, CROSSINGS, SETTLING, FLAT, LEAN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,27 +74,49 @@ def move(volume: Volume, points: Floats, steps: Floats, heading: Floats, up: Flo
     surface. A step that is not finite counts as none, and so does what of a step points off the surface by over 60 degrees.
     """
     bricks = volume.bricks
-    place, wish, head, normal = (_columns(v) for v in (points, steps, heading, up))
-    count = place[0].size
+    columns = [_columns(v) for v in (points, steps, heading, up)]
+    count = columns[0].shape[1]
+    body = np.broadcast_to(np.asarray(size, np.float64), (count,))
+    close = np.clip(3e-5 * body, CLOSE * bricks.voxel, 1e-3 * bricks.voxel)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if compiled.wanted(count):
+            return _moved_compiled(bricks, columns, close)
+        return _moved(bricks, columns, close)
+
+
+def _moved(bricks: Bricks, columns: list[Floats], close: Floats) -> Moved:
+    """As `move`, of points, steps, headings and up as (3, n)."""
+    place, wish, head, normal = (list(c.copy()) for c in columns)
+    count = close.size
     sound = np.isfinite(wish[0] + wish[1] + wish[2])
     wish = [np.where(sound, w, 0.0) for w in wish]
     way, flat = _laid(wish, normal)
     left = np.minimum(np.sqrt(_dot(wish, wish)), 2 * flat)
-    body = np.broadcast_to(np.asarray(size, np.float64), (count,))
-    close = np.clip(3e-5 * body, CLOSE * bricks.voxel, 1e-3 * bricks.voxel)
     no = np.zeros(count, bool)
     w = _Walk(place, normal, way, head, left, np.zeros(count), np.full(count, STRIDE), close, no, no.copy(), no.copy())
-    standing = np.flatnonzero(~(left > 0))
-    _settle(bricks, w, standing)
+    _settle(bricks, w, np.flatnonzero(~(left > 0)))
     rows = np.flatnonzero(left > 0)
     for _ in range(CROSSINGS):
         if not rows.size:
             break
         rows = _step(bricks, w, rows)
-    stood = _unit(list(smooth(bricks, *w.place)), w.normal)
-    turned = _turned(w.head, w.normal, stood, w.way)
-    head = _laid(turned, stood)[0]
+    stood = _unit(smooth(bricks, *w.place), w.normal)
+    head = _laid(_turned(w.head, w.normal, stood, w.way), stood)[0]
     return Moved(_rows(w.place), _rows(stood), _rows(head), _rows(w.way), w.gone, w.blocked, w.lost)
+
+
+def _moved_compiled(bricks: Bricks, columns: list[Floats], close: Floats) -> Moved:
+    """As `_moved`."""
+    from antdsl.runtime.solids.walking_compiled import walk_all
+
+    vectors, gone = np.empty((4, 3, close.size)), np.empty(close.size)
+    blocked, lost = np.empty(close.size, bool), np.empty(close.size, bool)
+    walk_all(
+        bricks.table, bricks.values, bricks.origin, bricks.voxel, bricks.shape, RULES,
+        *columns, np.ascontiguousarray(close), *vectors, gone, blocked, lost,
+    )  # fmt: skip
+    place, stood, head, way = (v.T for v in vectors)
+    return Moved(place, stood, head, way, gone, blocked, lost)
 
 
 def _step(bricks: Bricks, w: _Walk, rows: Index) -> Index:
@@ -114,7 +139,8 @@ def _step(bricks: Bricks, w: _Walk, rows: Index) -> Index:
     _turn(w, on, [c[walked] for c in before], [c[walked] for c in normal])
     for column, values in zip(w.place, at, strict=True):
         column[on] = values[walked]
-    w.left[on] -= length[walked]
+    rest = w.left[on] - length[walked]
+    w.left[on] = np.where(rest > DONE * bricks.voxel, rest, 0.0)
     w.gone[on] += length[walked]
     w.stride[on] = np.minimum(w.stride[on] * 2, STRIDE)
     w.settled[on] = True
@@ -230,8 +256,8 @@ def _put(bricks: Bricks, at: Columns, slope: Columns, d: Floats, rows: Index, pl
         column[rows] = values
 
 
-def _columns(v: Floats) -> Columns:
-    return list(np.array(np.asarray(v, np.float64).reshape(-1, 3).T, order="C"))
+def _columns(v: Floats) -> Floats:
+    return np.ascontiguousarray(np.asarray(v, np.float64).reshape(-1, 3).T)
 
 
 def _rows(v: Columns) -> Floats:
