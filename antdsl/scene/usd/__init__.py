@@ -4,7 +4,7 @@ usd-core comes with the extra `[usd]` and is imported when the first such file i
 
 from antdsl.scene.usd.camera import UsdCamera, read_usd_camera
 from antdsl.scene.usd.curves import read_usd_curve
-from antdsl.scene.usd.errors import UsdError, usd_exception, words_of
+from antdsl.scene.usd.errors import UsdError, pxr, usd_exception, words_of
 from antdsl.scene.usd.layers import Layers
 from antdsl.scene.usd.meshes import UsdMesh, read_usd_mesh
 from antdsl.scene.usd.points import UsdPoints, read_usd_points
@@ -12,5 +12,5 @@ from antdsl.scene.usd.stage import UsdStage, open_stage
 
 __all__ = [
     "Layers", "UsdCamera", "UsdError", "UsdMesh", "UsdPoints", "UsdStage",
-    "open_stage", "read_usd_camera", "read_usd_curve", "read_usd_mesh", "read_usd_points", "usd_exception", "words_of",
+    "open_stage", "pxr", "read_usd_camera", "read_usd_curve", "read_usd_mesh", "read_usd_points", "usd_exception", "words_of",
 ]  # fmt: skip

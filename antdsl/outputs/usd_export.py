@@ -1,0 +1,290 @@
+"""A cache as a USD stage: a point instancer a species, the world's meshes, items and camera, all over time, in the scene's units
+and axes. USD has its own ways: quaternions real part first, colours linear, focal lengths in tenths of a unit."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import __version__
+from antdsl.bodies.catalogue import body
+from antdsl.bodies.placed import placed
+from antdsl.outputs.cache import Arrays
+from antdsl.outputs.gallery import Gallery
+from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.model import Crowd, Item, Solid
+from antdsl.scene.model import UNIT_MM
+from antdsl.scene.usd import pxr
+
+SUFFIXES = (".usd", ".usda", ".usdc")
+_ROOT = "/World"
+_APERTURE = 36.0  # mm
+_SAVE_EVERY = 50  # frames that wait in memory for their place in the file
+_OWN = frozenset(["frame", "P", "v", "orient", "id", "pscale", "Cd", "species", "v_ground"])
+
+
+def export_usd(gallery: Gallery, frames: Iterable[int], path: Path, watch: Callable[[int], None] = lambda frame: None) -> None:
+    """Write these frames into a file that ends in one of SUFFIXES. It is in its place whole or not at all.
+
+    UsdError without usd-core, CacheError for a frame that is damaged, OSError where nothing can be written."""
+    frames = list(frames)
+    part = path.with_name(f".{path.stem}.part{path.suffix}")
+    try:
+        stage = pxr("Usd").Stage.CreateNew(str(part))
+    except pxr("Tf").ErrorException as problem:
+        raise OSError(None, "cannot be written", str(path)) from problem
+    try:
+        writer = _Writer(stage, gallery, frames)
+        for number, frame in enumerate(frames):
+            writer.frame(frame)
+            watch(frame)
+            if number % _SAVE_EVERY == _SAVE_EVERY - 1:
+                stage.Save()
+        stage.Save()
+        del writer, stage  # the file is closed before it is moved
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+class _Samples:
+    """Values of one attribute over time. One that stays is written where it begins and where it ends, since USD goes evenly from
+    sample to sample."""
+
+    def __init__(self, attribute: Any, convert: Callable[[NDArray[Any]], Any], kind: Any = np.float64) -> None:
+        self._attribute, self._convert, self._kind = attribute, convert, kind
+        self._value: NDArray[Any] | None = None
+        self._written = self._seen = 0
+
+    def set(self, frame: int, values: Any) -> None:
+        value = np.ascontiguousarray(values, self._kind)
+        if self._value is None or not np.array_equal(self._value, value):
+            if self._value is not None and self._seen > self._written:
+                self._attribute.Set(self._convert(self._value), self._seen)
+            self._attribute.Set(self._convert(value), frame)
+            self._value, self._written = value, frame
+        self._seen = frame
+
+
+class _Writer:
+    """A stage that is filled frame by frame."""
+
+    def __init__(self, stage: Any, gallery: Gallery, frames: list[int]) -> None:
+        self.stage, self.gallery, self.frames = stage, gallery, frames
+        self._crowds: dict[str, _CrowdWriter] = {}
+        self._meshes: dict[str, _MeshWriter] = {}
+        self._items: dict[str, tuple[_Samples, ...]] = {}
+        geom, manifest = pxr("UsdGeom"), gallery.manifest
+        self.unit_mm = UNIT_MM[manifest.units]
+        geom.SetStageMetersPerUnit(stage, self.unit_mm / 1000)
+        geom.SetStageUpAxis(stage, manifest.up.upper())
+        stage.SetTimeCodesPerSecond(1 / gallery.dt)
+        stage.SetFramesPerSecond(1 / gallery.dt)
+        stage.SetStartTimeCode(frames[0])
+        stage.SetEndTimeCode(frames[-1])
+        stage.SetMetadata("comment", f"antdsl {__version__}: {manifest.scene}, seed {manifest.seed}")
+        world = geom.Xform.Define(stage, _ROOT)
+        pxr("Usd").ModelAPI(world).SetKind("assembly")
+        stage.SetDefaultPrim(world.GetPrim())
+        self._camera()
+
+    def frame(self, frame: int) -> None:
+        """Add one frame."""
+        picture, arrays = self.gallery.picture(frame), self.gallery.cache.frame(frame)
+        whole = {crowd.species: crowd for crowd in picture.crowds}
+        for number, species in enumerate(self.gallery.manifest.species):
+            if species.name not in self._crowds:
+                self._crowds[species.name] = _CrowdWriter(self.stage, self.gallery, species.name, whole[species.name].body)
+            rows = np.flatnonzero(arrays["species"] == number) if "species" in arrays else np.arange(len(arrays["P"]))
+            self._crowds[species.name].frame(frame, whole[species.name], arrays, rows)
+        for solid in picture.solids:
+            if solid.name not in self._meshes:
+                self._meshes[solid.name] = _MeshWriter(self.stage, f"{_ROOT}/{identifier(solid.name)}")
+            self._meshes[solid.name].frame(frame, solid)
+        for item in picture.items:
+            self._item(frame, item)
+
+    def _camera(self) -> None:
+        camera = self.gallery.camera(self.frames[0])
+        if camera is None:
+            return
+        made = pxr("UsdGeom").Camera.Define(self.stage, f"{_ROOT}/camera")
+        tenths = 10.0 / self.unit_mm  # of a millimetre in the stage's unit
+        made.CreateHorizontalApertureAttr(_APERTURE * tenths)
+        made.CreateVerticalApertureAttr(_APERTURE * 9 / 16 * tenths)
+        move = _Samples(made.AddTransformOp(), lambda rows: pxr("Gf").Matrix4d(*rows.ravel().tolist()))
+        focal, focus = (_Samples(a, lambda v: float(v[0])) for a in (made.GetFocalLengthAttr(), made.GetFocusDistanceAttr()))
+        for frame in self.frames if self.gallery.camera_moves else self.frames[:1]:
+            camera = self.gallery.camera(frame)
+            assert camera is not None
+            eye, aim = np.asarray(camera.at), np.asarray(camera.look_at)
+            upward = camera.up or ((0.0, 1.0, 0.0) if self.gallery.manifest.up == "y" else (0.0, 0.0, 1.0))
+            back, up = _unit(eye - aim), np.asarray(upward, np.float64)
+            if np.linalg.norm(np.cross(up, back)) < 1e-6:
+                up = np.roll(up, 1)
+            side = _unit(np.cross(up, back))
+            rows = np.zeros((4, 4))
+            rows[0, :3], rows[1, :3], rows[2, :3], rows[3] = side, np.cross(back, side), back, (*eye, 1)
+            move.set(frame, rows)
+            focal.set(frame, camera.focal * tenths)
+            focus.set(frame, np.linalg.norm(aim - eye))
+
+    def _item(self, frame: int, item: Item) -> None:
+        """An item's body where it is; what is left of it is its size, as in pictures."""
+        if item.shape == "none" or item.radius <= 0:
+            return
+        if item.name not in self._items:
+            path = f"{_ROOT}/items/{identifier(item.name)}"
+            made = pxr("UsdGeom").Xform.Define(self.stage, path)
+            move, size = made.AddTranslateOp(), made.AddScaleOp(pxr("UsdGeom").XformOp.PrecisionDouble)
+            self._items[item.name] = tuple(_Samples(op, lambda v: pxr("Gf").Vec3d(*v.tolist())) for op in (move, size))
+            points, faces, colour = placed(item.shape)
+            if self.gallery.manifest.up == "z":
+                points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
+            mesh = _mesh(self.stage, f"{path}/shape", points, faces)
+            mesh.CreateDisplayColorPrimvar("vertex").Set(_vectors(decoded(colour)))
+        place, scale = self._items[item.name]
+        place.set(frame, item.position)
+        scale.set(frame, np.full(3, item.radius * max(min(item.left, 1.0), 1e-9) ** (1 / 3)))
+
+
+class _CrowdWriter:
+    """One species: its body's poses as prototypes, its agents as instances."""
+
+    def __init__(self, stage: Any, gallery: Gallery, species: str, shape: str) -> None:
+        entry = next(entry for entry in gallery.manifest.species if entry.name == species)
+        self.body = body(shape)
+        path = f"{_ROOT}/{identifier(species)}"
+        self.made = pxr("UsdGeom").PointInstancer.Define(stage, path)
+        prim = self.made.GetPrim()
+        pxr("UsdGeom").Scope.Define(stage, f"{path}/poses")
+        targets = []
+        for number, points in enumerate(self.body.poses):
+            mesh = _mesh(stage, f"{path}/poses/pose_{number:02d}", points, self.body.faces)
+            targets.append(mesh.GetPath())
+        self.made.CreatePrototypesRel().SetTargets(targets)
+        for machine in entry.machines:
+            name = "states" if machine is entry.machines[0] else f"{machine.name}.states"
+            prim.SetCustomDataByKey(identifier(name), pxr("Vt").StringArray([state.name for state in machine.states]))
+        self._reach = float(np.linalg.norm(self.body.poses.reshape(-1, 3), axis=1).max())
+        self._samples: dict[str, _Samples] = {}
+
+    def frame(self, frame: int, crowd: Crowd, arrays: Arrays, rows: NDArray[np.intp]) -> None:
+        """The agents of a frame, in the cache's order, which is that of their ids."""
+        orient = np.asarray(crowd.orient, np.float64)
+        size = np.linalg.norm(orient, axis=1, keepdims=True)
+        real_first = np.where(size > 0, orient / np.where(size > 0, size, 1.0), (0, 0, 0, 1))[:, [3, 0, 1, 2]]
+        self._set(frame, "positions", crowd.position)
+        # USD's arrays of quaternions lie in memory with the real part last
+        self._set(frame, "orientations", real_first[:, [1, 2, 3, 0]])
+        self._set(frame, "scales", np.repeat(crowd.scale[:, None], 3, axis=1))
+        if "id" in arrays:
+            self._set(frame, "ids", arrays["id"][rows])
+        if crowd.velocity is not None:
+            self._set(frame, "velocities", crowd.velocity + (arrays["v_ground"][rows] if "v_ground" in arrays else 0.0))
+        self._set(frame, "protoIndices", self._poses(crowd))
+        self._set(frame, "extent", self._extent(crowd))
+        self._primvar(frame, "displayColor", "Color3fArray", decoded(crowd.colour))
+        for name, values in arrays.items():
+            if (
+                name not in _OWN
+                and "." not in name.removesuffix(".state")
+                and values.ndim == 1
+                and len(values) == len(arrays["P"])
+            ):
+                self._primvar(frame, name, "IntArray" if values.dtype.kind in "iu" else "FloatArray", values[rows])
+
+    def _poses(self, crowd: Crowd) -> NDArray[np.int32]:
+        """The moment of its walk that each agent is in, by the way that it has gone."""
+        count = len(self.body.poses)
+        if count == 1 or crowd.walked is None:
+            return np.zeros(len(crowd.position), np.int32)
+        walked = crowd.walked / np.maximum(crowd.scale, 1e-12) / self.body.stride
+        return ((walked % 1.0) * count).astype(np.int32) % count
+
+    def _extent(self, crowd: Crowd) -> NDArray[np.float64]:
+        if not len(crowd.position):
+            return np.zeros((2, 3))
+        reach = self._reach * np.asarray(crowd.scale)[:, None]
+        return np.stack([(crowd.position - reach).min(axis=0), (crowd.position + reach).max(axis=0)])
+
+    def _set(self, frame: int, name: str, values: Any) -> None:
+        if name not in self._samples:
+            vt = pxr("Vt")
+            kinds = {
+                "orientations": (vt.QuathArray, np.float16),
+                "ids": (vt.Int64Array, np.int64),
+                "protoIndices": (vt.IntArray, np.int32),
+            }
+            array, kind = kinds.get(name, (vt.Vec3fArray, np.float32))
+            create = getattr(self.made, f"Create{name[0].upper()}{name[1:]}Attr")
+            self._samples[name] = _Samples(create(), array.FromNumpy, kind)
+        self._samples[name].set(frame, values)
+
+    def _primvar(self, frame: int, name: str, kind: str, values: Any) -> None:
+        key = f"primvars:{name}"
+        if key not in self._samples:
+            vt, types = pxr("Vt"), pxr("Sdf").ValueTypeNames
+            kinds = {"Color3fArray": (vt.Vec3fArray, np.float32), "IntArray": (vt.IntArray, np.int32)}
+            array, dtype = kinds.get(kind, (vt.FloatArray, np.float32))
+            api = pxr("UsdGeom").PrimvarsAPI(self.made)
+            self._samples[key] = _Samples(
+                api.CreatePrimvar(identifier(name), getattr(types, kind), "vertex"), array.FromNumpy, dtype
+            )
+        self._samples[key].set(frame, values)
+
+
+class _MeshWriter:
+    """A mesh of the world; what has changed since the frame before is written."""
+
+    def __init__(self, stage: Any, path: str) -> None:
+        made = pxr("UsdGeom").Mesh.Define(stage, path)
+        made.CreateSubdivisionSchemeAttr("none")
+        made.CreateDoubleSidedAttr(True)
+        whole = pxr("Vt").IntArray.FromNumpy
+        self._counts = _Samples(made.CreateFaceVertexCountsAttr(), whole, np.int32)
+        self._corners = _Samples(made.CreateFaceVertexIndicesAttr(), whole, np.int32)
+        self._points = _Samples(made.CreatePointsAttr(), _vectors, np.float32)
+        self._extent = _Samples(made.CreateExtentAttr(), _vectors, np.float32)
+
+    def frame(self, frame: int, solid: Solid) -> None:
+        self._counts.set(frame, np.full(len(solid.faces), 3))
+        self._corners.set(frame, np.ravel(solid.faces))
+        self._points.set(frame, solid.vertices)
+        self._extent.set(frame, _box(solid.vertices))
+
+
+def _mesh(stage: Any, path: str, points: NDArray[Any], faces: NDArray[Any]) -> Any:
+    """A mesh that stays as it is."""
+    made = pxr("UsdGeom").Mesh.Define(stage, path)
+    made.CreatePointsAttr(_vectors(points))
+    made.CreateFaceVertexCountsAttr(pxr("Vt").IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
+    made.CreateFaceVertexIndicesAttr(pxr("Vt").IntArray.FromNumpy(np.ascontiguousarray(faces, np.int32).ravel()))
+    made.CreateSubdivisionSchemeAttr("none")
+    made.CreateExtentAttr(_vectors(_box(points)))
+    return made
+
+
+def _vectors(values: NDArray[Any]) -> Any:
+    return pxr("Vt").Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
+
+
+def _box(points: NDArray[Any]) -> NDArray[Any]:
+    return np.stack([points.min(axis=0), points.max(axis=0)]) if len(points) else np.zeros((2, 3))
+
+
+def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    length = float(np.linalg.norm(vector))
+    return vector / length if length > 0 else np.array([0.0, 0.0, 1.0])
+
+
+def identifier(name: str) -> str:
+    """A name as USD allows it."""
+    word = re.sub("[^A-Za-z0-9_]", "_", name)
+    return word if re.match("[A-Za-z_]", word) else f"_{word}"
