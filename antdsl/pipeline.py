@@ -180,8 +180,10 @@ def _digest(text: str) -> str:
 
 
 def _result_relevant(scene: Scene) -> object:
-    """The scene less what changes no result: camera, output, and the last frame, so that a cache can be continued past it."""
-    kept = sorted(set(type(scene.model).model_fields) - {"camera", "output", "frames", "extends"})
+    """The scene less what changes no result: output, a camera that no level of detail goes by, and the last frame, so that a
+    cache can be continued past it."""
+    without = {"output", "frames", "extends"} | ({"camera"} if scene.model.lod is None else set())
+    kept = sorted(set(type(scene.model).model_fields) - without)
     values = [(name, getattr(scene.model, name)) for name in kept if name != "crowd"]
     return [*values, *((line.species, line.count, line.place) for line in scene.model.crowd), scene.model.frames.first]
 

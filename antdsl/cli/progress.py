@@ -132,6 +132,9 @@ def _tell_end(recording: Recording) -> None:
     parts, behind = _each(spent, recording.steps), _each(recording.behind, recording.steps)
     print(f"{len(recording.world):,} agents; set up in {set_up:.1f} s; milliseconds a frame: {parts or 'none'}")
     print(f"meanwhile, behind the simulation: {behind or 'none'}")
+    if recording.world.detail is not None:
+        levels = recording.world.detail.summary(recording.world)["mean"]
+        print(f"level of detail, agents on the average: {', '.join(f'{name} {count:,.0f}' for name, count in levels.items())}")
     if recording.world.faults.count:
         print(f"{recording.world.faults.count} faults: agents that got a number that is none")
     print(f"the cache is in {recording.folder}")

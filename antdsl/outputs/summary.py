@@ -31,6 +31,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "faults": world.faults.count,
         "max_surface_error": recording.surface_error,
         "motion": world.motion.summary(),
+        **({} if world.detail is None else {"lod": world.detail.summary(world)}),
         "state_hash": recording.hash,
         "peak_memory": peak_memory() + recording.writer_memory,
     }

@@ -68,6 +68,7 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> Wor
     _params(world)
     _fields(world, {**meshes, **{name: _moved(solid.mesh, origin) for name, solid in setting.solids.items()}})
     _flows(world)
+    _detail(world, {name: meshes[name] for name in setting.obstacles})
     with np.errstate(all="ignore"):
         populate(world)
     return world
@@ -200,6 +201,14 @@ def _flows(world: World) -> None:
     bind_flows(world, report)
     if not report.ok:
         raise BindError(report)
+
+
+def _detail(world: World, obstacles: dict[str, MeshData]) -> None:
+    if world.setting.detail is None:
+        return
+    from antdsl.runtime.detail import Detail
+
+    world.detail = Detail(world.setting.detail, world.origin, obstacles)
 
 
 def _fields(world: World, meshes: dict[str, MeshData]) -> None:

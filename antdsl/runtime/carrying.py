@@ -45,6 +45,8 @@ def pose(world: World, frame: int) -> None:
     for name in moves.meshes:
         if name in world.obstacles:
             world.obstacles[name] = _rays(world, name, frame)
+            if world.detail is not None and name in world.setting.obstacles:
+                world.detail.pose(name, vertices_at(world, name, frame))
     for name, places in moves.items.items():
         if name in world.items:
             items = world.items[name]

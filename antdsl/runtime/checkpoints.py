@@ -52,6 +52,8 @@ def state(world: World, *, history: bool) -> Arrays:
         names = sorted(world.transitions)
         found["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8)
         found["transitions.counts"] = np.array([world.transitions[name] for name in names], np.int64)
+        if world.detail is not None:
+            found["lod.counts"] = world.detail.counts
         found |= {f"motion.{name}": array for name, array in world.motion.arrays().items()}
     return found
 
@@ -111,6 +113,8 @@ def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     world.motion = Motion.of(
         {name.removeprefix("motion."): array for name, array in arrays.items() if name.startswith("motion.")}
     )
+    if world.detail is not None:
+        world.detail.counts = _take(arrays, "lod.counts", world.detail.counts.shape).copy()
     world.grids.clear()
     world.clearances.clear()
     pose(world, world.frame)

@@ -33,6 +33,8 @@ def sense(world: World) -> None:
         for name, register in population.plan.registers.items():
             if register.role == "temp":
                 population.now[name].fill(register.zero)
+    if world.detail is not None:
+        world.detail.observe(world)
     world.backend.begin(world)
 
 

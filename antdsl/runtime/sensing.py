@@ -118,23 +118,27 @@ def _item_alive(world: World, population: Population, node: ir.Node, rows: Rows,
 
 
 def _ray(world: World, population: Population, node: ir.Node, rows: Rows, dx: Value, dy: Value, dz: Value, reach: Value) -> Value:
-    n = _size(rows)
+    n, name = _size(rows), node.attrs[0]
     hit, distance = np.zeros(n, np.bool_), np.full(n, np.inf, np.float32)
     normal = np.zeros((3, n), np.float32)
-    clear = clearance(world, population, node.attrs[0])[rows]
-    near = np.flatnonzero(may_touch(clear, reach) & (reach > 0) & (reach < np.inf))
-    dx, dy, dz, reach = (_spread(v, rows).take(near) for v in (dx, dy, dz, reach))
-    size = np.sqrt((dx * dx + dy * dy) + dz * dz)
-    sound = np.flatnonzero((size > TINY) & (size < np.inf))
-    good = near.take(sound)
-    if len(good):
-        x, y, z = (v.take(good) for v in _place(world, population, rows))
-        dx, dy, dz, size, reach = (v.take(sound) for v in (dx, dy, dz, size, reach))
-        met = world.obstacles[node.attrs[0]].feelers(
-            x, y, z, dx / size, dy / size, dz / size, reach, threads=world.options.threads
-        )
-        hit[good], distance[good] = met.hit, met.t
-        normal[:, good] = met.nx, met.ny, met.nz
+    asked = (reach > 0) & (reach < np.inf)
+    near = asked & may_touch(clearance(world, population, name)[rows], reach)
+    levels = None if world.detail is None else world.detail.felt(world, population, name)
+    which = [(world.obstacles[name], near)]
+    if levels is not None and world.detail is not None:
+        which = [(world.obstacles[name], near & (levels[rows] == 0)), (world.detail.boxes(name), asked & (levels[rows] == 1))]
+    for scene, those in which:
+        chosen = np.flatnonzero(those)
+        ways = [_spread(v, rows).take(chosen) for v in (dx, dy, dz, reach)]
+        size = np.sqrt((ways[0] * ways[0] + ways[1] * ways[1]) + ways[2] * ways[2])
+        sound = np.flatnonzero((size > TINY) & (size < np.inf))
+        good = chosen.take(sound)
+        if len(good):
+            x, y, z = (v.take(good) for v in _place(world, population, rows))
+            wx, wy, wz, size, far = (v.take(sound) for v in (*ways[:3], size, ways[3]))
+            met = scene.feelers(x, y, z, wx / size, wy / size, wz / size, far, threads=world.options.threads)
+            hit[good], distance[good] = met.hit, met.t
+            normal[:, good] = met.nx, met.ny, met.nz
     return hit, distance, *normal
 
 

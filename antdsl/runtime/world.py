@@ -19,6 +19,7 @@ from antdsl.runtime.senses.sorting import stable_order
 from antdsl.scene.setting import Setting
 
 if TYPE_CHECKING:
+    from antdsl.runtime.detail import Detail
     from antdsl.runtime.faults import FaultLog
     from antdsl.runtime.motion import Motion
 
@@ -149,10 +150,11 @@ class World:
     motion: Motion
     timings: dict[str, float] = field(default_factory=dict)  # seconds by phase, all steps together
     grids: dict[tuple[str, float], Any] = field(default_factory=dict)  # of this step
-    clearances: dict[tuple[str, str, int], NDArray[np.float32]] = field(default_factory=dict)  # of this step
+    clearances: dict[tuple[str, str, int], NDArray[Any]] = field(default_factory=dict)  # of this step
     transitions: dict[str, int] = field(default_factory=dict)
     carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last hand-over; None: nobody asks
     told: dict[str, np.float32] = field(default_factory=dict)  # numbers about wholes that a spec asks for, by name
+    detail: Detail | None = None
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step once all have acted
 
     @property

@@ -159,6 +159,7 @@ def _allowed(path: tuple[Key, ...]) -> list[str]:
         "crowd": model.CrowdLine,
         "fields": model.FieldStart,
         "camera": model.Camera,
+        "lod": model.LevelOfDetail,
         "output": model.Output,
         "from": model.StartFrom,
     }

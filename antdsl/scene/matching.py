@@ -361,6 +361,18 @@ def _layers(scene: Scene, program: Program, report: Report) -> None:
             )
 
 
+def _detail(scene: Scene, program: Program, report: Report) -> None:
+    lod = scene.model.lod
+    if lod is None:
+        return
+    if scene.model.camera is None:
+        advice = "add `camera: {at: [200, 150, 300], look_at: [0, 0, 0]}`, or leave `lod` out"
+        report.error("missing-key", "`lod` goes by the distance from the camera, and there is none", scene.span("lod"), advice)
+    unit = scene.model.unit_mm
+    if lod.far is not None and lod.far.length(unit) < lod.near.length(unit):
+        report.error("wrong-value", "`far` is nearer than `near`", scene.span("lod", "far"), "write the greater distance")
+
+
 def _output(scene: Scene, program: Program, report: Report) -> None:
     known = set(FRAME_ATTRIBUTES)
     for species in program.species.values():
@@ -377,5 +389,6 @@ CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     _params,
     _fields,
     _layers,
+    _detail,
     _output,
 )

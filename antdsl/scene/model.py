@@ -296,6 +296,14 @@ def _kind_of_camera(value: Any) -> str:
     return "usd-camera" if isinstance(value, dict) and "usd" in value else "camera-here"
 
 
+class LevelOfDetail(Part):
+    """Distances from the camera: up to `near` feelers meet triangles, up to `far` the boxes about the pieces of obstacles, beyond
+    it nothing."""
+
+    near: PositiveLength
+    far: PositiveLength | None = None
+
+
 class Output(Part):
     attributes: tuple[Annotated[str, BeforeValidator(lambda v: v)], ...] = DEFAULT_ATTRIBUTES
     checkpoint: Annotated[int, BeforeValidator(whole(1, 100_000))] = 50
@@ -328,6 +336,7 @@ class SceneModel(Part):
         Annotated[Annotated[Camera, Tag("camera-here")] | Annotated[UsdCamera, Tag("usd-camera")], Discriminator(_kind_of_camera)]
         | None
     ) = None
+    lod: LevelOfDetail | None = None
     output: Output = Output()
 
     @property

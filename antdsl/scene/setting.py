@@ -155,6 +155,17 @@ class CameraData:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DetailData:
+    """Level of detail by distance (mm) from a camera: up to `near` triangles are felt, up to `far` boxes, beyond it nothing.
+    `camera` float64 (frames, 3): where it is at each frame from the frame `first` on; the ends hold beyond."""
+
+    camera: NDArray[np.float64]
+    near: float
+    far: float = float("inf")
+    first: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Setting:
     """Everything that binding a plan needs. `unit_mm` is the length of `u`; `up` a unit vector; `params` by qualified name
     (`forager.smell`), those absent take their default; `first_frame` is the number of the first simulated frame. Meshes, items
@@ -178,6 +189,7 @@ class Setting:
     solids: Mapping[str, SolidData] = field(default_factory=dict)
     moves: Moves = field(default_factory=Moves)
     camera: CameraData | None = None
+    detail: DetailData | None = None
 
     @property
     def dt(self) -> float:

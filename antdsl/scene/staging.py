@@ -147,8 +147,23 @@ def stage(
             curves={name: found for name, found in curves.items() if len(found) > 1},
         ),
         camera=camera,
+        detail=_detail(scene, camera),
     )
     return made, staging.report, staging.hashes
+
+
+def _detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.DetailData | None:
+    """`camera`: one that a file brought."""
+    model = scene.model
+    if model.lod is None or model.camera is None:
+        return None
+    near, far = model.lod.near.length(model.unit_mm), _length(scene, model.lod.far)
+    if camera is not None:
+        places = camera.at
+    else:
+        assert not isinstance(model.camera, UsdCamera)
+        places = np.array([millimetres(model.camera.at, model.unit_mm)])
+    return stage_of.DetailData(places, near, float("inf") if far is None else far, model.frames.first)
 
 
 def _length(scene: Scene, value: Quantity | None) -> float | None:
