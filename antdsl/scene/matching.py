@@ -15,7 +15,6 @@ from antdsl.program.model import Const, Dim, Kind, Program, WorldThing
 from antdsl.program.units import dimension_words, shown, unit_of, with_unit
 from antdsl.scene import adjusting
 from antdsl.scene.document import Key
-from antdsl.scene.flows import match_flow
 from antdsl.scene.load import Scene
 from antdsl.scene.model import CurveThing, FlowThing, MeshThing, PaintedThing, Placement, UsdThing
 from antdsl.scene.paths import PathRefused
@@ -142,6 +141,8 @@ def _thing(scene: Scene, program: Program, report: Report, name: str, thing: Wor
     elif isinstance(value, CurveThing):
         _file(scene, report, value.curve, "world", name, "curve")
     elif isinstance(value, (FlowThing, PaintedThing)):
+        from antdsl.scene.flows import match_flow  # late: a scene without flows is checked without NumPy
+
         file = match_flow(scene, program, report, name, value)
         if file is not None:
             _file(scene, report, file[1], "world", name, file[0])
