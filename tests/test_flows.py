@@ -14,6 +14,7 @@ from antdsl.plan.ir import Plan
 from antdsl.runtime import BindError, Options, bind, checkpoint, restore, set_flow, state_hash, step
 from antdsl.runtime.fields.lattice import Lattice, cuts_for, welded
 from antdsl.runtime.world import World
+from antdsl.scene.moves import MeshMoves, Moves
 from antdsl.scene.setting import (
     BorderFlow,
     CrowdData,
@@ -187,7 +188,9 @@ def test_without_a_surface_a_flow_about_a_place_is_known_all_the_same() -> None:
 
 
 def test_a_flow_leads_over_what_may_be_dug_as_well() -> None:
-    text = "ant 1\nuse steering\nworld { surface ground; solid hill; flow drift }\nspecies ant { state s { steer along(drift) } }\n"
+    text = (
+        "ant 1\nuse steering\nworld { surface ground; solid hill; flow drift }\nspecies ant { state s { steer along(drift) } }\n"
+    )
     lowered, report = plan.lower(checked(text)[0])
     assert complaints(report) == []
     hill = SolidData(MeshData(*meshes.box((-60, -10, -60), (60, 25, 60))), 3.0)
@@ -376,6 +379,59 @@ def test_a_checkpoint_between_two_looks_at_the_crowd_goes_on_the_same() -> None:
         step(made)
         step(other)
         assert state_hash(other) == state_hash(made)
+
+
+# --- what moves ------------------------------------------------------------------------------------------------------
+
+
+def test_a_flow_leads_to_where_a_thing_has_gone() -> None:
+    way = np.linspace([150.0, 0, 0], [-150.0, 0, 150.0], 120)[:, None]
+    goal = replace(GOAL, of="nest", which=0)
+    for flow in (SpreadFlow("toward", goal), SolvedFlow(goal, every=0.5)):
+        made = world(flow, moves=Moves(items={"nest": way}))
+        assert read(made, (0, 150))[0, 0] > 0.4
+        run(made, 119)
+        assert read(made, (0, 150))[0, 0] < -0.9
+        assert (away(made, -150, 150) < 125).all()  # 150 off at first, and led the other way before
+
+
+def test_an_obstacle_that_moves_is_gone_round_where_it_is_then() -> None:
+    stone = meshes.ball(45.0)
+    gone = np.zeros((30, len(stone[0]), 3))
+    gone[10:, :, 2] = 150  # in one go, at frame 10
+    moves = Moves(meshes={"rock": MeshMoves.free(stone[0] + gone)})
+    made = world(SolvedFlow(GOAL, room=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, moves=moves, steer="halt()")
+    assert abs(read(made, (-60, 4))[0, 2]) > 0.5
+    run(made, 10)
+    assert abs(read(made, (-60, 4))[0, 2]) > 0.5  # not looked at since
+    run(made, 3)
+    assert abs(read(made, (-60, 4))[0, 2]) < 0.2
+    other = world(SolvedFlow(GOAL, room=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, moves=moves, steer="halt()")
+    restore(other, checkpoint(made))
+    assert state_hash(other) == state_hash(made)
+    assert np.array_equal(read(other, (-60, 4)), read(made, (-60, 4)))
+    for each in (made, other):
+        run(each, 12)
+    assert state_hash(other) == state_hash(made)
+
+
+def test_vectors_turn_with_the_ground_they_are_painted_on() -> None:
+    floor = meshes.grid(400.0, 8)
+    angle = np.radians(np.arange(31) * 3.0)
+    turned = np.stack(
+        [
+            np.stack([x * np.cos(a) + z * np.sin(a), y, z * np.cos(a) - x * np.sin(a)], axis=1)
+            for a in angle
+            for x, y, z in [floor[0].T]
+        ]
+    )
+    made = world(
+        Painted("ground", np.tile([0.5, 0, 0], (len(floor[0]), 1))),
+        moves=Moves(meshes={"ground": MeshMoves.free(turned)}),
+        steer="halt()",
+    )
+    run(made, 30)
+    assert np.abs(read(made, (0, 0), (50, 50)) - [0, 0, -0.5]).max() < 1e-6
 
 
 # --- while it runs ---------------------------------------------------------------------------------------------------

@@ -43,14 +43,9 @@ def bind_flows(world: World, report: Report) -> None:
 def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
     """One flow, under its name in the world; what is wrong with it goes into the report."""
     try:
-        if isinstance(flow, Painted):
-            world.flows[name] = _painted(world, flow)
-        elif isinstance(flow, SpreadFlow):
-            world.flows[name] = _spread(world, flow)
-        elif isinstance(flow, BorderFlow):
-            world.flows[name] = _border(world, flow)
-        else:
-            world.flows[name] = _solved(world, flow)
+        world.flows[name] = made = _made(world, flow)
+        if not isinstance(flow, Painted) and _may_change(world, flow):
+            made.renew = lambda now: _renew(now, made, flow)
     except LatticeTooFine as why:
         report.error(
             "flow-too-fine",
@@ -58,6 +53,36 @@ def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
             None,
             "give it a larger `cell`, or a smaller `radius`",
         )
+
+
+def _made(world: World, flow: FlowData) -> Flow:
+    if isinstance(flow, Painted):
+        return _painted(world, flow)
+    if isinstance(flow, SpreadFlow):
+        return _spread(world, flow)
+    return _border(world, flow) if isinstance(flow, BorderFlow) else _solved(world, flow)
+
+
+# --- what moves ------------------------------------------------------------------------------------------------------
+
+
+def _may_change(world: World, flow: SpreadFlow | BorderFlow | SolvedFlow) -> bool:
+    """Whether anything moves that a flow is made from: surfaces, what it leads to, obstacles on the way."""
+    moves = world.setting.moves
+    moving = [name for name in moves.meshes if name in world.setting.surfaces or isinstance(flow, SolvedFlow)]
+    return bool(moving) or (not isinstance(flow, BorderFlow) and flow.target.of in {**moves.items, **moves.curves})
+
+
+def _renew(world: World, made: Flow, flow: SpreadFlow | BorderFlow | SolvedFlow) -> None:
+    """Put a flow as it is now in the place of what it was."""
+    if isinstance(flow, SolvedFlow):
+        assert isinstance(made, Solved) and made.grounds is not None
+        made.grounds = _grounds(world, made.lattice, made.grounds.faces, made.grounds.point)
+        made.cost = _cost(world, flow, made.grounds)
+        made.start, made.first = _goal(world, flow, made.grounds)
+        return
+    now = _made(world, flow)
+    made.lattice, made.c, made.s, made.source = now.lattice, now.c, now.s, now.source
 
 
 # --- painted ---------------------------------------------------------------------------------------------------------
@@ -134,7 +159,13 @@ def _flow(world: World, lattice: Lattice, face: Index, vectors: Floats, chosen: 
 
 
 def _here(world: World, target: Target) -> Target:
-    return Target(target.places - world.origin, target.radii, target.line)
+    """Where a target is at the world's frame, as the world counts places."""
+    moves = world.setting.moves
+    tracks = (moves.curves if target.line else moves.items).get(target.of)
+    places = target.places if tracks is None else moves.points(tracks, world.frame)
+    if tracks is not None and target.which is not None:
+        places = places[target.which : target.which + 1]
+    return Target(places - world.origin, target.radii, target.line)
 
 
 # --- about a target, and at borders ----------------------------------------------------------------------------------
@@ -218,12 +249,14 @@ def _solved(world: World, flow: SolvedFlow) -> Flow:
     return made
 
 
-def _grounds(world: World, lattice: Lattice, chosen: Flags) -> Grounds:
-    """The lattice as land: points that are one although of several faces, triangles that no obstacle cuts, links between
-    surfaces."""
+def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None = None) -> Grounds:
+    """The lattice as land: points that are one although of several faces (`point`, where that is known), triangles that no
+    obstacle cuts, links between surfaces."""
     _, _, mesh, table = world.ground.meshes.triangles
     face, place = _places(world, lattice)
-    point, count = welded(place, mesh[face])
+    if point is None:
+        point = welded(place, mesh[face])[0]
+    count = int(point.max(initial=-1)) + 1
     points = np.empty((count, 3))
     points[point] = place
     small, owner = lattice.triangles()

@@ -89,13 +89,20 @@ def _match_solved(scene: Scene, program: Program, report: Report, name: str, thi
     for key in thing.maps:
         if key not in maps:
             _unknown(report, scene, (name, "maps", key), "no map is named", key, maps)
-    if thing.every is not None and not thing.crowding:
+    if thing.every is not None and not thing.crowding and not _may_move(scene):
         report.error(
             "wrong-value",
             f"nothing that `{name}` is solved by changes, so it is solved once",
             scene.span("world", name, "every", key=True),
             "leave `every` out, or add `crowding: 2`",
         )
+
+
+def _may_move(scene: Scene) -> bool:
+    """Whether anything of the world moves, as far as can be seen without opening files."""
+    things = [each for value in scene.model.world.values() for each in (value.values() if isinstance(value, dict) else (value,))]
+    paths = (getattr(each, key, None) for each in things for key in ("mesh", "curve"))
+    return any(getattr(each, "keys", None) or hasattr(each, "usd") for each in things) or any("#" in p for p in paths if p)
 
 
 def _goals(scene: Scene, program: Program, lines_only: bool) -> list[str]:
@@ -197,11 +204,16 @@ def _target(
         points = points * scene.model.unit_mm
         return Target(points, np.zeros(len(points)), line=len(points) > 1)
     if goal in curves:
-        return Target(curves[goal], np.zeros(len(curves[goal])), line=True)
-    found = items.get(goal) or tuple(i for group in items.values() for i in group if i.name == goal)[:1]
+        return Target(curves[goal], np.zeros(len(curves[goal])), line=True, of=goal)
+    of, which, found = goal, None, items.get(goal) or ()
     if not found:
-        return None
-    return Target(np.array([i.position for i in found], np.float64), np.array([i.radius for i in found], np.float64))
+        own = [(group, k) for group, each in items.items() for k, item in enumerate(each) if item.name == goal]
+        if not own:
+            return None
+        of, which = own[0]
+        found = (items[of][which],)
+    places, radii = (np.array([getattr(i, key) for i in found], np.float64) for key in ("position", "radius"))
+    return Target(places, radii, of=of, which=which)
 
 
 def _painted(staging: Staging, name: str, thing: model.PaintedThing, width: int) -> stage_of.Painted | None:

@@ -45,11 +45,15 @@ class Painted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Target:
-    """Where a flow leads: places (n, 3) in mm with their radii (n,), or, as a `line`, a curve from place to place."""
+    """Where a flow leads: places (n, 3) in mm with their radii (n,), or, as a `line`, a curve from place to place.
+
+    `of` names the curve or the items that these are, `which` (of one item alone) its number: they may move."""
 
     places: NDArray[np.float64]
     radii: NDArray[np.float64]
     line: bool = False
+    of: str = ""
+    which: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +87,7 @@ class BorderFlow:
 @dataclass(frozen=True, slots=True, eq=False)
 class SolvedFlow:
     """The cheapest way to a target. A mm costs 1 + slope · sin + 8 (1 - d / room)² at d mm from an obstacle + maps · their
-    values + crowding · share of ground covered by agents, which is looked at anew every `every` s."""
+    values + crowding · share of ground covered by agents. Crowds that count and what moves are looked at every `every` s."""
 
     target: Target
     slope: float = 0.0

@@ -101,7 +101,8 @@ def _along_edges(land: Land, cost: Floats, start: Index, first: Floats) -> Float
     weights = [weight, _link_costs(land, cost), first + 1.0]
     graph = coo_array((np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), shape=(n + 1, n + 1))
     reached: Floats = dijkstra(graph.tocsr(), directed=False, indices=n)[:n]
-    return np.asarray(np.maximum(reached - 1.0, 0.0))
+    bound: Floats = np.maximum(reached - 1.0, 0.0)
+    return bound
 
 
 def _link_costs(land: Land, cost: Floats) -> Floats:

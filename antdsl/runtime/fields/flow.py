@@ -54,12 +54,14 @@ def falling(distance: Floats, radius: float | None, word: str) -> Floats:
 class Flow:
     """A flow in the slots of a lattice over the ground's faces: its parts `c`, `s` along the axes of each face.
 
-    `source` knows it anywhere, for agents that stand on none of the faces; without one it is nothing there."""
+    `source` knows it anywhere, for agents that stand on none of the faces; without one it is nothing there. `renew` works it out
+    for what has moved since."""
 
     lattice: Lattice
     c: Floats
     s: Floats
     source: Source | None = None
+    renew: Callable[[Any], None] | None = None
 
     def along_face(self, face: Index, b1: Floats, b2: Floats) -> tuple[Floats, Floats]:
         """Its parts at places of faces."""
@@ -83,10 +85,12 @@ class Flow:
         """Give as `state` what these arrays say, without being it: for a copy that is only looked at."""
 
     def begin(self, world: Any) -> None:
-        """Before each step; a flow that was worked out once has nothing to do."""
+        """Before each step; a flow that was worked out once and for all has nothing to do."""
+        if self.renew is not None:
+            self.renew(world)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """What changes in a run, by name; nothing for a flow that was worked out once."""
+        """What has to be kept to go on, by name; nothing where the frame alone says what the flow is."""
         return {}
 
     def restore(self, arrays: dict[str, NDArray[Any]]) -> None:

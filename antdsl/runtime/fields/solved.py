@@ -41,7 +41,8 @@ class Grounds:
 
 @dataclass(slots=True, eq=False)
 class Solved(Flow):
-    """The flow downhill of what is still to pay for the way to the goal. Where a crowd counts, `begin` looks at it anew."""
+    """The flow downhill of what is still to pay for the way to the goal. Where a crowd counts or something moves, `begin` looks at that
+    anew when it is due; points and lattice stay the same."""
 
     grounds: Grounds | None = None
     cost: Floats | None = None  # (t,) of a mm, nobody being there
@@ -81,9 +82,13 @@ class Solved(Flow):
         return np.bincount(land.triangles.ravel(), each, len(land.points)).astype(np.float64)
 
     def begin(self, world: Any) -> None:
-        if self.crowd is not None and self.due(world):
+        if (self.crowd is None and self.renew is None) or not self.due(world):
+            return
+        if self.renew is not None:
+            self.renew(world)
+        if self.crowd is not None:
             self.crowd = self.covered(world)
-            self.solve()
+        self.solve()
 
     def covered(self, world: Any) -> NDArray[np.int64]:
         """Ground that agents of all species cover, counted at the lattice's point next to each."""
@@ -102,15 +107,17 @@ class Solved(Flow):
         return found
 
     def state(self) -> dict[str, NDArray[Any]]:
-        return {} if self.crowd is None else {"crowd": self.crowd}
+        found: dict[str, NDArray[Any]] = {} if self.crowd is None else {"crowd": self.crowd}
+        return found if self.renew is None else {**found, "c": self.c, "s": self.s}
 
     def show(self, arrays: dict[str, NDArray[Any]]) -> None:
-        if self.crowd is not None:
-            self.crowd = arrays["crowd"]
+        for name, array in arrays.items():
+            setattr(self, name, array)
 
     def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
-        self.crowd = arrays["crowd"].astype(np.int64)
-        self.solve()
+        self.show(arrays)
+        if self.renew is None:
+            self.solve()
 
 
 def least_cost(price: Floats) -> Floats:
