@@ -8,11 +8,19 @@ from __future__ import annotations
 from functools import cache
 
 LEAST = 2_000  # agents; below this a step takes few milliseconds, and loading the compiler takes half a second
+_LEAST_FOR_LONG = 200  # agents; where thousands of steps follow, half a second is soon won back
+_long = False
+
+
+def expect_long_runs() -> None:
+    """From now on this process makes very many steps: kernels pay for smaller crowds too. Changes no result."""
+    global _long
+    _long = True
 
 
 def wanted(count: int) -> bool:
     """Whether work on so many agents goes to compiled kernels."""
-    return count >= LEAST and available()
+    return count >= (_LEAST_FOR_LONG if _long else LEAST) and available()
 
 
 @cache

@@ -117,6 +117,9 @@ def _how_it_ended(code: int | None) -> str:
 
 def _work(pipe: Connection, threads: int) -> None:
     """The life of a process: jobs in, measures out, until nobody is at the other end."""
+    from antdsl.runtime.compiled import expect_long_runs
+
+    expect_long_runs()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asked for the sweep is told by Ctrl-C, and ends us
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     with suppress(EOFError, OSError):

@@ -1,4 +1,4 @@
-"""Prints what a sweep of this study found beside what the thesis says: `python examples/foraging_study/compare.py SWEEP/sweep.json`.
+"""Prints what a sweep of this study found beside what the thesis says: `python …/compare.py SWEEP/sweep.json`.
 
 Medians over seeds; what was not finished counts as later than everything."""
 
