@@ -66,7 +66,7 @@ def sweep(
     threads = max(1, cores() // processes)
     failed: list[Outcome] = []
     try:
-        with _progress(len(todo), quiet) as watch:
+        with _stoppable(), _progress(len(todo), quiet) as watch:
             for outcome in run_all(todo, processes, threads, watch.frame):
                 watch.finished(outcome)
                 if outcome.measures is None:
@@ -81,6 +81,22 @@ def sweep(
     _tell(keeper, [(job, done[job.key]) for job in made if job.key in done], show, plots)
     if failed:
         raise Stop(Exit.FINDINGS, f"error: {len(failed)} of {len(made)} runs failed and are not in the table")
+
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """Being asked to end (SIGTERM) is as good as Ctrl-C."""
+    import signal
+
+    def stop(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _varied(words: Sequence[str]) -> dict[str, tuple[str, ...]]:
