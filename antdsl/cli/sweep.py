@@ -76,7 +76,7 @@ def sweep(
                     done[outcome.job.key] = outcome.measures
     except KeyboardInterrupt:
         _tell(keeper, [(job, done[job.key]) for job in made if job.key in done], show, plots=False)
-        words = f"stopped by Ctrl-C: {len(done)} of {len(made)} runs are finished and kept"
+        words = f"stopped: {len(done)} of {len(made)} runs are finished and kept"
         raise Stop(Exit.INTERRUPTED, words, "the same command goes on with the others") from None
     _tell(keeper, [(job, done[job.key]) for job in made if job.key in done], show, plots)
     if failed:
