@@ -246,3 +246,83 @@ def test_finer_distances_of_an_obstacle_are_still_below_the_true_ones() -> None:
     fine = scene.clearance(*places.T)
     distance = scene.closest(places)[3]
     assert (fine <= distance).all() and (fine >= coarse).all() and (fine > coarse).mean() > 0.2
+
+
+def test_rays_that_are_said_to_miss_do_miss() -> None:
+    """Triangles all around short rays, most of them grazing: a ray that hits is never ruled out, and most that miss are."""
+    pytest.importorskip("numba")
+    from antdsl.runtime.senses.misses_compiled import missed
+    from antdsl.runtime.senses.packing import WIDTH, packed
+
+    rng = np.random.default_rng(13)
+    for far in (0.0, 700.0):
+        m = 3000
+        corners = rng.normal(size=(m, 3, 3)) * rng.choice([0.5, 3, 40], (m, 1, 1)) + rng.normal(size=(m, 1, 3)) * 2 + far
+        corners[::5, 2] = (corners[::5, 0] + corners[::5, 1]) / 2 + rng.normal(size=(m // 5, 3)) * 0.02  # slivers
+        ground = Ground({"all": (corners.reshape(-1, 3), np.arange(3 * m).reshape(-1, 3))})
+        table = packed(ground._table, ground._mesh)
+        margin = ground._listing._margin
+        weights = rng.dirichlet((0.3, 0.3, 0.3), m)
+        aim = (corners * weights[:, :, None]).sum(axis=1) + rng.normal(size=(m, 3)) * rng.choice([0, 1e-6, 1e-3, 0.5], (m, 1))
+        step = rng.normal(size=(m, 3)) * rng.choice([0.1, 2.0], (m, 1))
+        flat = rng.random(m) < 0.2  # in the triangle's plane
+        step[flat] = (corners[:, 1] - aim)[flat]
+        origin = aim - step * rng.choice([0.0, 0.5, 0.999, 1.0, 1.001], (m, 1))
+        sure = np.array([missed(table, WIDTH * k, tuple(origin[k]), tuple(step[k]), margin) for k in range(m)])
+        hit = np.zeros(m, bool)
+        for k in np.flatnonzero(ground._table.live):
+            alone = RayScene(corners[k], np.array([[0, 1, 2]], np.int32))
+            hit[k] = alone.cast_within(origin[k : k + 1], step[k : k + 1])[0].size > 0
+        assert hit.mean() > 0.2 and not (hit & sure).any()
+        assert sure.sum() > 0.5 * (~hit & (np.abs(origin + step / 2 - aim).max(axis=1) > 0.2)).sum()
+
+
+def test_lists_hold_every_triangle_that_is_near() -> None:
+    ground = Ground(GROUNDS["boulders"]())
+    parts = ground._clearances.within(3.0)
+    kept = ground._listing.within(parts, 4.0, 0.02, 0.6, 0.1)
+    assert kept.body >= 4.0 and ground._listing.within(parts, 4.5, 0.02, 0.6, 0.1) is kept
+    corners, piece, link = ground._vertices[ground._faces], ground._table.piece, ground._table.link
+    rng = np.random.default_rng(14)
+    weights = rng.dirichlet((0.5, 0.5, 0.5), 200)
+    for lists, reach in ((kept.ahead, 0.02 * 4 + 0.1), (kept.beyond, 0.6 * 4)):
+        found = 0
+        for f in np.flatnonzero(lists.count >= 0)[::9]:
+            listed = lists.members[lists.first[f] : lists.first[f] + lists.count[f]]
+            if lists is kept.ahead:
+                places, others = weights @ corners[f], piece != piece[f]
+            else:
+                half = rng.choice(np.flatnonzero(link[0, 3 * f : 3 * f + 3] < 0), 200)
+                one, two = corners[f, (half + 1) % 3], corners[f, (half + 2) % 3]
+                places, others = one + rng.random((200, 1)) * (two - one), np.arange(len(corners)) != f
+            others = np.flatnonzero(others & (corners.min(axis=1) < places.max(axis=0) + 9).all(axis=1))
+            scene = RayScene(corners[others].reshape(-1, 3), np.arange(3 * len(others), dtype=np.int32).reshape(-1, 3))
+            _, near, _, distance = scene.closest(places)
+            assert np.isin(others[near[distance < reach]], listed).all()
+            found += int((distance < reach).sum())
+        assert found > 50
+
+
+def test_walkers_on_a_rim_cast_hardly_any_rays(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    ground = Ground(GROUNDS["open sheet"]())
+    rng = np.random.default_rng(15)
+    angle = rng.uniform(0, 2 * np.pi, N)
+    way = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
+    footing, _ = ground.nearest(way * 20)
+    rays = []
+    cast = Ground._cast
+
+    def counting(self: Ground, origin: np.ndarray, *rest: object) -> object:
+        rays.append(origin.shape[1])
+        return cast(self, origin, *rest)
+
+    monkeypatch.setattr(Ground, "_cast", counting)
+    results, casts = [], []
+    for fast in (False, True):
+        use(monkeypatch, fast)
+        rays.clear()
+        results.append(ground.move(footing, way * 0.8, way, np.broadcast_to(UP, (N, 3)), 2.0))
+        casts.append(sum(rays))
+    assert_same(*results)
+    assert results[0].blocked.mean() > 0.8 and casts[1] < 0.1 * casts[0]

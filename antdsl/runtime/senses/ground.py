@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime import compiled
+from antdsl.runtime.senses.candidates import Candidates, Listing
 from antdsl.runtime.senses.clearances import Clearances, Parts
-from antdsl.runtime.senses.rays import Mesh, RayScene
-from antdsl.runtime.senses.surroundings import LIFT, NOISE, Around
+from antdsl.runtime.senses.rays import FAR, Mesh, RayScene
+from antdsl.runtime.senses.surroundings import BEYOND, LIFT, NOISE, Around
 from antdsl.runtime.senses.topology import Topology, build, facing
 from antdsl.runtime.senses.walk import Walkers, dot, in_frame, inside, turned, walk
+
+if TYPE_CHECKING:
+    from antdsl.runtime.senses.walk_events import Walk
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -105,7 +109,10 @@ class Ground:
         self._side = facing(self._table.normal.T)
         self._scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         self._clearances = Clearances(self._vertices[self._faces], self._table.piece, self.low, self.extent * NOISE)
-        self._packed: Floats | None = None
+        # A hundred times the rounding of float32, which counts from the middle where that is far away.
+        margin = 1e-5 * (self.extent + min(float(np.abs([self.low, self.high]).max()), FAR))
+        self._listing = Listing(self._table, self._vertices[self._faces], margin)
+        self._fast: Walk | None = None
 
     # ---- asking
 
@@ -219,6 +226,7 @@ class Ground:
         if not self._faces.size or not n:
             return _unmoved(footing, up, heading)
         body = np.ascontiguousarray(np.broadcast_to(np.asarray(body, np.float64), (n,)))
+        body.flags.writeable = False  # whether one or many were given: a kernel is compiled for either
         wish, heading_t, up_t = (np.ascontiguousarray(np.asarray(v, np.float64).T) for v in (displacement, heading, up))
         with np.errstate(all="ignore"):
             parts = self._clearances.within(self._reach(wish, body))
@@ -236,22 +244,19 @@ class Ground:
         self, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, parts: Parts, threads: int
     ) -> MoveResult:
         """As `_moved`, to the same bits: most by the compiled walk, and those that it leaves by `_moved`."""
-        from antdsl.runtime.senses import walk_compiled
+        from antdsl.runtime.senses.walk_events import Walk
 
-        if self._packed is None:
-            self._packed = walk_compiled.packed(self._table, self._mesh)
+        if self._fast is None:
+            self._fast = Walk(self._table, self._mesh, self._first)
         n, noise = len(footing), self._clearances.noise
-        done, blocked, lost = np.empty(n, np.bool_), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
         moved = Footing(np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n), np.empty(n))
-        place, above, ahead, direction, gone = *np.empty((4, 3, n)), np.empty(n)
-        at = (footing.mesh, footing.face, footing.b1, footing.b2)
-        to = (moved.mesh, moved.face, moved.b1, moved.b2)
-        near = (parts.first, parts.count, parts.least, parts.reach, noise, body, LIFT)
-        walk_compiled.walk_all(
-            self._packed, self._table.link, self._table.forked, self._first, *near, *at, wish, heading, up,
-            done, *to, place, above, ahead, direction, gone,
-        )  # fmt: skip
-        result = MoveResult(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, lost)
+        place, above, ahead, direction, gone, blocked = *np.empty((4, 3, n)), np.empty(n), np.zeros(n, np.bool_)
+        at, to = ((f.mesh, f.face, f.b1, f.b2) for f in (footing, moved))
+        around = Around(self._table, self._cast, self._weights, parts, noise, body, threads)
+        candidates = self._candidates(parts, float(np.fmax.reduce(body)))
+        results = (*to, place, above, ahead, direction, gone, blocked)
+        done = self._fast.step(around, parts, candidates, noise, body, at, (wish, heading, up), results)
+        result = MoveResult(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
         left = np.flatnonzero(~done)
         if left.size:
             wish, heading, up = (v.take(left, axis=1) for v in (wish, heading, up))
@@ -260,6 +265,10 @@ class Ground:
                 for name in (f.name for f in fields(whole) if f.name != "footing"):
                     getattr(whole, name)[left] = getattr(part, name)
         return result
+
+    def _candidates(self, parts: Parts, body: float) -> Candidates:
+        """What rays of agents of up to `body` mm can meet."""
+        return self._listing.within(parts, body, LIFT, BEYOND, self._clearances.noise)
 
     def _moved(
         self, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, parts: Parts, threads: int

@@ -10,6 +10,7 @@ from copy import copy
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime.senses.candidates import Candidates
 from antdsl.runtime.senses.clearances import Clearances, Parts
 from antdsl.runtime.senses.ground import Floats, Footing, Ground, Index
 from antdsl.runtime.senses.rays import Hits, Mesh, RayScene
@@ -37,7 +38,7 @@ class MovingGround(Ground):
         """One that can be posed apart from this one."""
         made = copy(self)
         made._vertices, made._table = self._vertices.copy(), self._table.copy()
-        made._scenes, made._packed = {}, None
+        made._scenes, made._fast = {}, None
         made._clearances = _Clearances(made)  # type: ignore[assignment]
         return made
 
@@ -47,10 +48,8 @@ class MovingGround(Ground):
             rows = self._rows[name]
             self._vertices[self._corners[name]] = vertices
             repose(self._table, self._vertices, self._faces, rows)
-            if self._packed is not None:
-                from antdsl.runtime.senses.walk_compiled import pack
-
-                pack(self._packed, self._table, self._mesh, rows)
+            if self._fast is not None:
+                self._fast.changed(rows)
         used = self._vertices[self._faces.ravel()]
         self.low, self.high = used.min(axis=0), used.max(axis=0)
         self.extent = max(self.extent, float((self.high - self.low).max()))
@@ -80,6 +79,10 @@ class MovingGround(Ground):
         t = self._rest
         place = t.corner.take(face, axis=1) + footing.b1 * t.edge1.take(face, axis=1) + footing.b2 * t.edge2.take(face, axis=1)
         return np.ascontiguousarray(np.where(known, place, 0.0).T)
+
+    def _candidates(self, parts: Parts, body: float) -> Candidates:
+        """Nothing: lists of what is near would have to be made for each frame, and take longer than the rays that they save."""
+        return Candidates.unknown(len(self._faces))
 
     def _scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
         """Rays against some surfaces: those that stand still and those that move, each a scene of its own."""

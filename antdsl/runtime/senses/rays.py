@@ -18,7 +18,7 @@ Mesh = tuple[Vectors, NDArray[np.int32]]
 _NO_FACE = 0xFFFFFFFF
 _CROWD = 2_000  # places asked about at once, from which on finer distances pay
 _BRIEF_CELLS = 1000
-_FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
+FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class RayScene:
         used = vertices[faces.ravel()]
         middle = (used.min(axis=0) + used.max(axis=0)) / 2 if used.size else np.zeros(3)
         # Whole metres, and none at all near zero: one more stone at the rim moves no bit of a ray at the others.
-        self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > _FAR else np.zeros(3)
+        self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > FAR else np.zeros(3)
         self._vertices = vertices
         corners = vertices[faces]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

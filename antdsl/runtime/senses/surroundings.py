@@ -17,6 +17,9 @@ Cast = Callable[[Floats, Floats, int], tuple[Floats, Index]]
 Weights = Callable[[Index, Floats], tuple[Floats, Floats]]
 
 LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
+GAP = 0.02  # of a body: how far beyond a border it looks down
+HIGH, DEEP = 0.5, 0.25  # of a body: from how far above, and how deep below it looks back
+BEYOND = 0.6  # of a body: all that it looks at beyond a border and back below is nearer, but for noise
 NOISE = 1e-4  # of the extent of a ground: float32 rays err by less
 
 
@@ -29,6 +32,10 @@ class Around:
         self._table, self._cast, self._weights, self._parts = table, cast, weights, parts
         self._body, self._threads = body, threads
         self._noise = noise
+
+    def of(self, agents: Index) -> Around:
+        """The same for some of the agents, whose numbers count from 0."""
+        return Around(self._table, self._cast, self._weights, self._parts, self._noise, self._body.take(agents), self._threads)
 
     def near(self, walkers: Walkers, rows: Index | slice, length: Floats) -> NDArray[np.bool_]:
         """Who of `rows` may meet another piece of surface within `length`."""
@@ -65,19 +72,19 @@ class Around:
         t = self._table
         place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
         body = np.maximum(self._body[rows], 2 * self._noise)
-        gap = np.maximum(0.02 * body, self._noise)
+        gap = np.maximum(GAP * body, self._noise)
         down = -up * body
-        part, face = self._cast(place + way * gap + up * (0.5 * body), down, self._threads)
-        hit = place + way * gap + up * (0.5 * body) + down * np.where(np.isfinite(part), part, 0.0)
+        part, face = self._cast(place + way * gap + up * (HIGH * body), down, self._threads)
+        hit = place + way * gap + up * (HIGH * body) + down * np.where(np.isfinite(part), part, 0.0)
         met = (face >= 0) & (face != walkers.face[rows])
-        back = -way * (gap + 0.5 * body)
-        start = place + way * gap - up * (0.25 * body)
+        back = -way * (gap + HIGH * body)
+        start = place + way * gap - up * (DEEP * body)
         part2, face2 = self._cast(start, back, self._threads)
         below = ~met & (face2 >= 0) & (face2 != walkers.face[rows])
         hit = np.where(below, start + back * np.where(np.isfinite(part2), part2, 0.0), hit)
         face, towards = np.where(below, face2, face), np.where(below, back, down)
         who = np.flatnonzero(met | below)
-        gone = np.where(below, 0.25 * body, gap)[who]
+        gone = np.where(below, DEEP * body, gap)[who]
         return self._landing(who, face[who], hit[:, who], towards[:, who], gone)
 
     def _landing(self, who: Index, face: Index, hit: Floats, towards: Floats, gone: Floats) -> Landing:

@@ -17,7 +17,8 @@ Index = NDArray[np.int64]
 CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
 STUCK = 24  # crossings after which a walker is moved off the corner that it may be circling
 GRAIN = 1e-7  # of a face: how far it is moved
-_HOPS = 6  # from surface to surface, or turns along a border, in one step
+INWARD = 1e-6  # of a direction along a border: off it, or rounding would ask about it again and again
+HOPS = 6  # from surface to surface, or turns along a border, in one step
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +121,7 @@ def _stretch(
     rate2 = s * table.rate2.take(f)
     until, edge = _way_out((1.0 - b1 - b2, b1, b2), (-(rate1 + rate2), rate1, rate2))
     length = np.minimum(until, left)
-    met = _climb(table, w, rows, near, length, hops, around)
+    met = climb(table, w, rows, near, length, hops, around)
     on: Index | slice = slice(None) if everyone else rows
     if met is not None:
         stays = np.flatnonzero(~met)
@@ -159,7 +160,7 @@ def _leave_corner(w: Walkers, rows: Index) -> None:
     w.b2[rows] = w.b2[rows] * (1 - GRAIN) + GRAIN / 3
 
 
-def _climb(
+def climb(
     table: Topology,
     w: Walkers,
     rows: Index,
@@ -212,7 +213,7 @@ def turned(v: Floats, before: Floats, after: Floats, direction: Floats) -> Float
 
 def _spend_hop(w: Walkers, rows: Index, hops: NDArray[np.int8]) -> None:
     hops[rows] += 1
-    spent = rows[hops[rows] >= _HOPS]
+    spent = rows[hops[rows] >= HOPS]
     w.left[spent] = 0.0
     w.blocked[spent] = True
 
@@ -234,7 +235,7 @@ def _cross(
         link = np.where(side < 0, table.link[1].take(half), link)
     shut = link == NO_LINK
     if shut.any():
-        _border(table, w, rows[shut], half[shut], near, hops, around)
+        border(table, w, rows[shut], half[shut], near, hops, around)
         rows, half, link, edge, side = (v[~shut] for v in (rows, half, link, edge, side))
     there, k2, flip = (link >> 3).astype(np.int64), (link >> 1) & 3, (link & 1).astype(bool)
     half2 = 3 * there + k2
@@ -255,7 +256,7 @@ def _cross(
     w.face[rows] = there
 
 
-def _border(
+def border(
     table: Topology,
     w: Walkers,
     rows: Index,
@@ -275,8 +276,7 @@ def _border(
     c, s = table.edge_c[half], table.edge_s[half]
     along = w.c[rows] * c + w.s[rows] * s
     turn = np.where(along < 0, -1.0, 1.0)
-    inward = 1e-6  # off the border, or rounding would ask about it again and again
-    w.c[rows], w.s[rows] = turn * c - inward * s, turn * s + inward * c
+    w.c[rows], w.s[rows] = turn * c - INWARD * s, turn * s + INWARD * c
     w.left[rows] = w.left[rows] * np.abs(along)
     w.blocked[rows] = True
     _spend_hop(w, rows, hops)

@@ -1,65 +1,55 @@
-"""The walk of `walk` and `ground` as one loop over agents, for those who meet nothing on their way but the next face of their
-own surface: same operations in the same order and so the same bits. Whoever else there is, it leaves alone."""
+"""The walk of `walk` and `ground` as one loop over agents: same operations in the same order and so the same bits. Who may meet
+anything but the next face of its own surface, and is not shown here to meet nothing, waits until `walk_events` has cast rays."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from antdsl.runtime.senses.topology import NO_LINK, Topology
-from antdsl.runtime.senses.walk import CROSSINGS, GRAIN, STUCK
-
-Floats = NDArray[np.float64]
-
-# Columns of the packed table: one face's numbers lie side by side, since agents stand on faces in no order.
-_WIDTH = 40  # five whole lines of a cache
-_AHEAD = 16  # agents whose rows are fetched at once
-_CORNER, _EDGE1, _EDGE2, _NORMAL, _AXIS1, _AXIS2, _RATE1, _RATE2, _SHEAR, _EDGE_C, _EDGE_S, _SMOOTH, _LINK, _MESH = (
-    0, 3, 6, 9, 12, 15, 18, 19, 20, 21, 24, 27, 36, 39,
+from antdsl.runtime.senses.misses_compiled import nothing_ahead, nothing_beyond
+from antdsl.runtime.senses.packing import (
+    AXIS1,
+    AXIS2,
+    CORNER,
+    EDGE1,
+    EDGE2,
+    EDGE_C,
+    EDGE_S,
+    LINK,
+    MESH,
+    NORMAL,
+    RATE1,
+    RATE2,
+    SHEAR,
+    SMOOTH,
+    WIDTH,
 )  # fmt: skip
+from antdsl.runtime.senses.topology import NO_LINK
+from antdsl.runtime.senses.walk import CROSSINGS, GRAIN, HOPS, INWARD, STUCK
 
-
-def packed(table: Topology, mesh_of: NDArray[np.int32]) -> Floats:
-    """All numbers of each face side by side, float64[40 m], with the links of the normal's side and the mesh it is of."""
-    m = table.rate1.size
-    space = np.empty(_WIDTH * m + 8)
-    start = -space.ctypes.data % 64 // 8
-    result = space[start : start + _WIDTH * m]
-    pack(result, table, mesh_of, slice(0, m))
-    return result
-
-
-def pack(into: Floats, table: Topology, mesh_of: NDArray[np.int32], rows: slice) -> None:
-    """Write the numbers of some faces into a packed table."""
-    m = rows.stop - rows.start
-    halves = slice(3 * rows.start, 3 * rows.stop)
-    vectors = (table.corner, table.edge1, table.edge2, table.normal, table.axis1, table.axis2)
-    parts: list[NDArray[Any]] = [v[:, rows].T for v in vectors]
-    parts += [v[rows].reshape(m, 1) for v in (table.rate1, table.rate2, table.shear)]
-    parts += [v[halves].reshape(m, 3) for v in (table.edge_c, table.edge_s)]
-    parts += [table.smooth[:, rows].T, table.link[0, halves].reshape(m, 3), mesh_of[rows].reshape(m, 1)]
-    np.concatenate(parts, axis=1, out=into.reshape(-1, _WIDTH)[rows])
+# What is kept of agents that wait: rows of an array of floats, and of one of whole numbers.
+B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, LENGTH, REALS = range(11)
+AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, LOOKED, EVENT, EDGE, WHOLES = range(10)
+_FETCHED = 16  # agents whose rows are fetched at once
+AHEAD, BORDER, MET = 1, 2, 3  # something may stand in the way, or lie beyond the open border; rays have decided about that
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the call
-    table, link, forked, first, sub_first, sub_count, clear, reach, slack, body, lift,
-    mesh, face, b1s, b2s, wish, heading, up,
-    done, to_mesh, to_face, to_b1, to_b2, place, above, ahead, direction, gone,
+    table, link, forked, first, sub_first, sub_count, clear, reach, lift, noise, mesh, face, b1s, b2s,
+    body, wish, heading, up, reals, wholes, done, to_mesh, to_face, to_b1, to_b2, place, above, ahead, direction, gone,
 ):  # fmt: skip
-    """One step of all agents; sets `done` for those that it moved and leaves the others as they are.
+    """One step of all agents; sets `done` for those that it moved and returns how many wait, in `reals` and `wholes` (.., n).
 
-    `table` is `packed`, `link` and `forked` of the topology and `first` the first face of each mesh.
-    `sub_first`, `sub_count`, `clear` and `reach` are `first`, `count`, `least` and `reach` of
-    `Parts`; an agent stays away from what is nearer than its way, `lift`
-    of its `body` and `slack`. Then where agents stand, their wish, heading and up (3, n), and where the results go.
+    `table` is `packed`, `link` and `forked` of the topology and `first` the first face of each mesh. `sub_first`,
+    `sub_count`, `clear` and `reach` are `first`, `count`, `least` and `reach` of `Parts`; an agent stays away from what is
+    nearer than its way, `lift` of its body and `noise`. Then where agents stand, their body, wish, heading and up (3, n), and
+    where the results go. Agents neither done nor waiting are left as they are.
     """
+    waiting = 0
     for i in range(done.size):
-        if i % _AHEAD == 0:
-            gone[i] = _touch(table, mesh, face, first, i, min(i + _AHEAD, done.size))
+        if i % _FETCHED == 0:
+            gone[i] = _touch(table, mesh, face, first, i, min(i + _FETCHED, done.size))
         done[i] = False
         if mesh[i] < 0 or face[i] < 0:
             continue
@@ -67,29 +57,105 @@ def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the 
         wish_x, wish_y, wish_z = wish[0, i], wish[1, i], wish[2, i]
         if not np.isfinite(wish_x + wish_y + wish_z):
             continue
-        row = _WIDTH * f
-        along_up = up[0, i] * table[row + _NORMAL] + up[1, i] * table[row + _NORMAL + 1] + up[2, i] * table[row + _NORMAL + 2]
+        row = WIDTH * f
+        along_up = up[0, i] * table[row + NORMAL] + up[1, i] * table[row + NORMAL + 1] + up[2, i] * table[row + NORMAL + 2]
         side = -1.0 if along_up < 0 else 1.0
         b1, b2 = _inside(b1s[i] + 0.0, b2s[i] + 0.0)
         c, s, left = _laid_down(table, row, wish_x, wish_y, wish_z, 1.0, 0.0)
         heading_c, heading_s, _ = _laid_down(table, row, heading[0, i], heading[1, i], heading[2, i], c, s)
-        high = lift * body[i]
-        if not high > slack:
-            high = slack
-        high += slack
+        high = _margin(lift, noise, body[i])
         if not _free(sub_first, sub_count, clear, reach, f, b1, b2) <= left + high:
             high = -np.inf  # has nothing to look out for on the whole way
-        f, b1, b2, side, c, s, heading_c, heading_s, way, held_up = _walk(
-            table, link, forked, sub_first, sub_count, clear, reach, high, f, b1, b2, side, c, s, heading_c, heading_s, left
-        )
-        if held_up or not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
+        f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = _walk(
+            table, link, forked, sub_first, sub_count, clear, reach, high, False,
+            f, b1, b2, side, c, s, heading_c, heading_s, left, 0.0, 0,
+        )  # fmt: skip
+        if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
+            continue
+        if event:
+            wholes[AGENT, waiting], wholes[SPENT, waiting], wholes[BLOCKED, waiting] = i, 0, 0
+            wholes[NEAR, waiting] = high > 0
+            _keep(reals, wholes, waiting, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length)
+            waiting += 1
             continue
         done[i] = True
-        row = _WIDTH * f
-        on = int(table[row + _MESH])
+        row = WIDTH * f
+        on = int(table[row + MESH])
         to_mesh[i], to_face[i] = on, f - first[on]
         to_b1[i], to_b2[i], gone[i] = b1, b2, way
         _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, i, place, above, ahead, direction)
+    return waiting
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def walk_on(  # type: ignore[no-untyped-def]
+    table, link, forked, first, sub_first, sub_count, clear, reach, lift, noise, most, margin, ahead_of, beyond,
+    body, reals, wholes, done, to_mesh, to_face, to_b1, to_b2, place, above, ahead, direction, gone, blocked,
+):  # fmt: skip
+    """The same for agents that wait, as far as they need no rays: until they are done, or `EVENT` says which rays they need.
+
+    `most` and `margin` are `body` and `margin` of `Candidates`, `ahead_of` and `beyond` the arrays of its lists.
+    """
+    for k in range(wholes.shape[1]):
+        event = wholes[EVENT, k]
+        if event == 0:
+            continue
+        r, w = reals[:, k], wholes[:, k]
+        i = w[AGENT]
+        size = body[i] if body[i] <= most else np.nan
+        high = _margin(lift, noise, body[i]) if w[NEAR] else -np.inf
+        f, b1, b2, side, c, s, heading_c, heading_s = w[FACE], r[B1], r[B2], r[SIDE], r[C], r[S], r[HEADING_C], r[HEADING_S]
+        left, way, turn, looked, edge, length = r[LEFT], r[GONE], w[TURN], w[LOOKED] != 0, w[EDGE], r[LENGTH]
+        w[EVENT], w[LOOKED] = 0, 0
+        while event:
+            if event == AHEAD:
+                if not nothing_ahead(table, ahead_of, noise, margin, size, lift, f, b1, b2, side, c, s, length):
+                    break
+                looked = True
+            elif event == BORDER:
+                if not nothing_beyond(table, beyond, noise, margin, size, f, b1, b2, side, c, s):
+                    break
+                c, s, left = _along(table[WIDTH * f + EDGE_C + edge], table[WIDTH * f + EDGE_S + edge], c, s, left)
+                turn += 1
+                w[BLOCKED] = 1
+                w[SPENT] += 1
+                if w[SPENT] >= HOPS:
+                    left = 0.0
+            f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = _walk(
+                table, link, forked, sub_first, sub_count, clear, reach, high, looked,
+                f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn,
+            )  # fmt: skip
+            looked = False
+        if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
+            continue
+        if event:
+            _keep(reals, wholes, k, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length)
+            continue
+        done[i] = True
+        row = WIDTH * f
+        on = int(table[row + MESH])
+        to_mesh[i], to_face[i] = on, f - first[on]
+        to_b1[i], to_b2[i], gone[i], blocked[i] = b1, b2, way, w[BLOCKED] != 0
+        _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, i, place, above, ahead, direction)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _margin(lift, noise, body):  # type: ignore[no-untyped-def]
+    """How near to its way (mm) a piece of surface must be to matter."""
+    high = lift * body
+    if not high > noise:
+        high = noise
+    return high + noise
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _keep(  # type: ignore[no-untyped-def]
+    reals, wholes, k, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length
+):
+    r, w = reals[:, k], wholes[:, k]
+    r[B1], r[B2], r[SIDE], r[C], r[S], r[HEADING_C], r[HEADING_S] = b1, b2, side, c, s, heading_c, heading_s
+    r[LEFT], r[GONE], r[LENGTH] = left, way, length
+    w[FACE], w[TURN], w[LOOKED], w[EVENT], w[EDGE] = f, turn, 0, event, edge
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -98,8 +164,8 @@ def _touch(table, mesh, face, first, start, stop):  # type: ignore[no-untyped-de
     total = 0.0
     for i in range(start, stop):
         if mesh[i] >= 0 and face[i] >= 0:
-            row = _WIDTH * (first[mesh[i]] + face[i])
-            for k in range(0, _WIDTH, 8):
+            row = WIDTH * (first[mesh[i]] + face[i])
+            for k in range(0, WIDTH, 8):
                 total += table[row + k]
     return total
 
@@ -115,8 +181,8 @@ def _inside(b1, b2):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _laid_down(table, row, x, y, z, c0, s0):  # type: ignore[no-untyped-def]
-    c = table[row + _AXIS1] * x + table[row + _AXIS1 + 1] * y + table[row + _AXIS1 + 2] * z
-    s = table[row + _AXIS2] * x + table[row + _AXIS2 + 1] * y + table[row + _AXIS2 + 2] * z
+    c = table[row + AXIS1] * x + table[row + AXIS1 + 1] * y + table[row + AXIS1 + 2] * z
+    s = table[row + AXIS2] * x + table[row + AXIS2 + 1] * y + table[row + AXIS2 + 2] * z
     flat = np.sqrt(c * c + s * s)
     if not flat > 1e-150:
         return c0, s0, 0.0
@@ -129,25 +195,25 @@ def _free(sub_first, sub_count, clear, reach, f, b1, b2):  # type: ignore[no-unt
     n = sub_count[f]
     if n == 0:
         return reach
-    return clear[sub_first[f] + min(int(b1 * n), n - 1) * n + min(int(b2 * n), n - 1)]
+    return clear[sub_first[f] + max(min(int(b1 * n), n - 1), 0) * n + max(min(int(b2 * n), n - 1), 0)]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _walk(  # type: ignore[no-untyped-def]
-    table, link, forked, sub_first, sub_count, clear, reach, high, f, b1, b2, side, c, s, heading_c, heading_s, left
-):
-    """Across faces until the way is used up; the last value says that an open border was met instead, or a stretch within
-    whose length and `high` there may be another piece."""
-    gone = 0.0
-    for turn in range(CROSSINGS):
-        if not left > 0:
-            break
-        if turn >= STUCK and turn % STUCK == 0:
+    table, link, forked, sub_first, sub_count, clear, reach, high, looked,
+    f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn,
+):  # fmt: skip
+    """Across faces until the way is used up, or until an event: what the agent is then, the event, and the edge and length of
+    its stretch. On stretches within whose length and `high` there may be another piece it stops, but not on the first if
+    `looked`."""
+    event, edge, length = 0, 0, 0.0
+    while turn < CROSSINGS and left > 0:
+        if turn >= STUCK and turn % STUCK == 0 and not looked:
             b1 = b1 * (1 - GRAIN) + GRAIN / 3
             b2 = b2 * (1 - GRAIN) + GRAIN / 3
-        row = _WIDTH * f
-        rate1 = c * table[row + _RATE1] - s * table[row + _SHEAR]
-        rate2 = s * table[row + _RATE2]
+        row = WIDTH * f
+        rate1 = c * table[row + RATE1] - s * table[row + SHEAR]
+        rate2 = s * table[row + RATE2]
         rate0 = -(rate1 + rate2)
         b0 = 1.0 - b1 - b2
         until, edge = np.inf, 0
@@ -162,18 +228,30 @@ def _walk(  # type: ignore[no-untyped-def]
             if way < until:
                 until, edge = way, 2
         length = min(until, left)
-        if high > 0 and _free(sub_first, sub_count, clear, reach, f, b1, b2) <= length + high:
-            return f, b1, b2, side, c, s, heading_c, heading_s, gone, True
+        if high > 0 and not looked and _free(sub_first, sub_count, clear, reach, f, b1, b2) <= length + high:
+            event = AHEAD
+            break
+        looked = False
         b1, b2 = _inside(b1 + rate1 * length, b2 + rate2 * length)
         gone += length
         if until >= left:
             break
         left = left - length
-        beyond = link[1, 3 * f + edge] if forked and side < 0 else int(table[row + _LINK + edge])
+        beyond = link[1, 3 * f + edge] if forked and side < 0 else int(table[row + LINK + edge])
         if beyond == NO_LINK:
-            return f, b1, b2, side, c, s, heading_c, heading_s, gone, True
+            event = BORDER
+            break
         f, b1, b2, side, c, s, heading_c, heading_s = _cross(table, row, beyond, edge, b1, b2, side, c, s, heading_c, heading_s)
-    return f, b1, b2, side, c, s, heading_c, heading_s, gone, False
+        turn += 1
+    return f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _along(edge_c, edge_s, c, s, left):  # type: ignore[no-untyped-def]
+    """Along an open border, and the way that is left there."""
+    along = c * edge_c + s * edge_s
+    turn = -1.0 if along < 0 else 1.0
+    return turn * edge_c - INWARD * edge_s, turn * edge_s + INWARD * edge_c, left * abs(along)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -185,9 +263,9 @@ def _cross(table, row, beyond, edge, b1, b2, side, c, s, heading_c, heading_s): 
     second = b2 if edge == 0 else (b0 if edge == 1 else b1)
     if not flip:
         first, second = second, first
-    there = _WIDTH * f
-    c1, s1 = table[row + _EDGE_C + edge], table[row + _EDGE_S + edge]
-    c2, s2 = table[there + _EDGE_C + k2], table[there + _EDGE_S + k2]
+    there = WIDTH * f
+    c1, s1 = table[row + EDGE_C + edge], table[row + EDGE_S + edge]
+    c2, s2 = table[there + EDGE_C + k2], table[there + EDGE_S + k2]
     turn = 1.0 if flip else -1.0
     along, out = turn * (c * c1 + s * s1), c * s1 - s * c1
     c, s = along * c2 - out * s2, along * s2 + out * c2
@@ -202,15 +280,15 @@ def _cross(table, row, beyond, edge, b1, b2, side, c, s, heading_c, heading_s): 
 def _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, i, place, above, ahead, direction):  # type: ignore[no-untyped-def]
     """Place, smooth normal, transported heading and direction of travel in space."""
     b0 = 1.0 - b1 - b2
-    sx = table[row + _SMOOTH] * b0 + table[row + _SMOOTH + 3] * b1 + table[row + _SMOOTH + 6] * b2
-    sy = table[row + _SMOOTH + 1] * b0 + table[row + _SMOOTH + 4] * b1 + table[row + _SMOOTH + 7] * b2
-    sz = table[row + _SMOOTH + 2] * b0 + table[row + _SMOOTH + 5] * b1 + table[row + _SMOOTH + 8] * b2
+    sx = table[row + SMOOTH] * b0 + table[row + SMOOTH + 3] * b1 + table[row + SMOOTH + 6] * b2
+    sy = table[row + SMOOTH + 1] * b0 + table[row + SMOOTH + 4] * b1 + table[row + SMOOTH + 7] * b2
+    sz = table[row + SMOOTH + 2] * b0 + table[row + SMOOTH + 5] * b1 + table[row + SMOOTH + 8] * b2
     size = np.sqrt(max(sx * sx + sy * sy + sz * sz, 1e-300))
     sx, sy, sz = sx / size * side, sy / size * side, sz / size * side
-    nx, ny, nz = table[row + _NORMAL] * side, table[row + _NORMAL + 1] * side, table[row + _NORMAL + 2] * side
-    hx = table[row + _AXIS1] * heading_c + table[row + _AXIS2] * heading_s
-    hy = table[row + _AXIS1 + 1] * heading_c + table[row + _AXIS2 + 1] * heading_s
-    hz = table[row + _AXIS1 + 2] * heading_c + table[row + _AXIS2 + 2] * heading_s
+    nx, ny, nz = table[row + NORMAL] * side, table[row + NORMAL + 1] * side, table[row + NORMAL + 2] * side
+    hx = table[row + AXIS1] * heading_c + table[row + AXIS2] * heading_s
+    hy = table[row + AXIS1 + 1] * heading_c + table[row + AXIS2 + 1] * heading_s
+    hz = table[row + AXIS1 + 2] * heading_c + table[row + AXIS2 + 2] * heading_s
     hx, hy, hz = _turned(hx, hy, hz, nx, ny, nz, sx, sy, sz)
     off = hx * sx + hy * sy + hz * sz
     hx, hy, hz = hx - off * sx, hy - off * sy, hz - off * sz
@@ -218,8 +296,8 @@ def _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, i, place, abov
     ahead[0, i], ahead[1, i], ahead[2, i] = hx / size, hy / size, hz / size
     above[0, i], above[1, i], above[2, i] = sx, sy, sz
     for k in range(3):
-        place[k, i] = table[row + _CORNER + k] + b1 * table[row + _EDGE1 + k] + b2 * table[row + _EDGE2 + k]
-        direction[k, i] = table[row + _AXIS1 + k] * c + table[row + _AXIS2 + k] * s
+        place[k, i] = table[row + CORNER + k] + b1 * table[row + EDGE1 + k] + b2 * table[row + EDGE2 + k]
+        direction[k, i] = table[row + AXIS1 + k] * c + table[row + AXIS2 + k] * s
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
