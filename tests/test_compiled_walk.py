@@ -11,6 +11,7 @@ import pytest
 from antdsl.runtime import compiled, moving
 from antdsl.runtime.senses import clearances
 from antdsl.runtime.senses.ground import Footing, Ground, MoveResult
+from antdsl.runtime.senses.moving_ground import MovingGround
 from antdsl.runtime.senses.rays import RayScene
 from tests.meshes import ball, box, grid, terrain
 
@@ -246,6 +247,25 @@ def test_finer_distances_of_an_obstacle_are_still_below_the_true_ones() -> None:
     fine = scene.clearance(*places.T)
     distance = scene.closest(places)[3]
     assert (fine <= distance).all() and (fine >= coarse).all() and (fine > coarse).mean() > 0.2
+
+
+def test_the_compiled_walk_gives_the_same_bits_beside_a_mesh_that_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    meshes = {"sheet": grid(30, 12), "stone": ball(5, (0, 1, 0), 7)}
+    ground = MovingGround(meshes, ["stone"])
+    rng = np.random.default_rng(16)
+    use(monkeypatch, False)
+    at = crowd(ground, rng)
+    for frame in range(6):
+        ground.pose({"stone": meshes["stone"][0] + np.array([1.5 * frame, 0.1 * frame, 0])})
+        inputs = (at.footing, at.heading * 1.1, at.heading, at.up, rng.uniform(0, 5, N))
+        results = []
+        for fast in (False, True):
+            use(monkeypatch, fast)
+            results.append(ground.move(*inputs))
+        assert_same(*results)
+        at = results[0]
+    assert at.blocked.any() and (at.footing.mesh == 1).any()
 
 
 def test_rays_that_are_said_to_miss_do_miss() -> None:

@@ -42,8 +42,31 @@ def _along(
     clear: NDArray[np.float32],
     threads: int,
 ) -> Vector:
-    step, within = _keep_off(scene, place, step, up, radius, clear, threads)
-    met, free, normal = _ahead(scene, place, step, radius, threads, np.where(within, _F(np.inf), clear))
+    size, margin = vec.length(step), np.maximum(radius, _F(0)) * _MARGIN
+    near = np.flatnonzero((size > _F(1e-9)) & may_touch(clear, size + margin))
+    if not len(near):
+        return step
+    place, up, clear = vec.take(place, near), vec.take(up, near), clear[near]
+    bent = _bent(scene, place, vec.take(step, near), up, size[near], margin[near], clear, threads)
+    result = tuple(component.copy() for component in step)
+    for component, value in zip(result, bent, strict=True):
+        component[near] = value
+    return result  # type: ignore[return-value]
+
+
+def _bent(
+    scene: Any,
+    place: Vector,
+    step: Vector,
+    up: Vector,
+    size: NDArray[np.float32],
+    margin: NDArray[np.float32],
+    clear: NDArray[np.float32],
+    threads: int,
+) -> Vector:
+    """The steps of those who may touch the obstacle; `size` is their length."""
+    step, within = _keep_off(scene, place, step, up, size, margin, threads)
+    met, free, normal = _ahead(scene, place, step, margin, threads, np.where(within, _F(np.inf), clear))
     if not len(met):
         return step
     u, wanted = vec.take(up, met), vec.take(step, met)
@@ -54,52 +77,46 @@ def _along(
     into = np.minimum(vec.dot(rest, wall), _F(0))
     bent = vec.add(vec.scale(wanted, part), vec.sub(rest, vec.scale(wall, into)))
     # In a corner the way along one wall leads into the next: then it goes only as far as is free.
-    again, free, _ = _ahead(scene, vec.take(place, met), bent, radius[met], threads)
+    again, free, _ = _ahead(scene, vec.take(place, met), bent, margin[met], threads)
     if len(again):
         short = vec.take(bent, again)
         short = vec.scale(short, free / vec.length(short))
         for component, value in zip(bent, short, strict=True):
             component[again] = value
-    result = tuple(component.copy() for component in step)
-    for component, value in zip(result, bent, strict=True):
+    for component, value in zip(step, bent, strict=True):
         component[met] = value
-    return result  # type: ignore[return-value]
+    return step
 
 
 def _keep_off(
-    scene: Any, place: Vector, step: Vector, up: Vector, radius: NDArray[np.float32], clear: NDArray[np.float32], threads: int
+    scene: Any,
+    place: Vector,
+    step: Vector,
+    up: Vector,
+    size: NDArray[np.float32],
+    margin: NDArray[np.float32],
+    threads: int,
 ) -> tuple[Vector, NDArray[np.bool_]]:
     """Steps that keep the margin from the nearest face, or win it back by at most half a step; and who is inside, so that no
     face may hold them there. A ray along a round wall sees nothing of it, and the ground may carry one sideways."""
-    size, margin = vec.length(step), np.maximum(radius, _F(0)) * _MARGIN
-    within = np.zeros(len(size), np.bool_)
-    near = np.flatnonzero((size > _F(1e-9)) & may_touch(clear, size + margin))
-    if not len(near):
-        return step, within
-    gap, out = scene.apart(*vec.take(place, near), threads)
-    within[near] = gap < 0
-    wanted, size = vec.take(step, near), size[near]
-    wall = vec.unit(vec.flat((out[0], out[1], out[2]), vec.take(up, near)), (_F(0) * size,) * 3)
-    least = np.minimum(margin[near] - gap, size * _F(0.5))
-    bent = vec.add(wanted, vec.scale(wall, np.maximum(least - vec.dot(wanted, wall), _F(0))))
+    gap, out = scene.apart(*place, threads)
+    wall = vec.unit(vec.flat((out[0], out[1], out[2]), up), (_F(0) * size,) * 3)
+    least = np.minimum(margin - gap, size * _F(0.5))
+    bent = vec.add(step, vec.scale(wall, np.maximum(least - vec.dot(step, wall), _F(0))))
     long = vec.length(bent)
-    bent = vec.scale(bent, np.where(long > size, size / np.where(long > 0, long, _F(1)), _F(1)))
-    result = tuple(component.copy() for component in step)
-    for component, value in zip(result, bent, strict=True):
-        component[near] = value
-    return result, within  # type: ignore[return-value]
+    return vec.scale(bent, np.where(long > size, size / np.where(long > 0, long, _F(1)), _F(1))), gap < 0
 
 
 def _ahead(
     scene: Any,
     place: Vector,
     step: Vector,
-    radius: NDArray[np.float32],
+    margin: NDArray[np.float32],
     threads: int,
     clear: NDArray[np.float32] | None = None,
 ) -> tuple[NDArray[np.intp], NDArray[np.float32], Vector]:
     """Who meets a face on its step, how much of the step (mm) is free, and the face's normal. `clear`: as far there is none."""
-    size, margin = vec.length(step), np.maximum(radius, _F(0)) * _MARGIN
+    size = vec.length(step)
     asking = size > _F(1e-9)
     if clear is not None:
         asking &= may_touch(clear, size + margin)
