@@ -59,13 +59,18 @@ def _twice(scope: Scope, name: nodes.Name, assigned: dict[str, Span]) -> None:
 # --- amounts and rates -----------------------------------------------------------------------------------------------
 
 
-def _added(scope: Scope, node: nodes.Expr, type: Type, block: Block, before: str, after: str = "") -> Expr | None:
-    """What is added: so much a second in a state's body, an amount elsewhere. `before`, `after`: the author's words around it."""
+def _added(
+    scope: Scope, node: nodes.Expr, type: Type, block: Block, before: str, after: str = "", level: bool = False
+) -> Expr | None:
+    """What is added: so much a second in a state's body, an amount elsewhere, and with `level` an amount anywhere. `before`,
+    `after`: the author's words around it."""
     per_second = Type(type.kind, product(type.dim, Dim(time=1), -1))
     want = per_second if block.body else type
     found = value(scope, node, want)
     if found.type.kind is Kind.BAD:
         return None
+    if level and found.type == type:
+        return found
     if fits(found.type, want):
         _per_step(scope, node, found)
         return found
@@ -220,7 +225,7 @@ def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) ->
 
 def _deposit(scope: Scope, line: nodes.Deposit, block: Block) -> model.Statement | None:
     name = line.field.text
-    amount = _added(scope, line.amount, NUMBER, block, f"deposit {name} ")
+    amount = _added(scope, line.amount, NUMBER, block, f"deposit {name} ", level=_keeps_greatest(scope, name))
     if name not in scope.declared.fields:
         fields = scope.declared.fields
         advice = did_you_mean(name, fields, f"declare it: `field {name} on … {{ cell 4 mm; half_life 8 s }}`")
@@ -228,7 +233,14 @@ def _deposit(scope: Scope, line: nodes.Deposit, block: Block) -> model.Statement
         return None
     scope.use("field", name)
     scope.use("deposit", name)
-    return None if amount is None else model.Deposit(name, amount, block.body, line.span)
+    return None if amount is None else model.Deposit(name, amount, block.body and amount.type != NUMBER, line.span)
+
+
+def _keeps_greatest(scope: Scope, name: str) -> bool:
+    """Whether a field has `combine max`: nothing is added up there, so a line of a state may say what its cell holds at least."""
+    field = scope.declared.fields.get(name)
+    said = [s.value for s in field.settings if s.name.text == "combine"] if field is not None else []
+    return any(isinstance(each, nodes.NameRef) and each.name.text == "max" for each in said)
 
 
 def _emit(scope: Scope, line: nodes.Emit, block: Block) -> model.Statement | None:

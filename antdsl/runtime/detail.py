@@ -84,7 +84,7 @@ class Detail:
 
     def _levels(self, place: NDArray[np.float32], frame: int) -> NDArray[np.int8]:
         away = place.astype(np.float64) - self._camera[min(max(frame - self._first, 0), len(self._camera) - 1)]
-        distance = np.sqrt((away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2])
+        distance: NDArray[np.float64] = np.sqrt((away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2])
         return (distance > self._near).astype(np.int8) + (distance > self._far).astype(np.int8)
 
 

@@ -23,6 +23,10 @@ def height(x: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64
     return np.asarray(5.0 * waves(np.stack([x, z], axis=1), 9, 240.0, 2))
 
 
+def on_floor(x: float, z: float) -> float:
+    return float(height(np.array([x]), np.array([z]))[0])
+
+
 def floor(lines: int = 61) -> Mesh:
     line = np.linspace(-600.0, 600.0, lines)
     vertices, faces = sheet(line, line)
@@ -33,9 +37,7 @@ def floor(lines: int = 61) -> Mesh:
 def stones() -> Mesh:
     """Half sunk, so that nobody gets beneath."""
     parts = [(stone(seed, axes, detail=2), (x, z)) for x, z, axes, seed in STONES]
-    return joined(
-        [(points + [x, float(height(np.array([x]), np.array([z]))[0]), z], faces) for (points, faces), (x, z) in parts]
-    )
+    return joined([(points + np.array([x, on_floor(x, z), z]), faces) for (points, faces), (x, z) in parts])
 
 
 def write(name: str, mesh: Mesh) -> None:
