@@ -31,6 +31,7 @@ class MovingGround(Ground):
         self._rows = {name: slice(int(self._first[k]), int(self._first[k + 1])) for k, name in enumerate(self.names)}
         self._moves = np.isin(self.names, list(moving))
         self._rest = self._table.copy()
+        self._ends = {name: _ends(self._vertices[rows]) for name, rows in self._corners.items()}
         self._still_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         self._clearances = _Clearances(self)  # type: ignore[assignment]
 
@@ -38,7 +39,7 @@ class MovingGround(Ground):
         """One that can be posed apart from this one."""
         made = copy(self)
         made._vertices, made._table = self._vertices.copy(), self._table.copy()
-        made._scenes, made._fast = {}, None
+        made._scenes, made._fast, made._ends = {}, None, dict(self._ends)
         made._clearances = _Clearances(made)  # type: ignore[assignment]
         return made
 
@@ -50,8 +51,9 @@ class MovingGround(Ground):
             repose(self._table, self._vertices, self._faces, rows)
             if self._fast is not None:
                 self._fast.changed(rows)
-        used = self._vertices[self._faces.ravel()]
-        self.low, self.high = used.min(axis=0), used.max(axis=0)
+            self._ends[name] = _ends(vertices)
+        self.low = np.min([low for low, _ in self._ends.values()], axis=0)
+        self.high = np.max([high for _, high in self._ends.values()], axis=0)
         self.extent = max(self.extent, float((self.high - self.low).max()))
         self._scenes = {}
         self._clearances.forget()  # type: ignore[attr-defined]
@@ -101,6 +103,18 @@ class MovingGround(Ground):
         return RayScene(self._vertices, self._faces[live]), live
 
 
+def _ends(vertices: Floats) -> tuple[Floats, Floats]:
+    """Lowest and highest corner (3,) of a box around vertices."""
+    empty = not len(vertices)
+    return (np.full(3, np.inf), np.full(3, -np.inf)) if empty else (vertices.min(axis=0), vertices.max(axis=0))
+
+
+def _boxes(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Floats, Floats]:
+    """The same of each face, (n, 3)."""
+    a, b, c = (vertices.take(faces[:, k], axis=0) for k in range(3))
+    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+
+
 class _Both:
     """Two ray scenes of one mesh each as one; the faces of the second are numbered after those of the first."""
 
@@ -148,6 +162,7 @@ class _Clearances:
         low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
         self._still = Clearances(corners, ground._table.piece[self._fixed], low, self.noise)
         pieces = {name: int((np.unique(ground._table.piece[rows]) >= 0).sum()) for name, rows in ground._rows.items()}
+        self._low, self._high = _boxes(ground._vertices, ground._faces)
         self._several = [name for k, name in enumerate(ground.names) if ground._moves[k] and pieces[name] > 1]
         self._parts: Parts | None = None
 
@@ -172,14 +187,15 @@ class _Clearances:
     def _touched(self, reach: float) -> Index:
         """Faces that may have a mesh within `reach` where one of the two moves."""
         ground = self._ground
-        corners = ground._vertices[ground._faces]
-        low, high = corners.min(axis=1), corners.max(axis=1)
         wide = reach + 2 * self.noise
-        found = np.zeros(len(corners), np.bool_)
+        for k, rows in enumerate(ground._rows.values()):
+            if ground._moves[k]:
+                self._low[rows], self._high[rows] = _boxes(ground._vertices, ground._faces[rows])
+        found = np.zeros(len(self._low), np.bool_)
         for k, (name, rows) in enumerate(ground._rows.items()):
-            if not rows.stop > rows.start:
-                continue
-            near = ((low <= high[rows].max(axis=0) + wide) & (high >= low[rows].min(axis=0) - wide)).all(axis=1)
-            near[rows] = name in self._several
-            found |= near if ground._moves[k] else near & self._loose
+            low, high = ground._ends[name]
+            asked = np.arange(len(found)) if ground._moves[k] else np.flatnonzero(self._loose)
+            near = asked[((self._low[asked] <= high + wide) & (self._high[asked] >= low - wide)).all(axis=1)]
+            own = (near >= rows.start) & (near < rows.stop)
+            found[near if name in self._several else near[~own]] = True
         return np.flatnonzero(found)
