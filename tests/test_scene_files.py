@@ -16,9 +16,9 @@ from antdsl.cli.new import ground
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.scene import PathRefused, Roots
+from antdsl.scene.laying import height_over
 from antdsl.scene.meshes import MeshError, placed, read_mesh
 from antdsl.scene.setting import MeshData
-from antdsl.scene.laying import height_over
 
 ROOT = Path(__file__).resolve().parent.parent
 PROGRAM = """ant 1
