@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from foraging_shots import world
+from foraging_shots import EXAMPLE, world
 
 from antdsl.runtime import Options, compiled, state_hash, step
 from antdsl.runtime.senses import neighbours
@@ -88,7 +88,7 @@ def test_others_ask_and_some_rows_of_them(monkeypatch) -> None:
 
 
 def test_arrays_that_grow_and_several_threads(monkeypatch) -> None:
-    monkeypatch.setattr(neighbours, "_QUERIES_PER_THREAD", 500)
+    monkeypatch.setattr(compiled, "PART", 500)
     places, ids = crowd((90, 2, 90))
     for named in ({}, {"threads": 3}, {"threads": 3, "view": view_of(2000)}):
         plain, fast = both(monkeypatch, CellGrid(*places, ids, 3.0), None, 12.0, **named)
@@ -136,3 +136,15 @@ def test_items_are_the_same_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
             for name in ("i", "j", "dx", "dy", "dz", "distance"):
                 a, b = getattr(slow, name), getattr(fast, name)
                 assert np.array_equal(a, b, equal_nan=a.dtype == np.float32) and a.dtype.itemsize == b.dtype.itemsize
+
+
+def test_parts_walked_side_by_side_come_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "wanted", lambda count: True)
+    monkeypatch.setattr(compiled, "PART", 100)
+    hashes = []
+    for threads in (1, 3):
+        crowd_of_many = world(count=700, scene=EXAMPLE / "many.yaml", options=Options(threads=threads))
+        for _ in range(8):
+            step(crowd_of_many)
+        hashes.append(state_hash(crowd_of_many))
+    assert hashes[0] == hashes[1]

@@ -5,8 +5,13 @@ Kernels give the same bits as the NumPy code that stands beside them. `NUMBA_DIS
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from typing import TypeVar
 
+T = TypeVar("T")
+PART = 4_096  # agents for whom a thread pays
 LEAST = 2_000  # agents; below this a step takes few milliseconds, and loading the compiler takes half a second
 _LEAST_FOR_LONG = 200  # agents; where thousands of steps follow, half a second is soon won back
 _long = False
@@ -33,3 +38,18 @@ def available() -> bool:
     except Exception:  # also where it is not installed, or made for another NumPy: it says so in different ways
         return False
     return not numba.config.DISABLE_JIT
+
+
+@cache
+def workers(threads: int) -> ThreadPoolExecutor:
+    """Threads that are kept for the next step; kernels run side by side in them."""
+    return ThreadPoolExecutor(threads, "kernels")
+
+
+def in_parts(work: Callable[[int, int], T], count: int, threads: int) -> list[T]:
+    """`work(begin, end)` over so many agents, in as many parts as pay, side by side; what each gave, in order."""
+    parts = min(threads, max(1, count // PART))
+    bounds = [count * k // parts for k in range(parts + 1)]
+    if parts == 1:
+        return [work(0, count)]
+    return list(workers(threads).map(work, bounds[:-1], bounds[1:]))

@@ -255,7 +255,7 @@ class Ground:
         around = Around(self._table, self._cast, self._weights, parts, noise, body, threads)
         candidates = self._candidates(parts, float(np.fmax.reduce(body)))
         results = (*to, place, above, ahead, direction, gone, blocked)
-        done = self._fast.step(around, parts, candidates, noise, body, at, (wish, heading, up), results)
+        done = self._fast.step(around, parts, candidates, noise, body, at, (wish, heading, up), results, threads)
         result = MoveResult(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
         left = np.flatnonzero(~done)
         if left.size:

@@ -3,9 +3,7 @@ The pairs are the same bits, in the same order, whatever the rows' order, the ch
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -21,7 +19,6 @@ Rows = NDArray[np.intp]  # an index of another type is converted at every use
 View = tuple[Floats, Floats, Floats, Floats]
 
 _QUERIES_PER_CHUNK = 16_384
-_QUERIES_PER_THREAD = 4_096
 _CANDIDATES_PER_CHUNK = 1 << 16  # arrays of this length stay in the cache
 _MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
 _AGENTS_PER_COLUMN = 6
@@ -157,20 +154,17 @@ class CellGrid:
         who = np.empty(0, np.int64) if qid is None else qid
         values: tuple[NDArray[Any], ...] = (*query, who, reach, *(view or (none,) * 4))
 
-        def part(k: slice) -> tuple[NDArray[Any], ...] | None:
-            return find(grid, tuple(np.ascontiguousarray(value[k]) for value in values), NEIGHBOURS)
+        def part(begin: int, end: int) -> tuple[NDArray[Any], ...] | None:
+            found = find(grid, tuple(np.ascontiguousarray(value[begin:end]) for value in values), NEIGHBOURS)
+            if found is not None:
+                found[0][:] += begin
+            return found
 
-        m = query[0].size
-        count = min(threads, max(1, m // _QUERIES_PER_THREAD))
-        bounds = [m * k // count for k in range(count + 1)]
-        parts = list(map(slice, bounds[:-1], bounds[1:]))
-        found = [part(parts[0])] if count == 1 else list(_pool(threads).map(part, parts))
+        found = compiled.in_parts(part, query[0].size, threads)
         good = [columns for columns in found if columns is not None]
-        if len(good) < count:
+        if len(good) < len(found):
             return None
-        for columns, before in zip(good, bounds, strict=False):
-            columns[0][:] += before
-        return Pairs(*good[0]) if count == 1 else Pairs(*(np.concatenate(column) for column in zip(*good, strict=True)))
+        return Pairs(*good[0]) if len(good) == 1 else Pairs(*(np.concatenate(column) for column in zip(*good, strict=True)))
 
     def _searched(self, query: tuple[Floats, ...], reach: Floats, qid: NDArray[np.int64] | None, threads: int) -> Pairs:
         """`pairs` with NumPy, chunk by chunk."""
@@ -191,7 +185,7 @@ class CellGrid:
                 jobs.append((a + b, sub, reach[part][b:e], who, first[b:e], count[b:e], each[b:e]))
                 b = e
         if threads > 1 and len(jobs) > 1:
-            found = list(_pool(threads).map(lambda job: self._within(*job), jobs))
+            found = list(compiled.workers(threads).map(lambda job: self._within(*job), jobs))
         else:
             found = [self._within(*job) for job in jobs]
         if not found:
@@ -304,11 +298,6 @@ def seen(pairs: Any, view: View) -> Rows:
     hx, hy, hz, cosine = (part.take(pairs.i) for part in view)
     ahead = (pairs.dx * hx + pairs.dy * hy) + pairs.dz * hz
     return np.flatnonzero(ahead >= cosine * pairs.distance)
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, "neighbours")
 
 
 def _distinct(numbers: NDArray[np.int64], limit: int) -> int:

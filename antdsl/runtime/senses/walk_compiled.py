@@ -38,8 +38,10 @@ AHEAD, BORDER, MET = 1, 2, 3  # something may stand in the way, or lie beyond th
 def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the call
     table, link, forked, first, sub_first, sub_count, clear, reach, lift, noise, mesh, face, b1s, b2s,
     body, wish, heading, up, reals, wholes, done, to_mesh, to_face, to_b1, to_b2, place, above, ahead, direction, gone,
+    begin, end,
 ):  # fmt: skip
-    """One step of all agents; sets `done` for those that it moved and returns how many wait, in `reals` and `wholes` (.., n).
+    """One step of the agents from `begin` to before `end`; sets `done` for those that it moved and returns how many wait, in
+    `reals` and `wholes` (.., end - begin).
 
     `table` is `packed`, `link` and `forked` of the topology and `first` the first face of each mesh. `sub_first`,
     `sub_count`, `clear` and `reach` are `first`, `count`, `least` and `reach` of `Parts`; an agent stays away from what is
@@ -47,9 +49,9 @@ def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the 
     where the results go. Agents neither done nor waiting are left as they are.
     """
     waiting = 0
-    for i in range(done.size):
-        if i % _FETCHED == 0:
-            gone[i] = _touch(table, mesh, face, first, i, min(i + _FETCHED, done.size))
+    for i in range(begin, end):
+        if (i - begin) % _FETCHED == 0:
+            gone[i] = _touch(table, mesh, face, first, i, min(i + _FETCHED, end))
         done[i] = False
         if mesh[i] < 0 or face[i] < 0:
             continue

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime import compiled
 from antdsl.runtime.senses import walk_compiled as loop
 from antdsl.runtime.senses.candidates import Candidates
 from antdsl.runtime.senses.clearances import Parts
@@ -39,16 +40,22 @@ class Walk:
         at: tuple[Any, ...],
         vectors: tuple[Floats, Floats, Floats],
         to: tuple[Any, ...],
+        threads: int,
     ) -> NDArray[np.bool_]:
         """Move agents with wish, heading and up (3, n) from footings `at` to the arrays of a result, `to`; says who was moved.
         Others are nowhere, or their numbers are not finite."""
         n = body.size
-        done, reals, wholes = np.empty(n, np.bool_), np.empty((loop.REALS, n)), np.empty((loop.WHOLES, n), np.int64)
+        done = np.empty(n, np.bool_)
         table = (self._packed, self._table.link, self._table.forked, self._first)
         near = (*table, parts.first, parts.count, parts.least, parts.reach, LIFT, noise)
-        waiting = loop.walk_all(*near, *at, body, *vectors, reals, wholes, done, *to[:-1])
-        if waiting:
-            reals, wholes = reals[:, :waiting].copy(), wholes[:, :waiting].copy()
+
+        def part(begin: int, end: int) -> tuple[Floats, NDArray[np.int64]]:
+            reals, wholes = np.empty((loop.REALS, end - begin)), np.empty((loop.WHOLES, end - begin), np.int64)
+            waiting = loop.walk_all(*near, *at, body, *vectors, reals, wholes, done, *to[:-1], begin, end)
+            return reals[:, :waiting], wholes[:, :waiting]
+
+        reals, wholes = (np.concatenate(half, axis=1) for half in zip(*compiled.in_parts(part, n, threads), strict=True))
+        if wholes.size:
             asking = around.of(wholes[loop.AGENT])
             known = (candidates.body, candidates.margin, candidates.ahead.arrays(), candidates.beyond.arrays())
             loop.walk_on(*near, *known, body, reals, wholes, done, *to)
