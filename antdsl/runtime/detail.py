@@ -15,6 +15,7 @@ from antdsl.scene.setting import DetailData, MeshData
 
 Boxes = tuple[NDArray[np.float32], NDArray[np.float32]]  # least and greatest corners
 
+_CELLS = 32  # of a coarse grid, along each axis
 LEVELS = ("triangles", "boxes", "nothing")
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
 _SIDES = np.array(
@@ -51,7 +52,7 @@ class Detail:
 
     def now(self, world: World) -> NDArray[np.int64]:
         """How many agents are at each level."""
-        each = [np.bincount(self._levels(_places(p), world.frame), minlength=len(LEVELS)) for p in world.populations.values()]
+        each = [np.bincount(self._kept(world, p)[1], minlength=len(LEVELS)) for p in world.populations.values()]
         return np.sum(each, axis=0, dtype=np.int64) if each else np.zeros(len(LEVELS), np.int64)
 
     def summary(self, world: World) -> dict[str, dict[str, float]]:
@@ -71,8 +72,8 @@ class Detail:
         key = (population.name, f"~level of {name}", population.version)
         found: NDArray[np.int8] | None = world.clearances.get(key)
         if found is None:
-            place = _places(population)
-            found = self._levels(place, world.frame)
+            place, levels = self._kept(world, population)
+            found = levels.copy()
             middle = np.flatnonzero(found == 1)
             found[middle[inside(place[middle], *self._boxes[name])]] = 0
             world.clearances[key] = found
@@ -81,6 +82,24 @@ class Detail:
     def boxes(self, name: str) -> RayScene:
         """The boxes of an obstacle's pieces, to be felt like the obstacle."""
         return self._scenes[name]
+
+    def clearance(self, world: World, population: Population, name: str) -> NDArray[np.float32]:
+        """A distance (mm, float32[n]) within which an agent meets none of these boxes; kept for the step."""
+        key = (population.name, f"~boxes of {name}", population.version)
+        found: NDArray[np.float32] | None = world.clearances.get(key)
+        if found is None:
+            found = self._scenes[name].clearance(*(population.start[f"position.{axis}"] for axis in AXES))
+            world.clearances[key] = found
+        return found
+
+    def _kept(self, world: World, population: Population) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
+        """Where agents are, float32[n,3], and the level of each, kept for the step."""
+        place = _places(population)
+        key = (population.name, "~level", population.version)
+        found: NDArray[np.int8] | None = world.clearances.get(key)
+        if found is None:
+            found = world.clearances[key] = self._levels(place, world.frame)
+        return place, found
 
     def _levels(self, place: NDArray[np.float32], frame: int) -> NDArray[np.int8]:
         away = place.astype(np.float64) - self._camera[min(max(frame - self._first, 0), len(self._camera) - 1)]
@@ -131,9 +150,22 @@ def _scene(low: NDArray[np.float32], high: NDArray[np.float32]) -> RayScene:
 
 
 def inside(place: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which places [n,3] lie in one of the boxes."""
+    """Which places [n,3] lie in one of the boxes. Most are in a cell of a coarse grid that no box reaches into."""
     found = np.zeros(len(place), np.bool_)
-    order = np.argsort(place[:, 0], kind="stable")
+    if not len(place) or not len(low):
+        return found
+    least, most = low.min(axis=0), high.max(axis=0)
+    width = np.maximum(most - least, np.float32(1e-6)) / np.float32(_CELLS)
+
+    def cell(where: NDArray[np.float32]) -> NDArray[np.intp]:  # never less for a greater coordinate, so no box is missed
+        at: NDArray[np.intp] = np.clip(np.floor((where - least) / width), 0, _CELLS - 1).astype(np.intp)
+        return at
+
+    reached = np.zeros((_CELLS, _CELLS, _CELLS), np.bool_)
+    for (a, b, c), (d, e, f) in zip(cell(low), cell(high), strict=True):
+        reached[a : d + 1, b : e + 1, c : f + 1] = True
+    maybe = np.flatnonzero(reached[tuple(cell(place).T)])
+    order = maybe[np.argsort(place[maybe, 0], kind="stable")]
     x = place[order, 0]
     first, last = np.searchsorted(x, low[:, 0], "left"), np.searchsorted(x, high[:, 0], "right")
     for k in np.flatnonzero(first < last):

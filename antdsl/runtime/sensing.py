@@ -126,7 +126,8 @@ def _ray(world: World, population: Population, node: ir.Node, rows: Rows, dx: Va
     levels = None if world.detail is None else world.detail.felt(world, population, name)
     which = [(world.obstacles[name], near)]
     if levels is not None and world.detail is not None:
-        which = [(world.obstacles[name], near & (levels[rows] == 0)), (world.detail.boxes(name), asked & (levels[rows] == 1))]
+        boxes = asked & (levels[rows] == 1) & may_touch(world.detail.clearance(world, population, name)[rows], reach)
+        which = [(world.obstacles[name], near & (levels[rows] == 0)), (world.detail.boxes(name), boxes)]
     for scene, those in which:
         chosen = np.flatnonzero(those)
         ways = [_spread(v, rows).take(chosen) for v in (dx, dy, dz, reach)]
