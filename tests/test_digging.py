@@ -50,6 +50,8 @@ def watched(shot: Shot) -> tuple[World, list[str], dict[str, list[np.ndarray]]]:
             away = hill.sample(place).astype(np.float64)
             assert (away[mesh == 0] > -0.06 * hill.voxel).all(), "on ground that is inside undug solid"
             assert (np.abs(away[mesh == 1]) < 1e-4 * 4).all(), "off the solid's surface"
+            level = 1.2 * np.sin(place[:, 0] / 20) + np.cos(place[:, 2] / 17)
+            assert (place[:, 1] > level - 0.4).all(), "below the ground"
             middle = hill.sample((place + before[name]) / 2)
             assert (middle > -0.75 * hill.voxel).all(), "through undug solid"
             gone = np.sqrt(((place - before[name]) ** 2).sum(axis=1))

@@ -237,11 +237,11 @@ class Terrain:
         walk.blocked[stay] |= moved.blocked[free]
         walk.left[stay] = 0.0
         onto = []
-        for k, volume in enumerate(self._volumes):
+        for k in range(len(self._volumes)):
             mine = np.flatnonzero(entered & (which == k))
             if mine.size:
                 at = start[mine] + part[mine, None] * (moved.position[mine] - start[mine])
-                onto.append(self._step_up(walk, rows[mine], mine, k, volume, at, part[mine], moved, last))
+                onto.append(self._step_up(walk, rows[mine], mine, k, at, part[mine], moved, body[rows[mine]], threads, last))
         return np.concatenate(onto) if onto else np.empty(0, np.intp)
 
     def _entering(self, start: Floats, end: Floats) -> tuple[NDArray[np.bool_], NDArray[np.intp], Floats]:
@@ -272,14 +272,27 @@ class Terrain:
         return entered, which, part
 
     def _step_up(
-        self, walk: _Walk, rows: Rows, of: Rows, k: int, volume: Volume, at: Floats, part: Floats, moved: MoveResult, last: bool
+        self,
+        walk: _Walk,
+        rows: Rows,
+        of: Rows,
+        k: int,
+        at: Floats,
+        part: Floats,
+        moved: MoveResult,
+        body: Floats,
+        threads: int,
+        last: bool,
     ) -> Rows:
         """From a mesh onto a solid that stands in the way."""
+        volume = self._volumes[k]
+        assert self.meshes is not None
         before, travelled = moved.up[of], moved.travelled[of]
-        hints = _normals(volume, at)
-        landed = volume.project(at, hints, 2 * volume.voxel)
-        ok = landed.found
-        walk.blocked[rows[~ok]] = True  # a place without a surface near by: stay where the step began
+        # From a little above: who stood at the very seam might find itself below the mesh with its next step.
+        above = at + before * (_LIFT * body)[:, None]
+        landed = volume.project(above, _normals(volume, above), 2 * volume.voxel)
+        ok = landed.found & ~self.meshes.met(above, landed.points - above, threads)[0]
+        walk.blocked[rows[~ok]] = True  # no place that can be reached: stay where the step began
         walk.left[rows[~ok]] = 0.0
         rows, of, before, travelled, part = rows[ok], of[ok], before[ok], travelled[ok], part[ok]
         normal, place = landed.normals[ok], landed.points[ok]
