@@ -41,8 +41,9 @@ class Grounds:
 
 @dataclass(slots=True, eq=False)
 class Solved(Flow):
-    """The flow downhill of what is still to pay for the way to the goal. Where a crowd counts or something moves, `begin` looks at that
-    anew when it is due; points and lattice stay the same."""
+    """The flow downhill of what is still to pay for the way to the goal.
+
+    Where a crowd counts or something moves, `begin` looks at that anew when it is due; points and lattice stay the same."""
 
     grounds: Grounds | None = None
     cost: Floats | None = None  # (t,) of a mm, nobody being there
