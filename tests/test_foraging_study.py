@@ -39,7 +39,7 @@ def test_a_run_differs_from_the_default_in_what_the_thesis_names_only(shots: dic
         assert list(model.layers) == (["forager"] if name == "separation_first" else []), name
         same = {"world", "units", "fps", "seed", "preroll", "substeps", "fields", "up", "start"}
         assert [key for key in same if getattr(model, key) != getattr(base.scene.model, key)] == [], name
-        assert model.frames == ((1, 3000) if name == "separation_first" else (1, 5000))
+        assert model.frames == (1, 5000)
         trail = shot.program.fields["trail"]
         if name == "no_decay":
             assert trail.half_life is None and trail.evaporate is not None
@@ -63,7 +63,7 @@ def test_food_is_found_carried_and_marked_and_no_crumb_is_lost(shots: dict[str, 
     ants = world.populations["forager"]
     for _ in range(300):
         step(world)
-        assert food.sum() + nest.sum() + ants.now["load"].astype(np.float64).sum() == 1200
+        assert food.sum() + nest.sum() + ants.now["load"].astype(np.float64).sum() == 1000
     assert food[0] < 500 and nest.sum() > 0
     # the greatest value of rule `max` at the food: (plain + reward) of one step
     assert 0.9 * 25 / 24 < float(world.fields["trail"].values.max()) <= 25 / 24 * 1.0001
