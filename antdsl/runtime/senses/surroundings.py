@@ -21,6 +21,8 @@ GAP = 0.02  # of a body: how far beyond a border it looks down
 HIGH, DEEP = 0.5, 0.25  # of a body: from how far above, and how deep below it looks back
 BEYOND = 0.6  # of a body: all that it looks at beyond a border and back below is nearer, but for noise
 NOISE = 1e-4  # of the extent of a ground: float32 rays err by less
+SKIP = 0.01  # of that noise: how far beyond the own surface, where that hides others, a ray goes on
+AGAIN = 4  # times that it goes on
 
 
 class Around:
@@ -55,17 +57,35 @@ class Around:
         high = lift.copy()
         below = np.flatnonzero(self.near(walkers, rows, np.zeros(rows.size)))
         if below.size:
-            part, face = self._cast(place.take(below, axis=1), (up * lift).take(below, axis=1), self._threads)
+            part, face = self._others(place.take(below, axis=1), (up * lift).take(below, axis=1), piece.take(below))
             # What shows its back is not above the agent: the agent is a hair below it, at the foot of a gentle climb.
-            low = (face >= 0) & (t.piece[face] != piece[below]) & (dot(t.normal.take(face, axis=1), up[:, below]) < 0)
+            low = (face >= 0) & (dot(t.normal.take(face, axis=1), up[:, below]) < 0)
             high[below[low]] = lift[below[low]] * part[low] / 2
         eye = place + up * high
-        part, face = self._cast(eye, way * length, self._threads)
-        who = np.flatnonzero((face >= 0) & (t.piece.take(face) != piece) & (length > 0))
+        part, face = self._others(eye, way * length, piece)
+        who = np.flatnonzero((face >= 0) & (length > 0))
         if not who.size:
             return Landing(who, who, *np.empty((4, 0)))
         gone = part[who] * length[who]
         return self._landing(asked[who], face[who], eye[:, who] + way[:, who] * gone, way[:, who], gone)
+
+    def _others(self, origin: Floats, step: Floats, piece: Index) -> tuple[Floats, Index]:
+        """Where rays hit the first surface that is not of their piece: the own one, hit on its edge or in a hollow, hides none."""
+        part, face = self._cast(origin, step, self._threads)
+        own = np.flatnonzero((face >= 0) & (self._table.piece.take(face) == piece))
+        length = np.sqrt(dot(step, step))
+        begin = np.zeros(part.size)
+        for _ in range(AGAIN):
+            if not own.size:
+                break
+            begin[own] = part[own] + SKIP * self._noise / length[own]
+            rest = 1.0 - begin[own]
+            start = origin.take(own, axis=1) + step.take(own, axis=1) * begin[own]
+            again, face[own] = self._cast(start, step.take(own, axis=1) * rest, self._threads)
+            part[own] = begin[own] + again * rest
+            own = own[(face[own] >= 0) & (self._table.piece.take(face[own]) == piece[own])]
+        face[own] = -1
+        return part, face
 
     def beyond(self, walkers: Walkers, rows: Index) -> Landing:
         """Past an open border: what a ray down just beyond it meets, else what a ray back from below it meets."""

@@ -1,0 +1,185 @@
+"""Any surface: cube, plate, torus, bottle, can, stacked stones, Möbius strip, rag, broken mesh: on it, not lost, through no wall."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from meshes import Mesh
+from numpy.typing import NDArray
+from torture_walks import BODY, STEP, Seen, above, crowd, depth, inside, shapes, wander, winding
+
+from antdsl.runtime.senses.ground import Ground
+
+SHAPES = shapes()
+N, STEPS = 300, 120
+OVER = 0.03 * BODY  # who meets another piece sees it from a fiftieth of a body above the ground
+Floats = NDArray[np.float64]
+
+
+def walked(name: str, n: int = N, steps: int = STEPS) -> Seen:
+    """A crowd on a shape, held to what is true of any surface."""
+    mesh = SHAPES.SHAPES[name]()
+    ground, rng, seen = Ground({name: mesh}), np.random.default_rng(4), Seen()
+    for before, at in wander(ground, crowd(ground, [mesh], n, rng), steps, rng):
+        seen.look(ground, [mesh], before, at)
+    seen.good()
+    return seen
+
+
+@pytest.mark.parametrize("name", SHAPES.SHAPES)
+def test_a_crowd_stays_on_any_surface(name: str) -> None:
+    seen = walked(name)
+    assert seen.moved > (0.5 if name in ("rag", "moebius", "pot") else 0.9) * STEP * STEPS, seen  # borders hold some up
+
+
+@pytest.mark.parametrize("name", ["cube", "plate", "torus", "rod", "boulder"])
+def test_who_is_inside_what_is_closed_stays_inside_and_who_is_outside_outside(name: str) -> None:
+    mesh = SHAPES.SHAPES[name]()
+    ground, rng = Ground({name: mesh}), np.random.default_rng(5)
+    at = crowd(ground, [mesh], N, rng)
+    began = inside(mesh, above(ground, at))
+    assert 0.3 * N < began.sum() < 0.7 * N
+    for k, (_, at) in enumerate(wander(ground, at, STEPS, rng)):
+        if k % 10 == 9:
+            assert np.array_equal(inside(mesh, above(ground, at)), began), (name, k)
+
+
+def in_bottle(points: Floats) -> NDArray[np.bool_]:
+    """Whether places are in the room that the inner wall of the bottle bounds."""
+    inner = np.array(SHAPES.BOTTLE[10:][::-1])
+    radius = np.interp(points[:, 1], inner[1:, 1], inner[1:, 0], left=0.0, right=0.0)
+    return np.hypot(points[:, 0], points[:, 2]) < radius
+
+
+def in_can(points: Floats, tin: float = 0.0) -> NDArray[np.bool_]:
+    """Whether places are in the can, whose wall has 30 flat sides."""
+    angle = np.mod(np.arctan2(points[:, 2], points[:, 0]), 2 * np.pi / 30) - np.pi / 30
+    wall = np.hypot(points[:, 0], points[:, 2]) * np.cos(angle)
+    return (points[:, 1] > tin) & (points[:, 1] < SHAPES.CAN - tin) & (wall < (SHAPES.RIM - tin) * np.cos(np.pi / 30))
+
+
+def test_into_a_can_and_out_of_it_leads_only_the_hole_in_its_lid() -> None:
+    mesh = SHAPES.can()
+    ground, rng = Ground({"can": mesh}), np.random.default_rng(7)
+    at = crowd(ground, [mesh], N, rng)
+    at = at.take(np.flatnonzero(~inside(mesh, above(ground, at))))  # nobody in the tin
+    was, crossed = in_can(above(ground, at), SHAPES.TIN), 0
+    assert 0.3 < was.mean() < 0.7
+    for k, (before, at) in enumerate(wander(ground, at, 2 * STEPS, rng)):
+        now = in_can(above(ground, at), SHAPES.TIN)
+        through = np.flatnonzero(now != was)
+        for place in (before.position[through], at.position[through]):
+            away = np.hypot(place[:, 0], place[:, 2])
+            assert (place[:, 1] > SHAPES.CAN - SHAPES.TIN - 1e-6).all() and (away < SHAPES.LID + STEP).all()
+        crossed, was = crossed + through.size, now
+        if k % 20 == 19:
+            assert not inside(mesh, above(ground, at)).any()
+    assert crossed > 20
+
+
+def test_a_sheet_without_thickness_is_gone_through_nowhere() -> None:
+    mesh = SHAPES.pot()
+    ground, rng = Ground({"pot": mesh}), np.random.default_rng(7)
+    at = crowd(ground, [mesh], N, rng)
+    began = in_can(above(ground, at))
+    assert 0.3 < began.mean() < 0.7
+    stopped = 0
+    for _, at in wander(ground, at, 2 * STEPS, rng):
+        assert np.array_equal(in_can(above(ground, at)), began)
+        stopped += int(at.blocked.sum())
+    assert stopped > 20  # by its border
+
+
+def parts(mesh: Mesh, size: int) -> list[Mesh]:
+    """The stones of a stack, which follow each other."""
+    points, faces = len(mesh[0]) // size, len(mesh[1]) // size
+    return [
+        (mesh[0][k * points : (k + 1) * points], mesh[1][k * faces : (k + 1) * faces] - k * points) for k in range(size)
+    ]
+
+
+def test_nobody_on_a_stack_of_stones_comes_into_a_stone() -> None:
+    mesh = SHAPES.stones()
+    stack = parts(mesh, len(SHAPES.STACK))
+    ground, rng = Ground({"stones": mesh}), np.random.default_rng(8)
+    at = crowd(ground, [mesh], 2 * N, rng)
+    at = at.take(np.flatnonzero(~np.any([inside(s, above(ground, at)) for s in stack], axis=0)))
+    piece = ground.triangles[3].piece
+    first, climbs = piece[ground.on_faces(at.footing)[0]], 0
+    assert len(at.up) > 0.6 * N
+    for k, (_, at) in enumerate(wander(ground, at, STEPS, rng)):
+        now = piece[ground.on_faces(at.footing)[0]]
+        climbs, first = climbs + int((now != first).sum()), now
+        if k % 10 == 9:
+            assert max(depth(s, above(ground, at)) for s in stack) < OVER
+    assert climbs > 30
+
+
+def test_nobody_slips_from_the_ground_into_what_is_sunk_in_it_or_leans_on_it() -> None:
+    meshes = {name: SHAPES.SHAPES[name]() for name in ("ground", "boulder", "stones", "cube")}
+    meshes["stones"] = (meshes["stones"][0] + np.array([20.0, -3.0, 12.0]), meshes["stones"][1])  # against the boulder
+    meshes["cube"] = (meshes["cube"][0] + np.array([-20.0, -5.0, 25.0]), meshes["cube"][1])
+    twig, tilt = SHAPES.rod(), np.radians(-50)
+    turn = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
+    meshes["rod"] = (twig[0] @ turn.T + np.array([0.0, -1.5, -62.0]), twig[1])
+    ground, rng, seen = Ground(meshes), np.random.default_rng(9), Seen()
+    closed = [meshes["boulder"], meshes["cube"], meshes["rod"], *parts(meshes["stones"], len(SHAPES.STACK))]
+    wanted = rng.uniform(-45, 45, (3 * N, 3)) + np.array([0.0, 40.0, -20.0])
+    footing, found = ground.place(wanted, np.array([0.0, 1.0, 0.0]))
+    assert found.all()
+    at = ground.move(footing, 0 * wanted, rng.normal(size=wanted.shape), ground.upright(footing, np.array([0.0, 1, 0])), BODY)
+    met = set()
+    for k, (before, at) in enumerate(wander(ground, at, STEPS, rng)):
+        seen.look(ground, list(meshes.values()), before, at)
+        changed = before.footing.mesh != at.footing.mesh
+        met |= set(zip(before.footing.mesh[changed].tolist(), at.footing.mesh[changed].tolist(), strict=True))
+        if k % 10 == 9:
+            assert max(depth(m, above(ground, at)) for m in closed) < OVER
+            on_ground = at.footing.mesh == 0
+            assert (at.up[on_ground][:, 1] > 0).all()  # nobody below the ground
+    seen.good()
+    assert {(0, k) for k in range(1, 5)} <= met and {(k, 0) for k in range(1, 5)} <= met and len(met) >= 10, met
+
+
+def test_a_moebius_strip_is_walked_on_both_its_sides_which_are_one() -> None:
+    mesh = SHAPES.moebius()
+    ground = Ground({"strip": mesh})
+    along = ground.nearest(np.array([[SHAPES.TWISTED[0], 12.0, 0.0]]))[0]
+    start = ground.move(along, np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([[0.0, 1, 0]]), BODY)
+    at, turns, ups = start, 0.0, []
+    for _ in range(320):
+        before = at
+        middle = np.array([at.position[0][0], 0, at.position[0][2]])
+        middle *= SHAPES.TWISTED[0] / np.linalg.norm(middle)
+        lean = (middle + np.array([0, 12.0, 0]) - at.position[0]) * 0.2  # keeps to the middle of the strip
+        around = np.cross(middle, [0.0, 1.0, 0.0])
+        heading = around / np.linalg.norm(around) + lean
+        at = ground.move(at.footing, heading[None] * STEP, heading[None], at.up, BODY)
+        assert not at.blocked.any()
+        turned = np.arctan2(at.position[0][2], at.position[0][0]) - np.arctan2(before.position[0][2], before.position[0][0])
+        turns += float(np.mod(turned + np.pi, 2 * np.pi) - np.pi)
+        ups.append((turns, at.up[0] @ start.up[0]))
+        if turns >= 4 * np.pi:
+            break
+    once = min(ups, key=lambda entry: abs(entry[0] - 2 * np.pi))
+    assert turns >= 4 * np.pi and once[1] < -0.9 and ups[-1][1] > 0.9  # once round it hangs below, twice round it stands where it began
+
+
+def test_a_broken_mesh_is_walked_like_the_mesh_that_was_meant() -> None:
+    mesh = SHAPES.broken()
+    plain = SHAPES.stone(65, (22.0, 20.0, 22.0), detail=2)
+    plain = (plain[0] + np.array([0.0, 19.0, 0.0]), plain[1])
+    ground, whole, rng = Ground({"broken": mesh}), Ground({"whole": plain}), np.random.default_rng(10)
+    outside = crowd(whole, [plain], N, rng)
+    outside = outside.take(np.flatnonzero(winding(plain, above(whole, outside)) < 0.5))
+    footing = whole.nearest(outside.position)[0], ground.nearest(outside.position)[0]
+    outside, at = (
+        g.move(f, 0 * outside.up, outside.heading, outside.up, BODY) for g, f in zip((whole, ground), footing, strict=True)
+    )
+    for (_, one), (_, two) in zip(
+        wander(whole, outside, 60, np.random.default_rng(1)), wander(ground, at, 60, np.random.default_rng(1)), strict=True
+    ):
+        pass
+    apart = np.linalg.norm(one.position - two.position, axis=1)
+    assert np.quantile(apart, 0.9) < 1e-2  # ways to either side of a corner part for good
+    assert not inside(plain, above(ground, two)).any()
