@@ -1,4 +1,4 @@
-"""Any surface: cube, plate, torus, bottle, can, stacked stones, Möbius strip, rag, broken mesh: on it, not lost, through no wall."""
+"""Any surface: cube, plate, torus, bottle, can, stacked stones, Möbius strip, broken mesh: on it, not lost, through no wall."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from antdsl.runtime.senses.ground import Ground
 
 SHAPES = shapes()
 N, STEPS = 300, 120
-OVER = 0.03 * BODY  # who meets another piece sees it from a fiftieth of a body above the ground
+OVER = 0.01  # mm: rays err by a hair
 Floats = NDArray[np.float64]
 
 
@@ -20,8 +20,8 @@ def walked(name: str, n: int = N, steps: int = STEPS) -> Seen:
     """A crowd on a shape, held to what is true of any surface."""
     mesh = SHAPES.SHAPES[name]()
     ground, rng, seen = Ground({name: mesh}), np.random.default_rng(4), Seen()
-    for before, at in wander(ground, crowd(ground, [mesh], n, rng), steps, rng):
-        seen.look(ground, [mesh], before, at)
+    for before, begin in wander(ground, crowd(ground, [mesh], n, rng), steps, rng):
+        seen.look(ground, [mesh], before, begin)
     seen.good()
     return seen
 
@@ -36,10 +36,10 @@ def test_a_crowd_stays_on_any_surface(name: str) -> None:
 def test_who_is_inside_what_is_closed_stays_inside_and_who_is_outside_outside(name: str) -> None:
     mesh = SHAPES.SHAPES[name]()
     ground, rng = Ground({name: mesh}), np.random.default_rng(5)
-    at = crowd(ground, [mesh], N, rng)
-    began = inside(mesh, above(ground, at))
+    begin = crowd(ground, [mesh], N, rng)
+    began = inside(mesh, above(ground, begin))
     assert 0.3 * N < began.sum() < 0.7 * N
-    for k, (_, at) in enumerate(wander(ground, at, STEPS, rng)):
+    for k, (_, at) in enumerate(wander(ground, begin, STEPS, rng)):
         if k % 10 == 9:
             assert np.array_equal(inside(mesh, above(ground, at)), began), (name, k)
 
@@ -61,11 +61,11 @@ def in_can(points: Floats, tin: float = 0.0) -> NDArray[np.bool_]:
 def test_into_a_can_and_out_of_it_leads_only_the_hole_in_its_lid() -> None:
     mesh = SHAPES.can()
     ground, rng = Ground({"can": mesh}), np.random.default_rng(7)
-    at = crowd(ground, [mesh], N, rng)
-    at = at.take(np.flatnonzero(~inside(mesh, above(ground, at))))  # nobody in the tin
-    was, crossed = in_can(above(ground, at), SHAPES.TIN), 0
+    begin = crowd(ground, [mesh], N, rng)
+    begin = begin.take(np.flatnonzero(~inside(mesh, above(ground, begin))))  # nobody in the tin
+    was, crossed = in_can(above(ground, begin), SHAPES.TIN), 0
     assert 0.3 < was.mean() < 0.7
-    for k, (before, at) in enumerate(wander(ground, at, 2 * STEPS, rng)):
+    for k, (before, at) in enumerate(wander(ground, begin, 2 * STEPS, rng)):
         now = in_can(above(ground, at), SHAPES.TIN)
         through = np.flatnonzero(now != was)
         for place in (before.position[through], at.position[through]):
@@ -80,11 +80,11 @@ def test_into_a_can_and_out_of_it_leads_only_the_hole_in_its_lid() -> None:
 def test_a_sheet_without_thickness_is_gone_through_nowhere() -> None:
     mesh = SHAPES.pot()
     ground, rng = Ground({"pot": mesh}), np.random.default_rng(7)
-    at = crowd(ground, [mesh], N, rng)
-    began = in_can(above(ground, at))
+    begin = crowd(ground, [mesh], N, rng)
+    began = in_can(above(ground, begin))
     assert 0.3 < began.mean() < 0.7
     stopped = 0
-    for _, at in wander(ground, at, 2 * STEPS, rng):
+    for _, at in wander(ground, begin, 2 * STEPS, rng):
         assert np.array_equal(in_can(above(ground, at)), began)
         stopped += int(at.blocked.sum())
     assert stopped > 20  # by its border
@@ -93,21 +93,19 @@ def test_a_sheet_without_thickness_is_gone_through_nowhere() -> None:
 def parts(mesh: Mesh, size: int) -> list[Mesh]:
     """The stones of a stack, which follow each other."""
     points, faces = len(mesh[0]) // size, len(mesh[1]) // size
-    return [
-        (mesh[0][k * points : (k + 1) * points], mesh[1][k * faces : (k + 1) * faces] - k * points) for k in range(size)
-    ]
+    return [(mesh[0][k * points : (k + 1) * points], mesh[1][k * faces : (k + 1) * faces] - k * points) for k in range(size)]
 
 
 def test_nobody_on_a_stack_of_stones_comes_into_a_stone() -> None:
     mesh = SHAPES.stones()
     stack = parts(mesh, len(SHAPES.STACK))
     ground, rng = Ground({"stones": mesh}), np.random.default_rng(8)
-    at = crowd(ground, [mesh], 2 * N, rng)
-    at = at.take(np.flatnonzero(~np.any([inside(s, above(ground, at)) for s in stack], axis=0)))
+    begin = crowd(ground, [mesh], 2 * N, rng)
+    begin = begin.take(np.flatnonzero(~np.any([inside(s, above(ground, begin)) for s in stack], axis=0)))
     piece = ground.triangles[3].piece
-    first, climbs = piece[ground.on_faces(at.footing)[0]], 0
-    assert len(at.up) > 0.6 * N
-    for k, (_, at) in enumerate(wander(ground, at, STEPS, rng)):
+    first, climbs = piece[ground.on_faces(begin.footing)[0]], 0
+    assert len(begin.up) > 0.6 * N
+    for k, (_, at) in enumerate(wander(ground, begin, STEPS, rng)):
         now = piece[ground.on_faces(at.footing)[0]]
         climbs, first = climbs + int((now != first).sum()), now
         if k % 10 == 9:
@@ -127,9 +125,9 @@ def test_nobody_slips_from_the_ground_into_what_is_sunk_in_it_or_leans_on_it() -
     wanted = rng.uniform(-45, 45, (3 * N, 3)) + np.array([0.0, 40.0, -20.0])
     footing, found = ground.place(wanted, np.array([0.0, 1.0, 0.0]))
     assert found.all()
-    at = ground.move(footing, 0 * wanted, rng.normal(size=wanted.shape), ground.upright(footing, np.array([0.0, 1, 0])), BODY)
+    begin = ground.move(footing, 0 * wanted, rng.normal(size=wanted.shape), ground.upright(footing, np.array([0.0, 1, 0])), BODY)
     met = set()
-    for k, (before, at) in enumerate(wander(ground, at, STEPS, rng)):
+    for k, (before, at) in enumerate(wander(ground, begin, STEPS, rng)):
         seen.look(ground, list(meshes.values()), before, at)
         changed = before.footing.mesh != at.footing.mesh
         met |= set(zip(before.footing.mesh[changed].tolist(), at.footing.mesh[changed].tolist(), strict=True))
@@ -162,7 +160,7 @@ def test_a_moebius_strip_is_walked_on_both_its_sides_which_are_one() -> None:
         if turns >= 4 * np.pi:
             break
     once = min(ups, key=lambda entry: abs(entry[0] - 2 * np.pi))
-    assert turns >= 4 * np.pi and once[1] < -0.9 and ups[-1][1] > 0.9  # once round it hangs below, twice round it stands where it began
+    assert turns >= 4 * np.pi and once[1] < -0.9 and ups[-1][1] > 0.9  # once round it hangs below
 
 
 def test_a_broken_mesh_is_walked_like_the_mesh_that_was_meant() -> None:
@@ -176,10 +174,14 @@ def test_a_broken_mesh_is_walked_like_the_mesh_that_was_meant() -> None:
     outside, at = (
         g.move(f, 0 * outside.up, outside.heading, outside.up, BODY) for g, f in zip((whole, ground), footing, strict=True)
     )
-    for (_, one), (_, two) in zip(
-        wander(whole, outside, 60, np.random.default_rng(1)), wander(ground, at, 60, np.random.default_rng(1)), strict=True
-    ):
-        pass
+    *_, (_, one) = wander(whole, outside, 60, np.random.default_rng(1))
+    *_, (_, two) = wander(ground, at, 60, np.random.default_rng(1))
     apart = np.linalg.norm(one.position - two.position, axis=1)
     assert np.quantile(apart, 0.9) < 1e-2  # ways to either side of a corner part for good
     assert not inside(plain, above(ground, two)).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHAPES.SHAPES)
+def test_five_thousand_for_five_thousand_steps(name: str) -> None:
+    print(name, walked(name, 5000, 5000))

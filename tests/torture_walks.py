@@ -65,7 +65,8 @@ def above(ground: Ground, at: MoveResult) -> NDArray[np.float64]:
 
 
 def winding(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How often a closed mesh goes round each point (van Oosterom, Strackee, The Solid Angle of a Plane Triangle, 1983, p. 125)."""
+    """How often a closed mesh goes round each point (van Oosterom, Strackee, The Solid Angle of a Plane
+    Triangle, 1983, p. 125)."""
     total = np.empty(len(points))
     corners = mesh[0][mesh[1]]
     for start in range(0, len(points), 500):

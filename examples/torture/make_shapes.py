@@ -3,6 +3,7 @@
 Millimetres, y up: whatever is hard to walk on. Agents are 4 mm long; each shape stands about its own origin."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,7 @@ def turned(profile: Sequence[tuple[float, float]], sectors: int) -> Mesh:
         rings.append(first + (np.arange(sectors) if radius else np.zeros(sectors, int)))
         vertices.append(points + np.array([0.0, height, 0.0]))
     faces = []
-    for low, high in zip(rings, rings[1:], strict=False):
+    for low, high in pairwise(rings):
         a, b, c, d = low, np.roll(low, -1), np.roll(high, -1), high
         faces += [np.stack([a, d, c], axis=1), np.stack([a, c, b], axis=1)]
     every = np.concatenate(faces)

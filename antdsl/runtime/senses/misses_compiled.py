@@ -22,9 +22,12 @@ def nothing_ahead(table, lists, noise, margin, body, lift, f, b1, b2, side, c, s
     place, up, way = _stand(table, WIDTH * f, b1, b2, side, c, s)
     rise = _times(up, max(lift * body, noise))
     eye, step = _plus(place, rise), _times(way, length)
+    end = _plus(place, step)
     for k in range(starts[f], starts[f] + counts[f]):
         row = WIDTH * members[k]
         if not (missed(table, row, place, rise, margin) and missed(table, row, eye, step, margin)):
+            return False
+        if not missed(table, row, end, rise, margin):
             return False
     return True
 

@@ -45,7 +45,8 @@ class Around:
         return clear <= length + np.fmax(LIFT * self._body[rows], self._noise) + self._noise
 
     def ahead(self, walkers: Walkers, rows: Index, length: Floats) -> Landing:
-        """Another piece of surface within the way, seen from just above the ground; below a low ceiling from half its height."""
+        """Another piece of surface within the way, seen from just above the ground, below a low ceiling from half its
+        height; or at the way's end between that eye and the ground."""
         t = self._table
         asked = np.flatnonzero(self.near(walkers, rows, length))
         if not asked.size:
@@ -63,14 +64,24 @@ class Around:
             high[below[low]] = lift[below[low]] * part[low] / 2
         eye = place + up * high
         part, face = self._others(eye, way * length, piece)
+        gone = np.where(face >= 0, part, 1.0) * length
+        hit, towards = eye + way * gone, way
+        # What has come between the eye and the ground is below the next eye, that of the face round the edge or of the next step.
+        still = np.flatnonzero((face < 0) & (high > SKIP * self._noise))
+        if still.size:
+            down = up.take(still, axis=1) * (SKIP * self._noise - high.take(still))
+            part, face[still] = self._others(hit.take(still, axis=1), down, piece.take(still))
+            found = face[still] >= 0
+            between, down = still[found], down[:, found]
+            hit[:, between] += down * part[found]
+            towards[:, between] = down
         who = np.flatnonzero((face >= 0) & (length > 0))
         if not who.size:
             return Landing(who, who, *np.empty((4, 0)))
-        gone = part[who] * length[who]
-        return self._landing(asked[who], face[who], eye[:, who] + way[:, who] * gone, way[:, who], gone)
+        return self._landing(asked[who], face[who], hit[:, who], towards[:, who], gone[who])
 
     def _others(self, origin: Floats, step: Floats, piece: Index) -> tuple[Floats, Index]:
-        """Where rays hit the first surface that is not of their piece: the own one, hit on its edge or in a hollow, hides none."""
+        """Where rays hit the first surface that is not of their piece: the own one, at an edge or in a hollow, hides none."""
         part, face = self._cast(origin, step, self._threads)
         own = np.flatnonzero((face >= 0) & (self._table.piece.take(face) == piece))
         length = np.sqrt(dot(step, step))

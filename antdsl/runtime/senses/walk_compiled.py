@@ -1,5 +1,6 @@
 """The walk of `walk` and `ground` as one loop over agents: same operations in the same order and so the same bits. Who may meet
-anything but the next face of its own surface, and is not shown here to meet nothing, waits until `walk_events` has cast rays."""
+anything but the next face of its own surface, and is not shown by `misses_compiled` to meet nothing, waits until `walk_events`
+has cast rays."""
 
 from __future__ import annotations
 
