@@ -20,8 +20,8 @@ def walked(name: str, n: int = N, steps: int = STEPS) -> Seen:
     """A crowd on a shape, held to what is true of any surface."""
     mesh = SHAPES.SHAPES[name]()
     ground, rng, seen = Ground({name: mesh}), np.random.default_rng(4), Seen()
-    for before, begin in wander(ground, crowd(ground, [mesh], n, rng), steps, rng):
-        seen.look(ground, [mesh], before, begin)
+    for before, at in wander(ground, crowd(ground, [mesh], n, rng), steps, rng):
+        seen.look(ground, [mesh], before, at)
     seen.good()
     return seen
 
