@@ -117,7 +117,7 @@ def test_nobody_slips_from_the_ground_into_what_is_sunk_in_it_or_leans_on_it() -
     meshes = {name: SHAPES.SHAPES[name]() for name in ("ground", "boulder", "stones", "cube")}
     meshes["stones"] = (meshes["stones"][0] + np.array([20.0, -3.0, 12.0]), meshes["stones"][1])  # against the boulder
     meshes["cube"] = (meshes["cube"][0] + np.array([-20.0, -5.0, 25.0]), meshes["cube"][1])
-    twig, tilt = SHAPES.rod(), np.radians(-50)
+    twig, tilt = SHAPES.rod(), np.radians(-58)
     turn = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
     meshes["rod"] = (twig[0] @ turn.T + np.array([0.0, -1.5, -62.0]), twig[1])
     ground, rng, seen = Ground(meshes), np.random.default_rng(9), Seen()
