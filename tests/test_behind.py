@@ -109,7 +109,7 @@ class Failing:
         (PermissionError(errno.EACCES, "Permission denied"), PermissionError, "Permission denied"),
         (OSError("no number"), OSError, "no number"),
         (KeyError("Cd"), RuntimeError, "KeyError: 'Cd'"),
-        (MemoryError(), RuntimeError, "MemoryError"),
+        (MemoryError("of a frame"), MemoryError, "of a frame"),
     ],
     ids=["full", "refused", "bare", "bug", "memory"],
 )
@@ -185,6 +185,49 @@ def test_where_no_process_can_be_made_a_thread_does_the_work(own_process: bool, 
     worker.finish()
     worker.check()
     assert told[0]["sums"] == {"a": 3.0} and told[0]["process"] == os.getpid()
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_two_at_once_end_in_either_order(own_process: bool, first: int) -> None:
+    """A process that was forked later must not keep the way to an earlier one open, which would wait for more for ever."""
+    told: list[list[Message]] = [[], []]
+    workers = [Behind(sums, told[number].append) for number in range(2)]
+    for worker in (*workers, workers[first], workers[1 - first]):
+        worker.hand_over([], {"a": np.ones(3)})
+    waiting = threading.Timer(20, lambda: [os.kill(p, signal.SIGKILL) for p in {w._child for w in workers} if p is not None])
+    waiting.start()
+    try:
+        for worker in (workers[first], workers[1 - first]):
+            worker.finish()
+            worker.check()
+    finally:
+        waiting.cancel()
+        waiting.join()
+    assert [len(messages) for messages in told] == [2, 2]
+
+
+@forks
+@pytest.mark.parametrize("own_process", [True], indirect=True)
+@pytest.mark.parametrize("killed", [False, True])
+def test_where_ended_processes_are_not_kept_for_who_asks(own_process: bool, killed: bool) -> None:
+    """Some programs start others with SIGCHLD ignored: then no exit code can be asked for, and what was done counts."""
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        told: list[Message] = []
+        worker = Behind(sums, told.append)
+        worker.hand_over([], {"a": np.ones(3)})
+        if killed:
+            assert worker._child is not None
+            os.kill(worker._child, signal.SIGKILL)
+        worker.finish()
+        if killed:
+            with pytest.raises(ChildProcessError, match="the process that writes it is gone"):
+                worker.check()
+        else:
+            worker.check()
+            assert len(told) == 1
+    finally:
+        signal.signal(signal.SIGCHLD, before)
 
 
 @forks

@@ -22,6 +22,8 @@ from antdsl.outputs.memory import own_peak_memory
 OWN_PROCESS = sys.platform == "linux"
 _SLOTS = 3  # states that may be under way at once: one in work, two that wait
 _STOPS = ("SIGINT", "SIGTERM", "SIGHUP")
+_forking = threading.Lock()
+_held: list[Pipes] = []  # the caller's ends of all channels to processes; one that is forked later must not keep them open
 
 Work = Callable[[Sequence[str], Arrays], Message]
 
@@ -31,14 +33,15 @@ class Behind:
     when the next work is handed over, or at the end.
 
     `arrays` are the caller's own no longer than that call lasts; `work` sees copies, and must be done with them when it returns.
-    After an error nothing more is done; it is raised by what is called next, an OSError as it was, any other as a
-    RuntimeError. A process that is gone is a ChildProcessError."""
+    After an error nothing more is done; it is raised by what is called next, an OSError as it was, a MemoryError as one, any
+    other as a RuntimeError. A process that is gone is a ChildProcessError."""
 
     def __init__(self, work: Work, told: Callable[[Message], None]) -> None:
         self._told = told
         self._problem: Exception | None = None
         self.memory = 0  # the most that the process of its own used besides what it shares, in bytes; known at the end
         self._child: int | None = None
+        self._through = False  # it said its last word
         self._slots: list[Slot] = []
         try:
             if OWN_PROCESS:
@@ -90,7 +93,7 @@ class Behind:
             if message is None:
                 return
             if "memory" in message:
-                self.memory = message["memory"]
+                self.memory, self._through = message["memory"], True
                 continue
             self._free.append(message.pop("slot"))
             if "problem" in message:
@@ -105,11 +108,15 @@ class Behind:
             self._thread.join()
             return
         if isinstance(self._channel, Pipes):
-            self._channel.drop()
-        _, status = os.waitpid(self._child, 0)
-        code = os.waitstatus_to_exitcode(status)
-        if code:
-            how = f"was ended by signal {-code}" if code < 0 else f"ended with {code}"
+            with _forking:
+                _held.remove(self._channel)
+                self._channel.drop()
+        try:
+            code = os.waitstatus_to_exitcode(os.waitpid(self._child, 0)[1])
+        except ChildProcessError:  # its exit code is kept from us, as where SIGCHLD was ignored when we were started
+            code = None
+        if code or not self._through:
+            how = f"was ended by signal {-code}" if code and code < 0 else f"ended with {code}" if code else "is gone"
             self._problem = self._problem or ChildProcessError(errno.ECHILD, f"the process that writes it {how}")
 
     def _close_slots(self) -> None:
@@ -131,6 +138,10 @@ class Behind:
         self._thread.start()
 
     def _fork(self, work: Work) -> None:
+        with _forking:
+            self._fork_alone(work)
+
+    def _fork_alone(self, work: Work) -> None:
         here, there = two_pipes()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
         try:
@@ -150,6 +161,7 @@ class Behind:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         there.drop()
+        _held.append(here)
         self._child, self._channel = child, here
 
 
@@ -165,7 +177,8 @@ def _live(here: Pipes, there: Pipes, slots: list[Slot], work: Work) -> NoReturn:
         for number in _stops():
             signal.signal(number, signal.SIG_IGN)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _stops())
-        here.drop()  # else it would never see that the caller is gone
+        for pipes in (here, *_held):  # else neither it nor others would ever see that the caller is gone
+            pipes.drop()
         gc.freeze()  # looking for garbage writes to every object, and so would copy every page that is shared so far
         nothing = os.open(os.devnull, os.O_RDWR)
         os.dup2(nothing, 0)
@@ -218,6 +231,8 @@ def _problem(told: Message) -> Exception:
         found = OSError(told["errno"], told["text"], *([told["file"]] if told["file"] is not None else []))
     elif told["system"]:
         found = OSError(told["text"])
+    elif told["kind"] == "MemoryError":
+        found = MemoryError(told["text"])
     else:
         found = RuntimeError(f"{told['kind']}: {told['text']}")
     found.add_note("behind the simulation:\n" + told["where"])
