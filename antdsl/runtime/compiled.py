@@ -34,7 +34,9 @@ def available() -> bool:
     try:
         import numba
 
-        numba.njit(cache=True)(wanted)  # nothing is compiled, but it is an error where no folder can be written to
+        from antdsl.runtime.compiling import njit
+
+        njit(cache=True)(wanted)  # nothing is compiled, but it is an error where no folder can be written to
     except Exception:  # also where it is not installed, or made for another NumPy: it says so in different ways
         return False
     return not numba.config.DISABLE_JIT

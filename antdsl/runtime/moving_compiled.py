@@ -4,7 +4,8 @@ and so the same bits."""
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from antdsl.runtime.compiling import njit
 
 _F = np.float32
 _ZERO, _ONE = _F(0), _F(1)

@@ -6,8 +6,9 @@ The same bits as `pheromone.Pheromone.strongest` gives with NumPy. Imported only
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from antdsl.runtime.compiling import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

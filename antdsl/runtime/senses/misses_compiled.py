@@ -1,11 +1,11 @@
 """Rays that surely meet nothing: what walkers have around them, tested without casting any. The walk's kernels are compiled with
-what stands here; numba makes them anew when their own file changes."""
+what stands here, and so anew when it changes (`compiling`)."""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from antdsl.runtime.compiling import njit
 from antdsl.runtime.senses.packing import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, NORMAL, WIDTH
 from antdsl.runtime.senses.surroundings import DEEP, GAP, HIGH
 

@@ -9,8 +9,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from antdsl.runtime.compiling import njit
 
 Floats = NDArray[np.float32]
 _SLACK = 1.0 + 1e-6  # as in `neighbours`

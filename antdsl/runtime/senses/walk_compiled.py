@@ -5,8 +5,8 @@ has cast rays."""
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from antdsl.runtime.compiling import njit
 from antdsl.runtime.senses.misses_compiled import nothing_ahead, nothing_beyond
 from antdsl.runtime.senses.packing import (
     AXIS1,
