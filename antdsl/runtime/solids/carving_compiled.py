@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from antdsl.runtime.compiling import njit
 from antdsl.runtime.solids.bricks import STEPS
 
 Array = NDArray[Any]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from antdsl.runtime.compiling import njit
 
 _AHEAD = 16  # agents whose cells are fetched from memory at once
 
