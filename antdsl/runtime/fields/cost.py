@@ -99,7 +99,9 @@ def _along_edges(land: Land, cost: Floats, start: Index, first: Floats) -> Float
     columns = [high, land.links[:, 1], start]
     # one more than they are: a way of length 0 would be no way for the graph
     weights = [weight, _link_costs(land, cost), first + 1.0]
-    graph = coo_array((np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), shape=(n + 1, n + 1))
+    # 32 bits: older versions of the search take no others, and there are fewer points by far
+    ends = tuple(np.concatenate(numbers).astype(np.int32) for numbers in (rows, columns))
+    graph = coo_array((np.concatenate(weights), ends), shape=(n + 1, n + 1))
     reached: Floats = dijkstra(graph.tocsr(), directed=False, indices=n)[:n]
     bound: Floats = np.maximum(reached - 1.0, 0.0)
     return bound
