@@ -127,7 +127,7 @@ def test_items_are_the_same_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(4)
     for many in (0, 1, 7, 200):
         seen = {axis: rng.uniform(-200, 200, many).astype(np.float32) for axis in "xyz"}
-        items = type("Held", (), {"seen": seen, "__len__": lambda self: many})()
+        items = type("Held", (), {"seen": seen, "__len__": lambda self, many=many: many})()
         for radius in (np.float32(np.inf), np.float32(60), rng.uniform(-5, 300, 3000).astype(np.float32)):
             with np.errstate(invalid="ignore"):
                 slow = pairs._items_by_item(items, tuple(places), radius)
