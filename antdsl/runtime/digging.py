@@ -1,4 +1,4 @@
-"""Digging: what all agents carve in one step is taken out of the solids at once, and whoever stood there comes down."""
+"""Digging: what all agents carve in one step is taken out of the solids at once, before anybody moves."""
 
 from __future__ import annotations
 
@@ -10,26 +10,23 @@ from numpy.typing import NDArray
 
 from antdsl.runtime.effects import CarveEntry
 from antdsl.runtime.fields.walls import grow
-from antdsl.runtime.world import AXES, Population, World
+from antdsl.runtime.world import Population, World
 
 
 def dig(world: World) -> None:
-    """Carve the balls that were asked for, give each agent what it dug out, and settle those who stood on it."""
+    """Carve the balls that were asked for, and give each agent what it dug out. Who stood there comes down as it moves."""
     asked: dict[str, list[tuple[Population, CarveEntry]]] = {}
     for population in world.populations.values():
         for entry in population.effects.carves:
             if len(entry.rows):
                 asked.setdefault(entry.statement.solid, []).append((population, entry))
         population.effects.carves = []
-    dug = [_carve(world, name, entries) for name, entries in sorted(asked.items())]
-    if any(dug):
-        for population in world.populations.values():
-            if len(population):
-                _settle(world, population)
+    for name, entries in sorted(asked.items()):
+        _carve(world, name, entries)
 
 
-def _carve(world: World, solid: str, entries: list[tuple[Population, CarveEntry]]) -> bool:
-    """Carve one solid; whether anything was dug. Who digs is known by (species, id, place in the text), whatever its row."""
+def _carve(world: World, solid: str, entries: list[tuple[Population, CarveEntry]]) -> None:
+    """Carve one solid. Who digs is known by (species, id, place in the text), whatever its row."""
     names = list(world.populations)
     species = np.concatenate([np.full(len(e.rows), names.index(p.name)) for p, e in entries])
     ids = np.concatenate([p.ids[e.rows] for p, e in entries])
@@ -50,7 +47,6 @@ def _carve(world: World, solid: str, entries: list[tuple[Population, CarveEntry]
     for population, entry in entries:
         _give(population, entry, removed[first : first + len(entry.rows)])
         first += len(entry.rows)
-    return len(dug) > 0
 
 
 def _give(population: Population, entry: CarveEntry, removed: NDArray[np.float64]) -> None:
@@ -75,23 +71,3 @@ def dig_again(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
         balls = arrays.get(f"solid.{name}.carved")
         if balls is not None and len(balls):
             volume.carve(balls[:, :3], balls[:, 3], np.zeros(len(balls), np.int64))
-
-
-def _settle(world: World, population: Population) -> None:
-    """Who stands where a solid was dug away comes down onto what is left."""
-    up = population.vector("up")
-    standing, place, up, rows = world.ground.settle(population.footing, up, population.now["size"].astype(np.float64))
-    if not len(rows):
-        return
-    population.footing, population.position = standing, place
-    for k, axis in enumerate(AXES):
-        population.now[f"position.{axis}"][rows] = place[rows, k]
-        population.now[f"up.{axis}"][rows] = up[rows, k]
-    for name in ("heading", "velocity"):
-        vector = population.vector(name)[rows]
-        flat = vector - (vector * up[rows]).sum(axis=1)[:, None] * up[rows]
-        size = np.sqrt((flat * flat).sum(axis=1))
-        if name == "heading":
-            flat = np.where((size > 1e-6)[:, None], flat / np.maximum(size, 1e-6)[:, None], vector)
-        for k, axis in enumerate(AXES):
-            population.now[f"{name}.{axis}"][rows] = flat[:, k]

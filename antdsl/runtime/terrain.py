@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,36 +177,6 @@ class Terrain:
             standing.mesh < 0,
         )
 
-    def settle(self, standing: Standing, up: Floats, body: Floats) -> tuple[Standing, Floats, Floats, Rows]:
-        """Agents whose solid was dug away under them come down: footing, place, up, and the rows of those whom it concerns."""
-        place, up = self.position(standing), np.array(up, np.float64)
-        standing, moved = standing.take(np.arange(len(standing))), []
-        for k, volume in enumerate(self._volumes):
-            rows = self._solid_rows(standing, k)
-            rows = rows[volume.sample(place[rows]) > 1e-4 * volume.voxel]
-            if not rows.size:
-                continue
-            start, reach = place[rows], float(volume.band[1] * 4)
-            landed = volume.project(start, _normals(volume, start), reach)
-            gone = np.flatnonzero(~landed.found)
-            on, end = Standing.on_solid(self._count + k, landed.points), landed.points.copy()
-            normal = landed.normals.copy()
-            met, _, face_of = self._across(start, end, up[rows], landed.normals, body[rows], 1)
-            if gone.size:  # nothing of the solid is left near by
-                fallen, _ = self.nearest(start[gone])
-                on.put(gone, fallen)
-                end[gone], normal[gone] = self.position(fallen), self.upright(fallen, up[rows[gone]])
-                met[gone] = False
-            if met.any():
-                footing = face_of.take(met)
-                on.put(np.flatnonzero(met), Standing.on_mesh(footing))
-                assert self.meshes is not None
-                end[met], normal[met] = self.meshes.position(footing), self.meshes.upright(footing, (start - end)[met])
-            standing.put(rows, on)
-            place[rows], up[rows] = end, normal
-            moved.append(rows)
-        return standing, place, up, np.concatenate(moved) if moved else np.empty(0, np.intp)
-
     # ---- parts of moving
 
     def _stretch(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
@@ -236,19 +207,15 @@ class Terrain:
         walk.gone[stay] += moved.travelled[free]
         walk.blocked[stay] |= moved.blocked[free]
         walk.left[stay] = 0.0
-        onto = []
-        for k in range(len(self._volumes)):
-            mine = np.flatnonzero(entered & (which == k))
-            if mine.size:
-                at = start[mine] + part[mine, None] * (moved.position[mine] - start[mine])
-                onto.append(self._step_up(walk, rows[mine], mine, k, at, part[mine], moved, body[rows[mine]], threads, last))
-        return np.concatenate(onto) if onto else np.empty(0, np.intp)
+        return self._step_up(walk, rows, start, moved.position, moved, entered, which, part, body, threads, last)
 
-    def _entering(self, start: Floats, end: Floats) -> tuple[NDArray[np.bool_], NDArray[np.intp], Floats]:
-        """Whose way leads into undug solid, into which, and after what part of it."""
+    def _entering(self, start: Floats, end: Floats, but: int = -1) -> tuple[NDArray[np.bool_], NDArray[np.intp], Floats]:
+        """Whose way leads into undug solid (any but one), into which, and after what part of it."""
         n = len(start)
         entered, which, part = np.zeros(n, np.bool_), np.zeros(n, np.intp), np.ones(n)
         for k, volume in enumerate(self._volumes):
+            if k == but:
+                continue
             deep = -_SUNK * volume.voxel
             near = np.flatnonzero(((end >= volume.low) & (end <= volume.high)).all(axis=1))
             inside = near[volume.sample(end[near]) < deep]
@@ -275,43 +242,52 @@ class Terrain:
         self,
         walk: _Walk,
         rows: Rows,
-        of: Rows,
-        k: int,
-        at: Floats,
+        start: Floats,
+        end: Floats,
+        moved: Any,
+        entered: NDArray[np.bool_],
+        which: NDArray[np.intp],
         part: Floats,
-        moved: MoveResult,
         body: Floats,
         threads: int,
         last: bool,
     ) -> Rows:
-        """From a mesh onto a solid that stands in the way."""
-        volume = self._volumes[k]
-        assert self.meshes is not None
-        before, travelled = moved.up[of], moved.travelled[of]
-        # From a little above: who stood at the very seam might find itself below the mesh with its next step.
-        above = at + before * (_LIFT * body)[:, None]
-        landed = volume.project(above, _normals(volume, above), 2 * volume.voxel)
-        ok = landed.found & ~self.meshes.met(above, landed.points - above, threads)[0]
-        walk.blocked[rows[~ok]] = True  # no place that can be reached: stay where the step began
-        walk.left[rows[~ok]] = 0.0
-        rows, of, before, travelled, part = rows[ok], of[ok], before[ok], travelled[ok], part[ok]
-        normal, place = landed.normals[ok], landed.points[ok]
-        way = moved.direction[of]
-        walk.heading[rows] = turned(moved.heading[of].T, before.T, normal.T, way.T).T
-        walk.direction[rows] = turned(way.T, before.T, normal.T, way.T).T
-        walk.place[rows], walk.up[rows] = place, normal
-        walk.gone[rows] += travelled * part
-        rest = np.zeros(len(rows)) if last else travelled * (1 - part)
-        walk.left[rows] = walk.direction[rows] * rest[:, None]
-        walk.standing.put(rows, Standing.on_solid(self._count + k, place))
-        again: Rows = rows[rest > 0]
-        return again
+        """Those of `rows` who `entered` a solid after a `part` of their way step onto it; gives those with way left."""
+        again = [np.empty(0, np.intp)]
+        for k, volume in enumerate(self._volumes):
+            of = np.flatnonzero(entered & (which == k))
+            if not of.size:
+                continue
+            # From a little above: who stood at the very seam might find itself below a mesh with its next step.
+            above = start[of] + part[of, None] * (end[of] - start[of]) + moved.up[of] * (_LIFT * body[rows[of]])[:, None]
+            landed = volume.project(above, _normals(volume, above), 2 * volume.voxel)
+            ok = landed.found
+            if self.meshes is not None:
+                ok &= ~self.meshes.met(above, landed.points - above, threads)[0]
+            shut = rows[of[~ok]]
+            walk.blocked[shut], walk.left[shut] = True, 0.0  # no place that can be reached: stay where the step began
+            on, of = rows[of[ok]], of[ok]
+            normal, place = landed.normals[ok], landed.points[ok]
+            before, way = moved.up[of], moved.direction[of]
+            walk.heading[on] = turned(moved.heading[of].T, before.T, normal.T, way.T).T
+            walk.direction[on] = turned(way.T, before.T, normal.T, way.T).T
+            walk.place[on], walk.up[on] = place, normal
+            walk.gone[on] += moved.travelled[of] * part[of]
+            rest = np.zeros(len(on)) if last else moved.travelled[of] * (1 - part[of])
+            walk.left[on] = walk.direction[on] * rest[:, None]
+            walk.standing.put(on, Standing.on_solid(self._count + k, place))
+            again.append(on[rest > 0])
+        return np.concatenate(again)
 
     def _on_volume(self, walk: _Walk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, last: bool) -> Rows:
         start = walk.place[rows]
         moved = walk_on(volume, start, walk.left[rows], walk.heading[rows], walk.up[rows], body[rows])
         met, part, footing = self._across(start, moved.points, walk.up[rows], moved.up, body[rows], threads)
-        free = ~met
+        entered, which, sooner = self._entering(start, moved.points, k)
+        entered &= sooner < part
+        met &= ~entered
+        self._fall(walk, rows[moved.lost & ~met & ~entered])
+        free = ~met & ~entered & ~moved.lost
         stay = rows[free]
         walk.standing.put(stay, Standing.on_solid(self._count + k, moved.points[free]))
         walk.place[stay], walk.up[stay] = moved.points[free], moved.up[free]
@@ -319,9 +295,10 @@ class Terrain:
         walk.gone[stay] += moved.travelled[free]
         walk.blocked[stay] |= moved.blocked[free]
         walk.left[stay] = 0.0
+        again = self._step_up(walk, rows, start, moved.points, moved, entered, which, sooner, body, threads, last)
         down = rows[met]
         if not down.size or self.meshes is None:
-            return np.empty(0, np.intp)
+            return again
         onto = footing.take(met)
         normal = self.meshes.upright(onto, start[met] - moved.points[met])  # the side that they come from
         before, way = moved.up[met], moved.direction[met]
@@ -332,7 +309,18 @@ class Terrain:
         walk.gone[down] += moved.travelled[met] * part[met]
         rest = np.zeros(len(down)) if last else moved.travelled[met] * (1 - part[met])
         walk.left[down] = walk.direction[down] * rest[:, None]
-        return down[rest > 0]
+        return np.concatenate([again, down[rest > 0]])
+
+    def _fall(self, walk: _Walk, rows: Rows) -> None:
+        """Nothing of the solid is left near by: down to what is nearest."""
+        if not rows.size:
+            return
+        onto, _ = self.nearest(walk.place[rows])
+        walk.standing.put(rows, onto)
+        walk.place[rows] = self.position(onto)
+        normal = self.upright(onto, walk.up[rows])
+        walk.heading[rows] = walk.direction[rows] = _level(walk.heading[rows], normal)
+        walk.up[rows], walk.left[rows] = normal, 0.0
 
     def _across(
         self, start: Floats, end: Floats, up: Floats, up_after: Floats, body: Floats, threads: int

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.runtime import compiled
 from antdsl.runtime.fields.cells import BLOCK, Cells, Floats, SurfaceCells, compatible, summed
 from antdsl.runtime.senses.rays import Mesh
 from antdsl.runtime.senses.topology import facing
@@ -64,8 +65,26 @@ class GrowingCells(SurfaceCells):
         around = self._around(new, BLOCK)
         changed = np.unique(around[around >= 0])
         for k, table in self._tables.items():
-            table[changed] = self._nearest(changed, k)
+            if self._direct is not None and (compiled.wanted(len(changed)) or compiled.running()):
+                self._fill(table, changed, k)
+            else:
+                table[changed] = self._nearest(changed, k)
         return new
+
+    def _fill(self, table: Cells, cells: NDArray[np.int64], k: int) -> None:
+        """Make some rows of a table of the nearest anew, compiled."""
+        from antdsl.runtime.fields.growing_compiled import nearest
+
+        nearest(self._direct, self._voxels, self._keys, self._size, self.position, cells, k, len(self), table)
+
+    def _nearby(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
+        if self._direct is None or not (compiled.wanted(len(points)) or compiled.running()):
+            return super()._nearby(points, voxel, side)
+        from antdsl.runtime.fields.growing_compiled import nearby
+
+        best = np.empty(len(points), np.int64)
+        nearby(self._direct, self._size, self.position, points, voxel, side, best)
+        return best
 
     def _make_room(self, needed: int) -> None:
         if needed <= len(self):

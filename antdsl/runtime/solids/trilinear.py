@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime import compiled
 from antdsl.runtime.solids.bricks import Bricks
 
 Floats = NDArray[np.float64]
@@ -19,6 +20,8 @@ LEAN = 0.5  # voxels: how far around a place the smooth normal looks, each way
 
 def distance(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Floats:
     """Signed distance at places (mm)."""
+    if compiled.wanted(np.size(x)) or compiled.running():
+        return _compiled_distance(bricks, x, y, z)
     (v000, v001, v010, v011, v100, v101, v110, v111), (fx, fy, fz) = _corners(bricks, x, y, z)
     v0 = _mix(_mix(v000, v001, fz), _mix(v010, v011, fz), fy)
     return _mix(v0, _mix(_mix(v100, v101, fz), _mix(v110, v111, fz), fy), fx)
@@ -26,6 +29,8 @@ def distance(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Floats:
 
 def field(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Signed distance at places (mm), and its gradient."""
+    if compiled.wanted(np.size(x)) or compiled.running():
+        return _compiled_field(bricks, x, y, z)
     (v000, v001, v010, v011, v100, v101, v110, v111), (fx, fy, fz) = _corners(bricks, x, y, z)
     d00, d01, d10, d11 = v001 - v000, v011 - v010, v101 - v100, v111 - v110
     v00, v01, v10, v11 = v000 + d00 * fz, v010 + d01 * fz, v100 + d10 * fz, v110 + d11 * fz
@@ -46,6 +51,31 @@ def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> list[Floats]:
         (distance(bricks, x, y + a, z) - distance(bricks, x, y - a, z)) * scale,
         (distance(bricks, x, y, z + a) - distance(bricks, x, y, z - a)) * scale,
     ]
+
+
+def _compiled_distance(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Floats:
+    from antdsl.runtime.solids import trilinear_compiled
+
+    found = np.empty(np.size(x))
+    trilinear_compiled.distance(
+        bricks.table, bricks.values, bricks.origin, 1.0 / bricks.voxel, bricks.shape, *_whole(x, y, z), found
+    )
+    return found
+
+
+def _compiled_field(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    from antdsl.runtime.solids import trilinear_compiled
+
+    d, gx, gy, gz = (np.empty(np.size(x)) for _ in range(4))
+    trilinear_compiled.field(
+        bricks.table, bricks.values, bricks.origin, 1.0 / bricks.voxel, bricks.shape, *_whole(x, y, z), d, gx, gy, gz
+    )
+    return d, gx, gy, gz
+
+
+def _whole(*columns: Floats) -> list[Floats]:
+    """Columns as kernels take them: one after another in memory, all of one kind."""
+    return [np.ascontiguousarray(c, np.float64) for c in columns]
 
 
 def _mix(a: Floats, b: Floats, t: Floats) -> Floats:
