@@ -15,6 +15,7 @@ PART = 4_096  # agents for whom a thread pays
 LEAST = 2_000  # agents; below this a step takes few milliseconds, and loading the compiler takes half a second
 _LEAST_FOR_LONG = 200  # agents; where thousands of steps follow, half a second is soon won back
 _long = False
+_FEW = 1  # agents, once kernels are in use: the small work of a large crowd goes to them too, which is most of its calls
 _running = False
 
 
@@ -27,14 +28,10 @@ def expect_long_runs() -> None:
 def wanted(count: int) -> bool:
     """Whether work on so many agents goes to compiled kernels."""
     global _running
-    found = count >= (_LEAST_FOR_LONG if _long else LEAST) and available()
+    least = _FEW if _running else _LEAST_FOR_LONG if _long else LEAST
+    found = count >= least and available()
     _running = _running or found
     return found
-
-
-def running() -> bool:
-    """Whether kernels are in use already: then the small work of a large crowd may go to them too."""
-    return _running and available()
 
 
 @cache

@@ -33,6 +33,10 @@ class Standing:
         """Copies of the footings of some rows."""
         return Standing(*(getattr(self, f.name)[rows] for f in fields(Standing)))
 
+    def copy(self) -> Standing:
+        """Arrays of its own."""
+        return Standing(*(getattr(self, f.name).copy() for f in fields(Standing)))
+
     def put(self, rows: Rows, other: Standing) -> None:
         """Put other footings into rows."""
         for f in fields(Standing):

@@ -3,7 +3,7 @@ a mesh steps back down; ground inside undug solid is closed, and open again wher
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from antdsl.runtime.senses.walk import turned
 from antdsl.runtime.solids import Volume
 from antdsl.runtime.solids import move as walk_on
 from antdsl.runtime.standing import Standing
+from antdsl.runtime.tall import columned, length, level, some, within
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -29,7 +30,8 @@ _PARTS = 8  # of a step at which it is looked whether it leads into a solid
 
 @dataclass(slots=True)
 class _Walk:
-    """Agents on their way: where they stand and face, and what is left of their way (a vector)."""
+    """Agents on their way: where they stand and face, and what is left of their way (a vector). Of vectors each component is
+    contiguous."""
 
     standing: Standing
     place: Floats
@@ -39,6 +41,16 @@ class _Walk:
     left: Floats
     gone: Floats
     blocked: NDArray[np.bool_]
+
+
+@dataclass(slots=True)
+class _Entries:
+    """Who of some came into undug solid: their numbers, which solid, after what part of their way, and where."""
+
+    who: Rows
+    which: NDArray[np.intp]
+    part: Floats
+    place: Floats
 
 
 class Terrain:
@@ -100,8 +112,8 @@ class Terrain:
             standing, distance = Standing.on_mesh(footing), distance.copy()
         for k, volume in enumerate(self._volumes):
             hints = volume.gradient(points).astype(np.float64)
-            landed = volume.project(points, hints / np.maximum(_length(hints), 1e-12)[:, None], volume.band[1])
-            away = _length(landed.points - points)
+            landed = volume.project(points, hints / np.maximum(length(hints), 1e-12)[:, None], volume.band[1])
+            away = length(landed.points - points)
             rows = np.flatnonzero(landed.found & (away < distance))
             standing.put(rows, Standing.on_solid(self._count + k, landed.points[rows]))
             distance[rows] = away[rows]
@@ -154,14 +166,15 @@ class Terrain:
         """As `Ground.move`, over meshes and solids."""
         n = len(standing)
         body = np.broadcast_to(np.asarray(body, np.float64), (n,))
-        way = np.nan_to_num(np.asarray(displacement, np.float64), posinf=0.0, neginf=0.0)
-        if way is displacement:
-            way = way.copy()
+        way = columned(displacement)
+        np.nan_to_num(way, copy=False, posinf=0.0, neginf=0.0)
+        ahead = columned(heading)
         walk = _Walk(
-            standing.take(np.arange(n)), self.position(standing), np.array(up, np.float64), np.array(heading, np.float64),
-            np.array(heading, np.float64), way, np.zeros(n), np.zeros(n, np.bool_),
-        )  # fmt: skip
+            standing.copy(), np.empty((3, n)).T, columned(up), ahead, ahead.copy("K"), way, np.zeros(n), np.zeros(n, np.bool_)
+        )
         rows = np.flatnonzero(standing.mesh >= 0)
+        if rows.size < n:
+            walk.place[:] = 0.0
         for hop in range(_HOPS):
             if not rows.size:
                 break
@@ -190,120 +203,119 @@ class Terrain:
             mine = rows[on == self._count + k]
             if mine.size:
                 again.append(self._on_volume(walk, mine, k, volume, body, threads, last))
-        return np.concatenate(again)
+        return np.sort(np.concatenate(again))
 
     def _on_meshes(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
         assert self.meshes is not None
-        start = walk.place[rows]
-        moved = self.meshes.move(
-            walk.standing.footing(rows), walk.left[rows], walk.heading[rows], walk.up[rows], body[rows], threads
-        )
-        entered, which, part = self._entering(start, moved.position)
-        free = ~entered
-        stay = rows[free]
-        walk.standing.put(stay, Standing.on_mesh(moved.footing.take(free)))
-        walk.place[stay], walk.up[stay] = moved.position[free], moved.up[free]
-        walk.heading[stay], walk.direction[stay] = moved.heading[free], moved.direction[free]
-        walk.gone[stay] += moved.travelled[free]
-        walk.blocked[stay] |= moved.blocked[free]
-        walk.left[stay] = 0.0
-        return self._step_up(walk, rows, start, moved.position, moved, entered, which, part, body, threads, last)
+        before = walk.standing.footing(rows)
+        wish, ahead, up = (some(v, rows) for v in (walk.left, walk.heading, walk.up))
+        moved = self.meshes.move(before, wish, ahead, up, body[rows], threads)
+        found = self._entering(moved.position, lambda who: self.meshes.position(before.take(who)))  # type: ignore[union-attr]
+        self._stay(walk, rows, found.who, Standing.on_mesh(moved.footing), moved.position, moved)
+        return self._step_up(walk, rows, found, moved, body, threads, last)
 
-    def _entering(self, start: Floats, end: Floats, but: int = -1) -> tuple[NDArray[np.bool_], NDArray[np.intp], Floats]:
-        """Whose way leads into undug solid (any but one), into which, and after what part of it."""
-        n = len(start)
-        entered, which, part = np.zeros(n, np.bool_), np.zeros(n, np.intp), np.ones(n)
+    @staticmethod
+    def _stay(walk: _Walk, rows: Rows, but: Rows, standing: Standing, place: Floats, moved: Any) -> None:
+        """All of `rows` but some have come to the end of their way."""
+        if but.size:
+            kept = np.ones(rows.size, np.bool_)
+            kept[but] = False
+            of = np.flatnonzero(kept)
+            rows, standing = rows[of], standing.take(of)
+            vectors = [some(v, of) for v in (place, moved.up, moved.heading, moved.direction)]
+            travelled, blocked = moved.travelled[of], moved.blocked[of]
+        else:
+            vectors, travelled, blocked = [place, moved.up, moved.heading, moved.direction], moved.travelled, moved.blocked
+        walk.standing.put(rows, standing)
+        for into, vector in zip((walk.place, walk.up, walk.heading, walk.direction), vectors, strict=True):
+            for axis in range(3):
+                into[rows, axis] = vector[:, axis]
+        walk.gone[rows] += travelled
+        walk.blocked[rows] |= blocked
+        walk.left[rows] = 0.0
+
+    def _entering(self, end: Floats, start: Callable[[Rows], Floats], but: int = -1) -> _Entries:
+        """Whose way from `start` (of some of them) to `end` leads into undug solid, of any but one."""
+        part, which = np.full(len(end), np.inf), np.zeros(len(end), np.intp)
+        places = np.zeros((len(end), 3))
         for k, volume in enumerate(self._volumes):
             if k == but:
                 continue
-            deep = -_SUNK * volume.voxel
-            near = np.flatnonzero(((end >= volume.low) & (end <= volume.high)).all(axis=1))
-            inside = near[volume.sample(end[near]) < deep]
+            near = within(end, volume.low, volume.high)
+            inside = near[volume.sample(some(end, near)) < -_SUNK * volume.voxel]
             if not inside.size:
                 continue
-            a, b = start[inside], end[inside]
-            free, shut = np.zeros(len(inside)), np.ones(len(inside))
+            a, b = start(inside), end[inside]
+            shut = np.ones(len(inside))
             for step in range(_PARTS - 1, -1, -1):  # the first of the parts that lies in it
-                t = step / _PARTS
-                solid = volume.sample(a + t * (b - a)) < 0
-                shut = np.where(solid, t, shut)
-                free = np.where(solid, max(t - 1 / _PARTS, 0.0), free)
-            free = np.minimum(np.maximum(shut - 1 / _PARTS, 0.0), shut)
+                shut = np.where(volume.sample(a + step / _PARTS * (b - a)) < 0, step / _PARTS, shut)
+            free = np.maximum(shut - 1 / _PARTS, 0.0)
             for _ in range(_HALVINGS):
                 middle = (free + shut) / 2
                 solid = volume.sample(a + middle[:, None] * (b - a)) < 0
                 free, shut = np.where(solid, free, middle), np.where(solid, middle, shut)
-            sooner = ~entered[inside] | (free < part[inside])
+            sooner = free < part[inside]
             chosen = inside[sooner]
-            entered[chosen], which[chosen], part[chosen] = True, k, free[sooner]
-        return entered, which, part
+            part[chosen], which[chosen] = free[sooner], k
+            places[chosen] = (a + free[:, None] * (b - a))[sooner]
+        who = np.flatnonzero(part <= 1)
+        return _Entries(who, which[who], part[who], places[who])
 
-    def _step_up(
-        self,
-        walk: _Walk,
-        rows: Rows,
-        start: Floats,
-        end: Floats,
-        moved: Any,
-        entered: NDArray[np.bool_],
-        which: NDArray[np.intp],
-        part: Floats,
-        body: Floats,
-        threads: int,
-        last: bool,
-    ) -> Rows:
-        """Those of `rows` who `entered` a solid after a `part` of their way step onto it; gives those with way left."""
+    def _step_up(self, walk: _Walk, rows: Rows, found: _Entries, moved: Any, body: Floats, threads: int, last: bool) -> Rows:
+        """Those of `rows` who entered a solid step onto it; gives those with way left."""
         again = [np.empty(0, np.intp)]
         for k, volume in enumerate(self._volumes):
-            of = np.flatnonzero(entered & (which == k))
-            if not of.size:
+            mine = np.flatnonzero(found.which == k)
+            if not mine.size:
                 continue
+            of, part = found.who[mine], found.part[mine]
             # From a little above: who stood at the very seam might find itself below a mesh with its next step.
-            above = start[of] + part[of, None] * (end[of] - start[of]) + moved.up[of] * (_LIFT * body[rows[of]])[:, None]
+            above = found.place[mine] + moved.up[of] * (_LIFT * body[rows[of]])[:, None]
             landed = volume.project(above, _normals(volume, above), 2 * volume.voxel)
             ok = landed.found
             if self.meshes is not None:
                 ok &= ~self.meshes.met(above, landed.points - above, threads)[0]
-            shut = rows[of[~ok]]
-            walk.blocked[shut], walk.left[shut] = True, 0.0  # no place that can be reached: stay where the step began
-            on, of = rows[of[ok]], of[ok]
+            shut = rows[of[~ok]]  # no place that can be reached: stay where the step began
+            walk.blocked[shut], walk.left[shut] = True, 0.0
+            walk.place[shut] = self.position(walk.standing.take(shut))
+            on, of, part = rows[of[ok]], of[ok], part[ok]
             normal, place = landed.normals[ok], landed.points[ok]
             before, way = moved.up[of], moved.direction[of]
             walk.heading[on] = turned(moved.heading[of].T, before.T, normal.T, way.T).T
             walk.direction[on] = turned(way.T, before.T, normal.T, way.T).T
             walk.place[on], walk.up[on] = place, normal
-            walk.gone[on] += moved.travelled[of] * part[of]
-            rest = np.zeros(len(on)) if last else moved.travelled[of] * (1 - part[of])
+            walk.gone[on] += moved.travelled[of] * part
+            rest = np.zeros(len(on)) if last else moved.travelled[of] * (1 - part)
             walk.left[on] = walk.direction[on] * rest[:, None]
             walk.standing.put(on, Standing.on_solid(self._count + k, place))
             again.append(on[rest > 0])
         return np.concatenate(again)
 
     def _on_volume(self, walk: _Walk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, last: bool) -> Rows:
-        start = walk.place[rows]
-        moved = walk_on(volume, start, walk.left[rows], walk.heading[rows], walk.up[rows], body[rows])
-        met, part, footing = self._across(start, moved.points, walk.up[rows], moved.up, body[rows], threads)
-        entered, which, sooner = self._entering(start, moved.points, k)
-        entered &= sooner < part
-        met &= ~entered
-        self._fall(walk, rows[moved.lost & ~met & ~entered])
-        free = ~met & ~entered & ~moved.lost
-        stay = rows[free]
-        walk.standing.put(stay, Standing.on_solid(self._count + k, moved.points[free]))
-        walk.place[stay], walk.up[stay] = moved.points[free], moved.up[free]
-        walk.heading[stay], walk.direction[stay] = moved.heading[free], moved.direction[free]
-        walk.gone[stay] += moved.travelled[free]
-        walk.blocked[stay] |= moved.blocked[free]
-        walk.left[stay] = 0.0
-        again = self._step_up(walk, rows, start, moved.points, moved, entered, which, sooner, body, threads, last)
+        before = walk.standing
+        start = np.stack([before.x[rows], before.y[rows], before.z[rows]]).T
+        wish, ahead, up = (some(v, rows) for v in (walk.left, walk.heading, walk.up))
+        moved = walk_on(volume, start, wish, ahead, up, body[rows])
+        met, part, footing = self._across(start, moved.points, up, moved.up, body[rows], threads)
+        found = self._entering(moved.points, lambda who: start[who], k)
+        earlier = found.part < part[found.who]
+        found = _Entries(found.who[earlier], found.which[earlier], found.part[earlier], found.place[earlier])
+        met[found.who] = False
+        lost = moved.lost & ~met
+        lost[found.who] = False
+        other = met | lost
+        other[found.who] = True
+        self._stay(walk, rows, np.flatnonzero(other), Standing.on_solid(self._count + k, moved.points), moved.points, moved)
+        self._fall(walk, rows[lost])
+        again = self._step_up(walk, rows, found, moved, body, threads, last)
         down = rows[met]
         if not down.size or self.meshes is None:
             return again
         onto = footing.take(met)
         normal = self.meshes.upright(onto, start[met] - moved.points[met])  # the side that they come from
-        before, way = moved.up[met], moved.direction[met]
-        walk.heading[down] = _level(turned(moved.heading[met].T, before.T, normal.T, way.T).T, normal)
-        walk.direction[down] = turned(way.T, before.T, normal.T, way.T).T
+        tilted, way = moved.up[met], moved.direction[met]
+        walk.heading[down] = level(turned(moved.heading[met].T, tilted.T, normal.T, way.T).T, normal)
+        walk.direction[down] = turned(way.T, tilted.T, normal.T, way.T).T
         walk.standing.put(down, Standing.on_mesh(onto))
         walk.place[down], walk.up[down] = self.meshes.position(onto), normal
         walk.gone[down] += moved.travelled[met] * part[met]
@@ -315,11 +327,11 @@ class Terrain:
         """Nothing of the solid is left near by: down to what is nearest."""
         if not rows.size:
             return
-        onto, _ = self.nearest(walk.place[rows])
+        onto, _ = self.nearest(self.position(walk.standing.take(rows)))
         walk.standing.put(rows, onto)
         walk.place[rows] = self.position(onto)
         normal = self.upright(onto, walk.up[rows])
-        walk.heading[rows] = walk.direction[rows] = _level(walk.heading[rows], normal)
+        walk.heading[rows] = walk.direction[rows] = level(walk.heading[rows], normal)
         walk.up[rows], walk.left[rows] = normal, 0.0
 
     def _across(
@@ -345,27 +357,15 @@ class Terrain:
 def _normals(volume: Volume, place: Floats) -> Floats:
     """Unit normals float64[n,3] out of a solid; zero where its field is flat."""
     slope = volume.gradient(place).astype(np.float64)
-    normal: Floats = slope / np.maximum(_length(slope), 1e-12)[:, None]
+    normal: Floats = slope / np.maximum(length(slope), 1e-12)[:, None]
     return normal
-
-
-def _length(v: Floats) -> Floats:
-    length: Floats = np.sqrt((v * v).sum(axis=1))
-    return length
-
-
-def _level(v: Floats, normal: Floats) -> Floats:
-    """Unit vectors at right angles to the normals."""
-    flat = v - (v * normal).sum(axis=1)[:, None] * normal
-    level: Floats = flat / np.maximum(_length(flat), 1e-12)[:, None]
-    return level
 
 
 def _dropped(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """The first place of a solid that a ray from far above along -`up` meets, and whether there is one."""
     from antdsl.runtime.senses.solid_feelers import SolidFeelers
 
-    height = float(_length((volume.high - volume.low)[None, :])[0])
+    height = float(length((volume.high - volume.low)[None, :])[0])
     middle = (volume.low + volume.high) / 2
     start = points + up * (((middle - points) * up).sum(axis=1) + height)[:, None]
     hits = SolidFeelers(volume).feelers(*start.T, -up[:, 0], -up[:, 1], -up[:, 2], 2 * height)

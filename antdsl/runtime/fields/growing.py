@@ -65,7 +65,7 @@ class GrowingCells(SurfaceCells):
         around = self._around(new, BLOCK)
         changed = np.unique(around[around >= 0])
         for k, table in self._tables.items():
-            if self._direct is not None and (compiled.wanted(len(changed)) or compiled.running()):
+            if self._direct is not None and compiled.wanted(len(changed)):
                 self._fill(table, changed, k)
             else:
                 table[changed] = self._nearest(changed, k)
@@ -78,7 +78,7 @@ class GrowingCells(SurfaceCells):
         nearest(self._direct, self._voxels, self._keys, self._size, self.position, cells, k, len(self), table)
 
     def _nearby(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
-        if self._direct is None or not (compiled.wanted(len(points)) or compiled.running()):
+        if self._direct is None or not compiled.wanted(len(points)):
             return super()._nearby(points, voxel, side)
         from antdsl.runtime.fields.growing_compiled import nearby
 

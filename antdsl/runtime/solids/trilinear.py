@@ -20,7 +20,7 @@ LEAN = 0.5  # voxels: how far around a place the smooth normal looks, each way
 
 def distance(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Floats:
     """Signed distance at places (mm)."""
-    if compiled.wanted(np.size(x)) or compiled.running():
+    if compiled.wanted(np.size(x)):
         return _compiled_distance(bricks, x, y, z)
     (v000, v001, v010, v011, v100, v101, v110, v111), (fx, fy, fz) = _corners(bricks, x, y, z)
     v0 = _mix(_mix(v000, v001, fz), _mix(v010, v011, fz), fy)
@@ -29,7 +29,7 @@ def distance(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Floats:
 
 def field(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Signed distance at places (mm), and its gradient."""
-    if compiled.wanted(np.size(x)) or compiled.running():
+    if compiled.wanted(np.size(x)):
         return _compiled_field(bricks, x, y, z)
     (v000, v001, v010, v011, v100, v101, v110, v111), (fx, fy, fz) = _corners(bricks, x, y, z)
     d00, d01, d10, d11 = v001 - v000, v011 - v010, v101 - v100, v111 - v110

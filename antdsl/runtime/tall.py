@@ -1,0 +1,42 @@
+"""Vectors float64 (n, 3), one row each."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+
+def columned(v: Floats) -> Floats:
+    """A copy (n, 3) of which each component is contiguous."""
+    return np.array(np.asarray(v, np.float64).T, order="C").T
+
+
+def some(v: Floats, rows: Rows) -> Floats:
+    """Some rows of vectors, ascending; each component contiguous."""
+    if len(rows) == len(v):
+        return v
+    return v.T.take(rows, axis=1).T
+
+
+def within(place: Floats, low: Floats, high: Floats) -> Rows:
+    """Which places lie in a box."""
+    found = np.ones(len(place), np.bool_)
+    for axis in range(3):
+        along = place[:, axis]
+        found &= (along >= low[axis]) & (along <= high[axis])
+    return np.flatnonzero(found)
+
+
+def length(v: Floats) -> Floats:
+    length: Floats = np.sqrt((v * v).sum(axis=1))
+    return length
+
+
+def level(v: Floats, normal: Floats) -> Floats:
+    """Unit vectors at right angles to the normals."""
+    flat = v - (v * normal).sum(axis=1)[:, None] * normal
+    level: Floats = flat / np.maximum(length(flat), 1e-12)[:, None]
+    return level
