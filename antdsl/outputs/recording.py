@@ -15,7 +15,7 @@ from antdsl.outputs.cache_writer import CacheWriter, prepare_folder, read_checkp
 from antdsl.outputs.feelers import feelers_of
 from antdsl.outputs.frames import FrameMaker, describe, static_arrays
 from antdsl.outputs.manifest import CameraEntry
-from antdsl.outputs.solid_pieces import PieceMaker, forget_changes
+from antdsl.outputs.solid_pieces import PieceMaker
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, restore, state_hash, step
@@ -81,20 +81,16 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
     recording.spend("bind", began)
     if points is not None:
         cache, frames = points
-        hashes, tried = cache.hashes(), False
+        hashes = cache.hashes()
         for frame in frames:
             arrays = read_checkpoint(cache, frame)
             if arrays is None:
                 continue
-            if tried and world.solids:  # what was dug in it stays dug
-                recording.world = world = bind(shot.plan, shot.setting, options)
-            tried = True
             try:
                 restore(world, arrays)
             except CheckpointError:
                 continue
             if state_hash(world) == hashes.get(frame):
-                forget_changes(world)
                 recording.resumed_from = recording.frame = frame
                 recording.hash = hashes[frame]
                 return recording

@@ -1,8 +1,10 @@
-"""The surface of solids in a cache: the whole at the start, then in each frame the bricks that were dug since; and back.
+"""Solids in a cache: what they were at the start, in each frame the balls that were dug, and now and then the surface.
 
-static.npz  mesh.NAME.vertices, .faces, and .bricks int32: the brick that each face is in
-a frame     mesh.NAME.changed int32: bricks whose faces these are instead, with .vertices, .faces and .bricks as above; every so
-            many frames (the manifest's `checkpoint`) all bricks that were ever dug, so that no frame needs more than those since
+static.npz  mesh.NAME.vertices, .faces, .bricks: the surface, and the brick that each face is in
+            solid.NAME.values, .table, .shape, .origin, .voxel, .band, .offset: the distances, for those who dig it again
+a frame     solid.NAME.balls float64 (k, 4): middle and radius of what was dug since the frame before, in mm
+            mesh.NAME.changed int32, and .vertices, .faces, .bricks as above: every so many frames (the manifest's
+            `checkpoint`) all bricks that were ever dug, as they are
 """
 
 from __future__ import annotations
@@ -13,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime.solids import Volume
+from antdsl.runtime.solids.bricks import CUBE, Bricks
 from antdsl.runtime.world import World
 
 Arrays = dict[str, NDArray[Any]]
@@ -29,75 +33,66 @@ class PieceMaker:
     def frame(self, world: World) -> Arrays:
         """Arrays of the frame that the world stands at."""
         arrays: Arrays = {}
-        whole = (world.frame - self.first) % self.every == 0
         for name, volume in world.solids.items():
+            for balls in (world.carved or {}).get(name, []):
+                if len(balls):
+                    arrays[f"solid.{name}.balls"] = balls
+            if (world.frame - self.first) % self.every:
+                continue
             dug = self._dug.setdefault(name, {})
-            changed = {brick: (vertices, faces) for brick, vertices, faces in volume.surface()}
-            dug |= changed
-            pieces = dug if whole else changed
-            if pieces:
-                arrays[f"mesh.{name}.changed"] = np.array(sorted(pieces), np.int32)
-                arrays |= _joined(name, pieces, world.origin, self.scale)
+            dug |= {brick: (vertices, faces) for brick, vertices, faces in volume.surface()}
+            if dug:
+                arrays[f"mesh.{name}.changed"] = np.array(sorted(dug), np.int32)
+                arrays |= _joined(name, dug, world.origin, self.scale)
         return arrays
 
 
 def start_pieces(world: World, scale: float) -> Arrays:
-    """What stands in static.npz of all solids as they are; no frame's change has them again."""
+    """What stands in static.npz of all solids, which nobody has dug yet."""
     arrays: Arrays = {}
     for name, volume in world.solids.items():
+        bricks = volume.bricks
+        arrays |= {
+            f"solid.{name}.{key}": np.array(value)
+            for key, value in {
+                "values": bricks.values[: bricks.used * CUBE], "table": bricks.table, "shape": bricks.shape,
+                "origin": bricks.origin, "voxel": bricks.voxel, "band": (bricks.least, bricks.most), "offset": world.origin,
+            }.items()
+        }  # fmt: skip
         pieces = {brick: (vertices, faces) for brick, vertices, faces in volume.surface(changed_only=False)}
         arrays |= _joined(name, pieces, world.origin, scale)
     return arrays
 
 
-def forget_changes(world: World) -> None:
-    """Let what is dug so far count as written."""
-    for volume in world.solids.values():
-        for _ in volume.surface():
-            pass
+def started(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
+    """A solid as it was before anybody dug it."""
+
+    def kept(key: str) -> NDArray[Any]:
+        return np.array(static[f"solid.{name}.{key}"])
+
+    values = kept("values")
+    least, most = (float(end) for end in kept("band"))
+    a, b, c = (int(side) for side in kept("shape"))
+    bricks = Bricks(kept("origin"), float(kept("voxel")), (a, b, c), least, most, kept("table"), values, len(values) // CUBE)
+    bricks.begin()
+    return Volume(bricks)
 
 
 def _joined(name: str, pieces: Mapping[int, Piece], origin: NDArray[np.float64], scale: float) -> Arrays:
     order = sorted(pieces)
-    counts = [len(pieces[brick][0]) for brick in order]
-    shift = np.cumsum([0, *counts])
-    vertices = [pieces[brick][0] for brick in order]
-    faces = [pieces[brick][1] + np.int32(start) for brick, start in zip(order, shift, strict=False)]
+    vertices, faces = joined([pieces[brick] for brick in order])
     return {
-        f"mesh.{name}.vertices": (np.concatenate([np.empty((0, 3)), *vertices]) + origin) * scale,
-        f"mesh.{name}.faces": np.concatenate([np.empty((0, 3), np.int32), *faces]).astype(np.int32),
+        f"mesh.{name}.vertices": (vertices + origin) * scale,
+        f"mesh.{name}.faces": faces,
         f"mesh.{name}.bricks": np.repeat(np.array(order, np.int32), [len(pieces[brick][1]) for brick in order]),
     }
 
 
-class Surface:
-    """A solid's surface, brought up to date by the arrays of frames."""
-
-    def __init__(self, name: str, static: Mapping[str, NDArray[Any]]) -> None:
-        self.name = name
-        self.mesh = _mesh(name, static)
-
-    def change(self, arrays: Mapping[str, NDArray[Any]]) -> bool:
-        """Put a frame's bricks in place of what was there; whether there were any."""
-        changed = arrays.get(f"mesh.{self.name}.changed")
-        if changed is None:
-            return False
-        vertices, faces, bricks = self.mesh
-        kept = ~np.isin(bricks, changed)
-        more = _mesh(self.name, arrays)
-        whole = np.concatenate([faces[kept], more[1] + np.int32(len(vertices))])
-        used, renumbered = np.unique(whole, return_inverse=True)
-        self.mesh = (
-            np.concatenate([vertices, more[0]])[used],
-            renumbered.reshape(whole.shape).astype(np.int32),
-            np.concatenate([bricks[kept], more[2]]),
-        )
-        return True
-
-
-def _mesh(name: str, arrays: Mapping[str, NDArray[Any]]) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int32]]:
+def joined(pieces: list[Piece]) -> Piece:
+    """One mesh of several."""
+    shift = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
+    faces = [faces + np.int32(start) for (_, faces), start in zip(pieces, shift, strict=False)]
     return (
-        np.asarray(arrays[f"mesh.{name}.vertices"], np.float64),
-        np.asarray(arrays[f"mesh.{name}.faces"], np.int32),
-        np.asarray(arrays[f"mesh.{name}.bricks"], np.int32),
+        np.concatenate([np.empty((0, 3)), *(vertices for vertices, _ in pieces)]),
+        np.concatenate([np.empty((0, 3), np.int32), *faces]).astype(np.int32),
     )

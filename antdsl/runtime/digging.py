@@ -67,7 +67,9 @@ def handed_over(world: World) -> dict[str, NDArray[np.float64]]:
 
 def dig_again(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Dig what `handed_over` tells of in another copy of the solids; twice is as once."""
+    world.carved = {}
     for name, volume in world.solids.items():
         balls = arrays.get(f"solid.{name}.carved")
         if balls is not None and len(balls):
+            world.carved[name] = [balls]
             volume.carve(balls[:, :3], balls[:, 3], np.zeros(len(balls), np.int64))
