@@ -10,10 +10,14 @@ import numpy as np
 import pytest
 from test_cli import antdsl
 
+from antdsl.bodies.shapes import sphere
 from antdsl.outputs.cache import open_cache
 from antdsl.outputs.dug_solids import DugSolids
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, state_hash, step
+from antdsl.runtime.fields.growing import GrowingCells
+from antdsl.runtime.senses.solid_feelers import SolidFeelers
+from antdsl.runtime.solids import Volume
 
 STEPS = 80
 
@@ -224,3 +228,97 @@ def test_a_surface_has_no_voxels(tmp_path):
     text = digging_shots.SCENE.replace("  ground: {mesh: ground.ply}", "  ground: {mesh: ground.ply, voxel: 1 mm}")
     scene = digging_shots.folder(tmp_path, scene=text)
     assert "only solids have voxels" in run("check", scene, code=1)
+
+
+def test_kernels_give_the_same_bits(shot, watched, monkeypatch):
+    pytest.importorskip("numba")
+    from antdsl.runtime import compiled
+
+    if not compiled.available():
+        pytest.skip("kernels cannot be compiled here")
+    monkeypatch.setattr(compiled, "wanted", lambda count: True)
+    world = bound(shot)
+    for frame in range(50):
+        step(world)
+        assert state_hash(world) == watched[1][frame + 1], frame
+
+
+@pytest.mark.parametrize("kernels", [False, True])
+def test_cells_are_found_alike_however_many_are_asked_for(kernels, monkeypatch):
+    """Rows of the nearest and cells near a place, one by one and all at once, with NumPy and compiled."""
+    from antdsl.runtime import compiled
+
+    if kernels and not compiled.available():
+        pytest.skip("kernels cannot be compiled here")
+
+    def grown(fast: bool) -> GrowingCells:
+        monkeypatch.setattr(compiled, "wanted", lambda count: fast)
+        cells, draw = GrowingCells([digging_shots.hill()], 3.0), np.random.default_rng(3)
+        cells.nearest(5)
+        for _ in range(6):
+            normal = draw.normal(size=(80, 3))
+            cells.grow(draw.uniform(-16, 16, (80, 3)), normal / np.linalg.norm(normal, axis=1)[:, None])
+        return cells
+
+    draw = np.random.default_rng(4)
+    places, normals = draw.uniform(-24, 24, (900, 3)), draw.normal(size=(900, 3))
+    cells = grown(kernels)
+    found = cells.lookup(places, normals)
+    assert 0.05 < (found < 0).mean() < 0.9 and cells.used - cells.at_start > 200
+    other = grown(False)
+    assert np.array_equal(other.lookup(places, normals), found)
+    one_by_one = [other.lookup(places[n : n + 1], normals[n : n + 1])[0] for n in range(0, 900, 30)]
+    assert np.array_equal(one_by_one, found[::30])
+    for count in (5, 16):
+        assert np.array_equal(other._nearest(np.arange(other.used), count), cells.nearest(count)[: cells.used])
+
+
+def test_feelers_meet_a_ball_where_it_is_and_run_along_it_free():
+    vertices, faces = sphere(4)
+    ball = Volume.from_mesh(vertices * 20.0, faces, 1.0)
+    assert isinstance(ball, Volume)
+    feel = SolidFeelers(ball)
+    draw = np.random.default_rng(1)
+    way = draw.normal(size=(200, 3))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    start = -way * 32.0 + np.cross(way, [0.3, 0.5, 0.8]) * 9.0
+    off = np.linalg.norm(np.cross(way, [0.3, 0.5, 0.8]), axis=1) * 9.0
+    hits = feel.feelers(*start.T, *way.T, 60.0)
+    assert hits.hit.all()
+    assert hits.t == pytest.approx(32.0 - np.sqrt(400 - off**2), abs=0.35)
+    met = start + hits.t[:, None] * way
+    normal = np.stack([hits.nx, hits.ny, hits.nz], axis=1)
+    assert ((normal * met).sum(axis=1) > 0.97 * np.linalg.norm(met, axis=1)).all()
+    assert not feel.feelers(*start.T, *way.T, 11.0).hit.any(), "nothing so near"
+    on = ball.project(way * 20.0, way).points
+    side = np.cross(way, [0.1, 0.9, 0.2])
+    side /= np.linalg.norm(side, axis=1)[:, None]
+    assert not feel.feelers(*on.T, *side.T, 6.0).hit.any(), "along its surface"
+    assert feel.feelers(*on.T, *-way.T, 6.0).hit.all(), "into it"
+    for away, error in ((2.0, 0.1), (30.0, 2.0)):
+        near = feel.near(*(way * (20 + away)).T, np.inf)
+        assert near.t == pytest.approx(away, abs=error)
+        assert (np.stack([near.nx, near.ny, near.nz], axis=1) * way).sum(axis=1).min() > 0.99
+    clear = feel.clearance(*(way * 50.0).T)
+    assert (clear <= 30.0 + 1e-3).all() and (clear > 0).all()
+
+
+def test_the_field_between_nodes_is_the_same_compiled(monkeypatch):
+    from antdsl.runtime import compiled
+    from antdsl.runtime.solids import trilinear
+
+    if not compiled.available():
+        pytest.skip("kernels cannot be compiled here")
+    draw = np.random.default_rng(1)
+    volume = Volume.from_mesh(*digging_shots.hill(), 0.7)
+    assert isinstance(volume, Volume)
+    volume.carve(draw.normal(size=(30, 3)) * 12, draw.uniform(1, 4, 30), np.arange(30))
+    places = draw.uniform(-35, 35, (20_000, 3))
+    places[:4] = [[np.nan] * 3, [np.inf] * 3, [-np.inf] * 3, [1e300, 0, 0]]
+    places[1000:3000] = volume.low + np.round((places[1000:3000] - volume.low) / 0.7) * 0.7  # at nodes
+    found = []
+    for fast in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
+        found.append([trilinear.distance(volume.bricks, *places.T), *trilinear.field(volume.bricks, *places.T)])
+    for plain, quick in zip(*found, strict=True):
+        assert np.array_equal(plain, quick, equal_nan=True)
