@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.arrays import DTYPES, MAGIC, ArrayFileError, members, parse_npy
+from antdsl.scene.arrays import DTYPES, MAGIC, ArrayFileError, parse_npy, read_archive
 
 __all__ = ["ArrayFileError", "parse_npy", "read_npz", "sync_file", "sync_folder", "to_bytes", "write_whole"]
 
@@ -93,12 +93,8 @@ def sync_folder(folder: Path) -> None:
 
 def read_npz(path: Path) -> dict[str, NDArray[Any]]:
     """All arrays of a file that `to_bytes` wrote, checksums compared; ArrayFileError says what is wrong with any other."""
-    try:
-        with open(path, "rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            if size > FILE_BYTES:
-                raise ArrayFileError(f"has {size:,} bytes, more than {FILE_BYTES:,}")
-            with zipfile.ZipFile(file) as archive:
-                return members(archive, size)
-    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, OverflowError) as problem:
-        raise ArrayFileError(f"is damaged or no array file ({problem})") from None
+    with open(path, "rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > FILE_BYTES:
+            raise ArrayFileError(f"has {size:,} bytes, more than {FILE_BYTES:,}")
+        return read_archive(file, size)

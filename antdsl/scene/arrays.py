@@ -8,7 +8,7 @@ import io
 import re
 import zipfile
 from math import prod
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +29,20 @@ class ArrayFileError(Exception):
 
 def read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
     """All arrays of an NPZ file's bytes, checksums compared; ArrayFileError says what is wrong."""
+    return read_archive(io.BytesIO(data), len(data))
+
+
+def read_archive(file: IO[bytes], size: int) -> dict[str, NDArray[Any]]:
+    """As `read_arrays`, of an open file of `size` bytes."""
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            return members(archive, len(data))
+        with zipfile.ZipFile(file) as archive:
+            return _members(archive, size)
+    # NotImplementedError: zipfile's word for a compression that it does not know
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, OverflowError) as problem:
         raise ArrayFileError(f"is damaged or no array file ({problem})") from None
 
 
-def members(archive: zipfile.ZipFile, size: int) -> dict[str, NDArray[Any]]:
+def _members(archive: zipfile.ZipFile, size: int) -> dict[str, NDArray[Any]]:
     """All arrays of an open archive of `size` bytes; ArrayFileError, or an error of zipfile's own, says what is wrong."""
     entries = archive.infolist()
     if len(entries) > MEMBERS:
