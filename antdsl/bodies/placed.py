@@ -117,6 +117,9 @@ _WORDS: tuple[tuple[str, str], ...] = (
     ("nest", "mound"),
     ("home", "mound"),
     ("hill", "mound"),
+    ("heap", "mound"),
+    ("door", "none"),  # places that are meant, not things
+    ("room", "none"),
 )
 
 

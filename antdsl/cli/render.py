@@ -12,6 +12,7 @@ import typer
 from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
+    from antdsl.outputs.cutting import Cut
     from antdsl.outputs.gallery import Gallery
     from antdsl.outputs.pictures.model import Camera, Picture
 
@@ -42,6 +43,9 @@ def render(
     width: int = typer.Option(960, "--width", min=16, max=8192, help="Pixels."),
     height: int = typer.Option(540, "--height", min=16, max=8192, help="Pixels."),
     camera: View = typer.Option(View.scene, "--camera", help="The scene's own, one from above, one at an agent's eye level."),
+    cut: str = typer.Option(
+        None, "--cut", metavar="'z > 0'", help="Leave out what lies beyond a plane, in the scene's units, and look into solids."
+    ),
     threads: int = typer.Option(0, "--threads", min=0, max=256, help="0 takes all cores."),
     out: Path = typer.Option(
         None, "--out", metavar="DIR", help="Where pictures go. [default: pictures in the cache]", show_default=False
@@ -50,7 +54,7 @@ def render(
     """Draw frames of a cache."""
     from antdsl.cli.arguments import frame_range
 
-    gallery = _gallery(cache)
+    gallery = _gallery(cache, _cut(cut))
     wanted = _frames(gallery, frame_range(frames), every, sheet, film)
     followed = _ids(agents)
     words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
@@ -74,13 +78,22 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-def _gallery(folder: Path) -> Gallery:
+def _cut(text: str | None) -> Cut | None:
+    from antdsl.outputs.cutting import Cut
+
+    found = Cut.of(text) if text is not None else None
+    if text is not None and found is None:
+        raise typer.BadParameter(f"`{text}` is no plane such as `z > 0` or `x < -12.5`", param_hint="--cut")
+    return found
+
+
+def _gallery(folder: Path, cut: Cut | None) -> Gallery:
     from antdsl.outputs.cache import CacheError, open_cache
     from antdsl.outputs.gallery import Gallery, NoPicture
     from antdsl.outputs.manifest import ManifestError
 
     try:
-        return Gallery(open_cache(folder))
+        return Gallery(open_cache(folder), cut)
     except (ManifestError, CacheError) as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except NoPicture as why:

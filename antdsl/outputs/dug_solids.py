@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache import Cache, CacheError
+from antdsl.outputs.cutting import Cut
 from antdsl.outputs.pictures.model import Solid
 from antdsl.outputs.solid_pieces import Piece, joined, started
 from antdsl.runtime.solids import Volume
@@ -23,7 +24,11 @@ class _Kept:
     pieces: dict[int, Piece] = field(default_factory=dict)
     drawn: Solid | None = None
 
-    def surface(self, name: str, offset: NDArray[np.float64], scale: float) -> Solid:
+    def surface(self, name: str, offset: NDArray[np.float64], scale: float, cut: Cut | None) -> Solid:
+        if cut is not None:
+            opened = cut.opened(self.volume, offset, scale)
+            vertices, faces = joined([(v, f) for _, v, f in opened.surface(changed_only=False)])
+            return Solid(name, (vertices + offset) * scale, faces, "hill")
         changed = {brick: (vertices, faces) for brick, vertices, faces in self.volume.surface()}
         if changed or self.drawn is None:
             self.pieces |= changed
@@ -35,8 +40,8 @@ class _Kept:
 class DugSolids:
     """Solids frame by frame. Frames asked for in order are quickest; any other is dug again from the checkpoint before it."""
 
-    def __init__(self, cache: Cache, static: Mapping[str, NDArray[Any]]) -> None:
-        self.cache, self._static = cache, static
+    def __init__(self, cache: Cache, static: Mapping[str, NDArray[Any]], cut: Cut | None = None) -> None:
+        self.cache, self._static, self._cut = cache, static, cut
         self._kept = {m.name: _Kept(started(m.name, static)) for m in cache.manifest.meshes if m.kind == "solid"}
         self._at: int | None = None
         self._scale = 1.0 / {"mm": 1.0, "cm": 10.0, "m": 1000.0}[cache.manifest.units]
@@ -51,7 +56,8 @@ class DugSolids:
             self._dig(number)
         self._at = frame
         return tuple(
-            kept.surface(name, np.asarray(self._static[f"solid.{name}.offset"]), self._scale) for name, kept in self._kept.items()
+            kept.surface(name, np.asarray(self._static[f"solid.{name}.offset"]), self._scale, self._cut)
+            for name, kept in self._kept.items()
         )
 
     def _dig(self, frame: int) -> None:

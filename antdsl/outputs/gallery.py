@@ -13,6 +13,7 @@ from antdsl.bodies.body import turned
 from antdsl.bodies.catalogue import BODIES, body_of
 from antdsl.bodies.placed import shape_of
 from antdsl.outputs.cache import Arrays, Cache, CacheError
+from antdsl.outputs.cutting import Cut
 from antdsl.outputs.dug_solids import DugSolids
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.flow_arrows import drawn
@@ -36,8 +37,8 @@ class NoPicture(Exception):
 class Gallery:
     """Makes pictures of one cache. Frames asked for in order let the legs of agents move on between them."""
 
-    def __init__(self, cache: Cache) -> None:
-        self.cache, self.manifest = cache, cache.manifest
+    def __init__(self, cache: Cache, cut: Cut | None = None) -> None:
+        self.cache, self.manifest, self._cut = cache, cache.manifest, cut
         missing = [name for name in WANTED if name not in self.manifest.attributes]
         if missing:
             raise NoPicture(f"the cache has no attribute `{missing[0]}`, which pictures need")
@@ -45,7 +46,7 @@ class Gallery:
         self.dt = int(below) / int(above)
         self.static = cache.static()
         self._stones = tuple(self._solid(m.name, m.kind) for m in self.manifest.meshes if m.kind != "solid")
-        self._dug = DugSolids(cache, self.static)
+        self._dug = DugSolids(cache, self.static, cut)
         self.flows = tuple(
             Arrows(name, place, way, _ARROWS[number % len(_ARROWS)])
             for number, (name, (place, way)) in enumerate(drawn(self.static).items())
@@ -62,7 +63,7 @@ class Gallery:
             frames = self.cache.frames()
             self._first = self.cache.frame(frames[0]) if frames else arrays
         crowds, legend = self._crowds(frame, arrays, agents)
-        return Picture(
+        whole = Picture(
             solids=(*self._solids(arrays), *self._dug.at(frame)),
             crowds=crowds,
             items=self._items(arrays),
@@ -73,6 +74,7 @@ class Gallery:
             frame=frame,
             grain=self._grain(self._first),
         )
+        return whole if self._cut is None else self._cut.picture(whole)
 
     @property
     def camera_moves(self) -> bool:

@@ -124,7 +124,7 @@ def _ground(meshes: dict[str, MeshData], solids: dict[str, Any], up: NDArray[np.
         return ground
     from antdsl.runtime.terrain import Terrain
 
-    return Terrain(ground, solids)
+    return Terrain(ground, solids, up / np.sqrt(np.dot(up, up)))
 
 
 def _meshes(meshes: dict[str, MeshData], moving: Iterable[str]) -> Any:

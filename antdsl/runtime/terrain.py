@@ -56,15 +56,16 @@ class _Entries:
 class Terrain:
     """Meshes (a `Ground`, or None without any) and solids by name; names of solids come after those of meshes."""
 
-    def __init__(self, ground: Ground | None, solids: Mapping[str, Volume]) -> None:
+    def __init__(self, ground: Ground | None, solids: Mapping[str, Volume], up: Floats) -> None:
         self.meshes = ground
+        self._up = np.asarray(up, np.float64)
         self._volumes = tuple(solids.values())
         self.names = (*(ground.names if ground is not None else ()), *solids)
         self._count = len(self.names) - len(self._volumes)
 
     def with_meshes(self, ground: Ground) -> Terrain:
         """The same solids with other meshes of the same names."""
-        return Terrain(ground, dict(zip(self.names[self._count :], self._volumes, strict=True)))
+        return Terrain(ground, dict(zip(self.names[self._count :], self._volumes, strict=True)), self._up)
 
     # ---- asking
 
@@ -324,10 +325,24 @@ class Terrain:
         return np.concatenate([again, down[rest > 0]])
 
     def _fall(self, walk: _Walk, rows: Rows) -> None:
-        """Nothing of the solid is left near by: down to what is nearest."""
+        """Nothing of the solid is left near by: down, as the scene has it, onto what lies below; else to what is nearest."""
         if not rows.size:
             return
-        onto, _ = self.nearest(self.position(walk.standing.take(rows)))
+        start = self.position(walk.standing.take(rows))
+        onto, _ = self.nearest(start)
+        least = np.full(len(rows), np.inf)
+        for k, volume in enumerate(self._volumes):
+            reach = length(np.maximum(np.abs(volume.high - start), np.abs(start - volume.low)))
+            place, met = _below(volume, start, np.broadcast_to(self._up, start.shape), reach)
+            gone = length(place - start)
+            first = np.flatnonzero(met & (gone < least))
+            onto.put(first, Standing.on_solid(self._count + k, place[first]))
+            least[first] = gone[first]
+        if self.meshes is not None:
+            far = self.meshes.extent + length(start - (self.meshes.low + self.meshes.high) / 2)
+            met, part, footing = self.meshes.met(start, -self._up * far[:, None])
+            first = np.flatnonzero(met & (part * far < least))
+            onto.put(first, Standing.on_mesh(footing.take(first)))
         walk.standing.put(rows, onto)
         walk.place[rows] = self.position(onto)
         normal = self.upright(onto, walk.up[rows])
@@ -363,12 +378,17 @@ def _normals(volume: Volume, place: Floats) -> Floats:
 
 def _dropped(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """The first place of a solid that a ray from far above along -`up` meets, and whether there is one."""
-    from antdsl.runtime.senses.solid_feelers import SolidFeelers
-
     height = float(length((volume.high - volume.low)[None, :])[0])
     middle = (volume.low + volume.high) / 2
     start = points + up * (((middle - points) * up).sum(axis=1) + height)[:, None]
-    hits = SolidFeelers(volume).feelers(*start.T, -up[:, 0], -up[:, 1], -up[:, 2], 2 * height)
+    return _below(volume, start, up, 2 * height)
+
+
+def _below(volume: Volume, start: Floats, up: Floats, reach: Floats | float) -> tuple[Floats, NDArray[np.bool_]]:
+    """The first place of a solid that a ray along -`up` meets within `reach`, and whether there is one."""
+    from antdsl.runtime.senses.solid_feelers import SolidFeelers
+
+    hits = SolidFeelers(volume).feelers(*start.T, -up[:, 0], -up[:, 1], -up[:, 2], reach)  # type: ignore[call-arg]
     place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
     landed = volume.project(place, up, 2 * volume.voxel)
     return landed.points, hits.hit & landed.found

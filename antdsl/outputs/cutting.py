@@ -1,0 +1,84 @@
+"""Pictures cut open: what lies beyond a plane across an axis is left out, and solids show what is inside them."""
+
+from __future__ import annotations
+
+import re
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.outputs.pictures.model import Crowd, Picture, Solid
+from antdsl.runtime.solids import Volume
+from antdsl.runtime.solids.bricks import CUBE, SIDE
+
+_WRITTEN = re.compile(r"\s*([xyz])\s*([<>])\s*(-?[0-9]+(?:\.[0-9]+)?)\s*")
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """What is taken away: places whose coordinate along an axis is above `at` (scene units), below it where `below`."""
+
+    axis: int
+    at: float
+    below: bool
+
+    @staticmethod
+    def of(text: str) -> Cut | None:
+        """From words such as `z > 0`; None when they are not such."""
+        found = _WRITTEN.fullmatch(text)
+        return None if found is None else Cut("xyz".index(found[1]), float(found[3]), found[2] == "<")
+
+    def gone(self, places: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which places [n,3] are taken away."""
+        along = places[:, self.axis]
+        return along < self.at if self.below else along > self.at
+
+    def opened(self, volume: Volume, offset: NDArray[np.float64], scale: float) -> Volume:
+        """A copy of a solid from which all beyond the plane has been dug: max(distance, depth beyond it)."""
+        copied = deepcopy(volume)
+        bricks = copied.bricks
+        nodes = bricks.origin[self.axis] + np.arange(bricks.nodes[self.axis]) * bricks.voxel
+        depth = (nodes + offset[self.axis]) * scale - self.at
+        depth = (-depth if self.below else depth) / scale
+        low = depth.reshape(-1, SIDE).max(axis=1) > bricks.least  # slices of bricks that the plane changes
+        index = np.unravel_index(np.arange(bricks.table.size), bricks.shape)[self.axis]
+        changed = np.flatnonzero(low[index] & (bricks.table != 0))
+        bricks.open(changed)
+        pool = bricks.values.reshape(-1, CUBE)
+        shape = [1, 1, 1, 1]
+        shape[self.axis + 1] = SIDE
+        cut = np.minimum(depth.reshape(-1, SIDE)[index[changed]].astype(np.float32), np.float32(bricks.most))
+        slots = bricks.table[changed]
+        spread = cut.reshape([len(changed), *shape[1:]])
+        pool[slots] = np.maximum(pool[slots].reshape(-1, SIDE, SIDE, SIDE), spread).reshape(-1, CUBE)
+        return copied
+
+    def picture(self, whole: Picture) -> Picture:
+        """A picture without agents, items, scent and faces of meshes that are taken away; its solids are cut already."""
+        return replace(
+            whole,
+            solids=tuple(self._mesh(solid) for solid in whole.solids),
+            crowds=tuple(_some(crowd, ~self.gone(crowd.position)) for crowd in whole.crowds),
+            items=tuple(item for item in whole.items if not self.gone(np.array([item.position]))[0]),
+            trails=tuple(replace(t, strength=np.where(self.gone(t.position), 0.0, t.strength)) for t in whole.trails),
+        )
+
+    def _mesh(self, solid: Solid) -> Solid:
+        gone = self.gone(solid.vertices)
+        kept = ~gone[solid.faces].all(axis=1)
+        return solid if kept.all() else replace(solid, faces=solid.faces[kept])
+
+
+def _some(crowd: Crowd, rows: NDArray[np.bool_]) -> Crowd:
+    """Some agents of a crowd."""
+
+    def of(array: Any) -> Any:
+        return None if array is None else array[rows]
+
+    return replace(
+        crowd, position=of(crowd.position), orient=of(crowd.orient), scale=of(crowd.scale), colour=of(crowd.colour),
+        walked=of(crowd.walked), ids=of(crowd.ids), velocity=of(crowd.velocity), feelers=None,
+    )  # fmt: skip
