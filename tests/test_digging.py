@@ -12,12 +12,15 @@ from test_cli import antdsl
 
 from antdsl.bodies.shapes import sphere
 from antdsl.outputs.cache import open_cache
+from antdsl.outputs.cutting import Cut
 from antdsl.outputs.dug_solids import DugSolids
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, state_hash, step
 from antdsl.runtime.fields.growing import GrowingCells
 from antdsl.runtime.senses.solid_feelers import SolidFeelers
 from antdsl.runtime.solids import Volume
+from antdsl.runtime.standing import Standing
+from antdsl.runtime.terrain import Terrain
 
 STEPS = 80
 
@@ -322,3 +325,48 @@ def test_the_field_between_nodes_is_the_same_compiled(monkeypatch):
         found.append([trilinear.distance(volume.bricks, *places.T), *trilinear.field(volume.bricks, *places.T)])
     for plain, quick in zip(*found, strict=True):
         assert np.array_equal(plain, quick, equal_nan=True)
+
+
+def test_who_hangs_from_a_ceiling_that_is_dug_away_falls_to_the_floor(shot):
+    world = bound(shot)
+    hill, ground = world.solids["hill"], world.ground
+    hill.carve(np.array([[0.0, 7.0, 0.0]]), np.array([4.0]), np.zeros(1, np.int64))
+    ceiling = hill.project(np.array([[0.0, 10.5, 0.0]]), np.array([[0.0, -1.0, 0.0]]))
+    assert ceiling.found[0] and ceiling.normals[0, 1] < -0.8
+    standing = Standing.on_solid(1, ceiling.points)
+    hill.carve(np.array([[0.0, 15.0, 0.0]]), np.array([9.0]), np.zeros(1, np.int64))  # now the sky is over it
+    still = np.zeros((1, 3))
+    moved = ground.move(standing, still, np.array([[1.0, 0.0, 0.0]]), ceiling.normals, 4.0)
+    assert moved.footing.mesh[0] == 1 and moved.position[0, 1] == pytest.approx(3.0, abs=0.3), moved.position
+    assert moved.up[0, 1] > 0.9 and abs((moved.heading * moved.up).sum()) < 1e-6
+
+
+def test_one_solid_is_hard_for_who_walks_on_another(shot):
+    ball, faces = sphere(3)
+    solids = {name: Volume.from_mesh(ball * 10 + [at, 0, 0], faces, 1.0) for name, at in (("one", 0.0), ("two", 12.0))}
+    ground = Terrain(None, solids, np.array([0.0, 1.0, 0.0]))
+    place, found = ground.place(np.array([[0.0, 20.0, 0.0]]), np.array([0.0, 1.0, 0.0]))
+    assert found[0] and place.mesh[0] == 0
+    up, way = np.array([[0.0, 1.0, 0.0]]), np.array([[1.0, 0.0, 0.0]])
+    seen = set()
+    for _ in range(40):
+        moved = ground.move(place, way * 1.1, way, up, 4.0)
+        place, way, up = moved.footing, moved.direction, moved.up
+        seen.add(int(place.mesh[0]))
+        assert min(volume.sample(moved.position)[0] for volume in solids.values()) > -0.06
+    assert seen == {0, 1} and moved.position[0, 0] > 12, "over the notch between them and on"
+
+
+def test_a_cut_shows_the_inside(scene, shot):
+    world = bound(shot)
+    hill = world.solids["hill"]
+    hill.carve(np.array([[0.0, 6.0, 0.0]]), np.array([4.0]), np.zeros(1, np.int64))
+    cut = Cut.of("z > 0.5")
+    assert cut is not None and Cut.of("z = 3") is None and Cut.of("z > 0; x") is None
+    opened = cut.opened(hill, np.zeros(3), 1.0)
+    vertices = np.concatenate([v for _, v, f in opened.surface(changed_only=False)])
+    assert vertices[:, 2].max() == pytest.approx(0.5, abs=0.01)
+    level = vertices[np.abs(vertices[:, 2] - 0.5) < 1e-3]
+    inside = np.linalg.norm(level[:, :2] - [0.0, 6.0], axis=1)
+    assert len(level) > 300 and inside.min() > 3.5, "a section with a hole where the cave is"
+    assert hill.sample(np.array([[0.0, 12.0, 5.0]]))[0] < 0, "the solid itself is whole"
