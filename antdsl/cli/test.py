@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,7 +60,13 @@ def test(
     coverage = Coverage()
     stopped = False
     try:
-        run_cases(runs, Options(backend=backend.value, threads=threads or cores()), coverage, done, progress.frame)
+        with _ended_between_frames() as ask:
+
+            def frame(run: Run, number: int, last: int) -> None:
+                ask()
+                progress.frame(run, number, last)
+
+            run_cases(runs, Options(backend=backend.value, threads=threads or cores()), coverage, done, frame)
     except KeyboardInterrupt:
         stopped = True
         progress.clear()
@@ -71,6 +79,30 @@ def test(
         raise Stop(Exit.FINDINGS)
     if not report.ok:
         raise Stop(verdict(report))
+
+
+@contextmanager
+def _ended_between_frames() -> Iterator[Callable[[], None]]:
+    """Gives what to call between frames: it raises KeyboardInterrupt once Ctrl-C came. Where it comes, an interrupt may be
+    swallowed by a library that is being called; a second one is raised there all the same."""
+    import signal
+
+    asked: list[int] = []
+
+    def stop(number: int, frame: object) -> None:
+        if asked:
+            raise KeyboardInterrupt
+        asked.append(number)
+
+    def ask() -> None:
+        if asked:
+            raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield ask
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class _Progress:
