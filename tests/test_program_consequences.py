@@ -60,7 +60,7 @@ SLIPS = [  # what is written, what the slip makes of it, code, text at the place
     ("state turn_home {", "state turn-home {", "bad-name", "turn-home", "turn_home"),
     ("state approach {", "state approach (", "missing-brace", "(", "`{`"),
     ("give all load to nest", "give all load too nest", "unexpected-text", "too", "give all load to"),
-    ("held 0.5 s", "heldfast 0.5 s", "unexpected-text", "heldfast", "when"),
+    ("held 0.5 s", "heldfast 0.5 s", "unexpected-text", "heldfast", "held"),
     ("use steering", "use stearing", "unknown-library", "stearing", "`steering`"),
     ("use steering", "import steering", "unknown-line", "import", "`use`"),
     ("    when meal -> approach", "    if meal -> approach", "unknown-line", "if", "`when`"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
@@ -48,6 +49,16 @@ def _key(diagnostic: Diagnostic) -> tuple[str | int, ...]:
     return (diagnostic.code, span.source.path, span.start, span.end)
 
 
+_INSTEAD = re.compile("(?:did you mean|write) `([^`…]+)`\\??")
+
+
+def replacement(message: str, span: Span | None, help: str | None) -> Fix | None:
+    """What an editor can put in place of a span, where the help is nothing but the text to write instead of what the message
+    names; None where the help says more, or the span covers something else."""
+    found = _INSTEAD.fullmatch(help or "")
+    return Fix(span, found[1]) if found and span is not None and f"`{span.text}`" in message else None
+
+
 @dataclass(slots=True)
 class Report:
     """Everything one or more stages had to say. The same code at the same place is kept once."""
@@ -65,10 +76,17 @@ class Report:
             self.diagnostics.append(diagnostic)
 
     def error(self, code: str, message: str, span: Span | None, help: str | None = None, **more: object) -> None:
-        self.add(Diagnostic(code, message, span, "error", help, **more))  # type: ignore[arg-type]
+        self._say("error", code, message, span, help, more)
 
     def warning(self, code: str, message: str, span: Span | None, help: str | None = None, **more: object) -> None:
-        self.add(Diagnostic(code, message, span, "warning", help, **more))  # type: ignore[arg-type]
+        self._say("warning", code, message, span, help, more)
+
+    def _say(
+        self, severity: Severity, code: str, message: str, span: Span | None, help: str | None, more: dict[str, object]
+    ) -> None:
+        if more.get("fix") is None:
+            more["fix"] = replacement(message, span, help)
+        self.add(Diagnostic(code, message, span, severity, help, **more))  # type: ignore[arg-type]
 
     def extend(self, others: Report | Iterable[Diagnostic]) -> None:
         for diagnostic in others.diagnostics if isinstance(others, Report) else others:

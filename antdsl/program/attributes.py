@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from antdsl.diagnostics import Fix
+from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program import model
 from antdsl.program.behaviours import declared_type
 from antdsl.program.defaults import node_of
@@ -10,7 +12,7 @@ from antdsl.program.model import Const, Expr, Kind, Type
 from antdsl.program.operators import value, wanted
 from antdsl.program.ordering import ordered
 from antdsl.program.scope import BAD, Keys, Scope, bad, did_you_mean, duplicate, type_from_words
-from antdsl.program.units import unit_spelling
+from antdsl.program.units import constant, dimension_words, shown, unit_spelling
 from antdsl.program.vocabulary import GIVEN
 from antdsl.program.wording import fits, mismatch, quoted, type_words
 from antdsl.source import Span
@@ -42,10 +44,26 @@ def param(scope: Scope, node: nodes.Declaration) -> model.Param | None:
         type = declared_type(scope, node.type)
         if not fits(default.type, type):
             mismatch(scope.report, node.value, default.type, type, f"param `{name}`")
+    default = _with_unit_of_range(scope, node, default)
     names.params[name] = default.type
     low, high = _param_range(scope, node, default)
     help = node.help.text if node.help else ""
     return model.Param(f"{names.name}.{name}", default.type, default, low, high, unit_spelling(node.value), help, node.name.span)
+
+
+def _with_unit_of_range(scope: Scope, node: nodes.Declaration, default: Const) -> Const:
+    """Complains about a plain number whose range has units at both ends, and takes it in the unit of the lower one."""
+    value, ends = node.value, node.range
+    if not isinstance(value, nodes.Number) or ends is None:
+        return default
+    if not isinstance(ends.low, nodes.Quantity) or not isinstance(ends.high, nodes.Quantity):
+        return default
+    low, high = (constant(value.value, end.unit, value.span) for end in (ends.low, ends.high))
+    if low is None or high is None or low.type != high.type or low.type == default.type:
+        return default
+    message = f"{quoted(value.span)} has no unit, and the range of `{node.name.text}` is {dimension_words(low.type.dim)}"
+    scope.report.error("missing-unit", message, value.span, f"write `{shown(value.value)} {ends.low.unit}`")
+    return low
 
 
 def _fixed(scope: Scope, node: nodes.Expr, who: str, want: Type | None = None) -> Const | None:
@@ -75,6 +93,7 @@ def _param_range(scope: Scope, node: nodes.Declaration, default: Const) -> tuple
                 f"the range {quoted(node.range.span)} ends before it begins",
                 node.range.span,
                 "write the lesser end first",
+                fix=Fix(node.range.span, f"{node.range.high.span.text} .. {node.range.low.span.text}"),
             )
         elif not low.number <= default.number <= high.number:
             scope.report.error(
@@ -116,6 +135,11 @@ def _settable(scope: Scope, member: nodes.Given) -> bool:
     if row is not None and row.settable:
         return True
     known = [n for n, g in GIVEN.items() if g.settable]
+    if row is None and scope.species and isinstance(member.value, nodes.NameRef) and _names_state(scope, member.value.name.text):
+        known = ["start"]  # `strat search`: only that word is followed by a state
+        if nearest_name(name.text, known):
+            scope.report.error("unknown-property", f"an animal has no property `{name.text}`", name.span, "did you mean `start`?")
+            return False
     text = " ".join(member.value.span.text.split())
     if row is not None:
         better = f"`max_speed {text}` is the fastest it goes" if name.text == "speed" else "it follows from how the animal moves"
@@ -129,6 +153,10 @@ def _settable(scope: Scope, member: nodes.Given) -> bool:
         )
     value(scope.inside(once=True), member.value)
     return False
+
+
+def _names_state(scope: Scope, word: str) -> bool:
+    return scope.species is not None and any(word in machine.states for machine in scope.species.machines.values())
 
 
 def _attribute(scope: Scope, node: nodes.Declaration | nodes.Given, circular: bool) -> model.AttributeDecl:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import cast
 
+from antdsl.diagnostics import Fix
 from antdsl.program.arguments import Slot, arranged, type_all
 from antdsl.program.behaviours import call_behaviour
 from antdsl.program.defaults import default_of
@@ -23,6 +24,14 @@ from antdsl.syntax import nodes
 
 DRAWS = ("uniform", "normal", "pick", "random_agent")
 Variables = dict[str, tuple[nodes.Expr, Expr]]
+
+
+def _use_line(file: nodes.File, library: str) -> Fix | None:
+    """A `use` below the edition and the file's help."""
+    head = file.help or file.edition
+    if head is None:
+        return None
+    return Fix(Span(file.source, head.span.end, head.span.end), f"\nuse {library}")
 
 
 def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
@@ -71,7 +80,8 @@ def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name) -> None:
         if home not in scope.file.wanting:
             scope.file.wanting.add(home)
             advice = f"write `use {home}` below the first line"
-            scope.report.error("unknown-behaviour", f"`{name.text}` is in the library `{home}`", name.span, advice)
+            fix = _use_line(scope.file.node, home)
+            scope.report.error("unknown-behaviour", f"`{name.text}` is in the library `{home}`", name.span, advice, fix=fix)
         return
     known = set(BUILTINS) | set(REDUCERS) | set(scope.file.own) | set(scope.file.library)
     advice = did_you_mean(name.text, known, f"write one: `behaviour {name.text}() -> push {{ … }}`")

@@ -6,7 +6,7 @@ import posixpath
 from collections.abc import Callable, Iterator, Mapping
 
 from antdsl import limits
-from antdsl.diagnostics import Report
+from antdsl.diagnostics import Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.scope import BehaviourInfo, Declared, FileNames, MachineNames, SpeciesNames, did_you_mean, duplicate
 from antdsl.program.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
@@ -162,8 +162,9 @@ def free_in_species(report: Report, name: nodes.Name, value: Span) -> bool:
     if given.settable:
         text = " ".join(value.text.split())
         report.error(
-            "reserved-name", f"`{name.text}` is there already and is set without `=`", name.span, f"write `{name.text} {text}`"
-        )
+            "reserved-name", f"`{name.text}` is there already and is set without `=`", name.span, f"write `{name.text} {text}`",
+            fix=Fix(name.span.to(value), f"{name.text} {text}"),
+        )  # fmt: skip
     else:
         report.error(
             "reserved-name",

@@ -14,6 +14,9 @@ _WORDS = re.compile(r"[a-z_][a-z_0-9]*")
 _MISSING = frozenset(("unknown-name", "unknown-state", "unknown-field", "unknown-species", "unknown-behaviour", "unknown-module"))
 # Complaints about a name that is not used: dropped where such a line, or a slip of the pen, could be the use.
 _IDLE = frozenset(("unreachable-state", "unheard-event", "silent-event", "trap"))
+# Complaints that something is left out: dropped where a slip of the pen is told for which that very word is meant.
+_LEFT_OUT = frozenset(("missing-setting", "missing-start", "state-not-in-layers"))
+_FIRST_WORD = re.compile("`([a-z_]+)[^`]*`")
 _HEAD = 3  # words of a line among which the name that it declares stands
 
 
@@ -32,7 +35,19 @@ def without_consequences(report: Report, doubtful: Iterable[Span]) -> Report:
     for span in doubtful:
         _doubt(doubts.setdefault(span.source, _Doubt()), span)
     meant = {(d.span.source, d.help) for d in report.diagnostics if d.severity == "error" and d.span is not None}
-    return Report([d for d in report.diagnostics if not _follows(d, doubts, meant)])
+    twice = {(d.span.source, d.message.split(" `")[0]) for d in report.diagnostics if d.code == "duplicate-name" and d.span}
+    return Report([d for d in report.diagnostics if not _follows(d, doubts, meant) and not _renamed(d, twice)])
+
+
+def _renamed(found: Diagnostic, twice: set[tuple[Source, str]]) -> bool:
+    """Whether a name is missing, and two others of its kind are alike: one of them was to have it."""
+    if found.span is None or found.code not in _MISSING | _IDLE:
+        return False
+    return any(
+        source is found.span.source
+        and (found.code in (f"unknown-{kind}", f"unreachable-{kind}") or found.message.startswith(f"no {kind} "))
+        for source, kind in twice
+    )
 
 
 def _doubt(doubt: _Doubt, span: Span) -> None:
@@ -53,6 +68,8 @@ def _follows(found: Diagnostic, doubts: dict[Source, _Doubt], meant: set[tuple[S
     idle = found.code in _IDLE or found.code.startswith("unused-")
     if idle and (found.span.source, f"did you mean `{name}`?") in meant:
         return True
+    if found.code in _LEFT_OUT and (word := _FIRST_WORD.search(found.help or "")):
+        return (found.span.source, f"did you mean `{word[1]}`?") in meant
     doubt = doubts.get(found.span.source)
     if doubt is None:
         return False

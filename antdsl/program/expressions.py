@@ -228,7 +228,9 @@ def _unknown(scope: Scope, node: nodes.NameRef) -> Expr:
             f"take it as an argument: `{name}: …`",
         )
     elif name in BUILTINS or name in REDUCERS or scope.file.behaviour(name) is not None:
-        report.error("call-without-brackets", f"`{name}` wants brackets", node.span, f"write `{name}(…)`")
+        behaviour = scope.file.behaviour(name)
+        alone = behaviour is not None and all(argument.default is not None for argument in behaviour.node.arguments)
+        report.error("call-without-brackets", f"`{name}` wants brackets", node.span, f"write `{name}({'' if alone else '…'})`")
     elif name in UNIT_NAMES:
         advice = "a unit stands behind its number, without blanks inside: `30 mm/s`"
         report.error("unknown-name", f"no `{name}` is known here", node.span, advice)

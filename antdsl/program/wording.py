@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from antdsl.diagnostics import Diagnostic, Fix, Label, Report
 from antdsl.program.model import Dim, Expr, Kind, Op, Type
 from antdsl.program.units import dimension_words, with_article, with_unit
@@ -63,9 +65,7 @@ def fits(actual: Type, wanted: Type) -> bool:
     return actual.of is None or wanted.of is None or actual.of == wanted.of
 
 
-def mismatch(
-    report: Report, node: nodes.Expr, actual: Type, wanted: Type, place: str, found: Expr | None = None
-) -> None:
+def mismatch(report: Report, node: nodes.Expr, actual: Type, wanted: Type, place: str, found: Expr | None = None) -> None:
     """Complain that `node` is of another type than `place` wants: a missing unit, a wrong unit, or another kind of thing.
     `found` is what it turned out to be, where that is known."""
     if isinstance(found, Op) and found.name == "map_value" and wanted.kind is Kind.VECTOR:
@@ -106,9 +106,17 @@ def _mismatch(node: nodes.Expr, actual: Type, wanted: Type, place: str) -> Diagn
     if actual.kind is wanted.kind and actual.kind is Kind.VECTOR:
         advice = "`direction(x)`, `unit(v)` and `match(velocity)` make pushes" if wanted.dim == Dim() else f"write {want}"
         return Diagnostic("wrong-unit", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=advice)
+    advice = _advice(node, actual, wanted)
+    message = f"{text} is {type_words(actual)}, and {place} wants {want}"
     return Diagnostic(
-        "wrong-kind", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=_advice(node, actual, wanted)
+        "wrong-kind", message, node.span, help=advice, fix=None if wanted.kind is Kind.FLOW else _made_of(node, advice)
     )
+
+
+def _made_of(node: nodes.Expr, advice: str) -> Fix | None:
+    """The first text in backquotes of the advice, where it is made of what the author wrote."""
+    text, made = " ".join(node.span.text.split()), re.search("`([^`…]+)`", advice)
+    return Fix(node.span, made[1]) if made and text in made[1] else None
 
 
 def _advice(node: nodes.Expr, actual: Type, wanted: Type) -> str:

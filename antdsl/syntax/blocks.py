@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass, field
 
+from antdsl.diagnostics.model import Fix
 from antdsl.source import Source, Span
 from antdsl.syntax.brackets import text_of
 from antdsl.syntax.scan import Scan, Token
@@ -119,6 +120,12 @@ def lookup(scan: Scan, line: Line) -> Lookup:
     return Lookup(scan.source, parts)
 
 
+def _up(scan: Scan, above: int, brace: Token) -> Fix | None:
+    """The brace put behind the line above, or None where a comment stands between them."""
+    between = scan.source.text[above : brace.start]
+    return None if between.strip() else Fix(Span(scan.source, above, brace.end), " {")
+
+
 def cut(scan: Scan, tokens: list[Token]) -> list[Line]:
     """The lines of the whole text. Braces must be paired."""
     top: list[Line] = [Line()]
@@ -132,13 +139,12 @@ def cut(scan: Scan, tokens: list[Token]) -> list[Line]:
                 lines.pop()
                 line = lines[-1]
                 if not token.virtual:
-                    scan.error(
-                        "brace-on-own-line",
-                        "`{` on a line of its own",
-                        token.start,
-                        token.end,
-                        "put it at the end of the line above",
-                    )
+                    above = line.tokens[-1].end
+                    scan.report.error(
+                        "brace-on-own-line", "`{` on a line of its own", Span(scan.source, token.start, token.end),
+                        "put it at the end of the line above", fix=_up(scan, above, token),
+                    )  # fmt: skip
+                    scan.blank(above, token.start)
             chooses = bool(line.tokens) and text_of(scan, line.tokens[-1]) == "choose"
             line.tokens.append(token)
             stack.append((lines, token, chooses))

@@ -79,7 +79,7 @@ class _Parentheses:
             if not self.open:
                 opening = "(" if text == ")" else "["
                 self.scan.error(
-                    "unopened-bracket", f"`{text}` without a `{opening}`", token.start, token.end, "delete it, or open it"
+                    "unopened-bracket", f"`{text}` without a `{opening}`", token.start, token.end, "delete it, or open it", ""
                 )
                 self.scan.blank(token.start, token.end)
                 return
@@ -110,7 +110,9 @@ class _Parentheses:
         wanted = [_CLOSING[text_of(self.scan, self.out[place])] for place in self.open]
         if text not in wanted:
             if self.closed_later(index, wanted[-1]):
-                self.scan.error("unopened-bracket", f"`{text}` is never opened", token.start, token.end, "delete it, or open it")
+                self.scan.error(
+                    "unopened-bracket", f"`{text}` is never opened", token.start, token.end, "delete it, or open it", ""
+                )
                 self.scan.blank(token.start, token.end)
                 return False
             message = f"`{text}` where `{wanted[-1]}` was expected"
@@ -120,14 +122,8 @@ class _Parentheses:
             while wanted.pop() != text:
                 inner = self.out[self.open.pop()]
                 sign = text_of(self.scan, inner)
-                self.scan.error(
-                    "unclosed-bracket",
-                    f"`{sign}` is never closed",
-                    inner.start,
-                    inner.end,
-                    f"write the missing `{_CLOSING[sign]}`",
-                )
                 at = self.out[-1].end
+                _unclosed(self.scan, inner, sign, at)
                 self.out.append(Token("close", at, at, -1, _CLOSING[sign]))
                 self.origin.append(index)
         self.open.pop()
@@ -163,10 +159,8 @@ class _Parentheses:
         while self.out[cut - 1].kind == "soft":
             cut -= 1
         text = text_of(self.scan, last)
-        self.scan.error(
-            "unclosed-bracket", f"`{text}` is never closed", last.start, last.end, f"write the missing `{_CLOSING[text]}`"
-        )
         at = self.out[cut - 1].end
+        _unclosed(self.scan, last, text, at)
         go_on = self.origin[cut] if cut < len(self.out) else index
         closing = [Token("close", at, at, -1, _CLOSING[text_of(self.scan, self.out[place])]) for place in reversed(self.open)]
         del self.out[cut:], self.origin[cut:]
@@ -211,8 +205,8 @@ class _Braces:
         for index, token in enumerate(self.tokens):
             self.step(token, self.indents[index])
         if self.stack:
-            self.unclosed(self.stack[-1])
             end = self.tokens[-1].end
+            _unclosed(self.scan, self.stack[-1].token, "{", end)
             self.out.extend(Token("close", end, end, -1, "}") for _ in self.stack)
         return self.out
 
@@ -236,7 +230,6 @@ class _Braces:
             own_line = self.set_in if top.inner is None else top.inner == -1 or top.inner > top.indent
             if not own_line or token.indent > top.indent:
                 return
-            self.unclosed(top)
             self.close_before_line()
 
     def closes(self, token: Token, indent: int) -> bool:
@@ -244,7 +237,6 @@ class _Braces:
         if token.indent >= 0:
             if any(entry.indent == token.indent for entry in self.stack) and not (self.stack[-1].indent < token.indent):
                 while self.stack[-1].indent != token.indent:
-                    self.unclosed(self.stack[-1])
                     self.close_before_line()
                 self.stack.pop()
                 return True
@@ -261,7 +253,7 @@ class _Braces:
 
     def drop(self, token: Token) -> bool:
         self.scan.error(
-            "unopened-brace", "`}` without a `{`", token.start, token.end, "delete it, or write the `{` that it closes"
+            "unopened-brace", "`}` without a `{`", token.start, token.end, "delete it, or write the `{` that it closes", ""
         )
         self.scan.blank(token.start, token.end)
         return False
@@ -280,25 +272,28 @@ class _Braces:
                 break
             last = self.out[stop - 1]
             word = text_of(self.scan, candidate)
-            self.scan.error(
-                "missing-brace", f"`{word}` without a `{{`", candidate.start, last.end, "write `{` at the end of this line"
-            )
+            help = "write `{` at the end of this line"
+            self.scan.error("missing-brace", f"`{word}` without a `{{`", candidate.start, last.end, help, " {", last.end)
             self.out.insert(stop, Token("open", last.end, last.end, -1, "{"))
             return True
         return self.drop(token)
 
-    def unclosed(self, entry: _Open) -> None:
-        token = entry.token
-        self.scan.error("unclosed-brace", "`{` is never closed", token.start, token.end, "write the missing `}`")
-
     def close_before_line(self) -> None:
-        """Puts in a `}` at the end of the last line that was read."""
-        self.stack.pop()
+        """Complains about the innermost brace, and puts in its `}` at the end of the last line that was read."""
+        entry = self.stack.pop()
         place = len(self.out)
         while place and self.out[place - 1].kind == "end":
             place -= 1
         at = self.out[place - 1].end
+        _unclosed(self.scan, entry.token, "{", at)
         self.out.insert(place, Token("close", at, at, -1, "}"))
+
+
+def _unclosed(scan: Scan, token: Token, sign: str, at: int) -> None:
+    """Complain about a bracket that stays open and is taken to end at `at`."""
+    code, closing = ("unclosed-brace" if sign == "{" else "unclosed-bracket"), _CLOSING[sign]
+    fix = closing if sign != "{" else f" {closing}"
+    scan.error(code, f"`{sign}` is never closed", token.start, token.end, f"write the missing `{closing}`", fix, at)
 
 
 def _line_indents(tokens: list[Token]) -> list[int]:

@@ -13,7 +13,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from antdsl import limits
-from antdsl.diagnostics.model import Report
+from antdsl.diagnostics.model import Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
@@ -147,7 +147,8 @@ class _Reading:
             if not self.scan.has_fault(0, start):
                 message, help = "file does not name its edition", "write `ant 1` as the first line"
                 span = Span(self.source, start, lines[0].tokens[0].end if lines else 0)
-                self.report.warning("missing-edition", message, span, help)
+                top = Span(self.source, 0, 0)
+                self.report.warning("missing-edition", message, span, help, fix=Fix(top, "ant 1\n"))
             return None, lines
         nodes = self.line(lines[0], "header")
         for node in nodes:

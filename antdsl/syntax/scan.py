@@ -43,9 +43,20 @@ class Scan:
     comments: list[Comment] = field(default_factory=list)
     faults: list[int] = field(default_factory=list)  # offsets of complaints, which silence what a parser would say there
 
-    def error(self, code: str, message: str, start: int, end: int, help: str | None = None, fix: str | None = None) -> None:
+    def error(
+        self,
+        code: str,
+        message: str,
+        start: int,
+        end: int,
+        help: str | None = None,
+        fix: str | None = None,
+        at: int | None = None,
+    ) -> None:
+        """`fix` is to be written in place of the span, or at the offset `at`."""
         span = Span(self.source, start, end)
-        self.report.error(code, message, span, help, fix=None if fix is None else Fix(span, fix))
+        place = span if at is None else Span(self.source, at, at)
+        self.report.error(code, message, span, help, fix=None if fix is None else Fix(place, fix))
         self.faults.append(start)
 
     def blank(self, start: int, end: int) -> None:
@@ -325,7 +336,12 @@ class _Scanner:
             self.found.blank(start, start + 1)
             return start + 1
         self.found.error(
-            "wrong-quotes", f"text in `{piece}` quotes", start, stop + 1, f'write `"{self.characters[start + 1 : stop][:60]}"`'
+            "wrong-quotes",
+            f"text in `{piece}` quotes",
+            start,
+            stop + 1,
+            f'write `"{self.characters[start + 1 : stop][:60]}"`',
+            '"' + self.characters[start + 1 : stop].replace('"', "'") + '"',
         )
         self.found.replace(start, '"' + self.characters[start + 1 : stop].replace('"', " ") + '"')
         return self.token("text", start, stop + 1)
@@ -342,7 +358,7 @@ class _Scanner:
             return self.token("text", start, smart + 1)
         stop = start + len(_TAIL.sub("", piece))
         self.found.error(
-            "unclosed-text", "text without a closing quote", start, start + 1, 'end the text with `"` on the same line'
+            "unclosed-text", "text without a closing quote", start, start + 1, 'end the text with `"` on the same line', '"', stop
         )
         if stop - start < 2:
             self.found.blank(start, start + 1)

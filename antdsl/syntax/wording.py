@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from antdsl.diagnostics.model import Diagnostic, Fix
+from antdsl.diagnostics.model import Diagnostic, Fix, replacement
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Span
 from antdsl.syntax.scan import unit_help
@@ -106,6 +106,10 @@ _NEEDED = (
     ("ON", "`on`"),
     ("_COMMA", "`,`"),
 )
+# Words inside a line that join its parts: what else is found there may be a slip of one of these.
+_JOINING = frozenset(
+    ("any", "at", "each", "else", "except", "from", "held", "least", "over", "strongest", "take", "then", "until", "when")
+)
 _VALUE = frozenset({"NUMBER", "QUANTITY", "NAME", "LPAR"})
 _ASSIGNING = {"=", "+=", "-=", "[", "."}
 _WRITING = ("=", "+=", "-=")
@@ -123,9 +127,27 @@ def complain(surprise: Surprise) -> Diagnostic:
         if surprise.before
         else f"found {_shown(surprise.found)}"
     )
-    wanted = _wanted(surprise)
-    help = f"to name an argument, write `{surprise.before}: {surprise.found}`" if _forgets_colon(surprise) else _form(surprise)
-    return Diagnostic("unexpected-text", f"{message}, expected {wanted}", surprise.span, help=help)
+    help, fix = _form(surprise), None
+    slip = _slip(surprise)
+    if slip is not None:
+        help, fix = f"did you mean `{slip}`?", Fix(surprise.span, slip)
+    elif _forgets_colon(surprise):
+        help, fix = f"to name an argument, write `{surprise.before}: {surprise.found}`", _before(surprise, ": ")
+    elif _forgets_arrow(surprise):
+        help, fix = f"write `-> {surprise.found}`", _before(surprise, "-> ")
+    return Diagnostic("unexpected-text", f"{message}, expected {_wanted(surprise)}", surprise.span, help=help, fix=fix)
+
+
+def _slip(surprise: Surprise) -> str | None:
+    """The word of the language that can stand here and that what was found is a slip of."""
+    if surprise.found_kind != "word" or len(surprise.found) < 3 or "NAME" in surprise.wanted:
+        return None
+    words = [terminal.lstrip("_").lower() for terminal in surprise.wanted if terminal.lstrip("_").lower() in _JOINING]
+    return nearest_name(surprise.found, words)
+
+
+def _forgets_arrow(surprise: Surprise) -> bool:
+    return "ARROW" in surprise.wanted and surprise.found_kind == "word" and surprise.next in ("", "{")
 
 
 def _forgets_colon(surprise: Surprise) -> bool:
@@ -201,7 +223,8 @@ def _comma(surprise: Surprise) -> Diagnostic | None:
     if surprise.found != "," or surprise.before_kind != "number" or not parts[0].isdigit() or not parts[1][:1].isdigit():
         return None
     message = f"found `,` in the number `{parts[0]},{parts[1]}`"
-    return Diagnostic("unexpected-text", message, surprise.span, help=f"write a dot: `{parts[0]}.{parts[1]}`")
+    help = f"write a dot: `{parts[0]}.{parts[1]}`"
+    return Diagnostic("unexpected-text", message, surprise.span, help=help, fix=Fix(surprise.span, "."))
 
 
 def _unit(surprise: Surprise) -> Diagnostic | None:
@@ -210,7 +233,8 @@ def _unit(surprise: Surprise) -> Diagnostic | None:
         return None
     if surprise.next in _ASSIGNING and "$END" in surprise.wanted:
         return _line_end(surprise)
-    return Diagnostic("unknown-unit", f"`{surprise.found}` is not a unit", surprise.span, help=unit_help(surprise.found))
+    message, help = f"`{surprise.found}` is not a unit", unit_help(surprise.found)
+    return Diagnostic("unknown-unit", message, surprise.span, help=help, fix=replacement(message, surprise.span, help))
 
 
 def _keywords() -> frozenset[str]:
@@ -251,7 +275,15 @@ def _second_line(surprise: Surprise) -> Diagnostic | None:
 
 def _line_end(surprise: Surprise) -> Diagnostic:
     message = f"`{surprise.found}` in the middle of a line"
-    return Diagnostic("missing-line-end", message, surprise.span, help="begin a new line with it, or write `;` before it")
+    fix = _before(surprise, "; ")
+    return Diagnostic(
+        "missing-line-end", message, surprise.span, help="begin a new line with it, or write `;` before it", fix=fix
+    )
+
+
+def _before(surprise: Surprise, text: str) -> Fix:
+    """Text put in between what was read and the surprise."""
+    return Fix(Span(surprise.span.source, surprise.span.start, surprise.span.start), text)
 
 
 def begins_line(surprise: Surprise) -> bool:
