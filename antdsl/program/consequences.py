@@ -17,6 +17,8 @@ _IDLE = frozenset(("unreachable-state", "unheard-event", "silent-event", "trap")
 # Complaints that something is left out: dropped where a slip of the pen is told for which that very word is meant.
 _LEFT_OUT = frozenset(("missing-setting", "missing-start", "state-not-in-layers"))
 _FIRST_WORD = re.compile("`([a-z_]+)[^`]*`")
+# A line that has come no further than the word that declares something.
+_NAMELESS = re.compile(r"\s*(state|field|species|param|let|latch|fuzzy|surface|obstacle|solid|items|curve|flow|map)\s*")
 _HEAD = 3  # words of a line among which the name that it declares stands
 
 
@@ -27,6 +29,7 @@ class _Doubt:
     lines: set[int] = field(default_factory=set)
     words: set[str] = field(default_factory=set)
     heads: set[str] = field(default_factory=set)
+    missing: set[str] = field(default_factory=set)  # codes of what follows where a line declares something without its name
 
 
 def without_consequences(report: Report, doubtful: Iterable[Span]) -> Report:
@@ -53,6 +56,9 @@ def _renamed(found: Diagnostic, twice: set[tuple[Source, str]]) -> bool:
 def _doubt(doubt: _Doubt, span: Span) -> None:
     first = span.source.line_column(span.start)[0]
     last = span.source.line_column(max(span.start, span.end - 1))[0]
+    begun = _NAMELESS.fullmatch(span.source.line_text(first)[: span.source.line_column(span.start)[1] - 1])
+    if begun and not span.text[:1].isidentifier():
+        doubt.missing.add(f"unknown-{begun[1]}" if begun[1] in ("state", "field", "species") else "unknown-name")
     for line in range(first, last + 1):
         if line not in doubt.lines:
             words = _WORDS.findall(span.source.line_text(line).partition("#")[0])
@@ -74,5 +80,7 @@ def _follows(found: Diagnostic, doubts: dict[Source, _Doubt], meant: set[tuple[S
     if doubt is None:
         return False
     if found.span.source.line_column(found.span.start)[0] in doubt.lines:
+        return True
+    if found.code in doubt.missing:
         return True
     return (idle and name in doubt.words) or (found.code in _MISSING and name in doubt.heads)
