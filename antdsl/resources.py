@@ -1,4 +1,5 @@
-"""Where the files that come with antdsl are: the grammar and the library of behaviours. No other file knows."""
+"""Where the files that come with antdsl are: the grammar, the library of behaviours, the pages of the codes. No other file
+knows."""
 
 from __future__ import annotations
 
@@ -36,3 +37,9 @@ def library_names() -> tuple[str, ...]:
 def library_file(name: str) -> Path | None:
     """The file behind `use NAME`, or None when the library has none of that name."""
     return behaviours_folder() / f"{name}.ant" if name in library_names() else None
+
+
+def code_page(code: str) -> Path | None:
+    """The page of a diagnostic's code, in Markdown, or None when there is none."""
+    page = _folder("docs/codes") / f"{code}.md"
+    return page if page.is_file() else None

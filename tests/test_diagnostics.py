@@ -116,7 +116,9 @@ def test_sarif_has_rules_and_fingerprints_that_survive_moved_lines() -> None:
             [Diagnostic("bad-name", "m", Span(source, at, at + 3), fix=Fix(Span(source, at, at + 3), "x")) for at in places]
         )
         run = json.loads(render(report, "sarif"))["runs"][0]
-        assert run["tool"]["driver"]["rules"] == [{"id": "bad-name", "shortDescription": {"text": CODES["bad-name"]}}]
+        (rule,) = run["tool"]["driver"]["rules"]
+        assert rule["id"] == "bad-name" and rule["shortDescription"] == {"text": CODES["bad-name"]}
+        assert "## Right" in rule["help"]["markdown"] == rule["help"]["text"]
         return run["results"]
 
     before, after = results("bad\nbad\n"), results("# new\n\nbad\nbad\n")

@@ -20,7 +20,8 @@ from antdsl.diagnostics.model import Report
 from antdsl.source import Source
 
 ROOT = Path(__file__).resolve().parent.parent
-DOCUMENTS = [ROOT / "README.md", ROOT / "grammar" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+INDEX_OF_CODES = ROOT / "docs" / "codes" / "README.md"  # the pages themselves are run by test_code_pages.py
+DOCUMENTS = [ROOT / "README.md", ROOT / "grammar" / "README.md", INDEX_OF_CODES, *sorted((ROOT / "docs").glob("*.md"))]
 BLOCKS = ("ant", "yaml scene", "python", "console", "text", "json", "bash")
 
 # What a fragment stands in. The names are those of the samples in the language reference.

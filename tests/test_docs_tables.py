@@ -1,6 +1,5 @@
-"""The tables of the documents are held against the code's own: words, keys, flags, codes, the library, the ids of parity.
-
-`python tests/test_docs_tables.py` writes docs/errors.md anew."""
+"""The tables of the documents are held against the code's own: words, keys, flags, the library, the ids of parity. Those of
+the codes are in test_code_pages.py."""
 
 from __future__ import annotations
 
@@ -87,39 +86,3 @@ def test_parity_has_every_id_once_and_names_files_that_exist() -> None:
             path, _, function = file.partition("::")
             assert (ROOT / path).exists(), f"{name}: there is no {path}"
             assert not function or f"def {function}(" in (ROOT / path).read_text(encoding="utf-8"), f"{name}: {file}"
-
-
-def errors_page() -> str:
-    """What `docs/errors.md` should say: every code with its meaning, by the sections of the table in the code."""
-    from antdsl.diagnostics import codes
-
-    lines = ERRORS_HEAD.splitlines()
-    for line in Path(codes.__file__).read_text(encoding="utf-8").splitlines():
-        section = re.fullmatch(r"\s*# --- (.*?) -+", line)
-        code = re.match(r'\s*"([a-z0-9-]+)":', line)
-        if section:
-            lines += ["", f"## {section[1][:1].upper()}{section[1][1:]}", "", "| code | meaning |", "|---|---|"]
-        elif code and f"| `{code[1]}` |" not in "\n".join(lines):
-            meaning = codes.CODES[code[1]].replace("|", "\\|")
-            lines.append(f"| `{code[1]}` | {meaning} |")
-    return "\n".join(lines) + "\n"
-
-
-ERRORS_HEAD = """# Error codes
-
-Every complaint has a code that stays the same for ever, a line that stands alone, its place, and what to write instead.
-`antdsl check --explain CODE` prints the meaning of one. This page is written from `antdsl/diagnostics/codes.py` by
-`python tests/test_docs_tables.py`.
-"""
-
-
-def test_the_page_of_error_codes_is_complete() -> None:
-    from antdsl.diagnostics.codes import CODES
-
-    text = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
-    assert text == errors_page(), "run `python tests/test_docs_tables.py` to write docs/errors.md anew"
-    assert re.findall(r"^\| `([a-z0-9-]+)` \|", text, flags=re.MULTILINE) == list(CODES)
-
-
-if __name__ == "__main__":
-    (ROOT / "docs" / "errors.md").write_text(errors_page(), encoding="utf-8")

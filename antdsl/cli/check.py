@@ -31,7 +31,7 @@ def check(
     format: Format = typer.Option(Format.full, "--format", help="How findings are written."),
     strict: bool = typer.Option(False, "--strict", help="Warnings count as errors."),
     explain: str = typer.Option(
-        None, "--explain", metavar="CODE", help="Say what a code such as `unknown-state` means, and stop."
+        None, "--explain", metavar="CODE", help="Show the page of a code such as `unknown-state`, and stop."
     ),
     params: bool = typer.Option(False, "--params", help="List every param as a table: default, unit, range, help."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
@@ -60,6 +60,9 @@ def check(
     if strict:
         report = _strict(report)
     show(report, format.value)
+    if format is Format.full and report.diagnostics:
+        codes = {diagnostic.code for diagnostic in report.diagnostics}
+        typer.echo(f"`antdsl check --explain {codes.pop() if len(codes) == 1 else 'CODE'}` says more\n")
     if params:
         _params(programs)
     if not report.ok:
@@ -87,7 +90,9 @@ def _explain(code: str) -> None:
         raise Stop(
             Exit.USAGE, f"error: no code `{code}`", f"did you mean `{near}`?" if near else "codes stand in brackets after `error`"
         )
-    typer.echo(f"{code}: {CODES[code]}")
+    from antdsl.cli.pages import show_page
+
+    show_page(code)
 
 
 def _params(programs: list[tuple[Path, Program]]) -> None:

@@ -12,6 +12,7 @@ from urllib.parse import quote
 from antdsl.diagnostics.codes import CODES
 from antdsl.diagnostics.model import Diagnostic
 from antdsl.diagnostics.places import area
+from antdsl.resources import code_page
 from antdsl.source import Span
 
 _SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
@@ -19,7 +20,7 @@ _SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sa
 
 def sarif(diagnostics: Sequence[Diagnostic], more: int) -> str:
     codes = sorted({diagnostic.code for diagnostic in diagnostics})
-    rules = [{"id": code, "shortDescription": {"text": CODES.get(code, code)}} for code in codes]
+    rules = [_rule(code) for code in codes]
     seen: Counter[str] = Counter()
     results = [_result(diagnostic, codes.index(diagnostic.code), seen) for diagnostic in diagnostics]
     run: dict[str, Any] = {
@@ -30,6 +31,16 @@ def sarif(diagnostics: Sequence[Diagnostic], more: int) -> str:
     if more:
         run["properties"] = {"leftOut": more}
     return json.dumps({"$schema": _SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2, ensure_ascii=True) + "\n"
+
+
+def _rule(code: str) -> dict[str, Any]:
+    """What a code scanning service shows about a code: its meaning, and its page where the pages are installed."""
+    rule: dict[str, Any] = {"id": code, "shortDescription": {"text": CODES.get(code, code)}}
+    page = code_page(code)
+    if page is not None:
+        text = page.read_text(encoding="utf-8")
+        rule["help"] = {"text": text, "markdown": text}
+    return rule
 
 
 def _result(diagnostic: Diagnostic, rule: int, seen: Counter[str]) -> dict[str, Any]:

@@ -83,7 +83,7 @@ def _add_up(report: Report, info: BehaviourInfo) -> None:
     info.keeps = info.keeps or any(called.keeps for called in info.calls)
     info.draws = info.draws or any(called.draws for called in info.calls)
     info.state = "circular" if any(called.state == "circular" for called in info.calls) else "sized"
-    if info.depth > _DEEPEST + limits.EXPRESSION_DEPTH:
+    if info.state == "sized" and info.depth > _DEEPEST + limits.EXPRESSION_DEPTH:
         report.error(
             "too-deep",
             f"behaviour `{info.node.name.text}` calls others too many levels deep",

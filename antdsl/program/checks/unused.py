@@ -51,9 +51,11 @@ def _behaviours(checked: Checked, report: Report) -> None:
     for file in checked.files:
         if not any(isinstance(item, nodes.Species) for item in file.node.items):
             continue
+        # what stands in a behaviour that could not be checked was not looked at, and may call these
+        perhaps = {id(called) for info in file.own.values() if info.state == "broken" for called in info.calls}
         for info in file.own.values():
             name = info.node.name
-            if not checked.uses("behaviour", f"{name.span}"):
+            if not checked.uses("behaviour", f"{name.span}") and id(info) not in perhaps:
                 report.warning(
                     "unused-behaviour",
                     f"behaviour `{name.text}` is never called",

@@ -1,0 +1,23 @@
+"""Shows the page of a code: laid out on a terminal, the Markdown as it is elsewhere."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from antdsl.diagnostics.codes import CODES
+from antdsl.resources import code_page
+
+
+def show_page(code: str) -> None:
+    """Print the page of a known code; its meaning in one line where the pages were not installed."""
+    path = code_page(code)
+    text = f"# {code}\n\n{CODES[code]}\n" if path is None else path.read_text(encoding="utf-8")
+    if not sys.stdout.isatty():
+        typer.echo(text.rstrip("\n"))
+        return
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    Console(highlight=False).print(Markdown(text, code_theme="ansi_dark"))
