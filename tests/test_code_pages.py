@@ -37,7 +37,7 @@ def test_every_code_has_a_page_and_every_page_a_code(pages: dict[str, Page]) -> 
 
 def test_a_page_says_why_in_a_few_words_and_shows_little(pages: dict[str, Page]) -> None:
     for name, page in pages.items():
-        assert 40 < len(page.why) < 400 and page.why.endswith(".") and "\n" not in page.why, name
+        assert 40 < len(page.why) < 400 and page.why.endswith((".", "?")) and "\n" not in page.why, name
         blocks = re.findall(r"^```\w*\n(.*?)^```", (PAGES / f"{name}.md").read_text(encoding="utf-8"), flags=re.M | re.S)
         assert max(block.count("\n") for block in blocks) <= 20, name
         assert page.wrong.files != page.right.files or page.wrong.command != page.right.command, name
