@@ -179,6 +179,20 @@ def test_everything_that_ships_checks_clean(path: Path) -> None:
     assert not report.diagnostics, [(d.code, d.message, str(d.span)) for d in report.diagnostics]
 
 
+@pytest.mark.parametrize(
+    "path",
+    [p for f in ("behaviours", "examples", "tests/programs") for p in sorted((ROOT / f).rglob("*.ant"))],
+    ids=lambda p: str(p.relative_to(ROOT)),
+)
+def test_everything_that_ships_is_formatted(path: Path) -> None:
+    from antdsl import syntax
+
+    source, report = syntax.read(path)
+    assert source is not None, report.diagnostics
+    text, _ = syntax.format(source)
+    assert text == path.read_bytes().decode(), f"run `antdsl fmt {path.relative_to(ROOT)}`"
+
+
 @pytest.mark.parametrize("path", sorted((ROOT / "examples").rglob("scene.yaml")), ids=lambda p: p.parent.name)
 def test_scenes_of_the_examples_check_clean(path: Path) -> None:
     from antdsl.pipeline import check_path

@@ -100,9 +100,15 @@ class _Parentheses:
         tokens = self.scan.tokens
         if index + 2 >= len(tokens) or tokens[index + 1].kind != "end":
             return False
-        first, below = tokens[self.line_start(index)], tokens[index + 2]
-        if text_of(self.scan, first) not in BLOCK_WORDS or below.indent <= first.indent:
+        start = self.line_start(index)
+        if any(self.scan.clean[token.start] == "{" for token in tokens[start:index]):
             return False
+        first, below = tokens[start], tokens[index + 2]
+        word = text_of(self.scan, first)
+        if word not in BLOCK_WORDS or below.indent <= first.indent:
+            return False
+        if word == "behaviour" and index + 3 < len(tokens) and text_of(self.scan, tokens[index + 3]) == ":":
+            return False  # the name of an argument, whatever word it is
         return text_of(self.scan, below) in _LINE_WORDS
 
     def matches(self, index: int, token: Token, text: str) -> bool:

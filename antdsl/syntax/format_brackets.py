@@ -1,0 +1,227 @@
+"""Tokens → words with the blank before each, and brackets with the slots between their commas.
+
+A comment inside brackets stands behind a slot or on lines of its own before it; one from the middle of a slot goes before it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from antdsl.syntax import nodes as n
+from antdsl.syntax.scan import Scan, Token
+
+_NUMBER = re.compile(r"([0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?)[ \t]*(.*)", re.DOTALL)
+# How loosely a word binds, for breaking a value that is too long: the loosest first. `..` parts a range.
+_LEVELS = (("..",), ("then", "else"), ("or",), ("and",), ("<", ">", "<=", ">=", "==", "!="), ("+", "-"), ("*", "/"))
+
+
+@dataclass(slots=True)
+class Leaf:
+    """One token as it is written, and whether a blank stands before it. `joins` is true for a sign between two values."""
+
+    text: str
+    blank: bool
+    kind: str = "word"
+    joins: bool = False
+
+    @property
+    def flat(self) -> str:
+        return f" {self.text}" if self.blank else self.text
+
+
+@dataclass(slots=True)
+class Slot:
+    """What stands between two commas, the comma included. `lead` are comments on lines before it, `trail` is the one behind it,
+    `inner` those in its middle, by the number of the node before which they stand."""
+
+    nodes: list[Node] = field(default_factory=list)
+    lead: list[n.Comment] = field(default_factory=list)
+    trail: n.Comment | None = None
+    inner: list[tuple[int, n.Comment, bool]] = field(default_factory=list)
+    operands: list[Slot] = field(default_factory=list)  # the slot once more, cut at its signs, where these have comments
+    deeper: bool = False  # set in once more: what comes after `n in SET:`
+
+    @property
+    def flat(self) -> str:
+        return "".join(node.flat for node in self.nodes).lstrip(" ")
+
+    @property
+    def forced(self) -> bool:
+        """Whether a comment in it makes it stand on lines of its own."""
+        inner = any(isinstance(node, Bracket) and node.forced for node in self.nodes)
+        return inner or bool(self.lead or self.trail or self.operands)
+
+
+@dataclass(slots=True)
+class Bracket:
+    """`( … )` or `[ … ]`. `tail` are comments before its end."""
+
+    open: Leaf
+    slots: list[Slot]
+    close: Leaf
+    tail: list[n.Comment] = field(default_factory=list)
+    forced: bool = False
+    flat: str = ""
+
+
+Node = Leaf | Bracket
+
+
+class Reader:
+    """Reads the nodes of one statement. `comments` gives the next comment before an offset."""
+
+    def __init__(
+        self, scan: Scan, calls: frozenset[int], minus: frozenset[int], comments: Callable[[int], n.Comment | None]
+    ) -> None:
+        self.scan, self.calls, self.minus, self.comments = scan, calls, minus, comments
+        self.last: Token | None = None
+
+    def resume(self, token: Token) -> None:
+        """Go on after a block that ended with this token."""
+        self.last = token
+
+    def node(self, tokens: Sequence[Token], index: int) -> tuple[Node, int]:
+        """The node that begins with a token, and where the next one begins."""
+        token = tokens[index]
+        leaf = self.leaf(token)
+        if token.kind != "open":
+            return leaf, index + 1
+        return self.bracket(leaf, tokens, index + 1)
+
+    def bracket(self, opening: Leaf, tokens: Sequence[Token], index: int) -> tuple[Bracket, int]:
+        slots = [Slot()]
+        while True:
+            token, slot = tokens[index], slots[-1]
+            left: list[n.Comment] = []  # that belong to no slot so far
+            while (comment := self.comments(token.start)) is not None:
+                self.place(comment, slots, token, left)
+            if token.kind == "close":
+                close = self.leaf(token)
+                break
+            sign = self.scan.clean[token.start]
+            node, index = self.node(tokens, index)
+            slot.nodes.append(node)
+            if sign == "," or (sign == ":" and len(slots) == 1 and _is_comprehension(slot)):
+                slots.append(Slot(lead=left, deeper=sign == ":"))
+        found = Bracket(opening, [_settled(slot) for slot in slots if slot.nodes], close, left)
+        return _measured(found), index + 1
+
+    def place(self, comment: n.Comment, slots: list[Slot], token: Token, left: list[n.Comment]) -> None:
+        """Where a comment before `token` belongs, in the slots so far; into `left` where it comes after the last of them."""
+        slot = slots[-1]
+        assert self.last is not None
+        beside = "\n" not in self.scan.source.text[self.last.end : comment.span.start] and not left
+        if not slot.nodes:
+            before = slots[-2] if len(slots) > 1 else None
+            if beside and before is not None and before.trail is None and not slot.lead:
+                before.trail = comment
+            elif token.kind == "close":
+                left.append(comment)
+            else:
+                slot.lead.append(comment)
+        elif token.kind == "close" or self.scan.clean[token.start] == ",":
+            if beside and slot.trail is None:
+                slot.trail = comment
+            else:
+                left.append(comment)
+        else:
+            slot.inner.append((len(slot.nodes), comment, beside))
+
+    def leaf(self, token: Token) -> Leaf:
+        text = "".join(self.scan.clean[token.start : token.end])
+        blank = self.blank(token, text)
+        joins = token.kind in ("word", "sign") and token.start not in self.minus
+        self.last = token
+        if token.kind == "number":
+            parts = _NUMBER.fullmatch(text)
+            assert parts is not None
+            text = " ".join(part for part in parts.groups() if part)
+        return Leaf(text, blank, token.kind, joins)
+
+    def blank(self, token: Token, text: str) -> bool:
+        """Whether a blank stands before a token."""
+        if self.last is None:
+            return False
+        before = "".join(self.scan.clean[self.last.start : self.last.end])
+        if before in ("(", "[", ".") or text in (")", "]", ",", ":", ".", "["):
+            return False
+        if self.last.start in self.minus:
+            return False
+        return not (text == "(" and (self.last.end in self.calls or before in (")", "]")))
+
+
+def _is_comprehension(slot: Slot) -> bool:
+    """`n in SET:`, the colon being the last node."""
+    second = slot.nodes[1] if len(slot.nodes) > 3 else None
+    return isinstance(second, Leaf) and second.text == "in"
+
+
+def operands(slot: Slot) -> list[Slot]:
+    """The slot cut before the signs that bind loosest; one when there are none."""
+    for level in _LEVELS:
+        cuts = [k for k, node in enumerate(slot.nodes) if k and isinstance(node, Leaf) and node.joins and node.text in level]
+        if cuts:
+            ends = [*cuts, len(slot.nodes)]
+            return [Slot(slot.nodes[start:end]) for start, end in zip([0, *cuts], ends, strict=True)]
+    return [slot]
+
+
+def _settled(slot: Slot) -> Slot:
+    """The slot with the comments of its middle before it, or between its operands."""
+    if not slot.inner:
+        return slot
+    cut = operands(slot)
+    if len(cut) == 1:
+        slot.lead += [*(comment for _, comment, _ in slot.inner), *_taken(slot.nodes)]
+        slot.lead.sort(key=lambda comment: comment.span.start)
+        slot.inner = []
+        return slot
+    starts = [0]
+    for operand in cut:
+        starts.append(starts[-1] + len(operand.nodes))
+    for place, comment, beside in slot.inner:
+        number = next(k for k in range(len(cut)) if place < starts[k + 1])
+        operand = cut[number]
+        if place == starts[number] and beside and number and cut[number - 1].trail is None and not operand.lead:
+            cut[number - 1].trail = comment
+        elif place == starts[number]:
+            operand.lead.append(comment)
+        else:
+            operand.inner.append((place - starts[number], comment, beside))
+    slot.inner = []
+    cut = [_settled(operand) for operand in cut]
+    if any(operand.lead for operand in cut[1:]) or any(operand.trail or operand.operands for operand in cut):
+        slot.operands = cut
+    else:
+        slot.lead += cut[0].lead
+    return slot
+
+
+def _taken(nodes: Sequence[Node]) -> list[n.Comment]:
+    """The comments inside brackets, which are left without them."""
+    found: list[n.Comment] = []
+    for node in nodes:
+        if isinstance(node, Bracket) and node.forced:
+            for slot in node.slots:
+                found += [*_taken_from(slot), *_taken(slot.nodes)]
+            found += node.tail
+            node.tail = []
+            _measured(node)
+    return found
+
+
+def _taken_from(slot: Slot) -> list[n.Comment]:
+    """The comments around a slot and between its operands."""
+    found = [*slot.lead, *([slot.trail] if slot.trail else [])]
+    for operand in slot.operands:
+        found += _taken_from(operand)
+    slot.lead, slot.trail, slot.operands = [], None, []
+    return found
+
+
+def _measured(bracket: Bracket) -> Bracket:
+    """Notes a bracket's flat text and whether it has to be broken, so that nobody walks down into it again to ask."""
+    bracket.forced = bool(bracket.tail) or any(slot.forced for slot in bracket.slots)
+    bracket.flat = bracket.open.flat + " ".join(slot.flat for slot in bracket.slots) + bracket.close.flat
+    return bracket
