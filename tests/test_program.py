@@ -59,16 +59,16 @@ EDITS = [
     ("forager", "within: smell)", "within: 40)", "missing-unit", "40", "`40 mm`"),
     ("forager", "half_life 8 s", "half_life 8 mm", "wrong-unit", "8 mm", "a time"),
     ("forager", "-> follow_trail", "-> follow_trial", "unknown-state", "follow_trial", "`follow_trail`"),
-    ("forager", "from meal     ", "from nest     ", None, "", ""),
+    ("forager", "1 load from meal", "1 load from nest", None, "", ""),
     ("forager", "take 1 load from meal", "take 1 lod from meal", "unknown-name", "lod", "`load`"),
     ("forager", "{ source = meal }", "{ source = nearest(nest) }", "wrong-kind", "nearest(nest)", "an item of `food`"),
     ("forager", "deposit trail reward *", "deposit trail 20 *", "not-a-rate", "20 * falloff(source, floor: size)", "* 1 /s"),
     ("forager", "give all load to nest", "give all load to trail", "wrong-kind", "trail", "a place"),
     ("forager", "spread: 35 deg", "spred: 35 deg", "unknown-argument", "spred", "`spread`"),
-    ("forager", "obstacle stones ", "surface stones  ", None, "", ""),
+    ("forager", "obstacle stones ", "surface  stones ", None, "", ""),
     ("forager", "chance 20 %/s", "chance 20 %", "not-a-rate", "20 %", "%/s"),
     ("forager", "when scent > faint", "when scent > smell", "units-differ", "scent > smell", "a length"),
-    ("forager", "when after 0.5 s                                  -> previous", "", "trap", "dig", "leads out"),
+    ("forager", "when after 0.5 s -> previous", "", "trap", "dig", "leads out"),
     ("forager", "start search", "start serch", "unknown-state", "serch", "`search`"),
     ("forager", "use steering", "", "unknown-behaviour", "wander", "`use steering`"),
     ("hunters", "none of rabbit", "none of rabit", "unknown-name", "rabit", "`rabbit`"),
@@ -84,7 +84,7 @@ EDITS = [
     ("evacuation", "when scream and chance", "when screem and chance", "unknown-name", "screem", "`scream`"),
     ("evacuation", "on scream { fear += 0.25 }", "on scream { fear = 1 }", "not-commuting", "fear = 1", "fear += 1"),
     ("evacuation", "with: state == fallen", "with: state == falen", "unknown-state", "falen", "`fallen`"),
-    ("evacuation", "exit  { max_speed = walking }", "exit  { max_speed = 0 }", "missing-unit", "0", "0 mm/s"),
+    ("evacuation", "exit { max_speed = walking }", "exit { max_speed = 0 }", "missing-unit", "0", "0 mm/s"),
 ]  # fmt: skip
 
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from antdsl.syntax.format_brackets import Leaf
-from antdsl.syntax.format_items import Block, Node, Statement
+from antdsl.syntax.format_brackets import Leaf, Node
+from antdsl.syntax.format_items import Block, Statement
 
 MOST = 64  # characters; what is longer before a mark does not push the marks of its neighbours away
 _COMMENT_GAP = 2  # blanks before a comment, at least
