@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import code_pages
@@ -15,6 +16,7 @@ import pytest
 from code_pages import PAGES, ROOT, Page
 
 from antdsl.diagnostics.codes import CODES
+from antdsl.resources import code_page
 
 FILES = sorted(path for path in PAGES.glob("*.md") if path.stem != "README")
 # What an example cannot be run without; a package that is not there is not what these pages are about.
@@ -61,6 +63,12 @@ def test_the_index_has_all_codes_by_their_sections() -> None:
     text = (PAGES / "README.md").read_text(encoding="utf-8")
     assert text == code_pages.index(), "run `python tests/code_pages.py`"
     assert re.findall(r"^\| \[`([a-z0-9-]+)`\]", text, flags=re.MULTILINE) == list(CODES)
+
+
+def test_the_pages_go_with_the_package() -> None:
+    packed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert packed["force-include"]["docs/codes"] == "antdsl/_data/docs/codes"
+    assert code_page("unknown-state") == PAGES / "unknown-state.md" and code_page("no-such-code") is None
 
 
 def test_explain_shows_the_page() -> None:
