@@ -17,6 +17,8 @@ from code_pages import PAGES, ROOT, Page
 
 from antdsl.diagnostics.codes import CODES
 from antdsl.resources import code_page
+from antdsl.source import Source
+from antdsl.syntax.formatting import format
 
 FILES = sorted(path for path in PAGES.glob("*.md") if path.stem != "README")
 # What an example cannot be run without; a package that is not there is not what these pages are about.
@@ -57,6 +59,10 @@ def test_the_examples_do_what_the_page_says(path: Path, tmp_path: Path) -> None:
     assert wrong == page.wrong.said.rstrip(), f"run `python tests/code_pages.py {path.stem}` and read what changed"
     assert code_pages.codes_in(wrong) == {path.stem}
     assert code_pages.said(page.right, tmp_path / "right") == ""
+    for name, data in page.right.files.items():
+        if name.endswith(".ant"):
+            text = data.decode("utf-8")
+            assert format(Source(name, text))[0] == text, "a right example has the one layout"
 
 
 def test_the_index_has_all_codes_by_their_sections() -> None:
