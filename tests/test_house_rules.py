@@ -16,7 +16,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
 ROOMS = (
-    "__init__", "source", "diagnostics", "limits", "resources", "bootstrap", "syntax", "program", "scene", "loading",
+    "__init__", "source", "diagnostics", "limits", "resources", "bootstrap", "syntax", "program", "graphs", "scene", "loading",
     "plan", "passes", "runtime", "bodies", "pipeline", "outputs", "specs", "sweep", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.
@@ -29,7 +29,7 @@ FORBIDDEN_ATTRIBUTES = frozenset(
     [("np", "load"), ("numpy", "load"), ("yaml", "load"), ("yaml", "unsafe_load"), ("yaml", "full_load"), ("os", "system")]
 )
 FORBIDDEN_NAMES = frozenset(["utils", "util", "helpers", "common", "base", "manager", "misc"])
-HEAVY = frozenset(["open3d", "pxr", "scipy", "skimage", "trimesh", "PIL", "imageio_ffmpeg"])
+HEAVY = frozenset(["open3d", "pxr", "scipy", "skimage", "trimesh", "PIL", "imageio_ffmpeg", "graphlay"])
 OPEN3D_DOOR = PACKAGE / "runtime" / "senses" / "rays.py"
 
 

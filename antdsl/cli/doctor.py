@@ -12,6 +12,7 @@ EXTRAS = {
     "imageio_ffmpeg": "films: pip install 'antdsl[video]'",
     "pxr": "sets in USD files: pip install 'antdsl[usd]'",
     "matplotlib": "plots of sweeps: pip install 'antdsl[plots]'",
+    "graphlay": "pictures of state machines: pip install 'antdsl[graph]'",
     "numba": "speed with thousands of agents: pip install 'antdsl[fast]'",
 }
 

@@ -1,0 +1,101 @@
+"""`antdsl graph FILE`: the state machines of a program as a picture."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from antdsl.cli.exits import Exit, Stop
+
+if TYPE_CHECKING:
+    from antdsl.graphs import Chart
+
+
+class Format(StrEnum):
+    svg = "svg"
+    png = "png"
+    mermaid = "mermaid"
+    dot = "dot"
+
+
+def graph(
+    file: Path = typer.Argument(..., help="A program (.ant) or a scene (.yaml)."),
+    format: Format = typer.Option(None, "--format", help="[default: by the ending of --out, else svg]", show_default=False),
+    out: Path = typer.Option(
+        None, "--out", metavar="FILE", help="Where it goes; `-` prints it. [default: FILE.svg here]", show_default=False
+    ),
+    only: list[str] = typer.Option(
+        [],
+        "--only",
+        metavar="NAME",
+        help="Only this species, or SPECIES.MACHINE. May be given several times.",
+        show_default=False,
+    ),
+) -> None:
+    """Draw the state machines of a program."""
+    from antdsl import graphs, pipeline
+    from antdsl.cli.reports import demand
+
+    chosen = _format(format, out)
+    program, report = pipeline.check_path(file)
+    demand(report)
+    if program is None:
+        raise Stop(Exit.FINDINGS)
+    charts = _named(graphs.charts(program), only)
+    if not charts:
+        raise Stop(Exit.FINDINGS, f"error: `{file}` has no species with states", "`antdsl graph` draws states and their changes")
+    written, report = graphs.write(charts, chosen)
+    demand(report)
+    assert written is not None
+    _give(written, out or Path(file.stem + graphs.FORMATS[chosen][0][0]))
+
+
+def _format(format: Format | None, out: Path | None) -> str:
+    """What was asked for, or what the file's ending says."""
+    from antdsl.graphs import FORMATS
+
+    if format is not None:
+        return format.value
+    if out is None or str(out) == "-":
+        return next(iter(FORMATS))
+    for name, (endings, _) in FORMATS.items():
+        if out.suffix.lower() in endings:
+            return name
+    known = ", ".join(ending for endings, _ in FORMATS.values() for ending in endings)
+    raise typer.BadParameter(f"`{out}` ends in none of {known}: add `--format`", param_hint="--out")
+
+
+def _named(charts: tuple[Chart, ...], names: list[str]) -> tuple[Chart, ...]:
+    """The charts of these species and machines, in the order of the text."""
+    from antdsl.diagnostics.suggestion import nearest_name
+
+    known = dict.fromkeys(part for chart in charts for part in (chart.title.partition(".")[0], chart.title))
+    for name in names:
+        if name not in known:
+            near = nearest_name(name, known)
+            hint = f"did you mean `{near}`?" if near else "there is " + ", ".join(f"`{k}`" for k in known)
+            raise Stop(Exit.USAGE, f"error: no species or machine `{name}`", hint)
+    wanted = set(names)
+    return tuple(c for c in charts if not wanted or c.title in wanted or c.title.partition(".")[0] in wanted)
+
+
+def _give(written: bytes, out: Path) -> None:
+    """To standard output, or to a file, at once and whole; what lies there already stays as it is until then."""
+    import os
+
+    if str(out) == "-":
+        sys.stdout.flush()
+        sys.stdout.buffer.write(written)
+        sys.stdout.buffer.flush()
+        return
+    part = out.with_name(f".{out.name}.part")
+    try:
+        part.write_bytes(written)
+        os.replace(part, out)
+    finally:
+        part.unlink(missing_ok=True)
+    typer.echo(out)

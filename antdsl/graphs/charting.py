@@ -1,0 +1,141 @@
+"""Program → charts: one for each machine, with what an author would draw on paper.
+
+A change `from any` is one arrow out of one box, not one out of every state; `previous` is a box beside the state that says it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import PurePath
+
+from antdsl.graphs.model import Arrow, Box, Chart
+from antdsl.program.model import ANYWHERE, Machine, Program, State, Transition
+from antdsl.source import Span
+
+_BLACK = (0.15, 0.15, 0.17)
+_GREY = (0.45, 0.46, 0.48)
+
+
+def charts(program: Program) -> tuple[Chart, ...]:
+    """A chart for each machine of each species, in the order of the text. Species without states have none."""
+    made = []
+    for species in program.species.values():
+        for machine in species.machines:
+            if machine.states:
+                alone = len(species.machines) == 1
+                made.append(_chart(species.name if alone else f"{species.name}.{machine.name}", machine))
+    return tuple(made)
+
+
+def _chart(title: str, machine: Machine) -> Chart:
+    sketch = _Sketch(machine)
+    for state in machine.states:
+        own = [change for change in state.transitions if not _anywhere(change)]
+        for number, change in enumerate(own, 1):
+            sketch.add(f"s{state.index}", change, state.name, f"{number}: " if len(own) > 1 else "")
+    everywhere = _from_any(machine)
+    for number, (change, left_out) in enumerate(everywhere, 1):
+        sketch.add(sketch.any_but(left_out), change, "any", f"{number}: " if len(everywhere) > 1 else "")
+    return Chart(title, tuple(sketch.boxes.values()), sketch.arrows())
+
+
+def _anywhere(change: Transition) -> bool:
+    return f".{ANYWHERE}->" in change.key
+
+
+def _from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...]]]:
+    """Each change `from any` once, with the names of the states that it leaves out. Its own target is none of them: that it never
+    leads into the state one is in goes without saying."""
+    found: dict[str, Transition] = {}
+    where: dict[str, set[int]] = {}
+    for state in machine.states:
+        for change in state.transitions:
+            if _anywhere(change):
+                found.setdefault(change.key, change)
+                where.setdefault(change.key, set()).add(state.index)
+    return [
+        (change, tuple(s.name for s in machine.states if s.index not in where[key] and s.index != change.target))
+        for key, change in sorted(found.items(), key=lambda item: item[1].span.start)
+    ]
+
+
+class _Sketch:
+    """Boxes and arrows as they come up."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.boxes: dict[str, Box] = {}
+        self._changes: dict[tuple[str, str, bool], list[tuple[str, str]]] = {}
+        first = machine.states[machine.start]
+        self.boxes["start"] = Box("start", "start", "start", "", _BLACK, f"starts in {first.name}")
+        for state in machine.states:
+            self.boxes[f"s{state.index}"] = _state_box(state)
+        self._arrow("start", f"s{machine.start}", False, "", "")
+
+    def any_but(self, left_out: tuple[str, ...]) -> str:
+        name = "any state" if not left_out else "any but " + ", ".join(left_out)
+        return self._extra("any", name, name)
+
+    def _extra(self, kind: str, mark: str, name: str, details: str = "") -> str:
+        key = f"{kind} {mark}"
+        self.boxes.setdefault(key, Box(key, kind, name, "", _GREY, details))  # type: ignore[arg-type]
+        return key
+
+    def add(self, source: str, change: Transition, name: str, number: str) -> None:
+        """A change out of a box; `number` says when it is looked at, where there are several."""
+        words, details = number + _words(change), _details(change.span)
+        if change.choices:
+            target = self._extra("choice", change.key, "", details)
+        elif change.previous:
+            target = self._extra("previous", name, "previous", "back to the state before")
+        else:
+            target = f"s{change.target}"
+        self._arrow(source, target, change.interrupt, words, details)
+        for state, weight in change.choices:
+            self._arrow(target, f"s{state}", False, _text(weight.span), details)
+
+    def _arrow(self, source: str, target: str, interrupt: bool, words: str, details: str) -> None:
+        self._changes.setdefault((source, target, interrupt), []).append((words, details))
+
+    def arrows(self) -> tuple[Arrow, ...]:
+        return tuple(
+            Arrow(source, target, tuple(w for w, _ in found if w), interrupt, "\n".join(dict.fromkeys(d for _, d in found)))
+            for (source, target, interrupt), found in self._changes.items()
+        )
+
+
+def _state_box(state: State) -> Box:
+    label = " ".join(state.label.split())
+    lasts = f"for at least {_text(state.at_least.span)}" if state.at_least is not None else ""
+    details = " · ".join(part for part in (label, lasts, _place(state.span)) if part)
+    return Box(f"s{state.index}", "state", state.name, " · ".join(p for p in (label, lasts) if p), state.colour, details)
+
+
+def _opening(change: Transition) -> str:
+    if not change.interrupt:
+        return ""
+    return "interrupt when" if change.condition is not None else "interrupt"
+
+
+def _words(change: Transition) -> str:
+    """A change's condition as it was written: what has to be so, for how long, and what it takes."""
+    parts = [
+        _opening(change),
+        _text(change.condition.span) if change.condition is not None else "",
+        f"after {_text(change.after.span)}" if change.after is not None else "",
+        f"held {_text(change.held.span)}" if change.held is not None else "",
+        _text(change.take.span) if change.take is not None else "",
+    ]
+    return " ".join(part for part in parts if part)
+
+
+def _text(span: Span) -> str:
+    """A stretch of the text on one line, without comments."""
+    return " ".join(re.sub(r"#[^\n]*", "", span.text).split())
+
+
+def _place(span: Span) -> str:
+    """File and line. The file by its name alone, so that the same text gives the same picture wherever it lies."""
+    return f"{PurePath(span.source.path).name}:{span.source.line_column(span.start)[0]}"
+
+
+def _details(span: Span) -> str:
+    return f"{_place(span)}: {_text(span)}"

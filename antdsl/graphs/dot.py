@@ -1,0 +1,51 @@
+"""Charts as DOT, the text that Graphviz and many other programs read. Needs no layout: whoever reads it makes one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from antdsl.graphs.drawing import THICK, THIN, dark, hexadecimal, ink_on, line_colours
+from antdsl.graphs.model import RGB, Arrow, Box, Chart
+
+
+def dot(charts: Sequence[Chart]) -> str:
+    """The whole text, one cluster for each chart. The same charts give the same text."""
+    lines = [
+        "digraph antdsl {",
+        '  graph [rankdir=TB, fontname="Helvetica", nodesep=0.4, ranksep=0.5];',
+        '  node [shape=box, style="rounded,filled", fontname="Helvetica", fontsize=12];',
+        '  edge [fontname="Helvetica", fontsize=10];',
+    ]
+    for number, chart in enumerate(charts):
+        keys = {box.key: f"m{number}b{k}" for k, box in enumerate(chart.boxes)}
+        lines += [f"  subgraph cluster_{number} {{", f"    label={_text(chart.title)};", '    color="#d6d6d1";']
+        lines += [f"    {keys[box.key]} [{_box(box)}];" for box in chart.boxes]
+        for arrow, colour in zip(chart.arrows, line_colours(chart), strict=True):
+            lines.append(f"    {keys[arrow.source]} -> {keys[arrow.target]} [{_arrow(arrow, colour)}];")
+        lines.append("  }")
+    return "\n".join([*lines, "}"]) + "\n"
+
+
+def _box(box: Box) -> str:
+    tip = f"tooltip={_text(box.details or box.name)}"
+    if box.kind == "start":
+        return f'shape=circle, width=0.18, label="", fillcolor="{hexadecimal(box.colour)}", {tip}'
+    if box.kind == "choice":
+        return f'shape=circle, width=0.18, label="", fillcolor="#ffffff", color="{hexadecimal(box.colour)}", {tip}'
+    words = _text("\n".join(word for word in (box.name, box.label) if word))
+    if box.kind != "state":
+        return f'style="rounded,dashed", label={words}, color="{hexadecimal(box.colour)}", {tip}'
+    fill, edge, ink = box.colour, dark(box.colour), ink_on(box.colour)
+    return f'label={words}, fillcolor="{hexadecimal(fill)}", color="{hexadecimal(edge)}", fontcolor="{hexadecimal(ink)}", {tip}'
+
+
+def _arrow(arrow: Arrow, colour: RGB) -> str:
+    words = f"label={_text(chr(10).join(arrow.lines))}, " if arrow.lines else ""
+    ink, thick = hexadecimal(dark(colour, 0.1)), THICK if arrow.interrupt else THIN
+    tip = f", tooltip={_text(arrow.details)}" if arrow.details else ""
+    return f'{words}color="{hexadecimal(colour)}", fontcolor="{ink}", penwidth={thick}{tip}'
+
+
+def _text(text: str) -> str:
+    """In quotes; Graphviz gives backslashes, and nothing else in quotes, a meaning of their own."""
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'

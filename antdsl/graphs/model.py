@@ -1,0 +1,97 @@
+"""What a picture of a state machine is made of: boxes and arrows in a chart, and where a layout put them.
+
+Charts know no picture format and layouts no library: whoever draws, stills or live, reads these values alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+RGB = tuple[float, float, float]  # display values, 0..1
+Point = tuple[float, float]  # x to the right, y down, in px
+Kind = Literal["state", "start", "any", "previous", "choice"]
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """One box of a chart. `start` is the dot that points at the first state, `any` where changes `from any` begin, `previous`
+    where one goes back to the state before, `choice` the fork of a `choose`. `key` is unique in its chart; `name` is the
+    state's own; `details` is for a pointer that rests on it."""
+
+    key: str
+    kind: Kind
+    name: str
+    label: str
+    colour: RGB
+    details: str
+
+
+@dataclass(frozen=True, slots=True)
+class Arrow:
+    """The changes from one box to another, all of them interrupts or none. `lines` has one condition each, in the order in which
+    they are looked at."""
+
+    source: str
+    target: str
+    lines: tuple[str, ...]
+    interrupt: bool
+    details: str
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """One machine of a species. `title` is `forager`, or `forager.mood` where a species has several machines."""
+
+    title: str
+    boxes: tuple[Box, ...]
+    arrows: tuple[Arrow, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """Where something is: its centre and its size, in px."""
+
+    centre: Point
+    width: float
+    height: float
+
+    @property
+    def left(self) -> float:
+        return self.centre[0] - self.width / 2
+
+    @property
+    def top(self) -> float:
+        return self.centre[1] - self.height / 2
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedArrow:
+    """An arrow's way: straight from point to point, the last one where the head's tip is. `lines` are its words, folded."""
+
+    arrow: Arrow
+    points: tuple[Point, ...]
+    words: Placed | None
+    lines: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedChart:
+    """A chart with places for all it has, from (0, 0) to (width, height)."""
+
+    chart: Chart
+    width: float
+    height: float
+    boxes: tuple[tuple[Box, Placed], ...]
+    arrows: tuple[PlacedArrow, ...]
+
+    def moved(self, right: float, down: float) -> PlacedChart:
+        """The same so far to the right and down."""
+
+        def at(place: Placed) -> Placed:
+            return replace(place, centre=(place.centre[0] + right, place.centre[1] + down))
+
+        arrows = tuple(
+            replace(a, points=tuple((x + right, y + down) for x, y in a.points), words=at(a.words) if a.words else None)
+            for a in self.arrows
+        )
+        return replace(self, boxes=tuple((box, at(place)) for box, place in self.boxes), arrows=arrows)

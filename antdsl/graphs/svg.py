@@ -1,0 +1,67 @@
+"""A drawing as SVG text: words stay words that can be searched, and a pointer that rests on a line shows where it comes from."""
+
+from __future__ import annotations
+
+from xml.sax.saxutils import escape
+
+from antdsl.graphs.drawing import Drawing, Line, Rectangle, Shape, Words, hexadecimal
+from antdsl.graphs.model import RGB
+
+
+def svg(drawing: Drawing) -> str:
+    """The whole file. The same drawing gives the same text."""
+    wide, high = _number(drawing.width), _number(drawing.height)
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide}" height="{high}" viewBox="0 0 {wide} {high}"'
+        ' font-family="Helvetica, Arial, sans-serif">',
+        f'<rect width="{wide}" height="{high}" fill="#ffffff"/>',
+        *(_shape(shape) for shape in drawing.shapes),
+        "</svg>",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _shape(shape: Shape) -> str:
+    if isinstance(shape, Words):
+        x, y = _number(shape.centre[0]), _number(shape.centre[1] + shape.size * 0.35)
+        return (
+            f'<text x="{x}" y="{y}" font-size="{shape.size}" text-anchor="middle" fill="{_hex(shape.colour)}"'
+            f' textLength="{_number(shape.width)}" lengthAdjust="spacingAndGlyphs">{escape(_legal(shape.text))}</text>'
+        )
+    if isinstance(shape, Rectangle):
+        return _whole(
+            f'<rect x="{_number(shape.left)}" y="{_number(shape.top)}" width="{_number(shape.width)}"'
+            f' height="{_number(shape.height)}" rx="{_number(shape.radius)}" fill="{_hex(shape.fill)}"'
+            f' stroke="{_hex(shape.edge)}" stroke-width="{_number(shape.thick)}"'
+            + (' stroke-dasharray="4 3"' if shape.dashed else ""),
+            shape.details,
+            "rect",
+        )
+    return _line(shape)
+
+
+def _line(line: Line) -> str:
+    way = " ".join(f"{_number(x)},{_number(y)}" for x, y in line.points)
+    if line.closed:
+        return f'<polygon points="{way}" fill="{_hex(line.colour)}"/>'
+    start = f'<polyline points="{way}" fill="none" stroke="{_hex(line.colour)}" stroke-width="{_number(line.thick)}"'
+    return _whole(start, line.details, "polyline")
+
+
+def _whole(start: str, details: str, name: str) -> str:
+    return f"{start}><title>{escape(_legal(details))}</title></{name}>" if details else f"{start}/>"
+
+
+def _legal(text: str) -> str:
+    """Without signs that XML 1.0 forbids even when they are escaped."""
+    return "".join(
+        sign for sign in text if sign in "\n\t" or " " <= sign <= "\ud7ff" or "\ue000" <= sign <= "\ufffd" or sign > "\uffff"
+    )
+
+
+def _number(value: float) -> str:
+    return f"{value:.2f}".rstrip("0").rstrip(".")
+
+
+def _hex(colour: RGB | None) -> str:
+    return "none" if colour is None else hexadecimal(colour)
