@@ -93,12 +93,9 @@ def test_a_chart_has_the_states_and_changes_of_the_text() -> None:
     assert ("carry", "set_out", ("touching(nest)",), False) in said(chart)
     assert len(chart.arrows) == 1 + len(re.findall(r"^    when .*->", FORAGER.read_text(encoding="utf-8"), re.M))
     arrow = next(a for a in chart.arrows if a.lines == ("1: touching(meal) take 1 load from meal",))
-    line = (
-        FORAGER.read_text(encoding="utf-8")
-        .splitlines()
-        .index("    when touching(meal) take 1 load from meal  -> carry { source = meal }")
-    )
-    assert arrow.details == f"forager.ant:{line + 1}: when touching(meal) take 1 load from meal -> carry {{ source = meal }}"
+    lines = FORAGER.read_text(encoding="utf-8").splitlines()
+    (line,) = (number for number, text in enumerate(lines, 1) if "when touching(meal)" in text)
+    assert arrow.details == f"forager.ant:{line}: when touching(meal) take 1 load from meal -> carry {{ source = meal }}"
 
 
 def test_any_previous_choose_interrupts_and_machines_are_drawn_once_each(odd: tuple[Chart, ...]) -> None:
