@@ -60,6 +60,7 @@ NUMBERS = (
     "count(n in a: n.fear > fear)",
     "min(9, min(n in neighbours(50 mm): angle(heading, n.heading) / 1 rad))",
     "slope / 1 deg",
+    "length(uphill)",
 )
 PUSHES = (
     "heading * 0.4",

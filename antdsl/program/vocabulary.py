@@ -279,8 +279,8 @@ BUILTINS: dict[str, tuple[Builtin, ...]] = {
     ),
 }
 
-# `slope` is a name, not a call: the angle between `up` and the world's up.
-SENSED_NAMES: dict[str, str] = {"slope": "angle"}
+# Names, not calls: `slope` is the angle between `up` and the world's up, `uphill` the world's up laid along the ground.
+SENSED_NAMES: dict[str, str] = {"slope": "angle", "uphill": "push"}
 
 REDUCERS: dict[str, str] = {
     "sum": "sum of the body; 0 or nothing for an empty set",
@@ -300,9 +300,21 @@ SIGN_OPS = {
 }  # fmt: skip
 # Further ops of the typed tree:
 #   if(condition, then, else)      is_none(x)  (also `no x`; for a set: it is empty)      chance(rate or share)
-#   is_some(x)      field_value(field)      flow_value(flow)      map_value(map)      slope()
+#   is_some(x)      field_value(field)      flow_value(flow)      map_value(map)      slope()      uphill()
 #   run(dt | time | frame as Thing)      event(its name as Thing)      fuzzy(degree, output, degree, output, …)
-OTHER_OPS = ("if", "is_none", "is_some", "chance", "field_value", "flow_value", "map_value", "slope", "run", "event", "fuzzy")
+OTHER_OPS = (
+    "if",
+    "is_none",
+    "is_some",
+    "chance",
+    "field_value",
+    "flow_value",
+    "map_value",
+    *SENSED_NAMES,
+    "run",
+    "event",
+    "fuzzy",
+)
 
 # Words with a meaning to come. Used as a name they are refused, used as a construct they get a placed "not yet".
 RESERVED = ("noise", "play", "repeat", "import", "share", "total", "clip")

@@ -14,7 +14,7 @@ from antdsl.program.model import Binding, Dim, Expr, Kind, Local, ParamRef, Rate
 from antdsl.program.operators import condition, value
 from antdsl.program.scope import BOOL, NUMBER, Declared, Scope, attributes_of, bad, did_you_mean, listed, type_from_words
 from antdsl.program.sets import body_of
-from antdsl.program.vocabulary import GIVEN
+from antdsl.program.vocabulary import GIVEN, SENSED_NAMES
 from antdsl.program.walk import written
 from antdsl.program.wording import quoted, type_words
 from antdsl.source import Span
@@ -304,7 +304,7 @@ def _knows(declared: Declared, species: str, asked: nodes.Expr) -> bool:
     states = {state for machine in names.machines.values() for state in machine.states}
     mine = {*names.attributes, *names.params, *names.bindings, *names.pending, *names.machines, *states, *GIVEN}
     everywhere = {*declared.things, *declared.fields, *declared.species, *declared.events, "state", "previous", "next"}
-    everywhere |= {"time_in_state", "time", "frame", "dt", "true", "false", "slope", "self"}
+    everywhere |= {"time_in_state", "time", "frame", "dt", "true", "false", *SENSED_NAMES, "self"}
     called = {id(part.function) for part, _ in written(asked) if isinstance(part, nodes.Call)}
     bare = {p.name.text for p, _ in written(asked) if isinstance(p, nodes.NameRef) and id(p) not in called}
     return bare <= mine | everywhere

@@ -15,6 +15,7 @@ from antdsl.runtime import compiled, kernels
 from antdsl.runtime import vectors as vec
 from antdsl.runtime.obstacles import slide
 from antdsl.runtime.senses.ground import MoveResult
+from antdsl.runtime.tilting import tilted
 from antdsl.runtime.vectors import Vector
 from antdsl.runtime.world import AXES, Population, World
 
@@ -47,6 +48,9 @@ def move(world: World, population: Population, substep: int) -> None:
         now["size"].astype(np.float64),
         world.options.threads,
     )
+    if world.solids:
+        on_solid = moved.footing.mesh >= len(world.ground.names) - len(world.solids)
+        moved = tilted(moved, vec.rows(up), np.maximum(now["max_turn"], _F(0)) * dt, on_solid)
     _arrive(population, velocity, step, moved, dt)
     population.footing, population.position = moved.footing, moved.position
 

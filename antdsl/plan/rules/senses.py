@@ -118,8 +118,17 @@ def _feelers(w: Writer, e: model.Op) -> Value:
 
 
 def _slope(w: Writer, e: model.Op) -> Value:
-    world_up = Vec(w.run("up_x"), w.run("up_y"), w.run("up_z"))
-    return values.angle_between(w.b, w.read_vector("up"), world_up)
+    return values.angle_between(w.b, w.read_vector("up"), _world_up(w))
+
+
+def _uphill(w: Writer, e: model.Op) -> Value:
+    """The world's up less its part along the animal's own: as long as the sine of the slope."""
+    up, sky = w.read_vector("up"), _world_up(w)
+    return values.sub(w.b, sky, values.scale(w.b, up, values.dot(w.b, up, sky)))
+
+
+def _world_up(w: Writer) -> Vec:
+    return Vec(w.run("up_x"), w.run("up_y"), w.run("up_z"))
 
 
 def _run(w: Writer, e: model.Op) -> Value:
@@ -148,5 +157,5 @@ def _match(w: Writer, e: model.Op) -> Value:
 RULES = {
     "field_value": _field_value, "flow_value": _flow_value, "map_value": _map_value, "field_max": _field_max,
     "strongest": _strongest, "gradient": _gradient, "ray": _ray, "nearest": _nearest, "all": _all_of, "neighbours": _neighbours,
-    "feelers": _feelers, "slope": _slope, "run": _run, "switched": _switched, "event": _event, "match": _match,
+    "feelers": _feelers, "slope": _slope, "uphill": _uphill, "run": _run, "switched": _switched, "event": _event, "match": _match,
 }  # fmt: skip

@@ -15,7 +15,7 @@ Index = NDArray[np.int64]
 Columns = Sequence[Floats]
 
 _OFFSETS = (0, 1, 16, 17, 256, 257, 272, 273)  # of a cell's corners, in a brick
-LEAN = 0.5  # voxels: how far around a place the smooth normal looks, each way
+LEAN = 0.5  # voxels: how far around a place the smooth normal looks, each way, where no body says more
 
 
 def distance(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Floats:
@@ -42,9 +42,10 @@ def field(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floa
     return v0 + gx * fx, gx * scale, _mix(e0, e1, fx) * scale, gz
 
 
-def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> list[Floats]:
-    """A gradient that changes steadily from place to place, unlike the field's own: differences along each axis."""
-    a = LEAN * bricks.voxel
+def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats, lean: Floats | float = LEAN) -> list[Floats]:
+    """A gradient that changes steadily from place to place, unlike the field's own: differences along each axis, over `lean`
+    voxels (one or for each place) either way."""
+    a = np.asarray(lean) * bricks.voxel
     scale = 0.5 / a
     return [
         (distance(bricks, x + a, y, z) - distance(bricks, x - a, y, z)) * scale,

@@ -28,16 +28,19 @@ NEWTON = 4
 BISECTIONS = 24
 DONE = 1e-6  # voxels of way left that are none
 CROSSINGS = 400  # steps of one move
-RULES = (STRIDE, LEAST, NEWTON, BISECTIONS, OFF, FARTHER, EDGE, BACK, DONE, CROSSINGS, SETTLING, FLAT, LEAN)
+STANCE = 0.4  # of a body: how far around its place the normal that it stands by looks, each way
+THIN = 0.1  # length of that gradient below which it says nothing: the normal of the place itself is taken
+RULES = (STRIDE, LEAST, NEWTON, BISECTIONS, OFF, FARTHER, EDGE, BACK, DONE, CROSSINGS, SETTLING, FLAT, LEAN, THIN)
 
 
 @dataclass(frozen=True, slots=True)
 class Moved:
     """Where a step led. Vectors are float64[n,3]; lengths mm.
 
-    `up` is the smooth normal out of the solid, `heading` a unit vector at right angles to it, `direction` the unit direction of
-    travel at the end, across the normal. `travelled` is the way walked. `blocked` says that the way could not be walked to its
-    end, `lost` that there is no surface near to stand on: then the point stays where it was.
+    `up` is the normal out of the solid that the body stands by, even over its length, so that it tilts before an edge and does
+    not jerk; `heading`, and `direction`, that of travel at the end, are unit vectors at right angles to it. `travelled` is the
+    way walked. `blocked` says that the way could not be walked to its end, `lost` that there is no surface near to stand on: then
+    the point stays where it was.
     """
 
     points: Floats
@@ -51,12 +54,11 @@ class Moved:
 
 @dataclass(slots=True)
 class _Walk:
-    """Walkers on their way, as columns: place, normal, direction, heading; way left and gone, and the stride that went well."""
+    """Walkers on their way, as columns: place, normal, direction; way left and gone, and the stride that went well."""
 
     place: Columns
     normal: Columns
     way: Columns
-    head: Columns
     left: Floats
     gone: Floats
     stride: Floats
@@ -69,9 +71,11 @@ class _Walk:
 def move(volume: Volume, points: Floats, steps: Floats, heading: Floats, up: Floats, size: Floats | float) -> Moved:
     """Walk agents who stand on the zero level at `points` [n,3] by `steps` [n,3], laid into the surface and kept in length.
 
-    `up` [n,3] is the unit normal that each stood by, `heading` [n,3] where it looked, `size` (mm, one or [n]) its body: places
-    stay within a ten-thousandth of it off the zero level. Who stands in air, because the ground was dug away, first goes to the
-    surface. A step that is not finite counts as none, and so does what of a step points off the surface by over 60 degrees.
+    `up` [n,3] is the unit normal that each stood by, `heading` [n,3] where it looked. Steps turn from there into the surface
+    itself; a heading turns as the body tilts, and not with each crumb that is walked over. `size` (mm, one or [n]) is its body:
+    places stay within a ten-thousandth of it off the zero level. Who stands in air, because the ground was dug away, first goes
+    to the surface. A step that is not finite counts as none, and so does what of a step points off the surface by over
+    60 degrees.
     """
     bricks = volume.bricks
     columns = [_columns(v) for v in (points, steps, heading, up)]
@@ -80,32 +84,47 @@ def move(volume: Volume, points: Floats, steps: Floats, heading: Floats, up: Flo
     close = np.clip(3e-5 * body, CLOSE * bricks.voxel, 1e-3 * bricks.voxel)
     with np.errstate(over="ignore", invalid="ignore"):
         if compiled.wanted(count):
-            return _moved_compiled(bricks, columns, close)
-        return _moved(bricks, columns, close)
+            return _moved_compiled(bricks, columns, close, stance(bricks, body))
+        return _moved(bricks, columns, close, stance(bricks, body))
 
 
-def _moved(bricks: Bricks, columns: list[Floats], close: Floats) -> Moved:
+def stance(bricks: Bricks, body: Floats) -> Floats:
+    """How far around a place a body's normal looks, voxels."""
+    return np.maximum(body * (STANCE / bricks.voxel), LEAN)
+
+
+def upright(bricks: Bricks, place: Columns, lean: Floats, otherwise: Columns) -> Columns:
+    """Unit normals to stand by, evened over `lean` voxels; where walls on both sides leave none, `otherwise`."""
+    slope = smooth(bricks, *place, lean)
+    clear = _dot(slope, slope) > THIN * THIN
+    return [np.where(clear, s, o) for s, o in zip(_unit(slope, otherwise), otherwise, strict=True)]
+
+
+def _moved(bricks: Bricks, columns: list[Floats], close: Floats, lean: Floats) -> Moved:
     """As `move`, of points, steps, headings and up as (3, n)."""
-    place, wish, head, normal = (list(c.copy()) for c in columns)
+    place, wish, head, above = (list(c.copy()) for c in columns)
     count = close.size
     sound = np.isfinite(wish[0] + wish[1] + wish[2])
     wish = [np.where(sound, w, 0.0) for w in wish]
+    normal = _unit(smooth(bricks, *place), above)
+    wish = _turned(wish, above, normal, head)
     way, flat = _laid(wish, normal)
     left = np.minimum(np.sqrt(_dot(wish, wish)), 2 * flat)
     no = np.zeros(count, bool)
-    w = _Walk(place, normal, way, head, left, np.zeros(count), np.full(count, STRIDE), close, no, no.copy(), no.copy())
+    w = _Walk(place, normal, way, left, np.zeros(count), np.full(count, STRIDE), close, no, no.copy(), no.copy())
     _settle(bricks, w, np.flatnonzero(~(left > 0)))
     rows = np.flatnonzero(left > 0)
     for _ in range(CROSSINGS):
         if not rows.size:
             break
         rows = _step(bricks, w, rows)
-    stood = _unit(smooth(bricks, *w.place), w.normal)
-    head = _laid(_turned(w.head, w.normal, stood, w.way), stood)[0]
-    return Moved(_rows(w.place), _rows(stood), _rows(head), _rows(w.way), w.gone, w.blocked, w.lost)
+    stood = upright(bricks, w.place, lean, w.normal)
+    way = _laid(_turned(w.way, w.normal, stood, w.way), stood)[0]
+    head = _laid(_turned(head, above, stood, head), stood)[0]
+    return Moved(_rows(w.place), _rows(stood), _rows(head), _rows(way), w.gone, w.blocked, w.lost)
 
 
-def _moved_compiled(bricks: Bricks, columns: list[Floats], close: Floats) -> Moved:
+def _moved_compiled(bricks: Bricks, columns: list[Floats], close: Floats, lean: Floats) -> Moved:
     """As `_moved`."""
     from antdsl.runtime.solids.walking_compiled import walk_all
 
@@ -113,7 +132,7 @@ def _moved_compiled(bricks: Bricks, columns: list[Floats], close: Floats) -> Mov
     blocked, lost = np.empty(close.size, bool), np.empty(close.size, bool)
     walk_all(
         bricks.table, bricks.values, bricks.origin, bricks.voxel, bricks.shape, RULES,
-        *columns, np.ascontiguousarray(close), *vectors, gone, blocked, lost,
+        *columns, np.ascontiguousarray(close), np.ascontiguousarray(lean), *vectors, gone, blocked, lost,
     )  # fmt: skip
     place, stood, head, way = (v.T for v in vectors)
     return Moved(place, stood, head, way, gone, blocked, lost)
@@ -173,11 +192,10 @@ def _over(bricks: Bricks, w: _Walk, rows: Index) -> None:
 
 
 def _turn(w: _Walk, rows: Index, before: Columns, normal: Columns) -> None:
-    """Give `rows` other normals, and turn their headings and ways along."""
+    """Give `rows` other normals, and turn their ways along."""
     way = [c[rows] for c in w.way]
-    head = _turned([c[rows] for c in w.head], before, normal, way)
     way = _laid(_turned(way, before, normal, way), normal)[0]
-    for columns, new in ((w.normal, normal), (w.way, way), (w.head, head)):
+    for columns, new in ((w.normal, normal), (w.way, way)):
         for column, values in zip(columns, new, strict=True):
             column[rows] = values
 

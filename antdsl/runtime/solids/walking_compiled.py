@@ -11,22 +11,28 @@ _AHEAD = 16  # agents whose cells are fetched from memory at once
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the call
-    table, values, origin, voxel, shape, rules, points, steps, heading, up, close,
+    table, values, origin, voxel, shape, rules, points, steps, heading, up, close, lean,
     place, above, ahead, direction, gone, blocked, lost,
 ):  # fmt: skip
     """Move all agents. The bricks come first, and `RULES` of `walking`; then (3, n) where agents stand, their steps, headings
-    and up, how near to stay; then where results go."""
+    and up, how near to stay and how far around their normals look; then where results go."""
     grid = (origin[0], origin[1], origin[2], voxel, shape[0], shape[1], shape[2])
     for i in range(gone.size):
         if i % _AHEAD == 0:
             gone[i] = _touch(table, values, grid, points, i, min(i + _AHEAD, gone.size))
         start = (points[0, i], points[1, i], points[2, i])
-        normal = (up[0, i], up[1, i], up[2, i])
+        before = (up[0, i], up[1, i], up[2, i])
         head = (heading[0, i], heading[1, i], heading[2, i])
         wish = (steps[0, i], steps[1, i], steps[2, i])
-        p, n, head, way, gone[i], blocked[i], lost[i] = _walk(table, values, grid, rules, start, normal, head, wish, close[i])
-        stood = _unit(_smooth(table, values, grid, rules[-1], p), n)
-        head, _ = _laid(_turned(head, n, stood, way), stood)
+        if not np.isfinite(wish[0] + wish[1] + wish[2]):
+            wish = (0.0, 0.0, 0.0)
+        normal = _unit(_smooth(table, values, grid, rules[12], start), before)
+        wish = _turned(wish, before, normal, head)
+        p, n, way, gone[i], blocked[i], lost[i] = _walk(table, values, grid, rules, start, normal, wish, close[i])
+        slope = _smooth(table, values, grid, lean[i], p)
+        stood = _unit(slope, n) if _dot(slope, slope) > rules[13] * rules[13] else n
+        head, _ = _laid(_turned(head, before, stood, head), stood)
+        way, _ = _laid(_turned(way, n, stood, way), stood)
         for k in range(3):
             place[k, i] = p[k]
             above[k, i] = stood[k]
@@ -45,12 +51,10 @@ def _touch(table, values, grid, points, first, last):  # type: ignore[no-untyped
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _walk(table, values, grid, rules, p, n, head, wish, close):  # type: ignore[no-untyped-def]
-    """All steps of one agent: its place, normal, heading and way, how far it went, and whether it is blocked or lost."""
+def _walk(table, values, grid, rules, p, n, wish, close):  # type: ignore[no-untyped-def]
+    """All steps of one agent: its place, normal and way, how far it went, and whether it is blocked or lost."""
     voxel = grid[3]
-    longest, least, _, _, off, farther, edge, back, done, most, _, _, _ = rules
-    if not np.isfinite(wish[0] + wish[1] + wish[2]):
-        wish = (0.0, 0.0, 0.0)
+    longest, least, _, _, off, farther, edge, back, done, most, _, _, _, _ = rules
     way, flat = _laid(wish, n)
     left = min(np.sqrt(_dot(wish, wish)), 2 * flat)
     stride, walked = longest, 0.0
@@ -58,9 +62,9 @@ def _walk(table, values, grid, rules, p, n, head, wish, close):  # type: ignore[
     if not left > 0:
         found, p, after = _settle(table, values, grid, rules, p, n, close)
         if not found:
-            return p, n, head, way, walked, False, True
-        head, way = _turn(head, way, n, after)
-        return p, after, head, way, walked, False, False
+            return p, n, way, walked, False, True
+        way = _turn(way, n, after)
+        return p, after, way, walked, False, False
     for _ in range(most):
         if not left > 0:
             break
@@ -72,7 +76,7 @@ def _walk(table, values, grid, rules, p, n, head, wish, close):  # type: ignore[
         far = farther * length
         good = _dot(went, went) <= far * far and abs(d) <= close and abs(middle) <= off * voxel
         if good and (length <= edge * voxel or _dot(after, n) > back):
-            head, way = _turn(head, way, n, after)
+            way = _turn(way, n, after)
             p, n = q, after
             rest = left - length
             left = rest if rest > done * voxel else 0.0
@@ -82,8 +86,8 @@ def _walk(table, values, grid, rules, p, n, head, wish, close):  # type: ignore[
         elif not settled:
             found, p, after = _settle(table, values, grid, rules, p, n, close)
             if not found:
-                return p, n, head, way, walked, blocked, True
-            head, way = _turn(head, way, n, after)
+                return p, n, way, walked, blocked, True
+            way = _turn(way, n, after)
             n = after
             settled = True
         else:
@@ -94,16 +98,16 @@ def _walk(table, values, grid, rules, p, n, head, wish, close):  # type: ignore[
                 beyond = 2 * least * voxel
                 _, g = _field(table, values, grid, (p[0] + way[0] * beyond, p[1] + way[1] * beyond, p[2] + way[2] * beyond))
                 after = _unit(g, n)
-                head, way = _turn(head, way, n, after)
+                way = _turn(way, n, after)
                 n = after
                 stride, blocked = edge, True
-    return p, n, head, way, walked, blocked, False
+    return p, n, way, walked, blocked, False
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _onto(table, values, grid, rules, p, n, way, length, close):  # type: ignore[no-untyped-def]
     voxel = grid[3]
-    _, _, newton, bisections, _, _, _, _, _, _, _, _, _ = rules
+    _, _, newton, bisections, _, _, _, _, _, _, _, _, _, _ = rules
     far = (p[0] + way[0] * length, p[1] + way[1] * length, p[2] + way[2] * length)
     q = far
     d, g = _field(table, values, grid, q)
@@ -164,10 +168,9 @@ def _settle(table, values, grid, rules, p, hint, close):  # type: ignore[no-unty
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _turn(head, way, before, after):  # type: ignore[no-untyped-def]
-    head = _turned(head, before, after, way)
+def _turn(way, before, after):  # type: ignore[no-untyped-def]
     way, _ = _laid(_turned(way, before, after, way), after)
-    return head, way
+    return way
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
