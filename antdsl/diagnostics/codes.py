@@ -100,10 +100,16 @@ CODES: dict[str, str] = {
     "two-decays": "a field says in two ways how fast it fades",
     "two-writers": "one value is set twice in one block, or by two machines",
     # --- the whole program ---
+    "always-fires": "a condition of a change cannot but hold",
     "at-start-alone": "`at_start` stands where there is no other side of a comparison",
+    "constant-attribute": "an attribute is read and never anything but its first value",
+    "draw-in-condition": "a condition compares a number that is drawn anew in every step",
     "draw-in-spec": "a spec draws a random number",
     "empty-program": "a file declares a world and nothing that lives in it",
     "empty-spec": "a spec expects nothing",
+    "flicker": "two states send the animal to each other for the same values",
+    "idle-layer": "a line of `layers` can never push",
+    "never-fires": "a condition of a change can never hold",
     "not-a-scene": "a spec does not name a scene",
     "not-yet": "a word of the language does not work yet",
     "shadowed-change": "a change stands below one that always happens",
@@ -112,6 +118,8 @@ CODES: dict[str, str] = {
     "trap": "nothing leads out of a state",
     "unheard-event": "an event is raised and never noticed",
     "unreachable-state": "nothing leads to a state",
+    "unread-attribute": "an attribute is set and never read",
+    "unread-field": "a field is laid and never smelled",
     "unused-argument": "a behaviour never uses an argument",
     "unused-attribute": "an attribute is never used",
     "unused-behaviour": "a behaviour is never called in its file",
@@ -161,6 +169,9 @@ CODES: dict[str, str] = {
     # --- running specs ---
     "no-scene": "a spec does not say on which scene it runs, and none lies beside its program",
     "other-scene": "the scene of a spec does not use the spec's program",
+    # --- comments that ignore findings ---
+    "ignore-without-reason": "a comment ignores a finding and does not say why",
+    "ignored-nothing": "a comment ignores a finding that is not there",
     # --- pictures ---
     "cannot-write": "a file cannot be written where it was asked for",
     "missing-extra": "what was asked for needs an extra of the package that is not installed",

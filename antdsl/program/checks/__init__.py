@@ -6,9 +6,14 @@ from collections.abc import Callable
 
 from antdsl.diagnostics import Report
 from antdsl.program.checks.checked import Checked
+from antdsl.program.checks.draws import draws
 from antdsl.program.checks.empty import empty
 from antdsl.program.checks.events import events
+from antdsl.program.checks.firing import firing
+from antdsl.program.checks.flicker import flicker
+from antdsl.program.checks.idle_layers import idle_layers
 from antdsl.program.checks.layering import layering
+from antdsl.program.checks.one_way import one_way
 from antdsl.program.checks.reachability import reachability
 from antdsl.program.checks.shadowed import shadowed
 from antdsl.program.checks.unused import unused
@@ -17,10 +22,15 @@ from antdsl.program.checks.writers import writers
 CHECKS: tuple[Callable[[Checked, Report], None], ...] = (
     empty,  # a file that does nothing says so before anything else is looked for in it
     reachability,  # states that nothing leads to, and that nothing leads out of
+    firing,  # changes whose condition never holds, or always
     shadowed,  # changes that can never be looked at
+    flicker,  # two states that send the animal to each other
+    draws,  # numbers drawn in a condition
     writers,  # two machines that set the same attribute
     layering,  # what the states steer must have its line
+    idle_layers,  # lines that no strength is left for
     events,  # raised and never noticed, noticed and never raised
+    one_way,  # attributes and fields that are only set, or only read
     unused,  # last: it only makes sense of what is otherwise right
 )
 

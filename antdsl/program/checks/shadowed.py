@@ -1,29 +1,47 @@
-"""Changes that come after one that always happens."""
+"""Changes that come after one that happens whenever they could: the first true one wins, so they are never looked at."""
 
 from __future__ import annotations
 
 from antdsl.diagnostics import Label, Report
 from antdsl.program.checks.checked import Checked
-from antdsl.program.model import Const, Transition
+from antdsl.program.checks.conditions import Reader, always, implies, never
+from antdsl.program.folding import constant_behind
+from antdsl.program.model import Expr, Transition
 
 
 def shadowed(checked: Checked, report: Report) -> None:
+    reader = Reader(checked.program.params)
     for species in checked.program.species.values():
         for machine in species.machines:
             for state in machine.states:
-                first: Transition | None = None
-                for change in state.transitions:
+                for place, change in enumerate(state.transitions):
+                    first = next((each for each in state.transitions[:place] if _hides(reader, each, change)), None)
                     if first is not None:
-                        report.warning(
-                            "shadowed-change", "this change is never looked at", change.span,
-                            "move it above the one that always happens",
-                            labels=(Label(first.span, "this one always happens"),),
-                        )  # fmt: skip
-                    elif _always(change):
-                        first = change
+                        _told(reader, change, first, report)
 
 
-def _always(change: Transition) -> bool:
-    test = change.condition
-    certain = test is None or (isinstance(test, Const) and test.number != 0)
-    return certain and change.after is None and change.held is None and change.take is None
+def _told(reader: Reader, change: Transition, first: Transition, report: Report) -> None:
+    certain = first.after is None and first.held is None and always(reader, first.condition)
+    label = "this one always happens" if certain else "this one happens whenever it could"
+    report.warning(
+        "shadowed-change", "this change is never looked at", change.span,
+        f"move it above the one that {'always happens' if certain else 'comes first'}",
+        labels=(Label(first.span, label),),
+    )  # fmt: skip
+
+
+def _hides(reader: Reader, first: Transition, change: Transition) -> bool:
+    """Whether the upper one happens whenever the lower one could. One that takes something may find nothing to take."""
+    if first.take is not None or not _sooner(first.after, change.after) or not _sooner(first.held, change.held):
+        return False
+    if change.condition is not None and never(reader, change.condition):
+        return False  # that one is told already, whatever stands above it
+    return implies(reader, change.condition, first.condition)
+
+
+def _sooner(first: Expr | None, other: Expr | None) -> bool:
+    """Whether a waiting time is over when the other one is."""
+    if first is None:
+        return True
+    a, b = constant_behind(first), (constant_behind(other) if other is not None else None)
+    return a is not None and b is not None and (a.u, a.step) == (b.u, b.step) and a.number <= b.number

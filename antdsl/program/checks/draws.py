@@ -1,0 +1,64 @@
+"""Numbers drawn in a condition: they are drawn anew in every step, so how often it holds depends on the frame rate."""
+
+from __future__ import annotations
+
+import math
+
+from antdsl.diagnostics import Fix, Report
+from antdsl.program.checks.checked import Checked
+from antdsl.program.folding import constant_behind
+from antdsl.program.model import Const, Expr, Op
+from antdsl.program.walk import parts
+from antdsl.program.wording import quoted
+
+_DRAWS = frozenset(("uniform", "normal", "pick"))
+_COMPARISONS = frozenset(("lt", "le", "gt", "ge", "eq", "ne"))
+_FPS = 24  # of film
+
+
+def draws(checked: Checked, report: Report) -> None:
+    for species in checked.program.species.values():
+        tests = [change.condition for machine in species.machines for state in machine.states for change in state.transitions]
+        tests += [layer.condition for layer in species.layers.layers]
+        for test in tests:
+            if test is not None and not any(isinstance(part, Op) and part.name == "event" for part in parts(test)):
+                _test(test, report)
+
+
+def _test(test: Expr, report: Report) -> None:
+    for part in parts(test):
+        if isinstance(part, Op) and part.name in _COMPARISONS and _drawn(part):
+            rate = _rate(part)
+            report.warning(
+                "draw-in-condition",
+                f"{quoted(part.span)} draws anew in every step",
+                part.span,
+                f"write `{rate}`, which is as likely at {_FPS} frames a second" if rate
+                else "write `chance 20 %/s`, or draw once: an attribute, set in `enter`",
+                fix=Fix(part.span, rate) if rate else None,
+            )  # fmt: skip
+
+
+def _drawn(part: Op) -> bool:
+    return any(isinstance(inner, Op) and inner.name in _DRAWS for arg in part.args if arg is not None for inner in parts(arg))
+
+
+def _rate(part: Op) -> str | None:
+    """`uniform(0, 1) < 0.1` as a chance per second."""
+    left, right = part.args
+    assert left is not None and right is not None
+    name = part.name
+    if not isinstance(left, Op):
+        left, right, name = right, left, {"lt": "gt", "le": "ge", "gt": "lt", "ge": "le"}.get(name, "")
+    edge, ends = constant_behind(right), [constant_behind(arg) for arg in getattr(left, "args", ()) if arg is not None]
+    if not isinstance(left, Op) or left.name != "uniform" or edge is None or name not in ("lt", "le", "gt", "ge"):
+        return None
+    low, high = ends if len(ends) == 2 else (None, None)
+    if low is None or high is None or not low.number < edge.number < high.number:
+        return None
+    share = _share(low, edge, high)
+    return f"chance {-math.log1p(-(share if name in ('lt', 'le') else 1 - share)) * _FPS:.3g} /s"
+
+
+def _share(low: Const, edge: Const, high: Const) -> float:
+    return (edge.number - low.number) / (high.number - low.number)

@@ -1,0 +1,78 @@
+"""Two states that send the animal to each other for the same values: it would change to and fro in every step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from antdsl.diagnostics import Label, Report
+from antdsl.program.checks.checked import Checked
+from antdsl.program.checks.conditions import Reader, TooMany
+from antdsl.program.model import Assign, Attribute, Expr, Machine, State, Transition
+from antdsl.program.walk import parts
+from antdsl.program.wording import quoted
+
+
+def flicker(checked: Checked, report: Report) -> None:
+    reader = Reader(checked.program.params)
+    for species in checked.program.species.values():
+        for machine in species.machines:
+            for there, back in _pairs(machine):
+                _pair(reader, machine, there, back, report)
+
+
+def _pairs(machine: Machine) -> Iterator[tuple[tuple[State, Transition], tuple[State, Transition]]]:
+    """Changes from one state to a later one, each with those that lead back."""
+    for state in machine.states:
+        for change in state.transitions:
+            other = machine.states[change.target] if change.target is not None else None
+            if other is not None and other.index > state.index:
+                for back in other.transitions:
+                    if back.target == state.index:
+                        yield (state, change), (other, back)
+
+
+def _pair(
+    reader: Reader, machine: Machine, there: tuple[State, Transition], back: tuple[State, Transition], report: Report
+) -> None:
+    (state, change), (other, returning) = there, back
+    if _waits(*there) or _waits(*back) or change.condition is None or returning.condition is None:
+        return
+    if _alters(machine, there, returning.condition) or _alters(machine, back, change.condition):
+        return
+    if _overlap(reader, change.condition, returning.condition):
+        report.warning(
+            "flicker",
+            f"{quoted(change.condition.span)} and {quoted(returning.condition.span)} can hold at once: "
+            f"`{state.name}` and `{other.name}` would alternate",
+            returning.condition.span,
+            "leave a gap between the two numbers, or wait: `held 0.5 s`, or `for at least 1 s` in a state",
+            labels=(Label(change.condition.span, f"from `{state.name}` to `{other.name}`"),),
+        )
+
+
+def _waits(state: State, change: Transition) -> bool:
+    return change.after is not None or change.held is not None or change.take is not None or state.at_least is not None
+
+
+def _overlap(reader: Reader, one: Expr, other: Expr) -> bool:
+    """Whether both are comparisons of one and the same value with constants, and some values fulfil both."""
+    try:
+        cases = [reader.cases(one), reader.cases(other)]
+    except TooMany:
+        return False
+    subjects = {key for each in cases for case in each for key in case.numbers}
+    if len(subjects) != 1 or any(case.tests for each in cases for case in each):
+        return False
+    return any(a.meet(b) is not None for a in cases[0] for b in cases[1])
+
+
+def _alters(machine: Machine, way: tuple[State, Transition], test: Expr) -> bool:
+    """Whether going that way sets something that the test on the other side reads, or starts its clock anew."""
+    state, change = way
+    assert change.target is not None
+    blocks = (state.exit, change.actions, machine.states[change.target].enter)
+    written = {line.attribute for block in blocks for line in block if isinstance(line, Assign)}
+    # gives change what they give, whoever is asked
+    others = any(not isinstance(line, Assign) for block in blocks for line in block)
+    read = {part.name for part in parts(test) if isinstance(part, Attribute)}
+    return others or bool(written & read) or any(name.endswith(".time_in_state") for name in read)

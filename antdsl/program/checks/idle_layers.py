@@ -1,0 +1,88 @@
+"""Lines of `layers` that no strength is ever left for, or whose condition never holds."""
+
+from __future__ import annotations
+
+from antdsl.diagnostics import Label, Report
+from antdsl.program.checks.checked import Checked
+from antdsl.program.checks.conditions import Reader, always, never
+from antdsl.program.folding import constant_behind
+from antdsl.program.model import Attribute, Const, Expr, Inline, Layer, Local, Op, Species, Steer
+from antdsl.program.wording import quoted
+
+
+def idle_layers(checked: Checked, report: Report) -> None:
+    reader = Reader(checked.program.params)
+    for species in checked.program.species.values():
+        for layer in species.layers.layers:
+            if layer.condition is not None and not isinstance(layer.condition, Const) and never(reader, layer.condition):
+                report.warning(
+                    "idle-layer", f"{quoted(layer.condition.span)} can never hold", layer.condition.span,
+                    "change one of its numbers, or delete the line",
+                )  # fmt: skip
+        _below_all(reader, species, report)
+
+
+def _below_all(reader: Reader, species: Species, report: Report) -> None:
+    """In a sum every line counts; else the first that is always at full strength leaves nothing."""
+    lines = species.layers.layers
+    enough = {"budget": 1.0, "first": 1e-6}.get(species.layers.mode)
+    if enough is None:
+        return
+    for place, layer in enumerate(lines[:-1]):
+        if always(reader, layer.condition) and _least(species, layer) >= enough:
+            for below in lines[place + 1 :]:
+                report.warning(
+                    "idle-layer", f"no strength is ever left for {quoted(below.span)}", below.span,
+                    "move it up, or ask for less above it: `… * 0.5`",
+                    labels=(Label(layer.span, "this line always takes all of it"),),
+                )  # fmt: skip
+            return
+
+
+def _least(species: Species, layer: Layer) -> float:
+    """The least length of a layer's push that is known for certain."""
+    if layer.push is not None:
+        return strength(layer.push)
+    if len(species.machines) != 1:
+        return 0.0  # pushes of several machines may cancel each other
+    each = []
+    for state in species.machines[0].states:
+        pushes = [line.push for line in state.body if isinstance(line, Steer)]
+        each.append(strength(pushes[0]) if len(pushes) == 1 else 0.0)
+    return min(each, default=0.0)
+
+
+def strength(push: Expr) -> float:
+    """The least length that a push has whatever happens; 0 where nothing is known."""
+    if isinstance(push, Local) and push.binding.role in ("let", "argument") and push.binding.value is not None:
+        return strength(push.binding.value)
+    if isinstance(push, Inline):
+        return strength(push.result)
+    if isinstance(push, Attribute):
+        return 1.0 if push.of is None and push.name in ("heading", "up") else 0.0
+    if not isinstance(push, Op):
+        return 0.0
+    if push.name == "neg" and push.args[0] is not None:
+        return strength(push.args[0])
+    if push.name == "if" and push.args[1] is not None and push.args[2] is not None:
+        return min(strength(push.args[1]), strength(push.args[2]))
+    if push.name in ("mul", "div"):
+        return _scaled(push)
+    if push.name == "vector":
+        numbers = [constant_behind(arg) if arg is not None else None for arg in push.args]
+        known = [c.number for c in numbers if c is not None and not (c.u or c.step)]
+        return sum(x * x for x in known) ** 0.5
+    return 0.0
+
+
+def _scaled(push: Op) -> float:
+    for vector, number in (push.args, push.args[::-1]):
+        if vector is None or number is None:
+            continue
+        factor = constant_behind(number)
+        if factor is not None and not (factor.u or factor.step) and factor.number:
+            by = abs(factor.number)
+            return strength(vector) * (by if push.name == "mul" else 1 / by)
+        if push.name == "div":
+            break
+    return 0.0

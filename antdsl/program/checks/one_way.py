@@ -1,0 +1,52 @@
+"""Memory that nobody asks for: attributes that are set and never read, or always as at first; fields that nobody smells."""
+
+from __future__ import annotations
+
+from antdsl.diagnostics import Report
+from antdsl.program.checks.checked import Checked
+from antdsl.program.model import AttributeDecl, Const, Deposit, NoneRef, Program, Species, Thing
+from antdsl.program.walk import parts
+from antdsl.program.wording import quoted
+
+
+def one_way(checked: Checked, report: Report) -> None:
+    if not report.ok or any(file.node.doubtful for file in checked.files):
+        return  # what was not understood may have been the reading or the setting
+    for species in checked.program.species.values():
+        for attribute in species.attributes:
+            if not attribute.given:
+                _attribute(checked, species, attribute, report)
+    read = {part.name for part in parts(_all(checked.program)) if isinstance(part, Thing)}
+    laid = {part.field for part in parts(_all(checked.program)) if isinstance(part, Deposit)}
+    for field in checked.program.fields.values():
+        if field.name in laid and field.name not in read and not checked.uses("smelled", field.name):
+            report.warning(
+                "unread-field",
+                f"field `{field.name}` is laid and never smelled",
+                field.span,
+                f"let somebody follow it: `steer climb({field.name})`, or delete it",
+            )
+
+
+def _all(program: Program) -> tuple[object, ...]:
+    return tuple(program.species.values()), program.specs
+
+
+def _attribute(checked: Checked, species: Species, attribute: AttributeDecl, report: Report) -> None:
+    name = f"{species.name}.{attribute.name}"
+    read, written = checked.uses("attribute", name), name in checked.declared.written
+    if written and not read:
+        report.warning(
+            "unread-attribute",
+            f"attribute `{attribute.name}` is set and never read",
+            attribute.span,
+            f"ask for it: `when {attribute.name} … -> …`, or delete it",
+        )
+    elif read and not written and attribute.relax_to is None and isinstance(attribute.default, (Const, NoneRef)):
+        value = quoted(attribute.default.span)
+        report.warning(
+            "constant-attribute",
+            f"attribute `{attribute.name}` is always {value}",
+            attribute.span,
+            f"set it where it changes: `{attribute.name} = …`, or make it a `param` if it is the same for all",
+        )

@@ -1,0 +1,128 @@
+"""Between which numbers a value can lie, as far as constants, ranges of params and the meaning of words show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from antdsl.program.model import Attribute, Const, Expr, Inline, Kind, Local, Op, Param, ParamRef, Reduce
+
+
+class Interval(NamedTuple):
+    """Numbers from `low` to `high`; an end that is open does not belong to them."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    low_open: bool = False
+    high_open: bool = False
+
+    @property
+    def empty(self) -> bool:
+        return self.low > self.high or (self.low == self.high and (self.low_open or self.high_open))
+
+    def meet(self, other: Interval) -> Interval:
+        low = max((self.low, self.low_open), (other.low, other.low_open))
+        high = min((self.high, not self.high_open), (other.high, not other.high_open))
+        return Interval(low[0], high[0], low[1], not high[1])
+
+    def hull(self, other: Interval) -> Interval:
+        low = min((self.low, self.low_open), (other.low, other.low_open))
+        high = max((self.high, not self.high_open), (other.high, not other.high_open))
+        return Interval(low[0], high[0], low[1], not high[1])
+
+
+ANY, SHARE, POSITIVE = Interval(), Interval(0, 1), Interval(0)
+_OWN = {name: POSITIVE for name in ("speed", "age", "size", "mass", "radius", "distance", "group", "id")}
+_WORDS: dict[str, Interval] = {
+    "distance": POSITIVE,
+    "length": POSITIVE,
+    "sqrt": POSITIVE,
+    "exp": POSITIVE,
+    "falloff": SHARE,
+    "rising": SHARE,
+    "falling": SHARE,
+    "around": SHARE,
+    "sin": Interval(-1, 1),
+    "cos": Interval(-1, 1),
+    "angle": Interval(0, math.pi * (1 + 1e-6)),
+    "slope": Interval(0, math.pi * (1 + 1e-6)),
+}
+
+
+def range_of(expr: Expr | None, params: Mapping[str, Param]) -> Interval:
+    """The range of a number in base units. A param counts with its range, for a scene may set any value in it."""
+    if expr is None or expr.type.kind is not Kind.NUMBER:
+        return ANY
+    if isinstance(expr, Const):
+        return Interval(expr.number, expr.number) if not (expr.u or expr.step) else _sign(expr.number)
+    if isinstance(expr, ParamRef):
+        return _of_param(params.get(expr.name))
+    if isinstance(expr, Local):
+        fixed = expr.binding.role in ("let", "argument") and expr.binding.value is not None
+        return range_of(expr.binding.value, params) if fixed else ANY
+    if isinstance(expr, Attribute):
+        return POSITIVE if expr.name.endswith(".time_in_state") else _OWN.get(expr.name, ANY)
+    if isinstance(expr, Inline):
+        return range_of(expr.result, params)
+    if isinstance(expr, Reduce):
+        return POSITIVE if expr.how == "count" else ANY
+    if isinstance(expr, Op):
+        return _of_op(expr, params)
+    return ANY
+
+
+def _sign(number: float) -> Interval:
+    """A constant that depends on the scene: only its sign is known."""
+    return Interval(0, 0) if number == 0 else POSITIVE if number > 0 else Interval(-math.inf, 0)
+
+
+def _of_param(param: Param | None) -> Interval:
+    if param is None or param.low is None or param.high is None:
+        return ANY
+    if any(end.u or end.step for end in (param.low, param.high)):
+        return ANY
+    return Interval(param.low.number, param.high.number)
+
+
+def _of_op(op: Op, params: Mapping[str, Param]) -> Interval:
+    if op.name in _WORDS:
+        return _WORDS[op.name]
+    rule = _RULES.get(op.name)
+    if rule is None:
+        return ANY
+    parts = [range_of(arg, params) for arg in op.args]
+    found = rule(parts)
+    return ANY if math.isnan(found.low) or math.isnan(found.high) else found
+
+
+def _products(a: Interval, b: Interval) -> Interval:
+    """An endless end times nothing is nothing: no value is endless itself."""
+    ends = [0.0 if 0 in (x, y) else x * y for x in (a.low, a.high) for y in (b.low, b.high)]
+    return Interval(min(ends), max(ends))
+
+
+def _divided(a: Interval, b: Interval) -> Interval:
+    if b.low <= 0 <= b.high:
+        return POSITIVE if a.low >= 0 and b.low >= 0 else ANY
+    return _products(a, Interval(1 / b.high, 1 / b.low))
+
+
+def _absolute(a: Interval) -> Interval:
+    return Interval(max(0.0, a.low, -a.high), max(-a.low, a.high))
+
+
+_RULES: dict[str, Callable[[list[Interval]], Interval]] = {
+    "neg": lambda p: Interval(-p[0].high, -p[0].low),
+    "add": lambda p: Interval(p[0].low + p[1].low, p[0].high + p[1].high),
+    "sub": lambda p: Interval(p[0].low - p[1].high, p[0].high - p[1].low),
+    "mul": lambda p: _products(p[0], p[1]),
+    "div": lambda p: _divided(p[0], p[1]),
+    "abs": lambda p: _absolute(p[0]),
+    "min": lambda p: Interval(min(p[0].low, p[1].low), min(p[0].high, p[1].high)),
+    "max": lambda p: Interval(max(p[0].low, p[1].low), max(p[0].high, p[1].high)),
+    "clamp": lambda p: Interval(p[1].low, p[2].high),
+    "ramp": lambda p: p[3].hull(p[4]),
+    "uniform": lambda p: p[0].hull(p[1]),
+    "if": lambda p: p[1].hull(p[2]),
+}
