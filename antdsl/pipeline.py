@@ -10,9 +10,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from antdsl import __version__
+from antdsl import __version__, limits
 from antdsl.diagnostics import Report
 from antdsl.loading import Loaded, Parsed, shown
+from antdsl.source import Source
 
 if TYPE_CHECKING:
     from antdsl.plan.ir import Plan
@@ -219,13 +220,13 @@ def check_path(
 
 
 def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
-    """The programs and scenes that paths mean: files as they are, folders searched without following links, hidden ones left
-    out."""
+    """The programs and scenes that paths mean: files as they are, patterns such as `shots/**/*.ant` by what they match, folders
+    searched without following links, hidden ones left out."""
     import os
 
     found: dict[Path, None] = {}
     report = Report()
-    for path in paths:
+    for path in _matched(paths, report):
         if not path.is_dir():
             if path.suffix in (".ant", ".yaml", ".yml"):
                 found[path] = None
@@ -239,6 +240,37 @@ def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
                 if name.endswith(".ant") or (name.endswith((".yaml", ".yml")) and _is_scene(file)):
                     found[file] = None
     return list(found), report
+
+
+def _matched(paths: Iterable[Path], report: Report) -> Iterator[Path]:
+    """The paths, patterns replaced by what they match. What is there by that very name is no pattern."""
+    from glob import glob, has_magic
+
+    for path in paths:
+        if path.exists() or not has_magic(str(path)):
+            yield path
+            continue
+        found = [Path(name) for name in sorted(glob(str(path), recursive=True))]
+        wanted = [each for each in found if each.is_dir() or each.suffix in (".ant", ".yaml", ".yml")]
+        if not wanted:
+            report.error("no-such-file", f"`{path}` matches no program (.ant), no scene (.yaml) and no folder", None)
+        yield from wanted
+
+
+def sources(files: Iterable[Path], parsed: Parsed) -> list[Source]:
+    """The texts of checked files, as far as they can be read: programs as they were parsed, and scenes."""
+    from antdsl.scene.document import decode
+    from antdsl.scene.paths import PathRefused, read_named
+
+    found = [file.source for file, _ in parsed.values() if not file.source.path.startswith("<")]
+    for path in files:
+        if path.suffix != ".ant":
+            try:
+                source, report = decode(read_named(path, limits.SCENE_BYTES), str(path))
+            except PathRefused:
+                continue
+            found += [source] if report.ok else []
+    return found
 
 
 def _is_scene(path: Path) -> bool:

@@ -9,7 +9,8 @@ import pytest
 
 from antdsl.runtime import compiled
 from antdsl.runtime.fields.cells import FieldTooFine, SurfaceCells, compatible, facing
-from antdsl.runtime.fields.pheromone import LARGEST_DEPOSIT, UNIT, PheromoneField, largest_stable_diffusion
+from antdsl.runtime.fields.pheromone import LARGEST_DEPOSIT, UNIT, PheromoneField
+from antdsl.scene.spreading import largest_stable_diffusion
 from tests.meshes import Mesh, ball, box, grid, terrain
 
 

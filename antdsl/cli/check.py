@@ -27,7 +27,9 @@ class Format(StrEnum):
 
 
 def check(
-    paths: list[Path] = typer.Argument(None, help="Files (.ant, .yaml) or folders. Folders are searched.", show_default=False),
+    paths: list[Path] = typer.Argument(
+        None, help="Files (.ant, .yaml), folders, or patterns such as 'shots/**/*.ant'.", show_default=False
+    ),
     format: Format = typer.Option(Format.full, "--format", help="How findings are written."),
     strict: bool = typer.Option(False, "--strict", help="Warnings count as errors."),
     explain: str = typer.Option(
@@ -46,7 +48,8 @@ def check(
         raise typer.BadParameter("name a file or a folder", param_hint="PATH")
     from antdsl.cli.arguments import grants
     from antdsl.cli.reports import show, verdict
-    from antdsl.pipeline import Choices, check_path, find_files
+    from antdsl.diagnostics.ignoring import judged
+    from antdsl.pipeline import Choices, check_path, find_files, sources
 
     files, report = find_files(paths)
     choices = Choices(grants(root))
@@ -57,6 +60,7 @@ def check(
         report.extend(findings)
         if program is not None:
             programs.append((file, program))
+    report = judged(report, sources(files, parsed), strict=strict)
     if strict:
         report = _strict(report)
     show(report, format.value)

@@ -11,9 +11,12 @@ _UNREAD = frozenset(("cannot-read", "no-such-file", "not-a-file", "file-too-larg
 
 
 def show(report: Report, format: str = "full", *, to_stderr: bool = False) -> None:
-    """Print the complaints; machine formats are printed even when there is none, so that a reader always gets its document."""
+    """Print the complaints that no comment ignores; machine formats are printed even when there is none, so that a reader always
+    gets its document."""
+    from antdsl.diagnostics.ignoring import without_ignored
     from antdsl.diagnostics.render import render
 
+    report = without_ignored(report)
     if not report.diagnostics and format in ("full", "concise", "github"):
         return
     text = render(report, format)

@@ -153,6 +153,8 @@ CODES: dict[str, str] = {
     "too-large": "a file, a program, a crowd or a grid is larger than the limit for it",
     "unknown-key": "a key of the scene is not known at its place",
     "unknown-thing": "the scene names something that no program declares",
+    "unlaid-field": "a field that is smelled is neither laid by anybody nor started by the scene",
+    "unstable-field": "a field spreads faster than its cells can follow at the scene's frame rate",
     "usd-left-out": "shapes below a prim are of types that are not read",
     "use-cycle": "files use each other in a circle, or one path means two files",
     "wrong-kind": "something is of another kind than its place wants",
@@ -165,7 +167,6 @@ CODES: dict[str, str] = {
     "field-setting": "a setting of a field has a value that no field can have",
     "field-too-fine": "a field would need more cells than are allowed",
     "flow-too-fine": "a flow would be worked out in more points than are allowed",
-    "unstable-field": "a field spreads faster than its cells can follow at the scene's frame rate",
     # --- running specs ---
     "no-scene": "a spec does not say on which scene it runs, and none lies beside its program",
     "other-scene": "the scene of a spec does not use the spec's program",

@@ -12,8 +12,9 @@ from antdsl.diagnostics import Report
 from antdsl.plan import ir
 from antdsl.runtime.fields.cells import FieldTooFine, SurfaceCells
 from antdsl.runtime.fields.growing import GrowingCells
-from antdsl.runtime.fields.pheromone import PheromoneField, largest_stable_diffusion
+from antdsl.runtime.fields.pheromone import PheromoneField
 from antdsl.scene.setting import FieldStart, MeshData
+from antdsl.scene.spreading import largest_stable_diffusion
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import World

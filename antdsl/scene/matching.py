@@ -19,6 +19,7 @@ from antdsl.scene.load import Scene
 from antdsl.scene.model import CurveThing, FlowThing, MeshThing, PaintedThing, Placement, UsdThing
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
+from antdsl.scene.spreading import spreading
 
 _FORMS: dict[str, tuple[Any, str, str]] = {
     "surface": ((MeshThing, UsdThing), "a mesh", "{mesh: ground.ply}"),
@@ -389,6 +390,7 @@ CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     _crowd,
     _params,
     _fields,
+    spreading,
     _layers,
     _detail,
     _output,

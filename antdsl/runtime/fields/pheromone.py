@@ -13,6 +13,7 @@ from antdsl.runtime import compiled
 from antdsl.runtime.fields.cells import NEAREST, Cells, SurfaceCells
 from antdsl.runtime.fields.growing import GrowingCells
 from antdsl.runtime.senses.sorting import stable_order
+from antdsl.scene.spreading import largest_stable_diffusion
 
 Floats = NDArray[np.float32]
 
@@ -21,11 +22,6 @@ LARGEST_DEPOSIT = 2.0**16  # so that five million of them in one cell stay withi
 FLUSH = 1e-12
 _SPARSE = 0.2  # share of cells that hold scent above which looking for who may smell any does not pay
 _SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-
-
-def largest_stable_diffusion(cell: float, dt: float) -> float:
-    """The most diffusion (mm²/s) at which scent in cells of `cell` mm never swings or goes below 0 in steps of `dt` s."""
-    return cell * cell / (4.0 * dt)
 
 
 class PheromoneField:

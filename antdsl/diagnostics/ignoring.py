@@ -1,0 +1,94 @@
+"""Comments that ignore a warning and say why: `# antdsl: ignore[flicker] it is meant to be nervous`, at the end of the line that
+is warned about or on a line of its own above it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from antdsl.diagnostics.codes import CODES
+from antdsl.diagnostics.model import Diagnostic, Fix, Report
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.source import Source, Span
+
+_COMMENT = re.compile(r"(?:^|[ \t;{}])(#[ \t]*antdsl:[ \t]*ignore\[([^\]\n]*)\][ \t]*(.*?))[ \t\r]*$", re.MULTILINE)
+_STRICT_ONLY = frozenset(("per-step",))
+
+
+@dataclass(frozen=True, slots=True)
+class Ignore:
+    """One comment: its place, the line it is about (counted from 1), its codes with their places, and the reason."""
+
+    span: Span
+    line: int
+    codes: tuple[tuple[str, Span], ...]
+    reason: str
+
+
+def comments(source: Source) -> Iterator[Ignore]:
+    """The comments of a program or a scene that ignore something. One inside quotes is text."""
+    for found in _COMMENT.finditer(source.text):
+        number = source.line_column(found.start(1))[0]
+        before = source.text[: found.start(1)].rpartition("\n")[2]
+        if before.count('"') % 2:
+            continue
+        at = found.start(2)
+        codes = [
+            (part.group().strip(), Span(source, at + part.start(), at + part.end()))
+            for part in re.finditer(r"[^\s,](?:[^,]*[^\s,])?", found[2])
+        ]
+        line = number if before.strip() else _below(source, number)
+        yield Ignore(Span(source, found.start(1), found.end(1)), line, tuple(codes), found[3].strip())
+
+
+def _below(source: Source, number: int) -> int:
+    """The next line that has more than a comment."""
+    last = source.line_column(len(source.text))[0]
+    while number < last:
+        number += 1
+        text = source.line_text(number).strip()
+        if text and not text.startswith("#"):
+            break
+    return number
+
+
+def without_ignored(report: Report) -> Report:
+    """The report less the warnings that a comment ignores."""
+    known = {d.span.source for d in report.diagnostics if d.span is not None and d.severity == "warning"}
+    about = {(source.path, ignore.line, code) for source in known for ignore in comments(source) for code, _ in ignore.codes}
+    return Report([d for d in report.diagnostics if not _ignored(d, about)]) if about else report
+
+
+def _ignored(found: Diagnostic, about: set[tuple[str, int, str]]) -> bool:
+    if found.span is None or found.severity != "warning":
+        return False
+    return (found.span.source.path, found.span.source.line_column(found.span.start)[0], found.code) in about
+
+
+def judged(report: Report, sources: Iterable[Source], *, strict: bool = False) -> Report:
+    """`without_ignored`, and warnings about comments that give no reason or ignore nothing. `sources` are all texts that were
+    looked at; `strict` says whether what only `--strict` tells was looked for."""
+    found = {(d.span.source.path, d.span.source.line_column(d.span.start)[0], d.code) for d in report.diagnostics if d.span}
+    result = without_ignored(report)
+    for source in sources:
+        for ignore in comments(source):
+            if len(ignore.reason) < 3:
+                result.warning(
+                    "ignore-without-reason", "this comment does not say why", ignore.span, "write the reason after the bracket"
+                )
+            for code, span in ignore.codes:
+                if (source.path, ignore.line, code) not in found and (strict or code not in _STRICT_ONLY):
+                    _idle(result, ignore, code, span)
+            if not ignore.codes:
+                result.warning("ignored-nothing", "this comment names no code", ignore.span, "write `ignore[CODE] why`")
+    return result
+
+
+def _idle(report: Report, ignore: Ignore, code: str, span: Span) -> None:
+    near = nearest_name(code, CODES)
+    if code not in CODES:
+        report.warning("ignored-nothing", f"no code `{code}`", span, f"did you mean `{near}`?" if near else "delete it")
+        return
+    fix = Fix(ignore.span, "") if len(ignore.codes) == 1 else None
+    report.warning("ignored-nothing", f"there is no `{code}` to ignore here", span, "delete the comment", fix=fix)
