@@ -143,13 +143,17 @@ def said(example: Example, folder: Path) -> str:
 
 def _checked(words: tuple[str, ...]) -> str:
     from antdsl.diagnostics import Report
+    from antdsl.diagnostics.ignoring import judged
     from antdsl.diagnostics.render import render
-    from antdsl.pipeline import Choices, check_path
+    from antdsl.loading import Parsed
+    from antdsl.pipeline import Choices, check_path, sources
 
     strict = "--strict" in words
     grants = dict(word.split("=") for flag, word in pairwise(words) if flag == "--root")
     choices = Choices({name: Path(folder) for name, folder in grants.items()})
-    found = check_path(Path(words[-1]), choices, strict=strict)[1].sorted()
+    parsed: Parsed = {}
+    report = check_path(Path(words[-1]), choices, strict=strict, parsed=parsed)[1]
+    found = judged(report, sources([Path(words[-1])], parsed), strict=strict).sorted()
     report = Report([replace(one, severity="error") for one in found] if strict else found)
     return render(report, "full") if found else ""
 

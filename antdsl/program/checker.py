@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from antdsl.diagnostics import Report
 from antdsl.program import model
 from antdsl.program.behaviours import check_behaviour
-from antdsl.program.checks import CHECKS, Checked
+from antdsl.program.checks import CHECKS, OF_SOUND, Checked
 from antdsl.program.collect import Library, Loader, declare
 from antdsl.program.consequences import without_consequences
 from antdsl.program.rules import RULES
@@ -47,7 +47,10 @@ def check(
     checked = Checked(program, declared, names)
     for look in CHECKS:
         look(checked, report)
-    return program, without_consequences(report, [span for each in loader.known.values() for span in each.node.doubtful])
+    doubtful = [span for each in loader.known.values() for span in each.node.doubtful]
+    for look in OF_SOUND if report.ok and not doubtful else ():
+        look(checked, report)
+    return program, without_consequences(report, doubtful)
 
 
 def _program(

@@ -73,7 +73,7 @@ def _sound(plan: ir.FieldPlan, size: float, keep: float, diffuse: float, limit: 
             "unstable-field",
             f"field `{plan.name}` spreads faster than its cells of {size:g} mm can follow at this frame rate",
             plan.span,
-            f"write `diffuse` {most:g} mm*mm/s or less, or a larger `cell`",
+            f"write `diffuse` {most:g} mm^2/s or less, or a larger `cell`",
         )
         return False
     return True

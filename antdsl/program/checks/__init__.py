@@ -22,16 +22,20 @@ from antdsl.program.checks.writers import writers
 CHECKS: tuple[Callable[[Checked, Report], None], ...] = (
     empty,  # a file that does nothing says so before anything else is looked for in it
     reachability,  # states that nothing leads to, and that nothing leads out of
-    firing,  # changes whose condition never holds, or always
     shadowed,  # changes that can never be looked at
-    flicker,  # two states that send the animal to each other
-    draws,  # numbers drawn in a condition
     writers,  # two machines that set the same attribute
     layering,  # what the states steer must have its line
-    idle_layers,  # lines that no strength is left for
     events,  # raised and never noticed, noticed and never raised
-    one_way,  # attributes and fields that are only set, or only read
     unused,  # last: it only makes sense of what is otherwise right
 )
 
-__all__ = ["CHECKS", "Checked"]
+# What can only be said of a program without errors: it reads meaning out of what is written.
+OF_SOUND: tuple[Callable[[Checked, Report], None], ...] = (
+    firing,  # changes whose condition never holds, or always
+    flicker,  # two states that send the animal to each other
+    draws,  # numbers drawn in a condition
+    idle_layers,  # lines that no strength is left for
+    one_way,  # attributes and fields that are only set, or only read
+)
+
+__all__ = ["CHECKS", "OF_SOUND", "Checked"]

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Iterator
 
 from antdsl.diagnostics import Fix, Report
 from antdsl.program.checks.checked import Checked
 from antdsl.program.folding import constant_behind
-from antdsl.program.model import Const, Expr, Op
+from antdsl.program.model import Const, Expr, Local, Op
 from antdsl.program.walk import parts
 from antdsl.program.wording import quoted
 
 _DRAWS = frozenset(("uniform", "normal", "pick"))
+_ARITHMETIC = frozenset(("neg", "add", "sub", "mul", "div", "abs", "clamp", "min", "max", "mix", "if"))
 _COMPARISONS = frozenset(("lt", "le", "gt", "ge", "eq", "ne"))
 _FPS = 24  # of film
 
@@ -26,7 +28,7 @@ def draws(checked: Checked, report: Report) -> None:
 
 
 def _test(test: Expr, report: Report) -> None:
-    for part in parts(test):
+    for part in _within(test, ("and", "or", "not")):
         if isinstance(part, Op) and part.name in _COMPARISONS and _drawn(part):
             rate = _rate(part)
             report.warning(
@@ -40,7 +42,20 @@ def _test(test: Expr, report: Report) -> None:
 
 
 def _drawn(part: Op) -> bool:
-    return any(isinstance(inner, Op) and inner.name in _DRAWS for arg in part.args if arg is not None for inner in parts(arg))
+    return any(isinstance(inner, Op) and inner.name in _DRAWS for inner in _within(part, _ARITHMETIC))
+
+
+def _within(root: Expr, through: Collection[str]) -> Iterator[Expr]:
+    """An expression and what is inside it, as far as these operations and the names of values go. Sets are left alone."""
+    stack: list[Expr] = [root]
+    while stack:
+        part = stack.pop()
+        if isinstance(part, Local) and part.binding.role in ("let", "argument") and part.binding.value is not None:
+            stack.append(part.binding.value)
+            continue
+        yield part
+        if isinstance(part, Op) and (part is root or part.name in through):
+            stack += [arg for arg in part.args if arg is not None]
 
 
 def _rate(part: Op) -> str | None:

@@ -10,8 +10,6 @@ from antdsl.program.wording import quoted
 
 
 def one_way(checked: Checked, report: Report) -> None:
-    if not report.ok or any(file.node.doubtful for file in checked.files):
-        return  # what was not understood may have been the reading or the setting
     for species in checked.program.species.values():
         for attribute in species.attributes:
             if not attribute.given:
