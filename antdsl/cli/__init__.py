@@ -11,13 +11,14 @@ gc.set_threshold(100_000, 50, 50)
 
 import typer  # noqa: E402
 
-from antdsl.cli import check, doctor, export, graph, info, new, plan, render, run, sweep, test  # noqa: E402
+from antdsl.cli import check, doctor, export, fmt, graph, info, new, plan, render, run, sweep, test  # noqa: E402
 from antdsl.cli.exits import Exit, Stop  # noqa: E402
 
 # In the order of `antdsl --help`: what one does first comes first.
 COMMANDS = (
     ("new", new.new),
     ("check", check.check),
+    ("fmt", fmt.fmt),
     ("run", run.run),
     ("test", test.test),
     ("sweep", sweep.sweep),

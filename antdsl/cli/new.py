@@ -17,7 +17,7 @@ use steering
 world { surface ground }
 
 species walker {
-  param pace = 30 mm/s in 5 mm/s .. 100 mm/s  "How fast a walker strolls"
+  param pace = 30 mm/s in 5 mm/s .. 100 mm/s "How fast a walker strolls"
 
   size      4 mm
   max_speed pace

@@ -26,6 +26,8 @@ def format(source: Source) -> tuple[str | None, Report]:
     if not report.ok:
         return None, report
     text = text_of_items(items(file))
+    if text == source.text:
+        return text, report
     again, findings = parse(Source(source.path, text))
     if not findings.ok or difference(file, again):
         raise NotTheSame(f"{source.path}: {difference(file, again) or findings.diagnostics[0].message}")

@@ -43,6 +43,15 @@ def read(path: str | os.PathLike[str]) -> tuple[Source | None, Report]:
     data = _bytes(name, report)
     if data is None:
         return None, report
+    return read_bytes(name, data)
+
+
+def read_bytes(name: str, data: bytes) -> tuple[Source | None, Report]:
+    """The same of bytes that come from elsewhere; `name` is what people know them by."""
+    report = Report()
+    if len(data) > limits.ANT_FILE_BYTES:
+        _too_large(name, report)
+        return None, report
     for magic, kind in _OTHERS:
         if data.startswith(magic):
             report.error("not-an-ant-file", f"`{name}` looks like {kind}", None, _wanted(kind))
@@ -79,12 +88,15 @@ def _bytes(name: str, report: Report) -> bytes | None:
         return None
     finally:
         os.close(descriptor)
-    if data is None or len(data) > limits.ANT_FILE_BYTES:
-        most = limits.ANT_FILE_BYTES // limits.KIB
-        help = 'split it, and bring the parts in with `use "./part.ant" as part`'
-        report.error("file-too-large", f"`{name}` is larger than {most} KiB", None, help)
-        return None
+    if data is None:
+        _too_large(name, report)
     return data
+
+
+def _too_large(name: str, report: Report) -> None:
+    most = limits.ANT_FILE_BYTES // limits.KIB
+    help = 'split it, and bring the parts in with `use "./part.ant" as part`'
+    report.error("file-too-large", f"`{name}` is larger than {most} KiB", None, help)
 
 
 def _at_most(descriptor: int, count: int) -> bytes:

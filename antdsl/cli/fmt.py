@@ -1,0 +1,126 @@
+"""`antdsl fmt PATH…`: lays .ant files out in the one way; files with mistakes are told about and left alone."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from antdsl.cli.exits import Exit, Stop
+
+if TYPE_CHECKING:
+    from antdsl.diagnostics import Report
+
+STDIN = Path("-")
+
+
+def fmt(
+    paths: list[Path] = typer.Argument(
+        None, help="Files (.ant), folders or patterns; - reads standard input and writes to standard output.", show_default=False
+    ),
+    check: bool = typer.Option(False, "--check", help="Change nothing; name the files that would change, with exit code 1."),
+    diff: bool = typer.Option(False, "--diff", help="Change nothing; show what would change, with exit code 1."),
+) -> None:
+    """Lay .ant files out in the one way: blanks, columns, line breaks. What they say stays the same, comments too."""
+    if not paths:
+        raise typer.BadParameter("name a file or a folder, or - for standard input", param_hint="PATH")
+    if STDIN in paths and len(paths) > 1:
+        raise typer.BadParameter("standard input goes alone", param_hint="-")
+    from antdsl.cli.reports import demand
+
+    work = _Work(check, diff)
+    if STDIN in paths:
+        work.standard_input()
+    else:
+        work.files(paths)
+    demand(work.report)
+    if (check or diff) and work.changed:
+        raise Stop(Exit.FINDINGS)
+
+
+def _empty() -> Report:
+    from antdsl.diagnostics import Report
+
+    return Report()
+
+
+@dataclass
+class _Work:
+    """What was found so far. `report` holds the mistakes of files that were left alone; their warnings are for `check`."""
+
+    check: bool
+    diff: bool
+    changed: list[str] = field(default_factory=list)
+    left: int = 0  # files with mistakes, or that could not be read or written
+    report: Report = field(default_factory=_empty)
+
+    def files(self, paths: list[Path]) -> None:
+        from antdsl.pipeline import find_files
+
+        found, report = find_files(paths)
+        self.report.extend(report)
+        for path in paths:
+            if path.suffix in (".yaml", ".yml"):
+                self.report.error("not-an-ant-file", f"`{path}` is not an .ant file", None, "name files that end in `.ant`")
+        programs = [path for path in found if path.suffix == ".ant"]
+        for path in programs:
+            self.file(path)
+        same = len(programs) - len(self.changed) - self.left
+        word = "would change" if self.check or self.diff else "changed"
+        counts = ((len(self.changed), word), (same, "laid out well"), (self.left, "left alone"))
+        told = [f"{count} file{'' if count == 1 else 's'} {what}" for count, what in counts if count]
+        typer.echo(", ".join(told) or "no .ant files here", err=True)
+
+    def file(self, path: Path) -> None:
+        from antdsl import syntax
+
+        try:
+            data = path.read_bytes() if path.is_file() else b""
+            text = self.formatted(*syntax.read(path))
+            if text is None:
+                self.left += 1
+            elif text.encode("utf-8") != data:
+                if not (self.check or self.diff):
+                    syntax.write(path, text)
+                self.tell(str(path), data.decode("utf-8"), text)
+        except OSError as problem:
+            self.left += 1
+            reason = (problem.strerror or "unknown reason").lower()
+            self.report.error("cannot-write", f"cannot write `{path}`: {reason}", None, "check your right to change it")
+
+    def standard_input(self) -> None:
+        from antdsl import limits, syntax
+
+        data = sys.stdin.buffer.read(limits.ANT_FILE_BYTES + 1)
+        text = self.formatted(*syntax.read_bytes("<stdin>", data))
+        if text is None:
+            return
+        if not (self.check or self.diff):
+            sys.stdout.buffer.write(text.encode("utf-8"))
+            sys.stdout.buffer.flush()
+        elif text.encode("utf-8") != data:
+            self.tell("<stdin>", data.decode("utf-8"), text)
+
+    def formatted(self, source: object, report: Report) -> str | None:
+        """The text of a source in the one layout; None with complaints where there is none."""
+        from antdsl import syntax
+        from antdsl.source import Source
+
+        self.report.extend(report)
+        if not isinstance(source, Source):
+            return None
+        text, findings = syntax.format(source)
+        self.report.extend(d for d in findings.diagnostics if d.severity == "error")
+        return text
+
+    def tell(self, name: str, before: str, after: str) -> None:
+        self.changed.append(name)
+        if self.diff:
+            lines = difflib.unified_diff(before.splitlines(), after.splitlines(), name, name, lineterm="")
+            typer.echo("\n".join(lines) if before.splitlines() != after.splitlines() else f"{name}: only line ends differ")
+        else:
+            typer.echo(name)
