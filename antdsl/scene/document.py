@@ -134,8 +134,8 @@ class _Reader:
         start, end = self.offset(event.start_mark), self.offset(event.end_mark)
         return Span(self.source, start, max(end, start))
 
-    def refuse(self, code: str, message: str, span: Span, help: str | None = None) -> _Refused:
-        self.report.error(code, message, span, help)
+    def refuse(self, code: str, message: str, span: Span, help: str | None = None, *labels: Label) -> _Refused:
+        self.report.error(code, message, span, help, labels=labels)
         return _Refused()
 
     def read(self) -> MappingNode:
@@ -158,15 +158,20 @@ class _Reader:
         start = self.offset(mark) if mark is not None else 0
         words = (getattr(problem, "problem", None) or "this is not YAML").replace("'\\t'", "a tab")
         text, help = self.source.text, None
+        labels: list[Label] = []
         if text[start : start + 1] == "\t" or "a tab" in words:
             words, help = "a tab cannot indent a line", "indent with blanks"
         elif "%" in text[start : start + 1]:
             words, help = "directives are not supported", "begin with `antdsl: 1`"
         elif "mapping values are not allowed" in words:
             words, help = "a second `:` in one line", "put the text in quotes, or start a new line"
-        return self.refuse(
-            "scene-syntax", f"cannot read the scene here: {words}", Span(self.source, start, min(start + 1, len(text))), help
-        )
+        elif str(getattr(problem, "context", "")).startswith("while parsing a flow"):
+            opened = self.offset(problem.context_mark)
+            closing = "}" if text[opened : opened + 1] == "{" else "]"
+            words, help = f"expected `,` or `{closing}`", f"write the missing `{closing}`, or a comma between two values"
+            labels = [Label(Span(self.source, opened, opened + 1), "this is still open")]
+        place = Span(self.source, start, min(start + 1, len(text)))
+        return self.refuse("scene-syntax", f"cannot read the scene here: {words}", place, help, *labels)
 
     def consume(self, yaml: Any, events: Any) -> Node | None:
         """Build the tree from the stream of events with a stack of our own, so that depth and number are known before they

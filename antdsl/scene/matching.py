@@ -219,7 +219,9 @@ def _crowd(scene: Scene, program: Program, report: Report) -> None:
             _unknown(report, scene, ("crowd", number, "species"), "no program has a species", program.species, key=False)
         _placement(scene, program, report, line.place, "crowd", number, "place")
     if total > limits.AGENTS:
-        report.error("too-large", f"{total:,} agents are more than {limits.AGENTS:,}", scene.span("crowd"))
+        report.error(
+            "too-large", f"{total:,} agents are more than {limits.AGENTS:,}", scene.span("crowd"), "write a smaller `count`"
+        )
 
 
 def item_names(scene: Scene) -> dict[str, tuple[str, str]]:

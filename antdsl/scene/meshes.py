@@ -23,7 +23,11 @@ _FARTHEST = 1e9  # mm; a thousand kilometres
 
 
 class MeshError(Exception):
-    """Why a file is no usable mesh, in words that fit after its name."""
+    """Why a file is no usable mesh, in words that fit after its name; `help` says what to do about it."""
+
+    def __init__(self, message: str, help: str | None = "export it anew, as triangles or polygons in a .ply, .obj or .stl file"):
+        super().__init__(message)
+        self.help = help
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +59,7 @@ def mesh_arrays(data: bytes, name: str, group: str | None = None) -> tuple[Float
     try:
         if group is not None:
             if kind != "obj":
-                raise MeshError("has no groups, as only .obj files do")
+                raise MeshError("has no groups, as only .obj files do", "leave `group` out")
             return _read_obj(data, group)
         return reader(data)
     except MeshError:
@@ -69,7 +73,7 @@ def sound(vertices: Floats, faces: Faces) -> RawMesh:
     if len(vertices) == 0 or len(faces) == 0:
         raise MeshError("has no faces")
     if len(faces) > limits.MESH_FACES:
-        raise MeshError(f"has {len(faces):,} faces, more than {limits.MESH_FACES:,}")
+        raise MeshError(f"has {len(faces):,} faces, more than {limits.MESH_FACES:,}", "use a lighter mesh")
     bad = np.flatnonzero((faces < 0).any(axis=1) | (faces >= len(vertices)).any(axis=1))
     if len(bad):
         raise MeshError(f"has a face (number {bad[0]}) that names a vertex which is not there")
@@ -142,9 +146,9 @@ def _read_obj(data: bytes, group: str | None = None) -> tuple[Floats, Faces]:
                 raise MeshError(f"has a face of fewer than three corners in line {line_number}")
             triangles.extend((corners[0], corners[i], corners[i + 1]) for i in range(1, len(corners) - 1))
             if len(triangles) > limits.MESH_FACES:
-                raise MeshError(f"has more than {limits.MESH_FACES:,} faces")
+                raise MeshError(f"has more than {limits.MESH_FACES:,} faces", "use a lighter mesh")
     if group is not None and not triangles:
-        raise MeshError(_no_group(group, list(names)))
+        raise MeshError(_no_group(group, list(names)), None)
     return np.array(points, np.float64).reshape(-1, 3), np.array(triangles, np.int64).reshape(-1, 3)
 
 
@@ -184,7 +188,7 @@ def _read_stl(data: bytes) -> tuple[Floats, Faces]:
     if len(data) >= 84 and len(data) == 84 + 50 * struct.unpack_from("<I", data, 80)[0]:
         count = struct.unpack_from("<I", data, 80)[0]
         if count > limits.MESH_FACES:
-            raise MeshError(f"says it has {count:,} faces, more than {limits.MESH_FACES:,}")
+            raise MeshError(f"says it has {count:,} faces, more than {limits.MESH_FACES:,}", "use a lighter mesh")
         rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, 84)
         corners = rows["corners"].reshape(-1, 3).astype(np.float64)
     elif data.lstrip()[:5] == b"solid" and b"facet" in data[: 64 * limits.KIB]:
@@ -248,5 +252,5 @@ def placed(
 def within_reach(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
     """Vertices in mm as a mesh; MeshError when one lies too far out."""
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > _FARTHEST:
-        raise MeshError("lies more than a thousand kilometres out")
+        raise MeshError("lies more than a thousand kilometres out", "move it with `at`, or check its `units`")
     return MeshData(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int32))

@@ -148,7 +148,7 @@ def _regular(handle: int, shown: str) -> int:
     about = os.fstat(handle)
     if not stat.S_ISREG(about.st_mode):
         kind = "a folder" if stat.S_ISDIR(about.st_mode) else "not a regular file"
-        raise PathRefused("not-a-file", f"`{shown}` is {kind}")
+        raise PathRefused("not-a-file", f"`{shown}` is {kind}", "name a file")
     return about.st_size
 
 

@@ -73,7 +73,7 @@ class Staging:
         try:
             return read_points(data, least)
         except PointsError as why:
-            self.report.error("bad-points", f"`{text}` {why}", self.scene.span(*path))
+            self.report.error("bad-points", f"`{text}` {why}", self.scene.span(*path), "write `[[0, 0, 0], [50, 0, 0]]`")
             return None
 
     def sequence(self, text: str, *path: Key) -> dict[int, str] | None:
@@ -230,12 +230,13 @@ def _mesh(staging: Staging, name: str, value: MeshThing | UsdThing) -> stage_of.
             if moves is not None:
                 staging.moves[name] = moves
     except MeshError as why:
-        report.error("bad-mesh", f"the mesh `{shown}` {why}", span)
+        report.error("bad-mesh", f"the mesh `{shown}` {why}", span, why.help)
         return None
     staging.raw[name] = raw
     if raw.dropped:
         faces = "face" if raw.dropped == 1 else "faces"
-        report.warning("degenerate-faces", f"{raw.dropped:,} {faces} of `{shown}` without area or given twice left out", span)
+        words = f"{raw.dropped:,} {faces} of `{shown}` without area or given twice left out"
+        report.warning("degenerate-faces", words, span, "merge doubled points and faces in the program that made the mesh")
     if np.abs(mesh.vertices).max() > _FAR:
         report.warning(
             "far-away",
@@ -254,7 +255,7 @@ def _still_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
         return read_mesh(data, value.mesh, value.group), None
     except MeshError as why:
         key = "mesh" if value.group is None else "group"
-        staging.report.error("bad-mesh", f"the mesh `{value.mesh}` {why}", staging.scene.span("world", name, key))
+        staging.report.error("bad-mesh", f"the mesh `{value.mesh}` {why}", staging.scene.span("world", name, key), why.help)
         return None
 
 

@@ -139,7 +139,7 @@ def moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
             if not (np.isfinite(places[k]).all() and (np.abs(places[k]) < 1e30).all()):
                 raise MeshError("has a vertex that is not a finite point")
         except MeshError as why:
-            staging.report.error("bad-mesh", f"the mesh `{file}` {why}", span)
+            staging.report.error("bad-mesh", f"the mesh `{file}` {why}", span, why.help)
             return None
         read = {file: places[k]}
     assert raw is not None and places is not None
@@ -338,7 +338,10 @@ def _usd(staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, 
             "bad-usd", f"`{prim}` of `{text}` cannot be read: {words_of(why)}", staging.scene.span(*path, "prim")
         )
     except MeshError as why:
-        staging.report.error("bad-mesh", f"the mesh `{prim}` of `{text}` {why}", staging.scene.span(*path, "prim"))
+        words = f"the mesh `{prim}` of `{text}` {why}"
+        staging.report.error(
+            "bad-mesh", words, staging.scene.span(*path, "prim"), "mend it where it was made, and export it anew"
+        )
     return None
 
 

@@ -125,7 +125,7 @@ def one_of(*words: str) -> Callable[[Any], str]:
         if text not in words:
             near = nearest_name(text, words)
             listed = ", ".join(f"`{w}`" for w in words)
-            raise refuse(f"{_shown(text)} is none of {listed}", f"did you mean `{near}`?" if near else "")
+            raise refuse(f"{_shown(text)} is none of {listed}", f"did you mean `{near}`?" if near else "write one of them")
         return text
 
     return read

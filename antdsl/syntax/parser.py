@@ -23,8 +23,8 @@ from antdsl.syntax.builder import Builder, Header, Result
 from antdsl.syntax.depth import deep_places
 from antdsl.syntax.scan import UNREADABLE, Scan, scan
 from antdsl.syntax.tables import load_parser
-from antdsl.syntax.wording import Surprise, begins_line, better_first_word, complain, gives_with_two, plain_complaint
-from antdsl.syntax.words import BODIES, LINE_WORDS
+from antdsl.syntax.wording import Surprise, begins_line, better_first_word, complain, gives_with_two, misplaced, plain_complaint
+from antdsl.syntax.words import BELONGS, BODIES, LINE_WORDS
 
 if TYPE_CHECKING:
     from lark import Lark
@@ -211,7 +211,7 @@ class _Reading:
         return self.scan.has_fault(offset, len(self.source.text) if stop < 0 else stop)
 
     def checked(self, node: Any, line: Line) -> list[Any]:
-        """What the grammar leaves open: depth, and the one result of a behaviour."""
+        """What the grammar leaves open: depth, the one result of a behaviour, a word that is no property."""
         if len(line.tokens) > limits.EXPRESSION_DEPTH:
             for span in deep_places(node):
                 message = f"expression more than {limits.EXPRESSION_DEPTH} operations deep"
@@ -219,6 +219,9 @@ class _Reading:
                 return []
         if isinstance(node, n.Behaviour):
             self.results(node, line)
+        if isinstance(node, n.Given) and node.name.text in BELONGS:  # `steer heading` reads like `size 4 mm`
+            self.report.add(misplaced(node.name.text, node.name.span))
+            return []
         return [node]
 
     def results(self, node: n.Behaviour, line: Line) -> None:

@@ -189,10 +189,12 @@ def _misspelt(surprise: Surprise) -> Diagnostic | None:
 def _misplaced(surprise: Surprise) -> Diagnostic | None:
     if surprise.first in LINE_WORDS[surprise.rule] or surprise.first not in BELONGS:
         return None
-    belongs = BELONGS[surprise.first]
-    return Diagnostic(
-        "misplaced-line", f"`{surprise.first}` does not stand here", surprise.first_span, help=f"it belongs {belongs}"
-    )
+    return misplaced(surprise.first, surprise.first_span)
+
+
+def misplaced(word: str, span: Span) -> Diagnostic:
+    """A line that begins with a word which belongs elsewhere."""
+    return Diagnostic("misplaced-line", f"`{word}` does not stand here", span, help=f"it belongs {BELONGS[word]}")
 
 
 def _no_line(surprise: Surprise) -> Diagnostic | None:

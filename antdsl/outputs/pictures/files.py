@@ -69,7 +69,10 @@ def film(images: Iterable[Image], path: Path, fps: float) -> Report:
             writer.close()
         os.replace(part, path)
     except OSError as problem:
-        report.error("cannot-write", f"cannot write the film `{path.name}`: {problem.strerror or 'the encoder stopped'}", None)
+        why = (problem.strerror or "the encoder stopped").lower()
+        report.error(
+            "cannot-write", f"cannot write the film `{path.name}`: {why}", None, "name a folder that is there, with room"
+        )
     finally:
         part.unlink(missing_ok=True)
     return report
