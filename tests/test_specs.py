@@ -10,7 +10,7 @@ import pytest
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices, open_scene
 from antdsl.runtime import Options, bind, state_hash, step
-from antdsl.specs import Case, Run, cases, run_cases
+from antdsl.specs import Case, Run, Work, cases, run_cases
 from antdsl.specs.coverage import Coverage
 from antdsl.specs.judge import Judge
 
@@ -65,7 +65,7 @@ def found(folder: Path, specs: str, program: str = WALKER, **choices: object) ->
 def judged(folder: Path, specs: str, program: str = WALKER, backend: str = "numpy", **options: object) -> list[Case]:
     runs, report = found(folder, specs, program)
     assert report.ok, [(d.code, d.message, str(d.span)) for d in report.sorted()]
-    run_cases(runs, Options(backend=backend, **options), Coverage())  # type: ignore[arg-type]
+    run_cases(runs, Work(Options(backend=backend, **options)))  # type: ignore[arg-type]
     return [case for run in runs for case in run.cases]
 
 
@@ -307,7 +307,7 @@ def test_a_fault_fails_the_case_at_its_place(folder: Path) -> None:
     program = WALKER.replace("tick += pace", "tick += pace; load = 1 / (tick - 1)")
     runs, _ = found(folder, spec("always: count(walker) == 5") + spec("seeds 1; always: count(walker) == 5", "y"), program)
     coverage = Coverage()
-    run_cases(runs, Options(), coverage)
+    run_cases(runs, Work(Options(), coverage))
     for case in (case for run in runs for case in run.cases):
         (failure,) = case.failures
         assert case.outcome == "failed" and failure.message == "`load` is not finite" and failure.agent == ("walker", 0)
@@ -319,7 +319,7 @@ def test_states_and_changes_that_nobody_met_are_known(folder: Path) -> None:
     program = WALKER.replace("  }\n}\n", "    when tick > 99 -> far\n  }\n  state far { when after 1 s -> go }\n}\n")
     runs, _ = found(folder, spec("for 3 s; always: count(walker) == 5"), program)
     coverage = Coverage()
-    run_cases(runs, Options(), coverage)
+    run_cases(runs, Work(Options(), coverage))
     met = {each.name: each.count for each in (*coverage.states.values(), *coverage.changes.values())}
     assert met["walker.main.far"] == met["walker.main.rest->far#1"] == met["walker.main.far->go#1"] == 0
     assert met["walker.main.go->rest#1"] >= 5 and met["walker.main.rest"] > 5 and met["walker.main.go"] >= 5 * 10
@@ -331,7 +331,7 @@ def test_changes_are_counted_for_those_who_die_of_them(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(FLIES)
     runs, _ = found(tmp_path, spec("always: count(fly) >= 0"), MORTAL)
     coverage = Coverage()
-    run_cases(runs, Options(), coverage)
+    run_cases(runs, Work(Options(), coverage))
     assert [each.count for each in coverage.changes.values()] == [2, 1, 0]
 
 

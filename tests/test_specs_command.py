@@ -30,6 +30,9 @@ spec "slow <&>" on "scene.yaml" { each a { always: tick < 0.25 } }
 SCENE = "antdsl: 1\nfps: 10\nframes: 1..11\ncrowd: [{species: a, from: a.ant, count: 3, place: {radius: 9 mm}}]\n"
 
 
+PLACE = "position is somewhere"
+
+
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "a.ant").write_text(PROGRAM)
@@ -48,13 +51,21 @@ def run(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *wor
 def test_results_are_told_in_words(folder: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     code, out, err = run(capfd, monkeypatch, ".")
     assert code == 1 and not err
-    assert [line.strip() for line in re.sub(r": \d+ frames, [0-9.]+ s", "", out).splitlines()] == [
+    out = re.sub(r": \d+ frames, [0-9.]+ s", "", out)
+    out = re.sub("position is .*", PLACE, out)
+    assert [line.strip() for line in out.splitlines()] == [
         'passed  "fine", seed 1',
         'passed  "fine", seed 2',
         'failed  "slow <&>", seed 0',
         "a.ant:9:44: always: tick < 0.25",
-        "first at frame 4, 0.3 s from the start, by a 0 and 2 more",
+        "first at frame 4, 0.3 s from the start, by a 0, 1, 2",
+        "of a 0:",
         "tick is 0.3",
+        "state is go, for 0.3 s",
+        PLACE,
+        "saved: frames 1 to 4 in out/failed/slow-0",
+        "see it:         antdsl render out/failed/slow-0 --frames 3..4 --agents 0,1,2 --show trail,ids",
+        "go on from it:  antdsl run scene.yaml --frames 1..11 --seed 0 --out out/failed/slow-0 --resume",
         "2 passed, 1 failed",
         "states entered: 1 of 2",
         "changes made: 0 of 2",

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from antdsl.diagnostics import Report
     from antdsl.specs import Case, Run
     from antdsl.specs.coverage import Coverage
+    from antdsl.specs.golden import GoldenResult
 
 
 def test(
@@ -24,6 +25,15 @@ def test(
     seeds: int = typer.Option(None, "--seeds", metavar="N", min=1, max=1000, help="Run each spec with the seeds 1 to N."),
     junit: Path = typer.Option(None, "--junit", metavar="FILE", help="Write the results as JUnit XML, for build servers."),
     json: Path = typer.Option(None, "--json", metavar="FILE", help="Write the results and the coverage as JSON."),
+    keep: Path = typer.Option(
+        None, "--keep", metavar="DIR", help="Where failures are saved. [default: out/failed beside the scene]", show_default=False
+    ),
+    no_keep: bool = typer.Option(False, "--no-keep", help="Save no failures."),
+    update: bool = typer.Option(False, "--update", help="Keep these runs as golden ones; later runs are held against them."),
+    whole: bool = typer.Option(False, "--coverage", help="List all states and changes, with how often each was met."),
+    under: float = typer.Option(
+        None, "--fail-under", metavar="N", min=0, max=100, help="Fail if less than N % of the states and changes were met."
+    ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
     threads: int = typer.Option(0, "--threads", min=0, max=256, help="Threads for rays and chunks; 0 takes all cores."),
     backend: Backend = typer.Option(Backend.numpy, "--backend", help="`reference` is slow and plain: one agent at a time."),
@@ -34,9 +44,11 @@ def test(
     from antdsl.cli.reports import show, verdict
     from antdsl.cli.run import cores
     from antdsl.runtime import Options
-    from antdsl.specs import cases, run_cases
-    from antdsl.specs.coverage import Coverage
-    from antdsl.specs.telling import counted, failed, one_line, uncovered
+    from antdsl.specs import Work, cases, run_cases
+    from antdsl.specs.goldens import Goldens
+    from antdsl.specs.keeping import Keeper
+    from antdsl.specs.telling import counted, covered, failed, golden, one_line, settled, uncovered
+    from antdsl.specs.verdicts import settle
 
     for flag, file in (("--junit", junit), ("--json", json)):
         if file is not None and not file.absolute().parent.is_dir():
@@ -57,7 +69,11 @@ def test(
         elif not quiet:
             typer.echo(one_line(case))
 
-    coverage = Coverage()
+    options = Options(backend=backend.value, threads=threads or cores())
+    keeper = None if no_keep else Keeper(keep, grants(root), options)
+    work = Work(options, keeper=keeper, goldens=Goldens(update), done=done)
+    coverage, goldens = work.coverage, work.goldens
+    assert goldens is not None
     stopped = False
     try:
         with _ended_between_frames() as ask:
@@ -66,16 +82,27 @@ def test(
                 ask()
                 progress.frame(run, number, last)
 
-            run_cases(runs, Options(backend=backend.value, threads=threads or cores()), coverage, done, frame)
+            work.frame = frame
+            run_cases(runs, work)
+            goldens.write()
     except KeyboardInterrupt:
         stopped = True
         progress.clear()
-    words = counted(everything, len(report.errors))
-    typer.echo(words if quiet else f"{words}\n{uncovered(coverage)}".rstrip())
-    _write(junit, json, everything, coverage, report)
+    show(goldens.report, to_stderr=True)
+    report.extend(goldens.report)
+    verdicts = settle(everything)
+    lines = [settled(verdict) for verdict in verdicts]
+    lines += [golden(result) for result in goldens.results if not quiet or result.outcome == "differs"]
+    lines.append(counted(everything, len(report.errors), goldens.results))
+    lines += [] if quiet else [covered(coverage)] * whole + [uncovered(coverage)]
+    low = under is not None and not stopped and coverage.share * 100 < under
+    lines += [f"{coverage.share * 100:.4g} % of states and changes were met, less than {under:g} %"] if low else []
+    typer.echo("\n".join(line for line in lines if line))
+    _write(junit, json, everything, coverage, report, goldens.results)
     if stopped:
         raise Stop(Exit.INTERRUPTED, "stopped by Ctrl-C; the specs above were finished")
-    if any(case.failures for case in everything):
+    differ = any(result.outcome == "differs" for result in goldens.results)
+    if low or differ or any(case.outcome == "failed" for case in everything):
         raise Stop(Exit.FINDINGS)
     if not report.ok:
         raise Stop(verdict(report))
@@ -133,11 +160,18 @@ class _Progress:
             self.stream.flush()
 
 
-def _write(junit: Path | None, json: Path | None, cases: list[Case], coverage: Coverage, report: Report) -> None:
+def _write(
+    junit: Path | None,
+    json: Path | None,
+    cases: list[Case],
+    coverage: Coverage,
+    report: Report,
+    goldens: list[GoldenResult],
+) -> None:
     from antdsl.outputs.npz import write_whole
-    from antdsl.specs.telling import as_json, as_junit
+    from antdsl.specs.reports import as_json, as_junit
 
     if junit is not None:
-        write_whole(junit, as_junit(cases, report).encode(), sync=False)
+        write_whole(junit, as_junit(cases, report, goldens).encode(), sync=False)
     if json is not None:
-        write_whole(json, as_json(cases, coverage, report).encode(), sync=False)
+        write_whole(json, as_json(cases, coverage, report, goldens).encode(), sync=False)

@@ -7,7 +7,8 @@ judges each agent, `blend` reads the values that a failure tells.
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 from antdsl.diagnostics import Report
 from antdsl.plan import ir
@@ -54,6 +55,14 @@ class StartPlan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class OtherPlan:
+    """What a number of the whole is in the run that is compared with, told as `name`: there it is the node's value."""
+
+    name: str
+    value: Node
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ReadingPlan:
     """A value to tell: a node, or a register that `blend` fills for one agent."""
 
@@ -66,7 +75,8 @@ class ReadingPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgementPlan:
-    """One line. `condition` is a node of the whole, or a register that `act` fills for each agent of `species`."""
+    """One line. `condition`, and `since` of a `when`, are nodes of the whole, or registers that `act` fills for each agent of
+    `species`; `time` and `held` nodes of the run."""
 
     kind: str
     block: int
@@ -76,11 +86,14 @@ class JudgementPlan:
     readings: tuple[ReadingPlan, ...]
     at_end: bool
     span: Span
+    held: Node | None = None
+    since: Node | str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpecPlan:
-    """`plan` has the judged species, and items under their names as species of their own."""
+    """`plan` has the judged species, and items under their names as species of their own. `bodily`: by species the registers
+    that whoever judges fills before it asks, by their names in GEOMETRY."""
 
     spec: expected.Spec
     plan: ir.Plan
@@ -88,6 +101,8 @@ class SpecPlan:
     wholes: tuple[WholePlan, ...]
     starts: tuple[StartPlan, ...]
     judgements: tuple[JudgementPlan, ...]
+    others: tuple[OtherPlan, ...] = ()
+    bodily: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
 
 class _Writer(Writer):
@@ -109,8 +124,19 @@ class _Writer(Writer):
             return self.work.whole(e)
         if isinstance(e, expected.Measured):
             return self.b("told", attrs=(f"motion.{e.name}",))
+        if isinstance(e, expected.Other):
+            return self.work.other(e)
+        if isinstance(e, expected.Bodily):
+            return self.bodily(e)
         assert isinstance(e, expected.AtStart)
         return self.work.start(self, e)
+
+    def bodily(self, e: expected.Bodily) -> Node:
+        """A register that is filled before anybody is asked."""
+        name = f"geometry.{e.name}"
+        self.registers[name] = Register(name, Kind.F32, "attribute")
+        self.work.bodily.setdefault(self.species.name, set()).add(e.name)
+        return self.b("snap", attrs=(name,), kind=Kind.F32)
 
     def result(self, block: str, name: str, node: Node, span: Span) -> str:
         """A register of the spec's own that a block fills."""
@@ -132,6 +158,8 @@ class _Work:
         self.b = Builder()
         self.wholes: list[WholePlan] = []
         self.starts: list[StartPlan] = []
+        self.others: list[OtherPlan] = []
+        self.bodily: dict[str, set[str]] = {}
         self.known: dict[model.Expr, Node] = {}
         self.writers: dict[str, _Writer] = {}
         nobody = model.Layers("budget", (), next(iter(program.species.values())).span)
@@ -199,6 +227,13 @@ class _Work:
         self.starts.append(StartPlan(name, species=w.species.name, asked=asked))
         return self.b("snap", attrs=(name,), kind=Kind.F32)
 
+    def other(self, e: expected.Other) -> Node:
+        """What is told of the other run."""
+        if e not in self.known:
+            self.others.append(OtherPlan(f"other#{len(self.others) + 1}", scalar(self.above, e.value)))
+            self.known[e] = self.b("told", attrs=(self.others[-1].name,))
+        return self.known[e]
+
     def _sound(self, w: _Writer, node: Node, e: model.Expr) -> Node:
         """The node, if looking at it changes nothing and items have what it asks."""
         if w.statements:
@@ -215,12 +250,16 @@ class _Work:
             w = self.above if e.species is None else self.of_agents(e.species, e.span)
             node = self._sound(w, truth(w, e.condition), e.condition)
             condition = node if e.species is None else w.result("act", f"line#{number}", node, e.span)
-            time = None if e.time is None else scalar(self.above, e.time)
+            time, held = (None if each is None else scalar(self.above, each) for each in (e.time, e.held))
+            since: Node | str | None = None
+            if e.since is not None:
+                asked = self._sound(w, truth(w, e.since), e.since)
+                since = asked if e.species is None else w.result("act", f"line#{number}.since", asked, e.span)
             readings = [self._reading(w, r, f"line#{number}.{k}") for k, r in enumerate(e.readings)]
         except NotYet as missing:
             complain(w, missing)
             return None
-        return JudgementPlan(e.kind, e.block, e.species, condition, time, tuple(readings), e.at_end, e.span)
+        return JudgementPlan(e.kind, e.block, e.species, condition, time, tuple(readings), e.at_end, e.span, held, since)
 
     def _reading(self, w: _Writer, reading: expected.Reading, name: str) -> ReadingPlan:
         e, value = reading.expr, lower(w, reading.expr)
@@ -258,4 +297,6 @@ def lower_spec(spec: expected.Spec, program: model.Program, plan: ir.Plan) -> tu
     species |= {name: w.plan() for name, w in work.writers.items() if name not in species}
     judged = replace(plan, species=species, nodes=tuple(work.b.nodes))
     kept = tuple(j for j in judgements if j is not None)
-    return SpecPlan(spec, judged, duration, tuple(work.wholes), tuple(work.starts), kept), report
+    bodily = {name: frozenset(names) for name, names in work.bodily.items()}
+    wholes, starts, others = tuple(work.wholes), tuple(work.starts), tuple(work.others)
+    return SpecPlan(spec, judged, duration, wholes, starts, kept, others, bodily), report

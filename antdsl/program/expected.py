@@ -29,6 +29,20 @@ class AtStart(Expr):
 
 
 @value
+class Other(Expr):
+    """What a number of the whole is in the run that the spec compares with, at the same frame."""
+
+    value: Expr
+
+
+@value
+class Bodily(Expr):
+    """How an agent's body stands, by its name in GEOMETRY: what agents themselves do not sense."""
+
+    name: str
+
+
+@value
 class Measured(Expr):
     """A measure of motion over the whole run, by its name in a run's summary."""
 
@@ -45,7 +59,8 @@ class Reading:
 
 @value
 class Expectation:
-    """`kind`: always never eventually within until. `species`: judged of each agent of it; None: of the whole."""
+    """`kind`: always never eventually finally sooner within for until. `species`: judged of each agent of it; None: of the
+    whole. `held`: the condition counts once it has held for so long. `since`: the time begins whenever this comes to hold."""
 
     kind: str
     block: int  # 0 is the spec itself, then the `each` blocks in their order
@@ -55,6 +70,8 @@ class Expectation:
     readings: tuple[Reading, ...]
     at_end: bool  # it asks for the motion, which is known when the run is over
     span: Span
+    held: Expr | None = None
+    since: Expr | None = None
 
 
 @value
@@ -67,7 +84,18 @@ class Changed:
 
 
 @value
+class Against:
+    """The run that a spec compares with: another scene, or the same, with changes besides the spec's own."""
+
+    scene: nodes.Text | None
+    changes: tuple[Changed, ...]
+    span: Span
+
+
+@value
 class Spec:
+    """`share`: of the seeds that must pass."""
+
     name: str
     scene: nodes.Text | None
     duration: Expr | None
@@ -75,6 +103,9 @@ class Spec:
     changes: tuple[Changed, ...]
     expectations: tuple[Expectation, ...]
     span: Span
+    share: float = 1.0
+    against: Against | None = None
 
 
+GEOMETRY = {"overlap": "number", "penetration": "length", "off_surface": "length"}
 MOTION = {"turn_p99": "angle", "circling": "number", "standing": "number", "overlap_p99": "number", "straightness": "number"}

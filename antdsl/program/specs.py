@@ -5,7 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from antdsl.program.expected import AtStart, Changed, Expectation, Measured, Reading, Spec, Whole
+from antdsl.program.expected import (
+    Against,
+    AtStart,
+    Bodily,
+    Changed,
+    Expectation,
+    Measured,
+    Other,
+    Reading,
+    Spec,
+    Whole,
+)
 from antdsl.program.folding import constant_behind
 from antdsl.program.model import Expr, Field, Kind, Op, Param, Rate
 from antdsl.program.operators import condition, wanted
@@ -19,6 +30,7 @@ from antdsl.syntax import nodes
 
 MOST_SEEDS = 1000
 _COMPARED = ("lt", "le", "gt", "ge", "eq", "ne")
+_HOW = ("seeds", "pass", "set", "until")  # what is expected is another matter
 _DRAWS = ("uniform", "normal", "pick", "random_agent", "chance")
 _FIXED = ("cell", "combine")  # what a field is made of: another value is another field
 
@@ -35,6 +47,9 @@ class _Work:
     seeds: list[int] = field(default_factory=list)
     changes: list[Changed] = field(default_factory=list)
     expectations: list[Expectation] = field(default_factory=list)
+    share: float | None = None
+    compares: bool = False  # with another run
+    against: Against | None = None
     blocks: int = 0
 
 
@@ -46,10 +61,10 @@ def check_spec(
         declared.report.error(
             "not-a-scene", f"`{spec.scene.text}` is not the name of a scene", spec.scene.span, 'write `on "scene.yaml"`'
         )
-    work = _Work(declared, names, params, fields)
+    work = _Work(declared, names, params, fields, compares=any(line.kind == "against" for line in spec.lines))
     for line in spec.lines:
         _line(work, line)
-    if not any(line.kind not in ("for", "seeds", "set", "until") for line in spec.lines):
+    if not any((line.condition is not None and line.kind not in _HOW) or line.kind == "each" for line in spec.lines):
         declared.report.warning(
             "empty-spec",
             f"the spec {quoted(spec.name.span)} expects nothing",
@@ -58,17 +73,22 @@ def check_spec(
         )
     return Spec(
         spec.name.text, spec.scene, work.duration, tuple(dict.fromkeys(work.seeds)), tuple(work.changes),
-        tuple(work.expectations), spec.span,
+        tuple(work.expectations), spec.span, 1.0 if work.share is None else work.share, work.against,
     )  # fmt: skip
 
 
 def _line(work: _Work, line: nodes.SpecLine) -> None:
-    if line.kind == "for":
-        if work.duration is not None:
-            work.declared.report.error("duplicate-name", "`for` stands twice in one spec", line.span, "keep one of them")
+    if line.kind == "for" and line.condition is None:
+        _once(work, line, work.duration is not None)
         work.duration = _time(work, line, outside(work.declared, work.names, "spec"))
     elif line.kind == "seeds":
         _seeds(work, line)
+    elif line.kind == "pass":
+        _once(work, line, work.share is not None)
+        work.share = _share(work, line)
+    elif line.kind == "against":
+        _once(work, line, work.against is not None)
+        work.against = _against(work, line)
     elif line.kind == "set":
         _set(work, line)
     elif line.kind == "each":
@@ -77,18 +97,59 @@ def _line(work: _Work, line: nodes.SpecLine) -> None:
         _expect(work, line, None)
 
 
-def _time(work: _Work, line: nodes.SpecLine, scope: Scope) -> Expr | None:
-    assert line.time is not None
-    found = wanted(scope, line.time, TIME, f"`{line.kind}`")
-    if found.type.kind is Kind.BAD or not of_the_run(work.declared.report, found, f"`{line.kind}`"):
+def _once(work: _Work, line: nodes.SpecLine, again: bool) -> None:
+    if again:
+        words = f"`{line.kind}` stands twice in one spec"
+        work.declared.report.error("duplicate-name", words, line.span, "keep one of them")
+
+
+def _time(work: _Work, line: nodes.SpecLine, scope: Scope, node: nodes.Expr | None = None, word: str = "") -> Expr | None:
+    node, word = node or line.time, word or line.kind
+    assert node is not None
+    found = wanted(scope, node, TIME, f"`{word}`")
+    if found.type.kind is Kind.BAD or not of_the_run(work.declared.report, found, f"`{word}`"):
         return None
     known = constant_behind(found)
     if known is not None and known.number <= 0:
         work.declared.report.error(
-            "out-of-range", f"`{line.kind}` wants more than no time", line.time.span, "write a time above 0, such as `20 s`"
+            "out-of-range", f"`{word}` wants more than no time", node.span, "write a time above 0, such as `20 s`"
         )
         return None
     return found
+
+
+def _share(work: _Work, line: nodes.SpecLine) -> float | None:
+    """The share of the seeds that must pass."""
+    assert line.condition is not None
+    found = wanted(outside(work.declared, work.names, "spec"), line.condition, NUMBER, "`pass`")
+    known = constant_behind(found)
+    if known is not None and 0 < known.number <= 1:
+        return known.number
+    if found.type.kind is not Kind.BAD:
+        words = f"`pass` wants a share of the seeds, not {quoted(line.condition.span)}"
+        work.declared.report.error("out-of-range", words, line.condition.span, "write a share up to `100 %`, such as `pass 80 %`")
+    return None
+
+
+def _against(work: _Work, line: nodes.SpecLine) -> Against:
+    """The run that is compared with; its `set` lines stand in a list of their own."""
+    report, scene = work.declared.report, line.target
+    if isinstance(scene, nodes.Text) and not scene.text.endswith((".yaml", ".yml")):
+        report.error(
+            "not-a-scene", f"`{scene.text}` is not the name of a scene", scene.span, 'write `against "without_fields.yaml"`'
+        )
+    own, work.changes = work.changes, []
+    for inner in line.lines:
+        if inner.kind == "set":
+            _set(work, inner)
+        else:
+            words = f"`{inner.kind}` belongs to the spec, not to the run that it compares with"
+            report.error("misplaced-line", words, inner.span, "write it outside of `against { … }`")
+    own, work.changes = work.changes, own
+    if not own and scene is None and not line.lines:
+        words = "`against` says nothing that is different in the other run"
+        report.error("wrong-argument", words, line.span, "write `against { set forager.reward = 0 /s }`")
+    return Against(scene if isinstance(scene, nodes.Text) else None, tuple(own), line.span)
 
 
 def _seeds(work: _Work, line: nodes.SpecLine) -> None:
@@ -178,7 +239,7 @@ def _each(work: _Work, line: nodes.SpecLine) -> None:
     declared.used.add(("species", species))
     work.blocks += 1
     for inner in line.lines:
-        if inner.kind in ("for", "seeds", "set", "each"):
+        if inner.kind in ("seeds", "pass", "set", "against", "sooner", "each") or (inner.kind == "for" and not inner.condition):
             declared.report.error(
                 "misplaced-line", f"`{inner.kind}` belongs to the whole spec", inner.span, f"write it outside of `each {species}`"
             )
@@ -188,18 +249,35 @@ def _each(work: _Work, line: nodes.SpecLine) -> None:
 
 def _expect(work: _Work, line: nodes.SpecLine, species: str | None) -> None:
     assert line.condition is not None
-    rules = SpecRules(work.declared)
+    rules = SpecRules(work.declared, work.compares)
     scope = outside(rules.declared, work.names, f"{species or ''}.spec")
     if species is not None:
         scope = scope.inside(species=work.declared.species[species], keys=Keys(f"{species}.spec"))
-    time = _time(work, line, scope) if line.kind == "within" else None
+    time = _time(work, line, scope) if line.time is not None else None
+    held = None if line.held is None else _time(work, line, scope, line.held, "held")
+    since = None if line.since is None else condition(scope, line.since, "`when`")
     found = condition(scope, line.condition, f"`{line.kind}`")
-    if found.type.kind is Kind.BAD or any(isinstance(p, Expr) and p.type.kind is Kind.BAD for p in parts(found)):
+    asked = [each for each in (since, found) if each is not None]
+    if any(isinstance(p, Expr) and p.type.kind is Kind.BAD for each in asked for p in parts(each)):
         return
-    at_end = any(isinstance(part, Measured) for part in parts(found))
-    if _fits(work, line, species, found, at_end):
+    at_end = any(isinstance(part, Measured) for each in asked for part in parts(each))
+    if all(_fits(work, line, species, each, at_end) for each in asked) and _in_time(work, line):
         readings, block = tuple(_readings(found, line.condition)), work.blocks if species else 0
-        work.expectations.append(Expectation(line.kind, block, species, found, time, readings, at_end, line.span))
+        work.expectations.append(Expectation(line.kind, block, species, found, time, readings, at_end, line.span, held, since))
+
+
+def _in_time(work: _Work, line: nodes.SpecLine) -> bool:
+    """Whether `held` and `sooner` can be judged here; complains otherwise."""
+    report = work.declared.report
+    if line.held is not None and line.kind in ("always", "for"):
+        words = f"`{line.kind}` with `held` is not so in the first frame, where nothing has held yet"
+        report.error("wrong-argument", words, line.held.span, "leave `held` out: what is always so has held all the time")
+        return False
+    if line.kind == "sooner" and not work.compares:
+        words = "`sooner` compares with another run, and there is none"
+        report.error("misplaced-line", words, line.span, "add a line such as `against { set forager.reward = 0 /s }`")
+        return False
+    return True
 
 
 def _fits(work: _Work, line: nodes.SpecLine, species: str | None, found: Expr, at_end: bool) -> bool:
@@ -214,7 +292,8 @@ def _fits(work: _Work, line: nodes.SpecLine, species: str | None, found: Expr, a
             f"write it in `each {names[0]} {{ … }}`, or ask for the `share`, `mean`, `min` or `max` of all",
         )
         return False
-    if at_end and (species is not None or line.kind not in ("always", "never")):
+    held = line.held is not None or line.since is not None
+    if at_end and (species is not None or held or line.kind not in ("always", "never", "finally")):
         report.error(
             "wrong-argument",
             "`motion` is measured over the whole run, and known when that is over",
@@ -239,7 +318,7 @@ def _readings(found: Expr, node: nodes.Expr) -> Iterator[Reading]:
         part = stack.pop()
         if isinstance(part, Op) and part.name in ("and", "or", "not", *_COMPARED):
             stack += [arg for arg in reversed(part.args) if arg is not None]
-        elif part.rate > Rate.RUN or isinstance(part, Whole | AtStart | Measured):
+        elif part.rate > Rate.RUN or isinstance(part, Whole | AtStart | Measured | Other | Bodily):
             yield Reading(part, _unit(part, units))
 
 

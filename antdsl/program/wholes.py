@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import replace
 from typing import cast
 
 from antdsl.program import calls, expressions, operators
 from antdsl.program.arguments import type_all
-from antdsl.program.expected import MOTION, AtStart, Measured, Whole
+from antdsl.program.expected import GEOMETRY, MOTION, AtStart, Bodily, Measured, Other, Whole
 from antdsl.program.expressions import Known
 from antdsl.program.model import Binding, Dim, Expr, Kind, Local, ParamRef, Rate, Reduce, Thing, Type
 from antdsl.program.operators import condition, value
@@ -23,7 +23,6 @@ from antdsl.syntax import nodes
 WHOLES = ("total", "share", "sum", "mean", "min", "max", "count", "any", "every")
 _OF_CELLS = ("total", "sum", "mean", "min", "max")
 _TRUTHS = ("share", "count", "any", "every")
-_TRUTHS = ("share", "count", "any", "every")
 _COMPARED = ("<", "<=", ">", ">=", "==", "!=")
 _VOLUME = Type(Kind.NUMBER, Dim(length=3))
 _SETS = ("neighbours", "all", "feelers")
@@ -32,10 +31,13 @@ _SETS = ("neighbours", "all", "feelers")
 class SpecRules:
     """The rules of the language with those of a spec before them, while one condition is looked at."""
 
-    def __init__(self, declared: Declared) -> None:
+    def __init__(self, declared: Declared, compares: bool = False) -> None:
         self.plain = declared.rules
+        self.compared: dict[str, Callable[..., Expr]] = {"at_start": self._at_start}
+        if compares:
+            self.compared["other"] = self._in_other
         self.inside = False  # a `total(…)` or its like
-        self.other: Expr | None = None  # the other side of the comparison that `at_start` stands in
+        self.other: Expr | None = None  # the other side of the comparison that `at_start` or `other` stands in
         own: dict[type, Callable[..., Expr]] = {
             nodes.Call: self._call, nodes.NameRef: self._name, nodes.Member: self._member, nodes.Binary: self._binary,
         }  # fmt: skip
@@ -44,16 +46,21 @@ class SpecRules:
     # --- names -------------------------------------------------------------------------------------------------------
 
     def _name(self, scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
-        if node.name.text == "at_start":
+        name = node.name.text
+        if name in self.compared:
             if self.other is not None:
-                return self._at_start(scope, self.other, node.span)
+                return self.compared[name](scope, self.other, node.span)
+            when = "was" if name == "at_start" else "is in the other run"
             scope.report.error(
                 "at-start-alone",
-                "`at_start` is what the other side of a comparison was, and there is none",
+                f"`{name}` is what the other side of a comparison {when}, and there is none",
                 node.span,
-                "write `total(food.load) == at_start`, or `at_start(total(food.load))`",
+                f"write `total(food.load) == {name}`, or `{name}(total(food.load))`",
             )
             return bad(node.span)
+        species = scope.species
+        if name in GEOMETRY and species is not None and name not in {*species.attributes, *species.params, *species.bindings}:
+            return Bodily(type_from_words(GEOMETRY[name]) or NUMBER, Rate.AGENT, node.span, name)
         return expressions.name_of(scope, node, want)
 
     def _at_start(self, scope: Scope, found: Expr, span: Span) -> Expr:
@@ -74,6 +81,18 @@ class SpecRules:
             return bad(span)
         return AtStart(found.type, found.rate, span, found)
 
+    def _in_other(self, scope: Scope, found: Expr, span: Span) -> Expr:
+        """What a number of the whole is in the run that is compared with."""
+        if found.type.kind is Kind.BAD:
+            return bad(span)
+        if self.inside or scope.species is not None or found.type.kind is not Kind.NUMBER or found.rate > Rate.STEP:
+            scope.report.error(
+                "wrong-rate", "`other` is a number of the whole in another run, where nobody in particular is asked", span,
+                "write it in a line of the spec itself: `always: total(nest.load) >= other`",
+            )  # fmt: skip
+            return bad(span)
+        return Other(found.type, Rate.STEP, span, found)
+
     def _member(self, scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
         owner, name = node.owner, node.name.text
         if isinstance(owner, nodes.NameRef):
@@ -89,6 +108,9 @@ class SpecRules:
             ):
                 scope.use("param", f"{species.name}.{name}")
                 return ParamRef(species.params[name], Rate.RUN, node.span, f"{species.name}.{name}")
+            bodily = species is not None and name in GEOMETRY and name not in {*species.attributes, *species.params}
+            if bodily and isinstance(self_there, Thing):
+                return Bodily(type_from_words(GEOMETRY[name]) or NUMBER, Rate.AGENT, node.span, name)
             if self._one_of_many(scope, owner.name.text, node):
                 return bad(node.span)
         return expressions.member_of(scope, node, want)
@@ -98,7 +120,8 @@ class SpecRules:
         kind, name = _things(scope.declared, owner), node.name.text
         type = Type(Kind.AGENT if kind is Kind.SPECIES else Kind.ITEM, of=owner)
         params = scope.declared.species[owner].params if kind is Kind.SPECIES else {}
-        if kind is None or owner in scope.locals or name in params or name not in attributes_of(scope.declared, type):
+        known = kind is not None and name in {*attributes_of(scope.declared, type), *(GEOMETRY if kind is Kind.SPECIES else ())}
+        if not known or owner in scope.locals or name in params:
             return False
         who = "agent" if kind is Kind.SPECIES else "item"
         also = f", or of each: `each {owner} {{ always: {name} … }}`" if kind is Kind.SPECIES else ""
@@ -123,7 +146,7 @@ class SpecRules:
     # --- the other side of a comparison ------------------------------------------------------------------------------
 
     def _binary(self, scope: Scope, node: nodes.Binary, want: Type | None) -> Expr:
-        sides = [_says_at_start(side) for side in (node.left, node.right)]
+        sides = [_says(side, self.compared) for side in (node.left, node.right)]
         if node.op not in _COMPARED or sides[0] == sides[1]:
             return operators.binary(scope, node, want)
         other = node.right if sides[0] else node.left
@@ -141,10 +164,10 @@ class SpecRules:
     def _call(self, scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
         name = node.function.name.text if isinstance(node.function, nodes.NameRef) else ""
         first = node.arguments[0] if len(node.arguments) == 1 else None
-        if name == "at_start":
+        if name in self.compared:
             if not isinstance(first, nodes.Argument) or first.name is not None:
                 return self._wants_one(scope, node, name)
-            return self._at_start(scope, value(scope, first.value), node.span)
+            return self.compared[name](scope, value(scope, first.value), node.span)
         if name in WHOLES and isinstance(first, nodes.Argument) and first.name is None and not _is_set(scope, first.value):
             return self._whole(scope, node, name, first.value)
         if name in ("total", "share"):
@@ -156,7 +179,8 @@ class SpecRules:
 
     @staticmethod
     def _wants_one(scope: Scope, node: nodes.Call, name: str) -> Expr:
-        sample = {"share": "share(state == carry)", "at_start": "at_start(total(food.load))"}.get(name, f"{name}(food.load)")
+        whole = f"{name}(total(food.load))" if name in ("at_start", "other") else f"{name}(food.load)"
+        sample = "share(state == carry)" if name == "share" else whole
         scope.report.error("wrong-argument", f"`{name}` wants one thing to ask of all", node.span, f"write `{sample}`")
         type_all(scope, node)
         return bad(node.span)
@@ -244,10 +268,10 @@ def _result(how: str, body: Expr | None) -> Type:
     return NUMBER if body is None or how in ("share", "count") else body.type
 
 
-def _says_at_start(root: nodes.Expr) -> bool:
-    """Whether `at_start` stands there by itself, and not as `at_start(…)`."""
+def _says(root: nodes.Expr, words: Container[str]) -> bool:
+    """Whether a word such as `at_start` stands there by itself, and not as `at_start(…)`."""
     called = {id(part.function) for part, _ in written(root) if isinstance(part, nodes.Call)}
-    return any(isinstance(p, nodes.NameRef) and p.name.text == "at_start" and id(p) not in called for p, _ in written(root))
+    return any(isinstance(p, nodes.NameRef) and p.name.text in words and id(p) not in called for p, _ in written(root))
 
 
 def _is_set(scope: Scope, node: nodes.Expr) -> bool:
@@ -304,7 +328,7 @@ def _knows(declared: Declared, species: str, asked: nodes.Expr) -> bool:
     states = {state for machine in names.machines.values() for state in machine.states}
     mine = {*names.attributes, *names.params, *names.bindings, *names.pending, *names.machines, *states, *GIVEN}
     everywhere = {*declared.things, *declared.fields, *declared.species, *declared.events, "state", "previous", "next"}
-    everywhere |= {"time_in_state", "time", "frame", "dt", "true", "false", *SENSED_NAMES, "self"}
+    everywhere |= {*GEOMETRY, "time_in_state", "time", "frame", "dt", "true", "false", *SENSED_NAMES, "self"}
     called = {id(part.function) for part, _ in written(asked) if isinstance(part, nodes.Call)}
     bare = {p.name.text for p, _ in written(asked) if isinstance(p, nodes.NameRef) and id(p) not in called}
     return bare <= mine | everywhere

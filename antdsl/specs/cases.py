@@ -10,18 +10,21 @@ from antdsl.diagnostics import Report
 from antdsl.loading import Parsed
 from antdsl.pipeline import Choices, Shot, check_path, find_files, open_scene
 from antdsl.plan.judging import SpecPlan, lower_spec
-from antdsl.program.expected import Spec
+from antdsl.program.expected import Changed, Spec
 from antdsl.program.model import Program
 from antdsl.scene.paths import PathRefused, Roots
 from antdsl.source import Span
+from antdsl.syntax.nodes import Text
 
 DEFAULT_SCENE = "scene.yaml"
+TOLD_AGENTS = 8  # ids that a failure names
 
 
 @dataclass(frozen=True, slots=True)
 class Failure:
     """What a spec expected and did not see. `values`: text as written and its value. `agent`: species and id of the first of
-    those that `each` is about, `others`: how many more in that frame."""
+    those that `each` is about, `others`: how many more in that frame, `agents`: the ids of the first of them. `began`: the frame
+    in which the agent's time began that was over. `whereabouts`: its states and its place, by name."""
 
     message: str
     span: Span | None
@@ -30,11 +33,36 @@ class Failure:
     values: tuple[tuple[str, str], ...] = ()
     agent: tuple[str, int] | None = None
     others: int = 0
+    agents: tuple[int, ...] = ()
+    began: int | None = None
+    whereabouts: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """Where the frames `begins` .. `frame` that led up to a failure lie as a cache, with the commands that show them and that go
+    on from there. `note`: what did not work; then there may be no folder."""
+
+    folder: Path | None
+    note: str = ""
+    begins: int = 0
+    frame: int = 0
+    look: str = ""
+    again: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Opponent:
+    """The run that a spec compares with."""
+
+    shot: Shot
+    plan: SpecPlan
 
 
 @dataclass(slots=True, eq=False)
 class Case:
-    """One spec with one seed. `outcome`: passed, failed, or waiting where it was not run to its end."""
+    """One spec with one seed. `outcome`: passed, failed, allowed where it failed and enough of the other seeds did not, or
+    waiting where it was not run to its end."""
 
     spec: Spec
     plan: SpecPlan
@@ -44,6 +72,8 @@ class Case:
     failures: list[Failure] = field(default_factory=list)
     frames: int = 0
     seconds: float = 0.0
+    against: Opponent | None = None
+    kept: Kept | None = None
 
     @property
     def name(self) -> str:
@@ -113,31 +143,49 @@ class _Finder:
                 _head(spec), f'write `spec "{spec.name}" on "{DEFAULT_SCENE}" {{ … }}`',
             )  # fmt: skip
             return None
-        roots = Roots(folder, self.grants)
+        return self._named(own, spec.scene)
+
+    def _named(self, own: Path, name: Text) -> Path | None:
+        """The scene with a name beside a program, or in a granted root."""
+        roots = Roots(own.resolve().parent, self.grants)
         try:
-            roots.exists(spec.scene.text)
+            roots.exists(name.text)
         except PathRefused as refused:
-            self.report.error(refused.code, str(refused), spec.scene.span, refused.help)
+            self.report.error(refused.code, str(refused), name.span, refused.help)
             return None
-        path = roots.path(spec.scene.text)
-        return own.parent / spec.scene.text if (own.parent / spec.scene.text).resolve() == path.resolve() else path
+        path = roots.path(name.text)
+        return own.parent / name.text if (own.parent / name.text).resolve() == path.resolve() else path
 
     def runs(self, seeds: int | None) -> list[Run]:
         made: dict[tuple[int, int], Run] = {}
         for scene, spec in self.found.values():
-            shot = self._shot(scene, spec)
+            shot = self._shot(scene, spec.changes)
             plan = None if shot is None else self._plan(shot, spec, scene)
-            if shot is None or plan is None:
+            other = None if spec.against is None or plan is None else self._opponent(scene, spec)
+            if shot is None or plan is None or (spec.against is not None and other is None):
                 continue
             for seed in range(1, seeds + 1) if seeds else spec.seeds or (shot.scene.model.seed,):
                 run = made.setdefault((id(shot), seed), Run(shot, seed, []))
-                run.cases.append(Case(plan.spec, plan, scene, seed))
+                run.cases.append(Case(plan.spec, plan, scene, seed, against=other))
         return list(made.values())
 
-    def _shot(self, scene: Path, spec: Spec) -> Shot | None:
-        key = (scene.resolve(), tuple(sorted(f"{c.name} = {' '.join(c.value.span.text.split())}" for c in spec.changes)))
+    def _opponent(self, scene: Path, spec: Spec) -> Opponent | None:
+        """The other run of a spec that compares: the spec's own changes hold there as well, but for those it says otherwise."""
+        assert spec.against is not None
+        if spec.against.scene is not None:
+            found = self._named(Path(spec.span.source.path), spec.against.scene)
+            if found is None:
+                return None
+            scene = found
+        mine = {change.name for change in spec.against.changes}
+        shot = self._shot(scene, (*(c for c in spec.changes if c.name not in mine), *spec.against.changes))
+        plan = None if shot is None else self._plan(shot, spec, scene)
+        return None if shot is None or plan is None else Opponent(shot, plan)
+
+    def _shot(self, scene: Path, changes: tuple[Changed, ...]) -> Shot | None:
+        key = (scene.resolve(), tuple(sorted(f"{c.name} = {' '.join(c.value.span.text.split())}" for c in changes)))
         if key not in self.shots:
-            shot, report = open_scene(scene, Choices(self.grants, changes=spec.changes), parsed=self.parsed)
+            shot, report = open_scene(scene, Choices(self.grants, changes=changes), parsed=self.parsed)
             self.report.extend(report)
             self.shots[key] = shot
         return self.shots[key]

@@ -40,6 +40,12 @@ class Coverage:
     states: dict[Key, Counted] = field(default_factory=dict)
     changes: dict[Key, Counted] = field(default_factory=dict)
 
+    @property
+    def share(self) -> float:
+        """Of all states and changes together, how many were met, from 0 to 1; 1 where there are none."""
+        all = [*self.states.values(), *self.changes.values()]
+        return sum(each.count > 0 for each in all) / len(all) if all else 1.0
+
     def watch(self, world: World, program: Program) -> None:
         """Count in this world from now on."""
         machines = [self._machine(s.name, m) for s in program.species.values() for m in s.machines]

@@ -3,42 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
-from antdsl.runtime import BindError, FaultStop, Options, bind, step
+from antdsl.pipeline import Shot
+from antdsl.runtime import BindError, FaultStop, Options, World, bind, step
 from antdsl.specs.cases import Case, Failure, Run
 from antdsl.specs.coverage import Coverage
-from antdsl.specs.judge import Judge
+from antdsl.specs.goldens import Goldens
+from antdsl.specs.judge import Judge, last_frame
+from antdsl.specs.keeping import Keeper, Moment, Trail
+from antdsl.specs.rivals import Rival
+
+Told = Callable[[Run, int, int], None]
 
 
-def run_cases(
-    runs: Iterable[Run],
-    options: Options,
-    coverage: Coverage,
-    done: Callable[[Case], None] = lambda case: None,
-    frame: Callable[[Run, int, int], None] = lambda run, frame, last: None,
-) -> None:
-    """Run everything; each case gets its outcome, and `done` is told of it. `frame` is told how far a run is.
+@dataclass(slots=True)
+class Work:
+    """What is to be found out besides the outcomes, and who is told: `done` of each case, `frame` of how far a run is."""
 
-    What is wrong with one run, a fault included, fails its cases and no others."""
+    options: Options
+    coverage: Coverage = field(default_factory=Coverage)
+    keeper: Keeper | None = None
+    goldens: Goldens | None = None
+    done: Callable[[Case], None] = lambda case: None
+    frame: Told = lambda run, frame, last: None
+
+
+def run_cases(runs: Iterable[Run], work: Work) -> None:
+    """Run everything; each case gets its outcome. What is wrong with one run, a fault included, fails its cases and no others."""
     for run in runs:
         started = perf_counter()
+        moments: dict[int, Moment] = {}
         try:
-            _run(run, options, coverage, frame)
+            _run(run, work, moments)
         except BindError as why:
             for problem in why.report.errors:
                 _fail(run, Failure(problem.message, problem.span))
-        except FaultStop as why:
-            found = why.fault
-            words = f"`{found.what}` is not finite"
-            _fail(run, Failure(words, found.span, found.frame, None, found.operands, (found.species, found.agent)))
         except (OSError, MemoryError) as why:
             _fail(run, Failure(f"the run came to an end: {why or type(why).__name__}".lower(), None))
         for case in run.cases:  # what a run took is shared by its cases
             case.outcome = "failed" if case.failures else "passed"
             case.seconds = (perf_counter() - started) / len(run.cases)
-            done(case)
+            if work.keeper is not None and id(case) in moments:
+                case.kept = work.keeper.save(run, case, moments[id(case)])
+            work.done(case)
 
 
 def _fail(run: Run, failure: Failure) -> None:
@@ -46,26 +55,73 @@ def _fail(run: Run, failure: Failure) -> None:
         case.failures.append(failure)
 
 
-def _run(run: Run, options: Options, coverage: Coverage, told: Callable[[Run, int, int], None]) -> None:
-    shot = run.shot
-    world = bind(shot.plan, replace(shot.setting, seed=run.seed), options)
+def _run(run: Run, work: Work, moments: dict[int, Moment]) -> None:
+    """Simulate and judge; `moments` gets the first failure of each case, by its id."""
+    try:
+        rivals = _rivals(run, work)
+        world = _begin(run.shot, run.seed, work.options, work.coverage)
+    except FaultStop as why:
+        return _faulted(run, why)
+    first, trail = world.frame, None if work.keeper is None else Trail(run.shot.setting)
+    judges = [(case, Judge(case.plan, world, run.shot.frames.last, rivals.get(id(case)))) for case in run.cases]
+    last = max(judge.last for _, judge in judges)
+    watch = None if work.goldens is None else work.goldens.watch(run, last - first + 1)
+    while True:
+        for case, judge in judges:
+            if not judge.over:
+                case.frames = world.frame - first + 1
+                judge.look(world)
+                case.failures[:] = judge.failures
+                if judge.failures and trail is not None and id(case) not in moments:
+                    moments[id(case)] = trail.moment(world)
+        if watch is not None:
+            watch.look(world)
+        work.frame(run, world.frame - first, last - first)
+        if all(judge.over for _, judge in judges) and (watch is None or watch.over):
+            return None if watch is None else watch.end(world)
+        if trail is not None:
+            trail.keep(world)
+        try:
+            step(world)
+        except FaultStop as why:
+            if trail is not None and trail.last is not None:
+                found = Moment(why.fault.frame, None, trail.last)
+                moments |= {id(case): found for case in run.cases if id(case) not in moments}
+            return _faulted(run, why)
+
+
+def _begin(shot: Shot, seed: int, options: Options, coverage: Coverage) -> World:
+    """The world at the first frame."""
+    world = bind(shot.plan, replace(shot.setting, seed=seed), options)
     if world.faults.told:
         raise FaultStop(world.faults.told[0])  # at birth
     coverage.watch(world, shot.program)
     for _ in range(shot.scene.model.preroll):
         step(world)
     world.motion.reset()
-    first = world.frame
-    judges = [(case, Judge(case.plan, world, shot.frames.last)) for case in run.cases]
-    last = max(judge.last for _, judge in judges)
-    while True:
-        for case, judge in judges:
-            if judge.over:
-                continue
-            case.frames = world.frame - first + 1
-            judge.look(world)
-            case.failures[:] = judge.failures
-        told(run, world.frame - first, last - first)
-        if all(judge.over for _, judge in judges):
-            return
-        step(world)
+    return world
+
+
+def _faulted(run: Run, why: FaultStop) -> None:
+    found = why.fault
+    whose = (found.species, found.agent)
+    _fail(run, Failure(f"`{found.what}` is not finite", found.span, found.frame, None, found.operands, whose, 0, (found.agent,)))
+
+
+def _rivals(run: Run, work: Work) -> dict[int, Rival]:
+    """The runs that cases compare with, by the case's id: those of one shot are simulated once."""
+    found: dict[int, Rival] = {}
+    for shot in {id(case.against.shot): case.against.shot for case in run.cases if case.against is not None}.values():
+        world = _begin(shot, run.seed, work.options, work.coverage)
+        first, mine = world.frame, [c for c in run.cases if c.against is not None and c.against.shot is shot]
+        here = {id(case): Rival(case.against.plan, world) for case in mine if case.against is not None}
+        last = max(last_frame(case.plan, world, first + run.shot.frames.last - run.shot.frames.first) for case in mine)
+        while True:
+            for rival in here.values():
+                rival.look(world)
+            work.frame(run, world.frame - first, last - first)
+            if world.frame >= last:
+                break
+            step(world)
+        found |= here
+    return found

@@ -1,22 +1,19 @@
-"""Results in words, as JSON and as JUnit XML: a case for each spec and seed, with place, frame and values of what went wrong."""
+"""Results in words: a case for each spec and seed, with place, frame, agents and values of what went wrong; golden runs;
+coverage."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
-from xml.etree import ElementTree
 
-from antdsl.diagnostics import Diagnostic, Report
-from antdsl.diagnostics.full import full
-from antdsl.diagnostics.places import area, safe
+from antdsl.diagnostics.places import safe
 from antdsl.loading import shown
-from antdsl.source import Span
-from antdsl.specs.cases import Case, Failure
+from antdsl.specs.cases import Case, Failure, Kept
 from antdsl.specs.coverage import Counted, Coverage
+from antdsl.specs.golden import GoldenResult
+from antdsl.specs.verdicts import Verdict
 
 _MOST_TOLD = 20  # states and changes that nobody met, in words
+_MOST_DIFFERENCES = 6
 
 
 def one_line(case: Case) -> str:
@@ -25,29 +22,92 @@ def one_line(case: Case) -> str:
 
 
 def failed(case: Case) -> str:
-    """The case's line, then each failure with its place, when, who, and the values."""
-    return "\n".join([one_line(case), *(f"  {line}" for failure in case.failures for line in _lines(failure))])
+    """The case's line, then each failure with its place, when, who, and the values; then how to look at it."""
+    lines = [one_line(case), *(f"  {line}" for failure in case.failures for line in told(failure))]
+    return "\n".join(lines + ([] if case.kept is None else [f"  {line}" for line in _kept(case.kept)]))
 
 
-def _lines(failure: Failure) -> list[str]:
+def told(failure: Failure) -> list[str]:
+    """A failure in lines: what was expected where, when it was not so, by whom, and what the values were."""
     where = f"{failure.span}: " if failure.span is not None else ""
     lines = [f"{safe(where)}{safe(failure.message)}"]
     if failure.frame is not None:
         when = f"  first at frame {failure.frame}"
         when += f", {failure.time:.6g} s from the start" if failure.time is not None else ""
-        more = f" and {failure.others} more" if failure.others else ""
-        lines.append(when + (f", by {failure.agent[0]} {failure.agent[1]}{more}" if failure.agent else ""))
-    return lines + [f"    {safe(text)} is {safe(value)}" for text, value in failure.values]
+        lines.append(when + (f", by {_whom(failure)}" if failure.agent else ""))
+    if failure.began is not None:
+        lines.append(f"  waiting since frame {failure.began}")
+    if failure.others and (failure.values or failure.whereabouts):
+        lines.append(f"  of {_one(failure)}:")
+    asked = {text for text, _ in failure.values}
+    besides = [pair for pair in failure.whereabouts if pair[0] not in asked]
+    return lines + [f"    {safe(text)} is {safe(value)}" for text, value in (*failure.values, *besides)]
 
 
-def counted(cases: Sequence[Case], mistakes: int) -> str:
+def _one(failure: Failure) -> str:
+    return "" if failure.agent is None else f"{failure.agent[0]} {failure.agent[1]}"
+
+
+def _whom(failure: Failure) -> str:
+    assert failure.agent is not None
+    named = failure.agents or (failure.agent[1],)
+    more = failure.others + 1 - len(named)
+    return f"{failure.agent[0]} {', '.join(map(str, named))}" + (f" and {more} more" if more > 0 else "")
+
+
+def _kept(kept: Kept) -> list[str]:
+    if kept.folder is None:
+        return [safe(kept.note)]
+    lines = [f"saved: frames {kept.begins} to {kept.frame} in {safe(shown(kept.folder))}"]
+    lines += [safe(kept.note)] if kept.note else []
+    return [*lines, f"  see it:         {safe(kept.look)}", f"  go on from it:  {safe(kept.again)}"]
+
+
+def settled(verdict: Verdict) -> str:
+    """`"ants come home": 4 of 5 seeds passed, enough for 80 %`."""
+    ends = {True: "enough for", False: "too few for", None: "not all were run, of"}[verdict.holds]
+    share = f"{verdict.spec.share * 100:.6g} %"
+    return f'"{safe(verdict.spec.name)}": {verdict.passed} of {verdict.cases} seeds passed, {ends} {share}'
+
+
+def golden(result: GoldenResult) -> str:
+    """A golden run in words: what differs first, and of whom."""
+    words = {"same": "same", "differs": "differs", "written": "written"}.get(result.outcome, "waiting")
+    line = f"{words:<7} {safe(result.name)}, seed {result.seed}: "
+    if result.outcome != "differs":
+        return line + (result.words or f"{result.frames} frames")
+    lines = [f"{line}first at frame {result.frame}"]
+    lines += [f"  {result.words}"] if result.words else []
+    if result.seen is not None and result.seen != result.frame:
+        lines.append(f"  seen at frame {result.seen}, the next that is kept in detail:")
+    lines += [f"  {safe(str(each))}" for each in result.found[:_MOST_DIFFERENCES]]
+    more = len(result.found) - _MOST_DIFFERENCES
+    lines += [f"  and {more} more attributes"] if more > 0 else []
+    lines += [f"  it was made with {safe(result.made)}, which is not what runs here"] if result.made else []
+    return "\n".join([*lines, "  if that is how it should be now, keep it: the same command with --update"])
+
+
+def counted(cases: Sequence[Case], mistakes: int, goldens: Sequence[GoldenResult] = ()) -> str:
     """`5 passed, 1 failed, 2 mistakes in files`."""
-    numbers = {word: sum(case.outcome == word for case in cases) for word in ("passed", "failed", "waiting")}
+    numbers = {word: sum(case.outcome == word for case in cases) for word in ("passed", "failed", "allowed", "waiting")}
     told = [f"{numbers['passed']} passed"]
     told += [f"{numbers['failed']} failed"] if numbers["failed"] else []
+    told += [f"{numbers['allowed']} allowed to fail"] if numbers["allowed"] else []
     told += [f"{numbers['waiting']} not finished"] if numbers["waiting"] else []
+    differ = sum(result.outcome == "differs" for result in goldens)
+    told += [f"{differ} golden run{'s' if differ > 1 else ''} differ{'' if differ > 1 else 's'}"] if differ else []
     told += [f"{mistakes} mistake{'s' if mistakes > 1 else ''} in files"] if mistakes else []
     return ", ".join(told)
+
+
+def covered(coverage: Coverage) -> str:
+    """Every state and change with how often it was met, in the order of the text: agents in a state each frame, agents that
+    changed."""
+    both = [(each, "state") for each in coverage.states.values()] + [(each, "change") for each in coverage.changes.values()]
+    both.sort(key=lambda pair: (pair[0].span.source.path, pair[0].span.start, pair[1] == "change"))
+    wide = max((len(f"{each.count:,}") for each, _ in both), default=0)
+    lines = [f"{each.count:>{wide},}  {'  ' if what == 'change' else ''}{_short(each.name)}" for each, what in both]
+    return "\n".join(lines)
 
 
 def uncovered(coverage: Coverage) -> str:
@@ -73,114 +133,3 @@ def _never(coverage: Coverage) -> list[tuple[Counted, str]]:
     found = [(each, "entered") for each in coverage.states.values() if not each.count]
     found += [(each, "made") for each in coverage.changes.values() if not each.count]
     return sorted(found, key=lambda pair: (pair[0].span.source.path, pair[0].span.start))
-
-
-# --- JSON ------------------------------------------------------------------------------------------------------------
-
-
-def as_json(cases: Sequence[Case], coverage: Coverage, report: Report) -> str:
-    """All cases, the coverage, and what kept others from being run, one document."""
-    document = {
-        "passed": sum(case.outcome == "passed" for case in cases),
-        "failed": sum(case.outcome == "failed" for case in cases),
-        "specs": [_case(case) for case in cases],
-        "problems": [
-            {"code": d.code, "message": d.message, "place": _place(d.span), "help": d.help}
-            for d in report.sorted()
-            if d.severity == "error"
-        ],
-        "coverage": {
-            "states": [_met(each) for each in coverage.states.values()],
-            "changes": [_met(each) for each in coverage.changes.values()],
-        },
-    }
-    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
-
-
-def _case(case: Case) -> dict[str, Any]:
-    return {
-        "name": case.name,
-        "place": _place(case.spec.span),
-        "scene": shown(case.scene),
-        "seed": case.seed,
-        "set": {change.name: change.value.span.text for change in case.spec.changes},
-        "outcome": case.outcome,
-        "frames": case.frames,
-        "seconds": round(case.seconds, 3),
-        "failures": [_failure(failure) for failure in case.failures],
-    }
-
-
-def _failure(failure: Failure) -> dict[str, Any]:
-    return {
-        "message": failure.message,
-        "place": _place(failure.span),
-        "frame": failure.frame,
-        "time": failure.time,
-        "agent": None if failure.agent is None else {"species": failure.agent[0], "id": failure.agent[1]},
-        "others": failure.others,
-        "values": [{"text": text, "value": value} for text, value in failure.values],
-    }
-
-
-def _met(each: Counted) -> dict[str, Any]:
-    return {"name": each.name, "place": _place(each.span), "count": each.count}
-
-
-def _place(span: Span | None) -> dict[str, Any] | None:
-    if span is None:
-        return None
-    place = area(span)
-    return {"file": place.path, "line": place.line, "column": place.column}
-
-
-# --- JUnit -----------------------------------------------------------------------------------------------------------
-
-
-def as_junit(cases: Sequence[Case], report: Report) -> str:
-    """A suite for each program, as build servers read it. What was not finished counts as skipped; mistakes in files, which kept
-    specs from being run, stand in a suite of their own as errors."""
-    errors = [d for d in report.sorted() if d.severity == "error"]
-    root = ElementTree.Element("testsuites", {"name": "antdsl test"} | _counts(cases, len(errors)))
-    if errors:
-        suite = ElementTree.SubElement(root, "testsuite", {"name": "files"} | _counts((), len(errors)))
-        for problem in errors:
-            _junit_error(suite, problem)
-    for path in dict.fromkeys(case.spec.span.source.path for case in cases):
-        mine = [case for case in cases if case.spec.span.source.path == path]
-        suite = ElementTree.SubElement(root, "testsuite", {"name": safe(path)} | _counts(mine))
-        for case in mine:
-            _junit_case(suite, case)
-    ElementTree.indent(root)
-    return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
-
-
-def _counts(cases: Sequence[Case], errors: int = 0) -> dict[str, str]:
-    numbers = {
-        "tests": len(cases) + errors,
-        "failures": sum(case.outcome == "failed" for case in cases),
-        "errors": errors,
-        "skipped": sum(case.outcome == "waiting" for case in cases),
-    }
-    return {name: str(number) for name, number in numbers.items()} | {"time": f"{sum(case.seconds for case in cases):.3f}"}
-
-
-def _junit_error(suite: ElementTree.Element, problem: Diagnostic) -> None:
-    where = "antdsl" if problem.span is None else area(problem.span).path
-    case = ElementTree.SubElement(suite, "testcase", classname=safe(where), name=problem.code)
-    ElementTree.SubElement(case, "error", message=safe(problem.message), type=problem.code).text = full([problem], 0)
-
-
-def _junit_case(suite: ElementTree.Element, case: Case) -> None:
-    place = area(case.spec.span)
-    name = f"{case.name} [{Path(case.scene).name}, seed {case.seed}]"
-    made = ElementTree.SubElement(
-        suite, "testcase", classname=safe(Path(place.path).stem), name=safe(name), file=safe(place.path), line=str(place.line),
-        time=f"{case.seconds:.3f}",
-    )  # fmt: skip
-    if case.outcome == "waiting":
-        ElementTree.SubElement(made, "skipped", message="stopped before it was finished")
-    elif case.failures:
-        text = "\n".join(line for failure in case.failures for line in _lines(failure))
-        message = safe(case.failures[0].message)
-        ElementTree.SubElement(made, "failure", message=message, type="spec").text = text

@@ -26,6 +26,18 @@ def shown(world: World, value: Any, type: Type, unit: str, whole: bool = False) 
     return _number(world, value, unit, whole)
 
 
+def whereabouts(world: World, species: str, row: int) -> tuple[tuple[str, str], ...]:
+    """In which states an agent is, since when, and where it stands in the scene's units, whatever a spec asks."""
+    population = world.populations[species]
+    found = []
+    for machine in population.plan.machines:
+        state = machine.states[int(population.now[f"{machine.name}.state"][row])]
+        since = float(population.now[f"{machine.name}.time_in_state"][row])
+        found.append(("state" if machine.name == "main" else machine.name, f"{state}, for {since:.4g} s"))
+    place = (population.position[row] + world.origin) / world.setting.unit_mm
+    return (*found, ("position", ", ".join(f"{part + 0.0:.4g}" for part in place)))
+
+
 def _state(world: World, index: int, machine: str) -> str:
     species, _, name = machine.partition(".")
     plan = world.plan.species.get(species)

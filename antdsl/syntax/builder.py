@@ -305,19 +305,33 @@ class Builder:
         return Result(parts[0], self.over(parts))
 
     def spec_for(self, parts: list[Any]) -> n.SpecLine:
-        return n.SpecLine("for", None, parts[1], None, (), self.over(parts))
+        return self._expects("for", parts[1], parts[2], parts)
 
     def spec_seeds(self, parts: list[Any]) -> n.SpecLine:
-        return n.SpecLine("seeds", None, None, parts[1], (), self.over(parts))
+        return n.SpecLine(str(parts[0].value), None, None, parts[1], (), self.over(parts))
+
+    spec_pass = spec_seeds
 
     def spec_set(self, parts: list[Any]) -> n.SpecLine:
         return n.SpecLine("set", parts[1], None, parts[3], (), self.over(parts))
 
+    def spec_against(self, parts: list[Any]) -> n.SpecLine:
+        body = parts[-1] if isinstance(parts[-1], Body) else None
+        scene = None if parts[1] is body else self.text(parts[1])
+        return n.SpecLine("against", scene, None, None, body.lines if body else (), self.over(parts))
+
     def spec_claim(self, parts: list[Any]) -> n.SpecLine:
-        return n.SpecLine(str(parts[0].value), None, None, parts[1], (), self.over(parts))
+        return self._expects(str(parts[0].value), None, parts[1], parts)
 
     def spec_within(self, parts: list[Any]) -> n.SpecLine:
-        return n.SpecLine("within", None, parts[1], parts[2], (), self.over(parts))
+        return self._expects("within", parts[1], parts[2], parts)
+
+    def spec_when(self, parts: list[Any]) -> n.SpecLine:
+        return self._expects(str(parts[2].value), parts[3] if len(parts) > 4 else None, parts[-1], parts, parts[1])
+
+    def _expects(self, kind: str, time: Any, condition: Any, parts: list[Any], since: Any = None) -> n.SpecLine:
+        asked, _, held = condition or (None, None, None)
+        return n.SpecLine(kind, None, time, asked, (), self.over([*parts[:-1], asked, held]), held, since)
 
     def spec_each(self, parts: list[Any]) -> n.SpecLine:
         return n.SpecLine("each", self.name([parts[1]]), None, None, parts[2].lines, self.over(parts))

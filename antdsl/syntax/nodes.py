@@ -532,15 +532,19 @@ class Behaviour:
 
 @node
 class SpecLine:
-    """`kind`: for seeds set always never eventually within until each. `for` and `within` have a `time`; `seeds` (a number or a
-    range) and `set` (the value) keep it in `condition`; `target` is what `set` sets, or the species of `each` (a NameRef)."""
+    """`kind`: for seeds pass set against always never eventually finally sooner within until each. `for` and `within` have a
+    `time`, and a `for` without a condition is how long the run is; `seeds` (a number or a range), `pass` and `set` (the value)
+    keep theirs in `condition`; `target` is what `set` sets, the species of `each` (a NameRef), or the scene of `against` (a
+    Text). `since` is the condition of a `when`."""
 
     kind: str
-    target: Expr | None
+    target: Expr | Text | None
     time: Expr | None
     condition: Expr | None
     lines: tuple[SpecLine, ...]
     span: Span
+    held: Expr | None = None
+    since: Expr | None = None
 
 
 @node

@@ -46,6 +46,7 @@ UNIT_SLIPS = {
 # What a line may begin with, by the rule of the grammar that reads the line; anything else is a value or a name of the author's.
 _ACTIONS = ("deposit", "carve", "give", "emit", "spawn", "die", "play")
 _CHANGES = ("when", "interrupt")
+_CLAIMS = ("always", "never", "eventually", "finally", "sooner", "until")
 LINE_WORDS: dict[str, tuple[str, ...]] = {
     "header": ("ant",),
     "top": ("use", "world", "field", "species", "behaviour", "spec"),
@@ -60,7 +61,7 @@ LINE_WORDS: dict[str, tuple[str, ...]] = {
     "rule": (),
     "weight": (),
     "behaviour_line": ("keep", "let"),
-    "spec_line": ("for", "seeds", "set", "always", "never", "eventually", "until", "within", "each"),
+    "spec_line": ("for", "seeds", "pass", "set", "against", *_CLAIMS, "within", "when", "each"),
 }
 
 # First words of other languages, and the word that is meant.
@@ -91,7 +92,7 @@ BELONGS: dict[str, str] = {
     **{word: "in a state, or in the braces of a transition" for word in _ACTIONS},
     "let": "in a species, a state or a behaviour",
     "keep": "in a behaviour",
-    **{word: "in a spec" for word in LINE_WORDS["spec_line"]},
+    **{word: "in a spec" for word in LINE_WORDS["spec_line"] if word != "when"},
 }
 
 # What the braces after a line hold: by the rule that reads the line, and its first word (`*` for any).
@@ -115,8 +116,10 @@ BODIES: dict[tuple[str, str], str] = {
     ("statement", "when"): "action",
     ("statement", "interrupt"): "action",
     ("spec_line", "each"): "spec_line",
+    ("spec_line", "against"): "spec_line",
 }
-BLOCK_WORDS = frozenset(word for _, word in BODIES) - {"*", "when", "interrupt", "from"}  # their braces cannot be left out
+_BARE = {"*", "when", "interrupt", "from", "against"}
+BLOCK_WORDS = frozenset(word for _, word in BODIES) - _BARE  # their braces cannot be left out
 
 # One line of each kind, shown as the text to write instead.
 FORMS: dict[str, str] = {
@@ -152,10 +155,14 @@ FORMS: dict[str, str] = {
     "keep": "keep bearing = 0 deg then bearing + 1 deg",
     "for": "for 20 s",
     "seeds": "seeds 1 .. 5",
+    "pass": "pass 80 %",
     "set": "set forager.smell = 50 mm",
+    "against": "against { set forager.reward = 0 /s }",
     "always": "always: share(state == carry) < 0.9",
     "never": "never: share(state == carry) > 0.9",
     "eventually": "eventually: share(state == carry) > 0.1",
+    "finally": "finally: total(food.load) == 0",
+    "sooner": "sooner: total(food.load) == 0",
     "until": "until: total(food.load) == 0",
     "within": "within 20 s: total(nest.load) > 0",
     "each": "each forager { never: speed > 40 mm/s }",

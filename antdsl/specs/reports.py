@@ -1,0 +1,168 @@
+"""Results for machines: as JSON, and as JUnit XML that build servers read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from antdsl.diagnostics import Diagnostic, Report
+from antdsl.diagnostics.full import full
+from antdsl.diagnostics.places import area, safe
+from antdsl.loading import shown
+from antdsl.source import Span
+from antdsl.specs.cases import Case, Failure, Kept
+from antdsl.specs.coverage import Counted, Coverage
+from antdsl.specs.golden import GoldenResult
+from antdsl.specs.telling import golden, told
+
+
+def as_json(cases: Sequence[Case], coverage: Coverage, report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
+    """All cases and golden runs, the coverage, and what kept others from being run, one document."""
+    document = {
+        "passed": sum(case.outcome == "passed" for case in cases),
+        "failed": sum(case.outcome == "failed" for case in cases),
+        "specs": [_case(case) for case in cases],
+        "golden": [_golden(result) for result in goldens],
+        "problems": [
+            {"code": d.code, "message": d.message, "place": _place(d.span), "help": d.help}
+            for d in report.sorted()
+            if d.severity == "error"
+        ],
+        "covered": coverage.share,
+        "coverage": {
+            "states": [_met(each) for each in coverage.states.values()],
+            "changes": [_met(each) for each in coverage.changes.values()],
+        },
+    }
+    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+
+
+def _case(case: Case) -> dict[str, Any]:
+    return {
+        "name": case.name,
+        "place": _place(case.spec.span),
+        "scene": shown(case.scene),
+        "seed": case.seed,
+        "set": {change.name: change.value.span.text for change in case.spec.changes},
+        "outcome": case.outcome,
+        "frames": case.frames,
+        "seconds": round(case.seconds, 3),
+        "failures": [_failure(failure) for failure in case.failures],
+        "kept": None if case.kept is None else _kept(case.kept),
+    }
+
+
+def _kept(kept: Kept) -> dict[str, Any]:
+    folder = None if kept.folder is None else shown(kept.folder)
+    return {
+        "folder": folder, "note": kept.note, "begins": kept.begins, "frame": kept.frame, "look": kept.look, "again": kept.again,
+    }  # fmt: skip
+
+
+def _golden(result: GoldenResult) -> dict[str, Any]:
+    return {
+        "scene": shown(result.scene),
+        "set": dict(result.changes),
+        "seed": result.seed,
+        "outcome": result.outcome,
+        "frames": result.frames,
+        "frame": result.frame,
+        "seen": result.seen,
+        "words": result.words,
+        "made": result.made,
+        "differences": [{"who": d.who, "what": d.what, "whom": d.whom, "now": d.now, "was": d.was} for d in result.found],
+    }
+
+
+def _failure(failure: Failure) -> dict[str, Any]:
+    return {
+        "message": failure.message,
+        "place": _place(failure.span),
+        "frame": failure.frame,
+        "time": failure.time,
+        "agent": None if failure.agent is None else {"species": failure.agent[0], "id": failure.agent[1]},
+        "others": failure.others,
+        "agents": list(failure.agents),
+        "since": failure.began,
+        "whereabouts": dict(failure.whereabouts),
+        "values": [{"text": text, "value": value} for text, value in failure.values],
+    }
+
+
+def _met(each: Counted) -> dict[str, Any]:
+    return {"name": each.name, "place": _place(each.span), "count": each.count}
+
+
+def _place(span: Span | None) -> dict[str, Any] | None:
+    if span is None:
+        return None
+    place = area(span)
+    return {"file": place.path, "line": place.line, "column": place.column}
+
+
+# --- JUnit -----------------------------------------------------------------------------------------------------------
+
+
+def as_junit(cases: Sequence[Case], report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
+    """A suite for each program, as build servers read it. What was not finished, or may fail since enough seeds passed, counts as
+    skipped; golden runs, and mistakes in files, which kept specs from being run, stand in suites of their own."""
+    errors = [d for d in report.sorted() if d.severity == "error"]
+    differ = [result for result in goldens if result.outcome == "differs"]
+    root = ElementTree.Element("testsuites", {"name": "antdsl test"} | _counts(cases, len(errors), len(goldens), len(differ)))
+    if errors:
+        suite = ElementTree.SubElement(root, "testsuite", {"name": "files"} | _counts((), len(errors)))
+        for problem in errors:
+            _junit_error(suite, problem)
+    for path in dict.fromkeys(case.spec.span.source.path for case in cases):
+        mine = [case for case in cases if case.spec.span.source.path == path]
+        suite = ElementTree.SubElement(root, "testsuite", {"name": safe(path)} | _counts(mine))
+        for case in mine:
+            _junit_case(suite, case)
+    if goldens:
+        suite = ElementTree.SubElement(root, "testsuite", {"name": "golden runs"} | _counts((), 0, len(goldens), len(differ)))
+        for result in goldens:
+            name = safe(f"{result.name}, seed {result.seed}")
+            made = ElementTree.SubElement(suite, "testcase", classname=safe(result.scene.stem), name=name)
+            if result.outcome == "differs":
+                message = f"differs from frame {result.frame} on"
+                ElementTree.SubElement(made, "failure", message=message, type="golden").text = golden(result)
+    ElementTree.indent(root)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _counts(cases: Sequence[Case], errors: int = 0, goldens: int = 0, differ: int = 0) -> dict[str, str]:
+    numbers = {
+        "tests": len(cases) + errors + goldens,
+        "failures": sum(case.outcome == "failed" for case in cases) + differ,
+        "errors": errors,
+        "skipped": sum(case.outcome in ("waiting", "allowed") for case in cases),
+    }
+    return {name: str(number) for name, number in numbers.items()} | {"time": f"{sum(case.seconds for case in cases):.3f}"}
+
+
+def _junit_error(suite: ElementTree.Element, problem: Diagnostic) -> None:
+    where = "antdsl" if problem.span is None else area(problem.span).path
+    case = ElementTree.SubElement(suite, "testcase", classname=safe(where), name=problem.code)
+    ElementTree.SubElement(case, "error", message=safe(problem.message), type=problem.code).text = full([problem], 0)
+
+
+def _junit_case(suite: ElementTree.Element, case: Case) -> None:
+    place = area(case.spec.span)
+    name = f"{case.name} [{Path(case.scene).name}, seed {case.seed}]"
+    made = ElementTree.SubElement(
+        suite, "testcase", classname=safe(Path(place.path).stem), name=safe(name), file=safe(place.path), line=str(place.line),
+        time=f"{case.seconds:.3f}",
+    )  # fmt: skip
+    if case.outcome == "waiting":
+        ElementTree.SubElement(made, "skipped", message="stopped before it was finished")
+    elif case.outcome == "allowed":
+        ElementTree.SubElement(made, "skipped", message="failed, and enough of the other seeds passed")
+    elif case.failures:
+        text = "\n".join(line for failure in case.failures for line in told(failure))
+        if case.kept is not None and case.kept.folder is not None:
+            text += f"\nsee it: {safe(case.kept.look)}\ngo on from it: {safe(case.kept.again)}"
+        message = safe(case.failures[0].message)
+        ElementTree.SubElement(made, "failure", message=message, type="spec").text = text
