@@ -141,7 +141,7 @@ class Builder:
         helps = [line for line in body.lines if isinstance(line, n.Text)]
         results = [line.value for line in body.lines if isinstance(line, Result)]
         lines = tuple(line for line in body.lines if isinstance(line, (n.Keep, n.Let)))
-        result = results[-1] if results else n.BadExpr(Span(span.source, max(span.start, span.end - 1), span.end))
+        result = results[0] if len(results) == 1 else n.BadExpr(Span(span.source, max(span.start, span.end - 1), span.end))
         return n.Behaviour(self.word(name), arguments or (), returns, helps[0] if helps else None, lines, result, span)
 
     def behaviour_arguments(self, parts: list[Any]) -> tuple[n.BehaviourArgument, ...]:

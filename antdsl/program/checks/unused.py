@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Report
 from antdsl.program.checks.checked import Checked
+from antdsl.program.kinds import Kind
 from antdsl.program.model import Op, Species
 from antdsl.syntax import nodes
 
@@ -39,7 +40,7 @@ def _species(checked: Checked, species: Species, report: Report) -> None:
                 "unused-attribute", f"attribute `{attribute.name}` is never used", attribute.span, "use it, or delete it"
             )
     for binding in (*species.lets, *species.latches):
-        if not checked.uses("let", f"{species.name}.{binding.name}"):
+        if not checked.uses("let", f"{species.name}.{binding.name}") and binding.type.kind is not Kind.BAD:
             word = "fuzzy" if isinstance(binding.value, Op) and binding.value.name == "fuzzy" else binding.role
             report.warning(
                 f"unused-{binding.role}", f"`{word} {binding.name}` is never used", binding.span, "use it, or delete it"
