@@ -18,6 +18,7 @@ from antdsl.source import Source
 if TYPE_CHECKING:
     from antdsl.plan.ir import Plan
     from antdsl.program.expected import Changed
+    from antdsl.program.memo import Memo
     from antdsl.program.model import Program
     from antdsl.runtime import Options, World
     from antdsl.scene import Scene
@@ -54,24 +55,26 @@ class Shot:
         return self.scene.model.frames
 
 
-def compile_files(paths: Iterable[Path], *, strict: bool = False, parsed: Parsed | None = None) -> tuple[Program | None, Report]:
+def compile_files(
+    paths: Iterable[Path], *, strict: bool = False, parsed: Parsed | None = None, memo: Memo | None = None
+) -> tuple[Program | None, Report]:
     """Parse and check programs together, with the library and all files that they use. `strict` adds what only `check --strict`
-    tells; `parsed` keeps what was parsed, for the next call."""
+    tells; `parsed` and `memo` keep what was parsed and checked, for the next call."""
     paths = list(paths)
     loaded = Loaded(paths[0].resolve().parent if paths else Path.cwd(), parsed={} if parsed is None else parsed)
     for path in paths:
         loaded.add_file(path)
-    return _checked(loaded, strict)
+    return _checked(loaded, strict, memo)
 
 
-def _checked(loaded: Loaded, strict: bool) -> tuple[Program | None, Report]:
+def _checked(loaded: Loaded, strict: bool, memo: Memo | None = None) -> tuple[Program | None, Report]:
     from antdsl.program import check
 
     report = Report()
     if not loaded.files:
         report.extend(loaded.report)
         return None, report
-    program, findings = check(loaded.files, loaded.library, loaded.modules, strict=strict)
+    program, findings = check(loaded.files, loaded.library, loaded.modules, strict=strict, memo=memo)
     report.extend(loaded.report)
     report.extend(findings)
     return program, report
@@ -130,13 +133,18 @@ def _with_params(setting: Setting, scene: Scene, program: Program, changes: Iter
 
 
 def _read_scene(
-    path: Path, choices: Choices, strict: bool = False, parsed: Parsed | None = None
+    path: Path, choices: Choices, strict: bool = False, parsed: Parsed | None = None, data: bytes | None = None
 ) -> tuple[Scene | None, Program | None, Loaded, Report]:
     """The scene, the programs of its crowd checked together, and how they match."""
     from antdsl.scene import load
+    from antdsl.scene.load import load_text
     from antdsl.scene.matching import match
+    from antdsl.scene.paths import Roots
 
-    scene, report = load(path, choices.grants)
+    if data is None:
+        scene, report = load(path, choices.grants)
+    else:
+        scene, report = load_text(data, str(path), Roots(path.resolve().parent, dict(choices.grants)))
     loaded = Loaded(path.resolve().parent, parsed={} if parsed is None else parsed)
     if scene is None:
         return None, None, loaded, report
@@ -201,6 +209,12 @@ def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
     for _ in range(shot.frames.first, shot.frames.last):
         step(world)
         yield world
+
+
+def check_scene_text(path: Path, data: bytes, *, parsed: Parsed | None = None) -> tuple[Scene | None, Program | None, Report]:
+    """A scene as an editor holds it, with its programs: all of `check_path` but what the meshes themselves would tell."""
+    scene, program, _, report = _read_scene(path, Choices(), parsed=parsed, data=data)
+    return scene, program, report
 
 
 def check_path(

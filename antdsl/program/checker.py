@@ -10,6 +10,7 @@ from antdsl.program.behaviours import check_behaviour
 from antdsl.program.checks import CHECKS, OF_SOUND, Checked
 from antdsl.program.collect import Library, Loader, declare
 from antdsl.program.consequences import without_consequences
+from antdsl.program.memo import Memo
 from antdsl.program.rules import RULES
 from antdsl.program.scope import Declared, FileNames
 from antdsl.program.species import complete, draft
@@ -24,16 +25,17 @@ def check(
     modules: Mapping[str, nodes.File] | None = None,
     *,
     strict: bool = False,
+    memo: Memo | None = None,
 ) -> tuple[model.Program, Report]:
     """Names, types, units and rates of one or more files, and everything else that can be known without running them.
 
     `library` gives the file behind `use NAME`, or None; `modules` the files behind `use "PATH" as NAME`, by `Source.path` or by
-    the path as written. `strict` adds warnings about what is legal and depends on the frames per second. A program that comes
-    with errors in the report is for looking at, not for lowering.
+    the path as written. `strict` adds warnings about what is legal and depends on the frames per second. `memo` brings what an
+    earlier check of the same files found about parts that are still the same. A program that comes with errors in the report is for looking at, not for lowering.
     """
     files = [files] if isinstance(files, nodes.File) else list(files)
     report = Report()
-    declared = Declared(RULES, report, strict)
+    declared = Declared(RULES, report, strict, memo=memo)
     loader = Loader(report, library, modules)
     declared.home = loader.home
     names = [loader.file(file) for file in files]

@@ -8,6 +8,7 @@ from typing import Any
 
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.memo import Memo
 from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, Thing, Type, WorldThing
 from antdsl.program.vocabulary import GIVEN, HIT_GIVEN, ITEM_GIVEN, TYPE_WORDS
 from antdsl.source import Span
@@ -94,6 +95,7 @@ class Declared:
     unclear: set[str] = field(default_factory=set)  # things of the world of which the kind is not known, told already
     told: set[tuple[str, ...]] = field(default_factory=set)  # unknown names, by where they are missing
     expanded: int = 0  # operations of all behaviours that were put in place
+    memo: Memo | None = None  # what an earlier check found
 
 
 class Keys:

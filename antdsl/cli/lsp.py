@@ -1,0 +1,14 @@
+"""`antdsl lsp`: the language server, for an editor to start."""
+
+from __future__ import annotations
+
+
+def lsp() -> None:
+    """Answer an editor over standard input and output (language server protocol). Needs the extra [lsp]."""
+    from antdsl.cli.reports import demand
+    from antdsl.lsp import ready
+
+    demand(ready())
+    from antdsl.lsp.server import start
+
+    start()

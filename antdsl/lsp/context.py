@@ -1,0 +1,84 @@
+"""Where in a program a place lies, from the text before it alone: which block, which call, which word of the line."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from antdsl.syntax.words import BODIES
+
+_PIECE = re.compile(r'"[^"\n]*"?|#[^\n]*|[{}()\[\]\n;]')
+_HEAD = re.compile(r"[a-z_][a-z_0-9]*")
+_CALLED = re.compile(r"([a-z_][a-z_0-9]*(?:\.[a-z_][a-z_0-9]*)?)\s*$")
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """An open brace: the rule that reads the lines behind it, and the line that opened it."""
+
+    rule: str
+    head: str
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """`line`: the statement so far, without what is closed in it; `word`: the beginning of a word at its end; `called`: the
+    function whose brackets are open, with `given` the text between them so far."""
+
+    blocks: tuple[Block, ...]
+    line: str
+    word: str
+    called: str | None
+    given: str
+    quiet: bool  # inside a text or a comment
+
+    @property
+    def rule(self) -> str:
+        return self.blocks[-1].rule if self.blocks else "top"
+
+    def around(self, rule: str, word: str) -> str | None:
+        """The name of the block around of a kind: ("top", "species") gives `forager`."""
+        above = "top"
+        for block in self.blocks:
+            words = _HEAD.findall(block.head)
+            if above == rule and words[:1] == [word]:
+                return words[1] if len(words) > 1 else ""
+            above = block.rule
+        return None
+
+
+def context_at(text: str, offset: int) -> Context:
+    """The context of an offset. Whatever the text, an answer."""
+    blocks: list[Block] = []
+    brackets: list[int] = []  # offsets of open round and square brackets in this statement
+    begin, quiet = 0, False
+    for piece in _PIECE.finditer(text, 0, offset):
+        sign = piece.group()
+        if sign[0] in '"#':
+            quiet = piece.end() == offset and (sign[0] == "#" or len(sign) == 1 or sign[-1] != '"')
+        elif sign == "{":
+            head = text[begin : piece.start()].strip()
+            rule, words = blocks[-1].rule if blocks else "top", _HEAD.findall(head)
+            first = words[0] if words else ""
+            inner = BODIES.get((rule, first)) or BODIES.get((rule, "*")) or ("weight" if words[-1:] == ["choose"] else "")
+            blocks.append(Block("weight" if words[-1:] == ["choose"] else inner, head))
+            begin, brackets = piece.end(), []
+        elif sign == "}":
+            if blocks:
+                blocks.pop()
+            begin, brackets = piece.end(), []
+        elif sign in "([":
+            brackets.append(piece.start())
+        elif sign in ")]":
+            if brackets:
+                brackets.pop()
+        elif not brackets:
+            begin = piece.end()
+    line = text[begin:offset].lstrip()
+    word = re.search(r"[A-Za-z_0-9]*$", line)
+    called, given = None, ""
+    if brackets and text[brackets[-1]] == "(":
+        found = _CALLED.search(text, begin, brackets[-1])
+        called = found.group(1) if found is not None else ""
+        given = text[brackets[-1] + 1 : offset]
+    return Context(tuple(blocks), line, word.group() if word else "", called, given, quiet)

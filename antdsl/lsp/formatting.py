@@ -1,0 +1,26 @@
+"""Formatting: what `antdsl fmt` would make of a document, as edits of the lines that differ."""
+
+from __future__ import annotations
+
+from difflib import SequenceMatcher
+
+from antdsl import syntax
+from antdsl.lsp.text import Edit
+from antdsl.lsp.workspace import Document
+from antdsl.source import Source
+
+
+def formatted(document: Document) -> list[Edit] | None:
+    """The edits to the one layout; none when it has it, None for a text with errors, which is left alone."""
+    made, _ = syntax.format(Source(str(document.path), document.text.text))
+    if made is None:
+        return None
+    old, new = document.text.text.splitlines(keepends=True), made.splitlines(keepends=True)
+    starts = [0]
+    for line in old:
+        starts.append(starts[-1] + len(line))
+    edits = []
+    for tag, first, last, begin, end in SequenceMatcher(None, old, new, autojunk=False).get_opcodes():
+        if tag != "equal":
+            edits.append(Edit(starts[first], starts[last], "".join(new[begin:end])))
+    return edits

@@ -1,0 +1,79 @@
+"""Inlay hints: the rank of each layer, and how many frames a duration takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from math import ceil
+
+from antdsl.lsp.workspace import Document, Workspace
+from antdsl.program.units import measure
+from antdsl.program.vocabulary import TIME
+from antdsl.program.walk import written
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+_USUAL = Fraction(24)
+
+
+@dataclass(frozen=True, slots=True)
+class Hint:
+    span: Span  # it stands before the start of this, or after its end
+    before: bool
+    text: str
+    help: str
+
+
+def hints(workspace: Workspace, document: Document) -> list[Hint]:
+    """The hints of a program, in text order."""
+    fps = frame_rate(workspace, document)
+    found = [hint for item in document.parsed[0].items for hint in _hints(item, fps)]
+    return sorted(found, key=lambda hint: document.start(hint.span))
+
+
+def frame_rate(workspace: Workspace, document: Document) -> Fraction | None:
+    """The frames a second of the scenes that use a program, where they agree; None where nothing says so."""
+    rates = set()
+    for path in workspace.files():
+        if path.suffix == ".ant" or document.path not in workspace.linked(path):
+            continue
+        scene = workspace.document(path)
+        if scene is not None:
+            try:
+                rates.add(Fraction(scene.scene.fps or "24"))
+            except (ValueError, ZeroDivisionError):
+                continue
+    return rates.pop() if len(rates) == 1 else None
+
+
+def _hints(item: object, fps: Fraction | None) -> Iterator[Hint]:
+    for part, _ in written(item):
+        if isinstance(part, nodes.Layers):
+            yield from _ranks(part)
+        elif isinstance(part, nodes.Quantity):
+            hint = _frames(part, fps)
+            if hint is not None:
+                yield hint
+
+
+def _ranks(node: nodes.Layers) -> Iterator[Hint]:
+    mode = node.mode.text if node.mode is not None else "budget"
+    if mode == "sum":
+        return  # all count alike
+    rule = "the first that pushes is the only one" if mode == "first" else "gets what the lines above leave of the strength"
+    for rank, layer in enumerate(node.layers, 1):
+        yield Hint(layer.span, True, f"{rank}.", f"layer {rank} of {len(node.layers)}: {rule}")
+
+
+def _frames(node: nodes.Quantity, fps: Fraction | None) -> Hint | None:
+    """Durations become whole steps by rounding up."""
+    known = measure(node.unit)
+    if known is None or known.dim != TIME or known.step:
+        return None
+    rate = fps or _USUAL
+    exact = Fraction(str(node.value)) * Fraction(str(known.factor)) * rate
+    count = ceil(exact)
+    shown = f"{count} frame{'' if count == 1 else 's'}"
+    where = f"at {float(rate):g} fps" if fps is not None else "at 24 fps, as no scene says otherwise"
+    return Hint(node.span, False, shown if fps is not None else f"{shown} at 24 fps", f"{node.span.text} is {shown} {where}")

@@ -1,0 +1,245 @@
+"""From a name to where it is declared, to all places where it stands, and to another name in all of them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from antdsl import limits
+from antdsl.lsp.index import Occurrence
+from antdsl.lsp.names import Declared, Key
+from antdsl.lsp.text import Range
+from antdsl.lsp.workspace import Document, Workspace
+from antdsl.program.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
+from antdsl.source import Span
+from antdsl.syntax.words import LINE_WORDS
+
+# Kinds of names that an author gives; the others are words of the language.
+GIVEN_BY_AUTHOR = frozenset(
+    ("thing", "attribute", "field", "species", "own", "machine", "state", "let", "event", "behaviour", "inner", "element", "alias",
+     "scene-item")
+)  # fmt: skip
+_NAME = re.compile(r"[a-z][a-z_0-9]*")
+_GRAMMAR_WORDS = frozenset(
+    "ant use as world field species behaviour spec on param relax over for each strongest let latch until fuzzy start layers "
+    "machine from any except state at least steer enter exit interrupt when held after take previous choose deposit carve give "
+    "all emit spawn die play keep then seeds set always never eventually within if else or and not no is none of chance to in "
+    "next time_in_state self true false it".split()
+)
+_TAKEN = _GRAMMAR_WORDS | {*RUN_NAMES, *SENSED_NAMES, *RESERVED} | {word for words in LINE_WORDS.values() for word in words}
+_UNKNOWN = {"?": ("thing", "field", "species"), "?behaviour": ("behaviour",), "?member": ("own", "attribute")}
+
+
+class Refused(Exception):
+    """A rename that would change what a program means; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    document: Document
+    span: Span
+
+    @property
+    def range(self) -> Range:
+        return self.document.range(self.span)
+
+
+def declared(workspace: Workspace, document: Document, key: Key) -> tuple[Document, Declared] | None:
+    """Where a symbol is declared: in the document itself before others."""
+    if key[0] in ("behaviour", "inner", "alias"):
+        paths = [Path(key[1])]
+    else:
+        paths = [document.path, *(path for path in workspace.family(document.path) if path != document.path)]
+    brought = None
+    for path in paths:
+        other = workspace.document(path)
+        if other is None or not other.is_program:
+            continue
+        for each in _meant(other, key):
+            found = other.names.declared.get(each)
+            if found is not None and (key[0] != "species" or hasattr(found.node, "members")):
+                return other, found
+            brought = brought or ((other, found) if found is not None else None)
+    return brought
+
+
+def _meant(document: Document, key: Key) -> Iterator[Key]:
+    """The keys that an unknown name may stand for in another file."""
+    kinds = _UNKNOWN.get(key[0])
+    if kinds is None:
+        yield key
+        return
+    for each in document.names.declared:
+        if each[0] in kinds and each[-1] == key[-1]:
+            yield each
+
+
+def occurrence_at(document: Document, offset: int) -> Occurrence | None:
+    found = document.at(offset)
+    return found[0] if found else None
+
+
+def definition(workspace: Workspace, document: Document, offset: int) -> list[Found]:
+    """Where what stands at an offset is declared: in this file, in another, in the library; or the file that is named."""
+    found: dict[tuple[Path, int], Found] = {}
+    for occurrence in document.at(offset):
+        key = occurrence.key
+        if key[0] in ("file", "library"):
+            for other in _files(workspace, key):
+                return [Found(other, Span(_source(other), 0, 0))]
+        elif key[0] == "element":
+            return [Found(document, key[1].span)]
+        elif key[0] == "scene-item":
+            return [Found(document, document.scene.items[key[2]])]
+        else:
+            place = declared(workspace, document, key)
+            if place is not None:
+                found.setdefault((place[0].path, place[0].start(place[1].name.span)), Found(place[0], place[1].name.span))
+        if found and occurrence.span != document.at(offset)[0].span:
+            break
+    return list(found.values())
+
+
+def _files(workspace: Workspace, key: Key) -> Iterator[Document]:
+    from antdsl.resources import library_file
+
+    path = library_file(key[1]) if key[0] == "library" else Path(key[1])
+    document = workspace.document(path.resolve()) if path is not None else None
+    if document is not None:
+        yield document
+
+
+def _source(document: Document):  # type: ignore[no-untyped-def]
+    from antdsl.source import Source
+
+    return document.parsed[0].source if document.is_program else Source(str(document.path), document.text.text)
+
+
+def references(workspace: Workspace, document: Document, offset: int, declaration: bool = True) -> list[Found]:
+    """All places where the same thing is named, in all files that belong together."""
+    keys = {each.key for each in _same_place(document, offset)}
+    found: dict[tuple[Path, int], Found] = {}
+    for other, occurrence in _all(workspace, document, keys):
+        if declaration or not occurrence.declares:
+            found.setdefault((other.path, other.start(occurrence.span)), Found(other, occurrence.span))
+    return sorted(found.values(), key=lambda each: (each.document.path != document.path, each.document.path, each.document.start(each.span)))
+
+
+def _same_place(document: Document, offset: int) -> list[Occurrence]:
+    found = document.at(offset)
+    return [each for each in found if each.span == found[0].span]
+
+
+def _all(workspace: Workspace, document: Document, keys: set[Key]) -> Iterator[tuple[Document, Occurrence]]:
+    if any(key[0] in ("element", "scene-item") for key in keys):
+        paths = [document.path]
+    else:
+        paths = workspace.family(document.path)
+        paths += [Path(key[1]) for key in keys if key[0] in ("behaviour", "inner") and Path(key[1]) not in paths]
+    known = {key[-1]: key for key in keys}
+    for path in paths:
+        other = workspace.document(path)
+        for occurrence in other.occurrences if other is not None else ():
+            key = occurrence.key
+            if key in keys or (key[0] in _UNKNOWN and key[-1] in known and known[key[-1]][0] in _UNKNOWN[key[0]]):
+                assert other is not None
+                yield other, occurrence
+
+
+# --- rename ----------------------------------------------------------------------------------------------------------
+
+
+def renamable(document: Document, offset: int) -> Occurrence:
+    """The name at an offset that may be given another one; Refused when there is none."""
+    found = occurrence_at(document, offset)
+    if found is None:
+        raise Refused("there is no name here")
+    word = found.span.text.strip('"')
+    if found.key[0] not in GIVEN_BY_AUTHOR or (found.key[0] == "event" and found.key[1] in ("spawn", "collision")):
+        raise Refused(f"`{word}` is a word of the language, or nobody declares it")
+    return found
+
+
+def rename(workspace: Workspace, document: Document, offset: int, new: str) -> list[Found]:
+    """All places that a new name must be written to. What `take` and `give` bind by one name goes together."""
+    first = renamable(document, offset)
+    if not _NAME.fullmatch(new) or len(new) > limits.NAME_CHARACTERS:
+        raise Refused(f"`{new[:80]}` is no name: small letters, digits and `_`, beginning with a letter")
+    if new in _TAKEN or (first.key[0] == "behaviour" and (new in BUILTINS or new in REDUCERS)) or _given(first.key, new):
+        raise Refused(f"`{new}` is a word of the language")
+    keys = _bound_together(workspace, document, {each.key for each in _same_place(document, offset)})
+    places = {(other.path, other.start(each.span)): (other, each) for other, each in _all(workspace, document, keys)}
+    for key in keys:
+        place = declared(workspace, document, key)
+        if place is not None and not _own(workspace, place[0].path):
+            raise Refused(f"`{first.span.text}` belongs to the library, which is not changed from here")
+        _refuse_collision(workspace, document, key, new)
+    return [Found(other, each.span) for other, each in places.values()]
+
+
+def _own(workspace: Workspace, path: Path) -> bool:
+    from antdsl.resources import behaviours_folder
+
+    inside = path.is_relative_to(behaviours_folder().resolve())
+    return not inside or any(path.is_relative_to(root) for root in workspace.roots)
+
+
+def _given(key: Key, new: str) -> bool:
+    if key[0] in ("own", "let", "machine"):
+        return new in GIVEN
+    return key[0] == "attribute" and (new in ITEM_GIVEN or new in HIT_GIVEN)
+
+
+def _bound_together(workspace: Workspace, document: Document, keys: set[Key]) -> set[Key]:
+    """`take 1 load from meal` names the animal's `load` and the food's at once: whoever renames the one renames the other."""
+    pairs: list[set[Key]] = []
+    for path in workspace.family(document.path):
+        other = workspace.document(path)
+        by_place: dict[int, set[Key]] = {}
+        for each in other.occurrences if other is not None else ():
+            assert other is not None
+            by_place.setdefault(other.start(each.span), set()).add(each.key)
+        pairs += [found for found in by_place.values() if len(found) > 1]
+    grown = True
+    while grown:
+        before = len(keys)
+        keys = keys.union(*(pair for pair in pairs if pair & keys))
+        grown = len(keys) > before
+    return keys
+
+
+def _refuse_collision(workspace: Workspace, document: Document, key: Key, new: str) -> None:
+    """A name that is taken already where the renamed one is seen, or that would hide it."""
+    rivals: set[Key] = {(*key[:-1], new)}
+    if key[0] in ("own", "let", "machine"):
+        rivals |= {("own", key[1], new), ("machine", key[1], new)}
+    if key[0] in ("thing", "field", "species", "event"):
+        rivals |= {(kind, new) for kind in ("thing", "field", "species", "event")}
+    hiding = key[0] in ("thing", "field", "species", "event", "own", "let", "element", "inner")
+    for path in {*workspace.family(document.path), *([Path(key[1])] if key[0] in ("behaviour", "inner") else [])}:
+        other = workspace.document(path)
+        if other is None:
+            continue
+        names = other.names.declared if other.is_program else {}
+        for rival in rivals:
+            if rival in names or (rival[0] == "scene-item" and not other.is_program and new in other.scene.items):
+                raise Refused(f"there is a `{new}` already: {other.path.name}")
+        if not (hiding and other.is_program):
+            continue
+        for each in names:
+            if each[-1] == new and each[0] in ("own", "let", "inner", "thing", "field", "species", "event") and _meets(key, each):
+                raise Refused(f"there is a `{new}` already that would be seen in its place: {other.path.name}")
+        if any(each.key[0] == "element" and each.span.text == new for each in other.occurrences):
+            raise Refused(f"a local `{new}` in {other.path.name} would hide it")
+
+
+def _meets(key: Key, other: Key) -> bool:
+    """Whether two names can be seen from one place."""
+    world = ("thing", "field", "species", "event")
+    if key[0] in world or other[0] in world:
+        return key[0] in world or key[0] in ("own", "let", "element", "inner")
+    if key[0] == "inner" or other[0] == "inner":
+        return key[:3] == other[:3] or key[0] == "element"
+    return key[0] == "element" or key[1] == other[1]

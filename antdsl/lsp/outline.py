@@ -1,0 +1,138 @@
+"""The outline of a file for an editor: its symbols one inside the other, and what can be folded."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from antdsl.lsp.names import declaration
+from antdsl.lsp.workspace import Document
+from antdsl.scene.document import MappingNode, Node, ScalarNode, SequenceNode
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+_PIECE = re.compile(r'"[^"\n]*"?|#[^\n]*|[{}()\[\]]')
+
+
+@dataclass(slots=True)
+class Symbol:
+    """`kind`: species, state, behaviour, param, attribute, value, machine, layers, field, thing, world, spec, event, key, file."""
+
+    name: str
+    kind: str
+    span: Span  # all of it
+    name_span: Span
+    detail: str = ""
+    inner: list[Symbol] = field(default_factory=list)
+
+
+def symbols(document: Document) -> list[Symbol]:
+    if not document.is_program:
+        return list(_keys(document.scene.document)) if document.scene.document is not None else []
+    return [symbol for item in document.parsed[0].items if (symbol := _top(item)) is not None]
+
+
+def _top(item: Any) -> Symbol | None:
+    if isinstance(item, nodes.World):
+        inner = [Symbol(each.name.text, "thing", each.span, each.name.span, each.kind.text) for each in item.items]
+        return Symbol("world", "world", item.span, Span(item.span.source, item.span.start, item.span.start + 5), "", inner)
+    if isinstance(item, nodes.FieldDecl):
+        return Symbol(item.name.text, "field", item.span, item.name.span, "field")
+    if isinstance(item, nodes.Behaviour):
+        return Symbol(item.name.text, "behaviour", item.span, item.name.span, "behaviour")
+    if isinstance(item, nodes.Spec):
+        return Symbol(item.name.text or "spec", "spec", item.span, item.name.span, "spec")
+    if isinstance(item, nodes.Use):
+        name = item.library or item.alias
+        return Symbol(name.text, "file", item.span, name.span, "use") if name is not None else None
+    if isinstance(item, nodes.Species):
+        return Symbol(item.name.text, "species", item.span, item.name.span, "species", list(_members(item.members)))
+    return None
+
+
+def _members(members: Any) -> Iterator[Symbol]:
+    for member in members:
+        declared = declaration(member)
+        if declared is not None:
+            kind = {nodes.ParamDecl: "param", nodes.Declaration: "attribute"}.get(type(member), "value")
+            word = {nodes.ParamDecl: "param", nodes.Let: "let", nodes.Latch: "latch", nodes.Fuzzy: "fuzzy"}.get(type(member), "")
+            yield Symbol(declared.name.text, kind, member.span, declared.name.span, word)
+        elif isinstance(member, nodes.State):
+            yield Symbol(member.name.text, "state", member.span, member.name.span, member.label.text if member.label else "")
+        elif isinstance(member, nodes.Machine):
+            yield Symbol(member.name.text, "machine", member.span, member.name.span, "machine", list(_members(member.members)))
+        elif isinstance(member, nodes.Layers):
+            yield Symbol("layers", "layers", member.span, Span(member.span.source, member.span.start, member.span.start + 6))
+        elif isinstance(member, nodes.On):
+            yield Symbol(f"on {member.event.text}", "event", member.span, member.event.span)
+        elif isinstance(member, nodes.Given):
+            yield Symbol(member.name.text, "attribute", member.span, member.name.span)
+
+
+def _keys(node: Node) -> Iterator[Symbol]:
+    if isinstance(node, MappingNode):
+        for key, value in node.entries.items():
+            span = node.keys[key]
+            whole = Span(span.source, span.start, max(span.end, value.span.end))
+            detail = value.text if isinstance(value, ScalarNode) else ""
+            yield Symbol(key, "key", whole, span, detail[:60], list(_keys(value)))
+    elif isinstance(node, SequenceNode):
+        for item in node.items:
+            if isinstance(item, MappingNode):
+                name = next((item.entries[k] for k in ("species",) if k in item.entries), None)
+                text = name.text if isinstance(name, ScalarNode) else "…"
+                yield Symbol(text, "key", item.span, Span(item.span.source, item.span.start, item.span.start + 1), "", list(_keys(item)))
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """Lines from 0, both included."""
+
+    first: int
+    last: int
+    comment: bool = False
+
+
+def folds(document: Document) -> list[Fold]:
+    """Braces and brackets over several lines, and runs of comments; in a scene, values below their key."""
+    if not document.is_program:
+        return _scene_folds(document)
+    text, found, stack = document.text, [], []
+    comments: list[int] = []
+    for piece in _PIECE.finditer(text.text):
+        sign = piece.group()
+        if sign[0] == "#":
+            line = text.place(piece.start())[0]
+            if not text.line(line)[: piece.start() - text.starts[line]].strip():
+                comments.append(line)
+        elif sign in "{([":
+            stack.append(piece.start())
+        elif sign in "})]" and stack:
+            first, last = text.place(stack.pop())[0], text.place(piece.start())[0]
+            if last > first + 1:
+                found.append(Fold(first, last - 1))
+    return sorted([*found, *_runs(comments)], key=lambda fold: (fold.first, -fold.last))
+
+
+def _runs(lines: list[int]) -> Iterator[Fold]:
+    first = None
+    for number, line in enumerate(lines):
+        first = line if first is None else first
+        if number + 1 == len(lines) or lines[number + 1] != line + 1:
+            if line > first:
+                yield Fold(first, line, True)
+            first = None
+
+
+def _scene_folds(document: Document) -> list[Fold]:
+    found: dict[int, Fold] = {}
+    stack = list(symbols(document))
+    while stack:
+        symbol = stack.pop()
+        (first, _), (last, _) = document.range(symbol.span)
+        if last > first:
+            found.setdefault(first, Fold(first, last))
+        stack += symbol.inner
+    return [found[line] for line in sorted(found)]

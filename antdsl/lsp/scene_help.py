@@ -1,0 +1,183 @@
+"""What a scene's keys mean and what may stand at a place of it, from the schema and from the programs of its crowd."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from antdsl.lsp.completion import Item
+from antdsl.lsp.names import declaration
+from antdsl.lsp.workspace import Document, Workspace
+from antdsl.scene import model
+from antdsl.scene.matching import FRAME_ATTRIBUTES
+from antdsl.syntax import nodes
+from antdsl.syntax.words import FIELD_SETTINGS
+
+_KEY = re.compile(r"^(\s*)(?:- )?([A-Za-z_.][A-Za-z_0-9.]*):")
+_PARTS: dict[str, type[model.Part]] = {
+    "place": model.Placement, "camera": model.Camera, "lod": model.LevelOfDetail, "output": model.Output, "from": model.StartFrom,
+    "crowd": model.CrowdLine,
+}  # fmt: skip
+_FORMS = {
+    "surface": "{mesh: ${1:ground.ply}}", "obstacle": "{mesh: ${1:stones.ply}}", "solid": "{mesh: ${1:hill.ply}, voxel: ${2:1 mm}}",
+    "curve": "{curve: ${1:way.json}}", "items": "{${1:one}: {at: [${2:0}, 0, ${3:0}]}}", "flow": "{toward: ${1:nest}, radius: ${2:50 mm}}",
+    "map": "{painted: ${1:ground.ply}, attribute: ${2:damp}}",
+}  # fmt: skip
+HELP = {
+    "antdsl": "the edition of the scene format, `1`", "extends": "another scene, of which this one says what differs",
+    "units": "what a bare number of this file is in: `mm`, `cm`, `m`", "up": "the axis that points up: `x`, `y`, `z`",
+    "fps": "frames a second", "frames": "first and last frame, `1..240`", "preroll": "steps before the first frame, not written",
+    "substeps": "how often the moving part is done in a step", "seed": "where all chance begins", "from": "the program, or a cache to go on from",
+    "world": "what the programs walk on, go round and find", "crowd": "which agents, how many, where", "set": "other values for params and settings of fields",
+    "fields": "what lies in a field at the start", "layers": "another order of a species' layers", "camera": "from where pictures are taken",
+    "lod": "distances from the camera beyond which feelers are simpler", "output": "what a cache holds", "species": "a species of the program",
+    "count": "how many agents", "place": "where they begin", "body": "what pictures draw", "on": "the surface", "around": "a point `[x, y, z]`, or an item",
+    "radius": "how far about that place", "points": "a file of places", "density": "a map that says where they are many",
+    "at": "a place, `[x, y, z]`", "look_at": "what the camera looks at", "focal": "focal length", "mesh": "a file of triangles",
+    "voxel": "how fine a solid is", "keys": "places at frames", "attributes": "what a frame of the cache holds", "checkpoint": "frames between full checkpoints",
+}  # fmt: skip
+
+
+def path_at(text: str, offset: int) -> tuple[tuple[str, ...], str]:
+    """The keys above a place and the text of its line before it, by indentation and open braces; YAML may be broken here."""
+    begin = text.rfind("\n", 0, offset) + 1
+    line = text[begin:offset]
+    indent = len(line) - len(line.lstrip())
+    above: list[str] = []
+    level = indent if line.strip() else 10**9 if indent else 0
+    level = indent
+    for earlier in reversed(text[:begin].splitlines()):
+        match = _KEY.match(earlier)
+        if match is None or earlier.lstrip().startswith("#"):
+            continue
+        depth = len(match.group(1))
+        if depth < level:
+            above.insert(0, match.group(2))
+            level = depth
+    return (*above, *_inside(line)), line
+
+
+def _inside(line: str) -> list[str]:
+    """Keys whose value is open in this line: `crowd: - {place: {` gives crowd, place."""
+    stack: list[str] = []
+    key = ""
+    for piece in re.finditer(r"([A-Za-z_.][A-Za-z_0-9.]*):|[{}\[\]]", line):
+        if piece.group(1):
+            key = piece.group(1)
+            continue
+        sign = piece.group()
+        if sign in "{[":
+            stack.append(key)
+            key = ""
+        elif stack:
+            stack.pop()
+            key = ""
+    first = re.match(r"\s*(?:- )?([A-Za-z_.][A-Za-z_0-9.]*):\s*\S*$", line)
+    return [each for each in stack if each] + ([first.group(1) + ":"] if first is not None and not stack else [])
+
+
+def complete_scene(workspace: Workspace, document: Document, offset: int) -> list[Item]:
+    """The proposals at an offset of a scene."""
+    path, line = path_at(document.text.text, offset)
+    value = re.search(r"([A-Za-z_.][A-Za-z_0-9.]*):\s*[A-Za-z_0-9./]*$", line)
+    if "#" in line:
+        return []
+    if value is not None:
+        above = tuple(part for part in path if not part.endswith(":"))
+        return list(_values(workspace, document, value.group(1), above))
+    return list(_keys(workspace, document, tuple(part for part in path if not part.endswith(":")), line))
+
+
+def _programs(workspace: Workspace, document: Document) -> Iterator[Document]:
+    for path in workspace.linked(document.path):
+        other = workspace.document(path)
+        if other is not None and other.is_program:
+            yield other
+
+
+def _keys(workspace: Workspace, document: Document, path: tuple[str, ...], line: str) -> Iterator[Item]:
+    if not path and not line.lstrip().startswith("-"):
+        yield from _fields(model.SceneModel)
+    elif path[:1] == ("world",):
+        yield from _world(workspace, document, path)
+    elif path == ("set",):
+        yield from _settings(workspace, document)
+    elif path == ("fields",):
+        yield from (Item(name, "property", "field", "", f"{name}: ") for p in _programs(workspace, document) for name in p.names.fields)
+    elif path == ("layers",):
+        yield from (Item(name, "property", "species", "", f"{name}: ") for p in _programs(workspace, document) for name in p.names.species)
+    elif path[:1] == ("fields",):
+        yield from _fields(model.FieldStart)
+    elif path == ("output", "attributes"):
+        yield from (Item(name, "property", "attribute of a frame") for name in FRAME_ATTRIBUTES)
+    else:
+        found = next((_PARTS[part] for part in reversed(path) if part in _PARTS), None)
+        if found is not None:
+            yield from _fields(found)
+
+
+def _fields(part: type[model.Part]) -> Iterator[Item]:
+    for name, field in part.model_fields.items():
+        key = field.alias or name
+        yield Item(key, "property", "must be given" if field.is_required() else "", HELP.get(key, ""), f"{key}: ")
+
+
+def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> Iterator[Item]:
+    things = {name: item for each in _programs(workspace, document) for name, item in each.names.things.items()}
+    if len(path) == 1:
+        for name, item in things.items():
+            form = _FORMS.get(item.kind.text, "")
+            yield Item(name, "thing", item.kind.text, item.help.text if item.help is not None else "", f"{name}: {form}", bool(form))
+        return
+    thing = things.get(path[1])
+    if thing is not None and thing.kind.text == "items":
+        if len(path) > 2:
+            yield from _fields(model.ItemThing)
+            for each in thing.attributes:
+                yield Item(each.name.text, "property", f"value of {path[1]}", "", f"{each.name.text}: ")
+        return
+    for head, (_, part) in model.HEADS.items():
+        yield Item(head, "property", "says what it is", HELP.get(head, ""), f"{head}: ")
+        if head == "mesh":
+            yield from _fields(part)
+
+
+def _settings(workspace: Workspace, document: Document) -> Iterator[Item]:
+    for program in _programs(workspace, document):
+        for species, table in program.names.species.items():
+            for name, member in table.own.items():
+                node = declaration(member)
+                if isinstance(member, nodes.ParamDecl):
+                    value = " ".join(node.value.span.text.split())
+                    bounds = f" in {' '.join(node.range.span.text.split())}" if node.range is not None else ""
+                    help = node.help.text if node.help is not None else ""
+                    yield Item(f"{species}.{name}", "property", f"{value}{bounds}", help, f"{species}.{name}: {value}")
+        for name, field in program.names.fields.items():
+            for setting in field.settings:
+                if setting.name.text in FIELD_SETTINGS and setting.name.text not in ("cell", "combine"):
+                    word, value = setting.name.text, setting.value.span.text
+                    yield Item(f"{name}.{word}", "property", value, "setting of a field", f"{name}.{word}: {value}")
+
+
+def _values(workspace: Workspace, document: Document, key: str, path: tuple[str, ...]) -> Iterator[Item]:
+    things: dict[str, Any] = {n: i for each in _programs(workspace, document) for n, i in each.names.things.items()}
+    if key == "species":
+        for each in _programs(workspace, document):
+            yield from (Item(n, "thing", "species") for n, t in each.names.species.items() if t.node is not None)
+    elif key in ("from", "extends"):
+        suffix = (".ant",) if key == "from" and "crowd" in path else (".yaml", ".yml")
+        for file in workspace.files():
+            if file.suffix in suffix and file.is_relative_to(document.path.parent) and file != document.path:
+                yield Item(file.relative_to(document.path.parent).as_posix(), "file")
+    elif key in ("units", "up"):
+        yield from (Item(word, "unit") for word in (("mm", "cm", "m") if key == "units" else ("x", "y", "z")))
+    elif key in ("on", "border"):
+        yield from (Item(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in ("surface", "solid", "obstacle"))
+    elif key in ("around", "toward", "away", "solved"):
+        yield from (Item(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in ("items", "curve"))
+        yield from (Item(name, "thing", "item") for name in document.scene.items)
+    elif key == "density":
+        yield from (Item(n, "thing", "map") for n, i in things.items() if i.kind.text == "map")
+    elif key in HELP and not path:
+        return

@@ -1,0 +1,162 @@
+"""A scene's text: the names in it that programs declare, the files that it brings, and what its keys may be."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from antdsl.lsp.index import Occurrence
+from antdsl.lsp.names import Key
+from antdsl.program.vocabulary import ITEM_GIVEN
+from antdsl.scene.document import MappingNode, Node, ScalarNode, SequenceNode, read_document
+from antdsl.scene.model import ItemThing
+from antdsl.source import Source, Span
+from antdsl.syntax.words import FIELD_SETTINGS
+
+_WORD = re.compile(r"[a-z][a-z_0-9]*")
+
+
+@dataclass(slots=True)
+class SceneIndex:
+    """`document` is None where the text is no YAML just now; `fps` as written."""
+
+    path: Path
+    document: MappingNode | None
+    occurrences: list[Occurrence] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)
+    fps: str | None = None
+    items: dict[str, Span] = field(default_factory=dict)  # names that this scene gives to single items
+
+    def say(self, span: Span, key: Key, declares: bool = False) -> None:
+        self.occurrences.append(Occurrence(span, key, declares))
+
+
+def scene_index(path: Path, text: str) -> SceneIndex:
+    """What a scene names. Nothing is checked here."""
+    document, _ = read_document(Source(str(path), text))
+    index = SceneIndex(path, document)
+    if document is None:
+        return index
+    for key, look in _PARTS.items():
+        if key in document.entries:
+            look(index, document.entries[key])
+    fps = document.entries.get("fps")
+    index.fps = fps.text if isinstance(fps, ScalarNode) else None
+    index.occurrences.sort(key=lambda each: each.span.start)
+    return index
+
+
+def _mapping(node: Node | None) -> list[tuple[str, Span, Node]]:
+    return [(key, node.keys[key], value) for key, value in node.entries.items()] if isinstance(node, MappingNode) else []
+
+
+def _file(index: SceneIndex, node: Node) -> None:
+    if isinstance(node, ScalarNode) and ":" not in node.text:
+        path = index.path.parent.joinpath(node.text).resolve()
+        index.say(node.span, ("file", str(path)))
+        if path.suffix in (".ant", ".yaml", ".yml"):
+            index.files.append(path)
+
+
+def _world(index: SceneIndex, node: Node) -> None:
+    things = {name for name, _, _ in _mapping(node)}
+    for thing, span, value in _mapping(node):
+        index.say(span, ("thing", thing))
+        for word, place, inner in _mapping(value):
+            if isinstance(inner, MappingNode) and word not in ("keys", "maps", "each"):
+                index.items[word] = place
+                index.say(place, ("scene-item", str(index.path), word), True)
+                _item(index, thing, inner, things)
+            elif word == "each":
+                _attributes(index, thing, inner)
+            elif word in ("mesh", "usd", "curve", "painted"):
+                _file(index, inner)
+            else:
+                _named(index, inner, things)
+
+
+def _item(index: SceneIndex, thing: str, node: Node, things: set[str]) -> None:
+    _attributes(index, thing, node)
+    for word, _, inner in _mapping(node):
+        if word == "on":
+            _named(index, inner, things)
+
+
+def _attributes(index: SceneIndex, thing: str, node: Node) -> None:
+    known = {*ItemThing.model_fields, *ITEM_GIVEN}
+    for word, span, _ in _mapping(node):
+        if word not in known:
+            index.say(span, ("attribute", thing, word))
+
+
+def _named(index: SceneIndex, node: Node, things: set[str]) -> None:
+    """A value that may be the name of a thing of the world, or of an item."""
+    if isinstance(node, ScalarNode):
+        if node.text in things:
+            index.say(node.span, ("thing", node.text))
+        elif node.text in index.items:
+            index.say(node.span, ("scene-item", str(index.path), node.text))
+
+
+def _crowd(index: SceneIndex, node: Node) -> None:
+    world = index.document.entries.get("world") if index.document is not None else None
+    things = {name for name, _, _ in _mapping(world)}
+    for line in node.items if isinstance(node, SequenceNode) else ():
+        for word, _, value in _mapping(line):
+            if word == "species" and isinstance(value, ScalarNode):
+                index.say(value.span, ("species", value.text))
+            elif word == "from":
+                _file(index, value)
+            elif word == "place":
+                for key, _, inner in _mapping(value):
+                    if key == "points":
+                        _file(index, inner)
+                    elif key in ("on", "around", "density"):
+                        _named(index, inner, things)
+
+
+def _set(index: SceneIndex, node: Node) -> None:
+    for name, span, _ in _mapping(node):
+        owner, dot, word = name.partition(".")
+        if not dot or span.end - span.start != len(name):
+            continue
+        first = Span(span.source, span.start, span.start + len(owner))
+        second = Span(span.source, span.start + len(owner) + 1, span.end)
+        field = word in FIELD_SETTINGS
+        index.say(first, ("field" if field else "species", owner))
+        index.say(second, ("setting", word) if field else ("own", owner, word))
+
+
+def _fields(index: SceneIndex, node: Node) -> None:
+    for name, span, value in _mapping(node):
+        index.say(span, ("field", name))
+        for key, _, inner in _mapping(value):
+            if key == "around":
+                _named(index, inner, set())
+
+
+def _layers(index: SceneIndex, node: Node) -> None:
+    """Layers are named by their text, or by the word that it begins with."""
+    for species, span, value in _mapping(node):
+        index.say(span, ("species", species))
+        for item in value.items if isinstance(value, SequenceNode) else ():
+            word = _WORD.match(item.text) if isinstance(item, ScalarNode) and not item.quoted else None
+            if word is not None and word[0] != "state":
+                index.say(Span(item.span.source, item.span.start, item.span.start + word.end()), ("?behaviour", word[0]))
+
+
+def _extends(index: SceneIndex, node: Node) -> None:
+    _file(index, node)
+
+
+def _camera(index: SceneIndex, node: Node) -> None:
+    for word, _, value in _mapping(node):
+        if word == "usd":
+            _file(index, value)
+
+
+_PARTS: dict[str, Any] = {
+    "world": _world, "extends": _extends, "crowd": _crowd, "set": _set, "fields": _fields, "layers": _layers, "camera": _camera,
+}  # fmt: skip

@@ -1,0 +1,318 @@
+"""The language server itself: each request of the protocol, handed to the file of this room that answers it."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from lsprotocol import types as lsp
+from pygls.exceptions import JsonRpcInvalidParams
+from pygls.lsp.server import LanguageServer
+
+from antdsl import __version__
+from antdsl.lsp import protocol, tokens
+from antdsl.lsp.actions import actions
+from antdsl.lsp.completion import complete
+from antdsl.lsp.describe import describe, keyword
+from antdsl.lsp.formatting import formatted
+from antdsl.lsp.hints import hints
+from antdsl.lsp.navigation import Found, Refused, definition, references, renamable, rename
+from antdsl.lsp.outline import folds, symbols
+from antdsl.lsp.scene_help import HELP, complete_scene
+from antdsl.lsp.text import path_of, uri_of
+from antdsl.lsp.workspace import Document, Workspace
+
+T = TypeVar("T")
+_log = logging.getLogger(__name__)
+
+
+class Server(LanguageServer):
+    """pygls's server with our documents. `uris` has each open document's own URI, which an editor wants back as it gave it."""
+
+    def __init__(self) -> None:
+        super().__init__("antdsl", __version__)
+        self.files = Workspace()
+        self.uris: dict[Path, str] = {}
+        self.waiting: set[Path] = set()  # documents whose complaints are to be told once there is nothing else to read
+
+    def path(self, uri: str) -> Path:
+        """The path behind a URI; a document that is no file yet gets one of its own in the current folder."""
+        found = path_of(uri)
+        if found is None:
+            name = "".join(c if c.isalnum() or c in "._-" else "_" for c in uri)
+            found = Path.cwd() / (name if name.endswith((".ant", ".yaml", ".yml")) else f"{name}.ant")
+        return found
+
+    def document(self, uri: str) -> Document | None:
+        return self.files.document(self.path(uri))
+
+    def location(self, found: Found) -> lsp.Location:
+        path = found.document.path
+        return lsp.Location(self.uris.get(path, uri_of(path)), protocol.range_of(found.range))
+
+    def snippets(self) -> bool:
+        about = self.client_capabilities.text_document
+        item = about.completion.completion_item if about is not None and about.completion is not None else None
+        return bool(item is not None and item.snippet_support)
+
+    # --- complaints ---
+
+    def check_soon(self, path: Path) -> None:
+        """Check when all that is waiting has been read: of ten keys that came at once only the last is answered."""
+        import asyncio
+
+        self.waiting.add(path)
+        asyncio.get_running_loop().call_soon(self._check_waiting)
+
+    def _check_waiting(self) -> None:
+        waiting, self.waiting = self.waiting, set()
+        for path in sorted(waiting):
+            self.tell(path)
+        for path in sorted({scene for path in waiting for scene in self.files.scenes_of(path)} - waiting):
+            self.tell(path)
+
+    def tell(self, path: Path) -> None:
+        """Publish what is wrong in an open document."""
+        document = self.files.open.get(path)
+        if document is None or path not in self.uris:
+            return
+        try:
+            found = [protocol.diagnostic(self.files, document, each) for each in self.files.complaints(path)]
+        except Exception:  # a bug of ours must not cost somebody their editor's session
+            _log.exception("cannot check %s", path)
+            return
+        self.text_document_publish_diagnostics(lsp.PublishDiagnosticsParams(self.uris[path], found, document.version))
+
+
+server = Server()
+
+
+# --- documents -------------------------------------------------------------------------------------------------------
+
+
+@server.feature(lsp.INITIALIZED)
+def _initialized(ls: Server, params: lsp.InitializedParams) -> None:
+    ls.files.encoding = str(ls.workspace.position_encoding.value if ls.workspace.position_encoding else "utf-16")
+    ls.files.roots = [path for uri in ls.workspace.folders if (path := path_of(uri)) is not None]
+    if not ls.files.roots and ls.workspace.root_uri and (root := path_of(ls.workspace.root_uri)) is not None:
+        ls.files.roots = [root]
+
+
+@server.feature(lsp.WORKSPACE_DID_CHANGE_WORKSPACE_FOLDERS)
+def _folders(ls: Server, params: lsp.DidChangeWorkspaceFoldersParams) -> None:
+    gone = {path_of(folder.uri) for folder in params.event.removed}
+    added = [path for folder in params.event.added if (path := path_of(folder.uri)) is not None]
+    ls.files.roots = [root for root in ls.files.roots if root not in gone] + added
+
+
+@server.feature(lsp.TEXT_DOCUMENT_DID_OPEN)
+def _opened(ls: Server, params: lsp.DidOpenTextDocumentParams) -> None:
+    path = ls.path(params.text_document.uri)
+    ls.uris[path] = params.text_document.uri
+    ls.files.put(path, params.text_document.text, params.text_document.version)
+    ls.check_soon(path)
+
+
+@server.feature(lsp.TEXT_DOCUMENT_DID_CHANGE)
+def _changed(ls: Server, params: lsp.DidChangeTextDocumentParams) -> None:
+    path = ls.path(params.text_document.uri)
+    document = ls.files.open.get(path)
+    if document is None:
+        return
+    text = document.text
+    for change in params.content_changes:
+        if isinstance(change, lsp.TextDocumentContentChangePartial):
+            start, end = change.range.start, change.range.end
+            text = text.edited((start.line, start.character), (end.line, end.character), change.text)
+        else:
+            text = text.replaced(change.text)
+    ls.files.change(path, text, params.text_document.version)
+    ls.check_soon(path)
+
+
+@server.feature(lsp.TEXT_DOCUMENT_DID_CLOSE)
+def _closed(ls: Server, params: lsp.DidCloseTextDocumentParams) -> None:
+    path = ls.path(params.text_document.uri)
+    ls.files.close(path)
+    ls.uris.pop(path, None)
+    ls.text_document_publish_diagnostics(lsp.PublishDiagnosticsParams(params.text_document.uri, []))
+    _others(ls)
+
+
+@server.feature(lsp.TEXT_DOCUMENT_DID_SAVE)
+def _saved(ls: Server, params: lsp.DidSaveTextDocumentParams) -> None:
+    _others(ls)
+
+
+@server.feature(lsp.WORKSPACE_DID_CHANGE_WATCHED_FILES)
+def _watched(ls: Server, params: lsp.DidChangeWatchedFilesParams) -> None:
+    _others(ls)
+
+
+def _others(ls: Server) -> None:
+    """What is on disk has changed: all that is open is looked at again, which costs nothing where nothing has."""
+    for path in ls.files.open:
+        ls.check_soon(path)
+
+
+# --- questions about a place -----------------------------------------------------------------------------------------
+
+
+def _at(ls: Server, params: Any, answer: Callable[[Document, int], T]) -> T | None:
+    document = ls.document(params.text_document.uri)
+    if document is None:
+        return None
+    return answer(document, document.text.offset(params.position.line, params.position.character))
+
+
+@server.feature(lsp.TEXT_DOCUMENT_HOVER)
+def _hover(ls: Server, params: lsp.HoverParams) -> lsp.Hover | None:
+    def answer(document: Document, offset: int) -> lsp.Hover | None:
+        said = []
+        for found in document.at(offset):
+            text = describe(ls.files, document, found.key)
+            if text is not None and text not in said:
+                said.append(text)
+                span = said_of = found.span if len(said) == 1 else said_of
+        if not said:
+            start, end = document.word(offset)
+            word = document.text.text[start:end]
+            text = keyword(word) if document.is_program else HELP.get(word)
+            return lsp.Hover(_markdown(text), protocol.range_of(document.text.range(start, end))) if text else None
+        return lsp.Hover(_markdown("\n\n---\n\n".join(said)), protocol.range_of(document.range(span)))
+
+    return _at(ls, params, answer)
+
+
+def _markdown(text: str) -> lsp.MarkupContent:
+    return lsp.MarkupContent(lsp.MarkupKind.Markdown, text)
+
+
+@server.feature(
+    lsp.TEXT_DOCUMENT_COMPLETION, lsp.CompletionOptions(trigger_characters=[".", ">", "(", " ", ":", "/", ",", "{"])
+)
+def _completion(ls: Server, params: lsp.CompletionParams) -> lsp.CompletionList | None:
+    def answer(document: Document, offset: int) -> lsp.CompletionList:
+        found = complete(ls.files, document, offset) if document.is_program else complete_scene(ls.files, document, offset)
+        snippets = ls.snippets()
+        return lsp.CompletionList(False, [protocol.item(each, snippets) for each in found])
+
+    return _at(ls, params, answer)
+
+
+@server.feature(lsp.TEXT_DOCUMENT_DEFINITION)
+def _definition(ls: Server, params: lsp.DefinitionParams) -> list[lsp.Location] | None:
+    return _at(ls, params, lambda document, offset: [ls.location(each) for each in definition(ls.files, document, offset)])
+
+
+@server.feature(lsp.TEXT_DOCUMENT_REFERENCES)
+def _references(ls: Server, params: lsp.ReferenceParams) -> list[lsp.Location] | None:
+    declaration = params.context.include_declaration
+    return _at(
+        ls, params, lambda document, offset: [ls.location(each) for each in references(ls.files, document, offset, declaration)]
+    )
+
+
+@server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_HIGHLIGHT)
+def _highlight(ls: Server, params: lsp.DocumentHighlightParams) -> list[lsp.DocumentHighlight] | None:
+    def answer(document: Document, offset: int) -> list[lsp.DocumentHighlight]:
+        found = references(ls.files, document, offset)
+        return [lsp.DocumentHighlight(protocol.range_of(each.range)) for each in found if each.document is document]
+
+    return _at(ls, params, answer)
+
+
+@server.feature(lsp.TEXT_DOCUMENT_PREPARE_RENAME)
+def _prepare(ls: Server, params: lsp.PrepareRenameParams) -> lsp.Range | None:
+    def answer(document: Document, offset: int) -> lsp.Range:
+        try:
+            return protocol.range_of(document.range(renamable(document, offset).span))
+        except Refused as why:
+            raise JsonRpcInvalidParams(str(why)) from None
+
+    return _at(ls, params, answer)
+
+
+@server.feature(lsp.TEXT_DOCUMENT_RENAME, lsp.RenameOptions(prepare_provider=True))
+def _rename(ls: Server, params: lsp.RenameParams) -> lsp.WorkspaceEdit | None:
+    def answer(document: Document, offset: int) -> lsp.WorkspaceEdit:
+        try:
+            places = rename(ls.files, document, offset, params.new_name)
+        except Refused as why:
+            raise JsonRpcInvalidParams(str(why)) from None
+        edits: dict[Path, list[lsp.TextEdit]] = {}
+        for each in places:
+            edits.setdefault(each.document.path, []).append(lsp.TextEdit(protocol.range_of(each.range), params.new_name))
+        return protocol.changes(edits, ls.uris)
+
+    return _at(ls, params, answer)
+
+
+# --- questions about a document --------------------------------------------------------------------------------------
+
+
+@server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_SYMBOL)
+def _symbols(ls: Server, params: lsp.DocumentSymbolParams) -> list[lsp.DocumentSymbol]:
+    document = ls.document(params.text_document.uri)
+    return [protocol.symbol(document, each) for each in symbols(document)] if document is not None else []
+
+
+@server.feature(lsp.TEXT_DOCUMENT_FOLDING_RANGE)
+def _folding(ls: Server, params: lsp.FoldingRangeParams) -> list[lsp.FoldingRange]:
+    document = ls.document(params.text_document.uri)
+    return [protocol.fold(each) for each in folds(document)] if document is not None else []
+
+
+_LEGEND = lsp.SemanticTokensLegend(list(tokens.TYPES), list(tokens.MODIFIERS))
+
+
+@server.feature(lsp.TEXT_DOCUMENT_SEMANTIC_TOKENS_FULL, _LEGEND)
+def _tokens(ls: Server, params: lsp.SemanticTokensParams) -> lsp.SemanticTokens:
+    document = ls.document(params.text_document.uri)
+    return lsp.SemanticTokens(tokens.tokens(document) if document is not None and document.is_program else [])
+
+
+@server.feature(lsp.TEXT_DOCUMENT_SEMANTIC_TOKENS_RANGE, _LEGEND)
+def _range_tokens(ls: Server, params: lsp.SemanticTokensRangeParams) -> lsp.SemanticTokens:
+    document = ls.document(params.text_document.uri)
+    if document is None or not document.is_program:
+        return lsp.SemanticTokens([])
+    return lsp.SemanticTokens(tokens.tokens(document, params.range.start.line, params.range.end.line))
+
+
+@server.feature(lsp.TEXT_DOCUMENT_INLAY_HINT)
+def _hints(ls: Server, params: lsp.InlayHintParams) -> list[lsp.InlayHint]:
+    document = ls.document(params.text_document.uri)
+    if document is None or not document.is_program:
+        return []
+    found = [protocol.hint(document, each) for each in hints(ls.files, document)]
+    return [each for each in found if params.range.start.line <= each.position.line <= params.range.end.line]
+
+
+@server.feature(lsp.TEXT_DOCUMENT_CODE_ACTION, lsp.CodeActionOptions([lsp.CodeActionKind.QuickFix]))
+def _actions(ls: Server, params: lsp.CodeActionParams) -> list[lsp.CodeAction]:
+    document = ls.document(params.text_document.uri)
+    if document is None:
+        return []
+    start, end = params.range.start, params.range.end
+    text = document.text
+    found = actions(ls.files, document, text.offset(start.line, start.character), text.offset(end.line, end.character))
+    return [protocol.action(ls.files, document, each, params.text_document.uri) for each in found]
+
+
+@server.feature(lsp.TEXT_DOCUMENT_FORMATTING)
+def _format(ls: Server, params: lsp.DocumentFormattingParams) -> list[lsp.TextEdit] | None:
+    document = ls.document(params.text_document.uri)
+    edits = formatted(document) if document is not None and document.is_program else None
+    return protocol.text_edits(document, edits) if document is not None and edits is not None else None
+
+
+def start() -> None:
+    """Talk with an editor over standard input and output until it says goodbye."""
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")  # to standard error
+    with os.fdopen(os.dup(0), "rb") as reader, os.fdopen(os.dup(1), "wb") as writer:
+        os.dup2(2, 1)  # nothing that a library prints can get between the messages
+        server.start_io(reader, writer)

@@ -1,0 +1,107 @@
+"""A document's text with the way between offsets and an editor's lines and columns; and the way between URIs and paths."""
+
+from __future__ import annotations
+
+import os
+from bisect import bisect_right
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+Place = tuple[int, int]  # line and column, both from 0; the column in units of the editor's encoding
+Range = tuple[Place, Place]
+
+
+@dataclass(frozen=True, slots=True)
+class Edit:
+    """Text to put in place of the characters from `start` to `end`."""
+
+    start: int
+    end: int
+    text: str
+
+
+def normal(text: str) -> str:
+    """Line ends as `syntax.read` has them. Lines and columns of an editor are the same in both."""
+    return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n") if "\r" in text or "\ufeff" in text[:1] else text
+
+
+class Text:
+    """Text with LF line ends. `encoding`: what the editor counts columns in: utf-16 (as the protocol has it), utf-8, utf-32."""
+
+    __slots__ = ("encoding", "starts", "text")
+
+    def __init__(self, text: str, encoding: str = "utf-16") -> None:
+        self.text = text
+        self.encoding = encoding
+        starts = [0]
+        position = text.find("\n")
+        while position >= 0:
+            starts.append(position + 1)
+            position = text.find("\n", position + 1)
+        self.starts = starts
+
+    def line(self, number: int) -> str:
+        """A line counted from 0, without its end; empty beyond the last."""
+        if not 0 <= number < len(self.starts):
+            return ""
+        end = self.starts[number + 1] - 1 if number + 1 < len(self.starts) else len(self.text)
+        return self.text[self.starts[number] : end]
+
+    def offset(self, line: int, column: int) -> int:
+        """The offset of a place; columns beyond a line's end mean its end, lines beyond the last the text's end."""
+        if line >= len(self.starts):
+            return len(self.text)
+        text, start = self.line(line), self.starts[line]
+        if text.isascii() or self.encoding == "utf-32":
+            return start + min(max(column, 0), len(text))
+        taken = 0
+        for count, character in enumerate(text):
+            if taken >= column:
+                return start + count
+            taken += self._units(character)
+        return start + len(text)
+
+    def place(self, offset: int) -> Place:
+        offset = max(0, min(offset, len(self.text)))
+        line = bisect_right(self.starts, offset) - 1
+        before = self.text[self.starts[line] : offset]
+        return line, len(before) if before.isascii() else self.units(before)
+
+    def range(self, start: int, end: int) -> Range:
+        return self.place(start), self.place(max(start, end))
+
+    def units(self, text: str) -> int:
+        """How many columns a text takes."""
+        return len(text) if text.isascii() else sum(map(self._units, text))
+
+    def _units(self, character: str) -> int:
+        if self.encoding == "utf-8":
+            return len(character.encode("utf-8", "surrogatepass"))
+        return 2 if self.encoding == "utf-16" and character > "\uffff" else 1
+
+    def replaced(self, text: str) -> Text:
+        """Another text, in the same encoding."""
+        return Text(normal(text), self.encoding)
+
+    def edited(self, start: Place, end: Place, text: str) -> Text:
+        """The text with a stretch of it replaced."""
+        first, last = self.offset(*start), self.offset(*end)
+        return Text(self.text[:first] + normal(text) + self.text[max(first, last) :], self.encoding)
+
+
+def path_of(uri: str) -> Path | None:
+    """The file behind a URI, links resolved; None for what is no file, such as `untitled:Untitled-1`."""
+    parts = urlsplit(uri)
+    if parts.scheme != "file":
+        return None
+    name = unquote(parts.path)
+    if os.name == "nt" and name[:1] == "/" and name[2:3] == ":":
+        name = name[1:]
+    if parts.netloc and os.name == "nt":
+        name = f"//{parts.netloc}{name}"
+    return None if "\0" in name else Path(os.path.realpath(name))
+
+
+def uri_of(path: Path) -> str:
+    return path.as_uri()

@@ -1,0 +1,265 @@
+"""The files of one editing session: open buffers over what is on disk, each parsed once, checked by the chain of `antdsl check`."""
+
+from __future__ import annotations
+
+import os
+from bisect import bisect_right
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from antdsl import limits, syntax
+from antdsl.diagnostics import Diagnostic, Report
+from antdsl.loading import Parsed
+from antdsl.lsp.index import Occurrence, occurrences
+from antdsl.lsp.names import Names, names_of
+from antdsl.lsp.scenes import SceneIndex, scene_index
+from antdsl.lsp.text import Range, Text, normal
+from antdsl.pipeline import check_scene_text, compile_files
+from antdsl.source import Source, Span
+from antdsl.syntax import nodes
+
+if TYPE_CHECKING:
+    from antdsl.program.model import Program
+    from antdsl.scene import Scene
+
+PROGRAM = ".ant"
+_MOST = 8  # symbols that one word can stand for
+
+
+@dataclass(eq=False)
+class Document:
+    """A file as it is now, in the editor or on disk. `stamp` is None for an open buffer."""
+
+    path: Path
+    text: Text
+    stamp: tuple[int, int] | None = None
+    version: int | None = None
+    earlier: SceneIndex | None = None  # of the text before, for while this one is no YAML
+
+    @property
+    def is_program(self) -> bool:
+        return self.path.suffix == PROGRAM
+
+    @cached_property
+    def parsed(self) -> tuple[nodes.File, Report]:
+        return syntax.parse(Source(str(self.path), self.text.text))
+
+    @cached_property
+    def names(self) -> Names:
+        return names_of(self.path, self.parsed[0])
+
+    @cached_property
+    def occurrences(self) -> list[Occurrence]:
+        """Every name in the document, in text order."""
+        found = occurrences(self.names) if self.is_program else self.scene.occurrences
+        return sorted(found, key=lambda each: self.start(each.span))
+
+    @cached_property
+    def scene(self) -> SceneIndex:
+        made = scene_index(self.path, self.text.text)
+        if made.document is None and self.earlier is not None:
+            made.files, made.items, made.fps = self.earlier.files, self.earlier.items, self.earlier.fps
+        return made
+
+    @cached_property
+    def meanings(self) -> dict[int, tuple[str, bool]]:
+        """What the word at an offset is: the kind of its symbol, and whether it is declared there."""
+        return {self.start(each.span): (each.key[0], each.declares) for each in reversed(self.occurrences)}
+
+    @cached_property
+    def _starts(self) -> list[int]:
+        return [self.start(each.span) for each in self.occurrences]
+
+    def start(self, span: Span) -> int:
+        """Where a span of this document begins in its text."""
+        return span.start
+
+    def end(self, span: Span) -> int:
+        return span.end
+
+    def range(self, span: Span) -> Range:
+        return self.text.range(self.start(span), self.end(span))
+
+    def at(self, offset: int) -> list[Occurrence]:
+        """The names at an offset, those that begin or go on there before one that ends there."""
+        found = []
+        for number in range(bisect_right(self._starts, offset) - 1, -1, -1):
+            each = self.occurrences[number]
+            if self.end(each.span) < offset or len(found) > _MOST:
+                break
+            found.insert(0, each)
+        return sorted(found, key=lambda each: self.end(each.span) == offset)
+
+    def word(self, offset: int) -> tuple[int, int]:
+        """Where the word at an offset begins and ends."""
+        text, start, end = self.text.text, offset, offset
+        while start > 0 and (text[start - 1].isalnum() or text[start - 1] == "_"):
+            start -= 1
+        while end < len(text) and (text[end].isalnum() or text[end] == "_"):
+            end += 1
+        return start, end
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """What checking a document gave. `program` and `scene` are None where there was nothing to go on with."""
+
+    program: Program | None
+    scene: Scene | None
+    report: Report
+
+
+@dataclass(eq=False)
+class Workspace:
+    """`roots` are the editor's folders; `open` the documents that it holds, by their real path."""
+
+    roots: list[Path] = field(default_factory=list)
+    encoding: str = "utf-16"
+    open: dict[Path, Document] = field(default_factory=dict)
+    _disk: dict[Path, Document] = field(default_factory=dict)
+    _checked: dict[Path, tuple[object, Checked]] = field(default_factory=dict)
+    _good: dict[Path, Program] = field(default_factory=dict)
+
+    # --- documents ---
+
+    def put(self, path: Path, text: str, version: int | None = None) -> Document:
+        """An open buffer, new or changed."""
+        document = self.open[path] = Document(path, Text(normal(text), self.encoding), None, version)
+        return document
+
+    def change(self, path: Path, text: Text, version: int | None) -> Document:
+        before = self.open.get(path)
+        earlier = before.scene if before is not None and not before.is_program else None
+        document = self.open[path] = Document(path, text, None, version, earlier)
+        return document
+
+    def close(self, path: Path) -> None:
+        self.open.pop(path, None)
+        self._checked.pop(path, None)
+
+    def document(self, path: Path) -> Document | None:
+        """A file as the editor has it, or else as it is on disk; None when it cannot be read."""
+        found = self.open.get(path)
+        if found is not None:
+            return found
+        try:
+            status = os.stat(path)
+        except (OSError, ValueError):
+            self._disk.pop(path, None)
+            return None
+        stamp = (status.st_mtime_ns, status.st_size)
+        known = self._disk.get(path)
+        if known is None or known.stamp != stamp:
+            source, _ = syntax.read(path)
+            if source is None:
+                return None
+            known = self._disk[path] = Document(path, Text(source.text, self.encoding), stamp)
+        return known
+
+    def span_of(self, span: Span) -> tuple[Document, Range] | None:
+        """The document that a span lies in, and where."""
+        for document in (*self.open.values(), *self._disk.values()):
+            if document.is_program and "parsed" in document.__dict__ and document.parsed[0].source is span.source:
+                return document, document.range(span)
+        document = self.document(Path(os.path.realpath(span.source.path)))
+        return (document, document.range(span)) if document is not None else None
+
+    # --- checking ---
+
+    def check(self, path: Path) -> Checked | None:
+        """The document checked, anew where a file that it depends on has changed."""
+        document = self.document(path)
+        if document is None:
+            return None
+        known = self._checked.get(path)
+        if known is not None and known[0] == self._state(path):
+            return known[1]
+        checked = self._check_program(document) if document.is_program else self._check_scene(document)
+        if checked.program is not None and checked.report.ok:
+            self._good[path] = checked.program
+        self._checked[path] = (self._state(path), checked)
+        return checked
+
+    def _state(self, path: Path) -> object:
+        """All that a check depends on: the documents that belong together, as they are."""
+        return [(each, self.document(each)) for each in self.linked(path)]
+
+    def good(self, path: Path) -> Program | None:
+        """The last program of this document that checked without errors, for what is asked while it is being changed."""
+        checked = self.check(path)
+        return self._good.get(path) or (checked.program if checked is not None else None)
+
+    def parsed(self, path: Path) -> Parsed:
+        """Programs that were parsed already, for the chain: those open in the editor above all."""
+        found: Parsed = {}
+        for each in {*self.open, *self.linked(path), *self._libraries()}:
+            document = self.document(each)
+            if document is not None and document.is_program:
+                file, report = document.parsed
+                found[str(each)] = (file, report)
+        return found
+
+    def _libraries(self) -> list[Path]:
+        from antdsl.resources import behaviours_folder
+
+        return [Path(os.path.realpath(path)) for path in behaviours_folder().glob("*.ant")]
+
+    def _check_program(self, document: Document) -> Checked:
+        program, report = compile_files([document.path], parsed=self.parsed(document.path))
+        return Checked(program, None, report)
+
+    def _check_scene(self, document: Document) -> Checked:
+        data = document.text.text.encode("utf-8", "surrogatepass")
+        scene, program, report = check_scene_text(document.path, data, parsed=self.parsed(document.path))
+        return Checked(program, scene, report)
+
+    def complaints(self, path: Path) -> list[Diagnostic]:
+        """What is wrong in this very document; one about all of it has no span."""
+        checked = self.check(path)
+        if checked is None:
+            return []
+        own = {os.path.realpath(path)}
+        return [d for d in checked.report.sorted() if d.span is None or os.path.realpath(d.span.source.path) in own]
+
+    # --- which files belong together ---
+
+    def linked(self, path: Path) -> list[Path]:
+        """A file with the files that it names, and that those name."""
+        found: dict[Path, None] = {}
+        stack = [path]
+        while stack:
+            each = stack.pop()
+            if each in found or len(found) > limits.USED_FILES:
+                continue
+            found[each] = None
+            document = self.document(each)
+            if document is not None:
+                stack += document.names.modules.values() if document.is_program else document.scene.files
+        return list(found)
+
+    def family(self, path: Path) -> list[Path]:
+        """All files in which a name of this one can stand: linked by `use`, or by scenes that bring them together."""
+        links = {each: set(self.linked(each)) for each in self.files()}
+        links.setdefault(path, set(self.linked(path)))
+        found = set(links[path]) | {path}
+        grown = True
+        while grown:
+            grown = False
+            for linked in links.values():
+                if linked & found and not linked <= found:
+                    found |= linked
+                    grown = True
+        return sorted(found)
+
+    def scenes_of(self, path: Path) -> list[Path]:
+        """Open scenes that use a program, or extend a scene."""
+        return [each for each in self.open if each != path and path in self.linked(each)]
+
+    def files(self) -> list[Path]:
+        """Programs and scenes below the editor's folders, and the open ones."""
+        from antdsl.pipeline import find_files
+
+        found, _ = find_files(root for root in self.roots if root.is_dir())
+        return list(dict.fromkeys([*self.open, *(Path(os.path.realpath(each)) for each in found)]))

@@ -1,0 +1,283 @@
+"""What an editor asks the language server about a place: each feature through the protocol, in the foraging example."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+from lsp_client import COMMAND, ROOT, Editor, applied, ask, cut_out, initialize_params, lsp, place_of, pytest_lsp
+
+FORAGING = ROOT / "examples" / "foraging"
+FORAGER = (FORAGING / "forager.ant").read_text(encoding="utf-8")
+SCENE = (FORAGING / "scene.yaml").read_text(encoding="utf-8")
+
+
+@pytest_lsp.fixture(config=pytest_lsp.ClientServerConfig(server_command=COMMAND), scope="module")
+async def client(lsp_client: pytest_lsp.LanguageClient, tmp_path_factory: pytest.TempPathFactory):
+    folder = tmp_path_factory.mktemp("crowds")
+    lsp_client.folder = folder
+    shutil.copytree(FORAGING, folder / "foraging")
+    await lsp_client.initialize_session(initialize_params(folder))
+    editor = Editor(lsp_client)
+    lsp_client.program = (folder / "foraging" / "forager.ant").resolve().as_uri()
+    lsp_client.scene = (folder / "foraging" / "scene.yaml").resolve().as_uri()
+    await editor.open(lsp_client.program, FORAGER)
+    await editor.open(lsp_client.scene, SCENE)
+    yield
+    await lsp_client.shutdown_session()
+
+
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+
+
+# --- hover -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "word, nth, wanted",
+    [
+        ("smell  =", 0, ["a length, in `mm`", "from 0 mm to 200 mm", "default 40 mm", "How far an ant smells food"]),
+        ("smell)", 0, ["param smell = 40 mm in 0 mm .. 200 mm"]),
+        ("reward *", 0, ["a rate", "in `/s`", "Scent laid at the food"]),
+        ("meal)", 0, ["let meal = nearest(food", "an item of `food`"]),
+        ("scent >", 0, ["let scent", "number without a unit"]),
+        ("load > 0", 0, ["value of each of `food`"]),
+        ("load from", 0, ["attribute of `forager`", "value of each of `food`"]),
+        ("source = meal", 0, ["source = none of food", "an item of `food`"]),
+        ("carry {", 0, ["state carry", "Takes food home", "leads to `set_out`", "state of `forager`"]),
+        ("food { load", 0, ["items food { load = 0 }", "Sources, each with a quantity"]),
+        ("trail track", 0, ["field trail on ground, boulder { cell 6 mm; half_life 12 s }"]),
+        ("half_life", 0, ["half of it is gone"]),
+        ("wander(swing", 0, ["behaviour wander(swing: angle = ", "-> push", "steering.ant"]),
+        ("swing: swing", 0, ["argument of `wander`", "angle"]),
+        ("nearest(nest", 0, ["nearest(of: items", "the nearest, or none"]),
+        ("within: smell", 0, ["within: length", "may be left out"]),
+        ("size)", 0, ["size: length", "body length", "default 4 mm", "may be set"]),
+        ("time_in_state", 0, ["how long it has been in its state"]),
+        ("mm/s", 0, ["a speed"]),
+        ("steer wander", 0, ["what the animal wants in this state", "steer seek(meal)"]),
+        ("turn_p99", 0, ["how the crowd moves"]),
+    ],
+)
+async def test_hover_tells_what_a_word_is(client, word: str, nth: int, wanted: list[str]) -> None:
+    hover = await client.text_document_hover_async(lsp.HoverParams(**ask(client.program, place_of(FORAGER, word, nth))))
+    assert hover is not None and not [each for each in wanted if each not in hover.contents.value], hover and hover.contents.value
+
+
+async def test_hover_in_a_scene_knows_the_program_and_the_keys(client) -> None:
+    async def said(word: str) -> str:
+        found = await client.text_document_hover_async(lsp.HoverParams(**ask(client.scene, place_of(SCENE, word))))
+        return found.contents.value if found is not None else ""
+
+    assert "Sources, each with a quantity" in await said("food:")
+    assert "value of each of `food`" in await said("load: 400")
+    assert "frames a second" in await said("fps")
+    assert "species forager" in await said("forager, from")
+    assert await said("42 mm") == ""
+
+
+# --- completion ------------------------------------------------------------------------------------------------------
+
+
+async def proposals(client, line: str, after: str = "    deposit trail track\n") -> dict[str, lsp.CompletionItem]:
+    """What is proposed at the end of a line of a state, or of whatever comes after `after`."""
+    editor, uri = Editor(client), (client.folder / "foraging" / "writing.ant").resolve().as_uri()
+    at = FORAGER.index(after) + len(after)
+    text = FORAGER[:at] + line + "\n" + FORAGER[at:]
+    await editor.open(uri, text)
+    position = lsp.Position(text[:at].count("\n") + line.count("\n"), len(line.rpartition("\n")[2]))
+    found = await client.text_document_completion_async(lsp.CompletionParams(**ask(uri, position)))
+    editor.close(uri)
+    return {item.label: item for item in found.items}
+
+
+@pytest.mark.parametrize(
+    "line, wanted, unwanted",
+    [
+        ("    when meal -> ", "search carry previous choose", "smell wander steer"),
+        ("    when state == ", "search carry", "previous smell"),
+        ("    when after 0.5 ", "s min step", "search wander"),
+        ("    when speed < 3 mm/", "s", "search %"),
+        ("    ", "steer when deposit enter load source", "param species smell"),
+        ("    steer s", "seek separate", "steer"),
+        ("    steer seek(", "target: meal nearest", "steer"),
+        ("    steer wander(swing: 3 deg, ", "pace:", "swing:"),
+        ("    deposit ", "trail", "ground meal"),
+        ("    when meal.", "load position radius", "smell velocity"),
+        ("    when nearest(nest).", "load position radius", "smell"),
+        ("    load = sum(n in neighbours(3 mm): n.", "load size velocity", "meal2"),
+        ("    when touching(meal) take 1 ", "load", "ground"),
+        ("    # nothing in ", "", "search steer"),
+    ],
+)
+async def test_completion_knows_where_it_is(client, line: str, wanted: str, unwanted: str) -> None:
+    found = await proposals(client, line)
+    assert set(wanted.split()) <= set(found), sorted(found)
+    assert not set(unwanted.split()) & set(found)
+
+
+@pytest.mark.parametrize(
+    "line, after, wanted, unwanted",
+    [
+        ("  ", "  start search\n", "param let state layers max_speed", "steer surface"),
+        ("  ", "world {\n", "surface obstacle items solid", "param cell"),
+        ("", "use steering\n", "world species field behaviour spec", "steer"),
+        ("field smoke on ground { ", "use steering\n", "cell half_life diffuse", "param"),
+        ("use ", '"Foraging ants: search, carry food home, mark the way."\n', "steering", "world"),
+        ("    ", "  layers {                                  # the first line wins when strength runs out\n", "state avoid separate", "steer"),
+        ('  state rest "Lies down" ', "  start search\n", "amber blue", "search"),
+        ("behaviour calm(way: ", "use steering\n", "push length place", "seek"),
+        ("  on ", "  start search\n", "spawn collision", "smell"),
+    ],
+)
+async def test_completion_knows_the_block(client, line: str, after: str, wanted: str, unwanted: str) -> None:
+    found = await proposals(client, line, after)
+    assert set(wanted.split()) <= set(found), sorted(found)
+    assert not set(unwanted.split()) & set(found)
+
+
+async def test_behaviours_come_with_places_for_what_they_must_be_given(client) -> None:
+    found = await proposals(client, "    steer ")
+    assert found["seek"].insert_text == "seek(${1:target})$0" and found["seek"].insert_text_format == lsp.InsertTextFormat.Snippet
+    assert found["seek"].detail == "seek(target: place) -> push" and "Straight to it" in found["seek"].documentation.value
+    assert found["smell"].documentation.value == "How far an ant smells food"
+
+
+@pytest.mark.parametrize(
+    "line, after, wanted, unwanted",
+    [
+        ("", "seed: 7\n", "crowd world set layers", "mesh"),
+        ("  ", "world:\n", "ground stones food nest", "crowd"),
+        ("    ", "  food:\n", "", "crowd"),
+        ("  - {species: ", "crowd:\n", "forager", "ground"),
+        ("  - {species: forager, from: ", "crowd:\n", "forager.ant", "scene.yaml"),
+        ("  - {species: forager, ", "crowd:\n", "from count place", "world"),
+        ("  - {species: forager, place: {", "crowd:\n", "on around radius", "count"),
+        ("  - {species: forager, place: {on: ", "crowd:\n", "ground boulder", "food"),
+        ("set: {", "seed: 7\n", "forager.smell trail.half_life", "crowd"),
+        ("layers: {", "seed: 7\n", "forager", "crowd"),
+        ("    pear: {at: [0, 0, 0], ", "  food:\n", "load radius", "mesh"),
+    ],
+)
+async def test_completion_of_scenes(client, line: str, after: str, wanted: str, unwanted: str) -> None:
+    editor, uri = Editor(client), (client.folder / "foraging" / "writing.yaml").resolve().as_uri()
+    at = SCENE.index(after) + len(after)
+    text = SCENE[:at] + line + "\n" + SCENE[at:]
+    if line.startswith(("  - ", "set", "layers")):
+        text = text.replace("crowd:\n" + line + "\n", "crowd:\n  - {species: forager, from: forager.ant, count: 1}\n" + line + "\n")
+    await editor.open(uri, SCENE)
+    await editor.rewrite(uri, text)
+    at = text.index(line + "\n", text.index(after)) if line.strip() else at
+    position = lsp.Position(text[: at + len(line)].count("\n"), len(line))
+    found = await client.text_document_completion_async(lsp.CompletionParams(**ask(uri, position)))
+    editor.close(uri)
+    labels = {item.label for item in found.items}
+    assert set(wanted.split()) <= labels, sorted(labels)
+    assert not set(unwanted.split()) & labels
+
+
+# --- the document ----------------------------------------------------------------------------------------------------
+
+
+async def test_symbols_lie_in_each_other(client) -> None:
+    identifier = lsp.TextDocumentIdentifier(client.program)
+    found = await client.text_document_document_symbol_async(lsp.DocumentSymbolParams(identifier))
+    assert [each.name for each in found if each.kind != lsp.SymbolKind.Method] == ["steering", "world", "trail", "forager"]
+    inner = {each.name: each for each in found[3].children}
+    assert {"smell", "load", "meal", "search", "carry", "layers"} <= set(inner)
+    assert inner["carry"].kind == lsp.SymbolKind.EnumMember and cut_out(FORAGER, inner["carry"].selection_range) == "carry"
+    assert cut_out(FORAGER, inner["carry"].range).startswith("state carry") and cut_out(FORAGER, inner["carry"].range).endswith("}")
+    scene = await client.text_document_document_symbol_async(lsp.DocumentSymbolParams(lsp.TextDocumentIdentifier(client.scene)))
+    assert [each.name for each in scene][:3] == ["antdsl", "units", "up"]
+    assert [each.name for each in scene[6].children] == ["ground", "boulder", "stones", "food", "nest"]
+
+
+async def test_blocks_fold(client) -> None:
+    found = await client.text_document_folding_range_async(lsp.FoldingRangeParams(lsp.TextDocumentIdentifier(client.program)))
+    lines = FORAGER.splitlines()
+    heads = [lines[each.start_line].split()[0] for each in found]
+    assert heads[:3] == ["world", "species", "state"] and heads.count("state") == 6
+    assert all(lines[each.end_line + 1].strip() == "}" for each in found)
+    scene = await client.text_document_folding_range_async(lsp.FoldingRangeParams(lsp.TextDocumentIdentifier(client.scene)))
+    assert [SCENE.splitlines()[each.start_line].strip() for each in scene] == ["world:", "food:", "nest:", "crowd:"]
+
+
+async def test_tokens_say_what_words_are(client) -> None:
+    identifier = lsp.TextDocumentIdentifier(client.program)
+    found = await client.text_document_semantic_tokens_full_async(lsp.SemanticTokensParams(identifier))
+    from antdsl.lsp.text import Text
+    from antdsl.lsp.tokens import shown
+
+    words = shown(list(found.data), Text(FORAGER))
+    for pair in [
+        ("species", "keyword"), ("forager", "class"), ("smell", "property"), ("40 mm", "number"), ("nearest", "function"),
+        ("wander", "function"), ("swing", "parameter"), ("carry", "enumMember"), ("# body length", "comment"), ("->", "operator"),
+        ("20 /s", "number"), ('"Smells food"', "string"), ("size", "property"), ("steering", "namespace"),
+    ]:  # fmt: skip
+        assert pair in words, pair
+    assert "".join(text for text, _ in words) == "".join(
+        part for part in _without_signs(FORAGER)
+    ), "every word, number, text and comment has its token, once"
+    some = lsp.Range(lsp.Position(30, 0), lsp.Position(31, 0))
+    part = await client.text_document_semantic_tokens_range_async(lsp.SemanticTokensRangeParams(identifier, some))
+    assert shown(list(part.data), Text(FORAGER))[:3] == [("let", "keyword"), ("meal", "property"), ("=", "operator")]
+
+
+def _without_signs(text: str) -> list[str]:
+    """The text token by token as the real scanner cuts it, less brackets, commas and the like."""
+    from antdsl.diagnostics import Report
+    from antdsl.source import Source
+    from antdsl.syntax.scan import scan
+
+    scanned = scan(Source("x.ant", text), Report())
+    pieces = [(t.start, text[t.start : t.end]) for t in scanned.tokens if t.kind not in ("open", "close", "end")]
+    pieces += [(c.span.start, c.text) for c in scanned.comments]
+    return [piece for _, piece in sorted(pieces) if piece not in (",", ":", ".")]
+
+
+async def test_hints_rank_layers_and_count_frames(client) -> None:
+    async def hints(uri: str) -> list[tuple[int, str, str]]:
+        everything = lsp.Range(lsp.Position(0, 0), lsp.Position(999, 0))
+        found = await client.text_document_inlay_hint_async(lsp.InlayHintParams(lsp.TextDocumentIdentifier(uri), everything))
+        return [(each.position.line, each.label, each.tooltip) for each in found]
+
+    lines, found = FORAGER.splitlines(), await hints(client.program)
+    ranks = [(lines[line].split("(")[0].strip(), text) for line, text, _ in found if text.endswith(".")]
+    assert [text for _, text in ranks] == ["1.", "2.", "3.", "4."] and ranks[0][0] == "avoid"
+    held = next(text for line, text, _ in found if "held 0.5 s" in lines[line])
+    assert held == "12 frames", "24 a second, as its scenes say"
+    editor, alone = Editor(client), (client.folder / "alone.ant").resolve().as_uri()
+    await editor.open(alone, "ant 1\nspecies ant { state a { when after 0.3 s -> b }\n state b { when after 3 step -> a }\n start a }\n")
+    assert await hints(alone) == [(1, "8 frames at 24 fps", "0.3 s is 8 frames at 24 fps, as no scene says otherwise")]
+    editor.close(alone)
+
+
+# --- repairs ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "right, wrong",
+    [
+        ("-> follow_trail", "-> folow_trail"),
+        ("response  0.15 s", "response  0.15"),
+        ("steer arrive(meal)", "steer arive(meal)"),
+        ("wander(swing: swing)", "wander(swimg: swing)"),
+        ("deposit trail track", "deposit trial track"),
+        ("state turn_home", "state turnHome"),
+        ("no meal held", "no mael held"),
+    ],
+)
+async def test_suggestions_can_be_applied(client, right: str, wrong: str) -> None:
+    assert right in FORAGER
+    editor, uri = Editor(client), (client.folder / "foraging" / "wrong.ant").resolve().as_uri()
+    text = FORAGER.replace(right, wrong, 1)
+    found = await editor.open(uri, text)
+    errors = [each for each in found if each.severity == lsp.DiagnosticSeverity.Error]
+    assert len(errors) == 1
+    context = lsp.CodeActionContext(errors)
+    params = lsp.CodeActionParams(lsp.TextDocumentIdentifier(uri), errors[0].range, context)
+    actions = await client.text_document_code_action_async(params)
+    assert len(actions) == 1 and actions[0].kind == lsp.CodeActionKind.QuickFix and actions[0].title.startswith("Write `")
+    mended = applied(text, list(actions[0].edit.changes[uri]))
+    assert [d for d in await editor.rewrite(uri, mended) if d.severity == lsp.DiagnosticSeverity.Error] == []
+    editor.close(uri)
