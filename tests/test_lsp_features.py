@@ -36,7 +36,7 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
 @pytest.mark.parametrize(
     "word, nth, wanted",
     [
-        ("smell  =", 0, ["a length, in `mm`", "from 0 mm to 200 mm", "default 40 mm", "How far an ant smells food"]),
+        ("smell    =", 0, ["a length, in `mm`", "from 0 mm to 200 mm", "default 40 mm", "How far an ant smells food"]),
         ("smell)", 0, ["param smell = 40 mm in 0 mm .. 200 mm"]),
         ("reward *", 0, ["a rate", "in `/s`", "Scent laid at the food"]),
         ("meal)", 0, ["let meal = nearest(food", "an item of `food`"]),
@@ -124,7 +124,7 @@ async def test_completion_knows_where_it_is(client, line: str, wanted: str, unwa
         ("", "use steering\n", "world species field behaviour spec", "steer"),
         ("field smoke on ground { ", "use steering\n", "cell half_life diffuse", "param"),
         ("use ", '"Foraging ants: search, carry food home, mark the way."\n', "steering", "world"),
-        ("    ", "  layers {                                  # the first line wins when strength runs out\n", "state avoid separate", "steer"),
+        ("    ", "  layers {  # the first line wins when strength runs out\n", "state avoid separate", "steer"),
         ('  state rest "Lies down" ', "  start search\n", "amber blue", "search"),
         ("behaviour calm(way: ", "use steering\n", "push length place", "seek"),
         ("  on ", "  start search\n", "spawn collision", "smell"),
@@ -164,7 +164,9 @@ async def test_completion_of_scenes(client, line: str, after: str, wanted: str, 
     at = SCENE.index(after) + len(after)
     text = SCENE[:at] + line + "\n" + SCENE[at:]
     if line.startswith(("  - ", "set", "layers")):
-        text = text.replace("crowd:\n" + line + "\n", "crowd:\n  - {species: forager, from: forager.ant, count: 1}\n" + line + "\n")
+        text = text.replace(
+            "crowd:\n" + line + "\n", "crowd:\n  - {species: forager, from: forager.ant, count: 1}\n" + line + "\n"
+        )
     await editor.open(uri, SCENE)
     await editor.rewrite(uri, text)
     at = text.index(line + "\n", text.index(after)) if line.strip() else at
@@ -186,7 +188,9 @@ async def test_symbols_lie_in_each_other(client) -> None:
     inner = {each.name: each for each in found[3].children}
     assert {"smell", "load", "meal", "search", "carry", "layers"} <= set(inner)
     assert inner["carry"].kind == lsp.SymbolKind.EnumMember and cut_out(FORAGER, inner["carry"].selection_range) == "carry"
-    assert cut_out(FORAGER, inner["carry"].range).startswith("state carry") and cut_out(FORAGER, inner["carry"].range).endswith("}")
+    assert cut_out(FORAGER, inner["carry"].range).startswith("state carry") and cut_out(FORAGER, inner["carry"].range).endswith(
+        "}"
+    )
     scene = await client.text_document_document_symbol_async(lsp.DocumentSymbolParams(lsp.TextDocumentIdentifier(client.scene)))
     assert [each.name for each in scene][:3] == ["antdsl", "units", "up"]
     assert [each.name for each in scene[6].children] == ["ground", "boulder", "stones", "food", "nest"]
@@ -215,9 +219,9 @@ async def test_tokens_say_what_words_are(client) -> None:
         ("20 /s", "number"), ('"Smells food"', "string"), ("size", "property"), ("steering", "namespace"),
     ]:  # fmt: skip
         assert pair in words, pair
-    assert "".join(text for text, _ in words) == "".join(
-        part for part in _without_signs(FORAGER)
-    ), "every word, number, text and comment has its token, once"
+    assert "".join(text for text, _ in words) == "".join(part for part in _without_signs(FORAGER)), (
+        "every word, number, text and comment has its token, once"
+    )
     some = lsp.Range(lsp.Position(30, 0), lsp.Position(31, 0))
     part = await client.text_document_semantic_tokens_range_async(lsp.SemanticTokensRangeParams(identifier, some))
     assert shown(list(part.data), Text(FORAGER))[:3] == [("let", "keyword"), ("meal", "property"), ("=", "operator")]
@@ -247,7 +251,9 @@ async def test_hints_rank_layers_and_count_frames(client) -> None:
     held = next(text for line, text, _ in found if "held 0.5 s" in lines[line])
     assert held == "12 frames", "24 a second, as its scenes say"
     editor, alone = Editor(client), (client.folder / "alone.ant").resolve().as_uri()
-    await editor.open(alone, "ant 1\nspecies ant { state a { when after 0.3 s -> b }\n state b { when after 3 step -> a }\n start a }\n")
+    await editor.open(
+        alone, "ant 1\nspecies ant { state a { when after 0.3 s -> b }\n state b { when after 3 step -> a }\n start a }\n"
+    )
     assert await hints(alone) == [(1, "8 frames at 24 fps", "0.3 s is 8 frames at 24 fps, as no scene says otherwise")]
     editor.close(alone)
 
@@ -263,7 +269,6 @@ async def test_hints_rank_layers_and_count_frames(client) -> None:
         ("steer arrive(meal)", "steer arive(meal)"),
         ("wander(swing: swing)", "wander(swimg: swing)"),
         ("deposit trail track", "deposit trial track"),
-        ("state turn_home", "state turnHome"),
         ("no meal held", "no mael held"),
     ],
 )
@@ -281,3 +286,28 @@ async def test_suggestions_can_be_applied(client, right: str, wrong: str) -> Non
     mended = applied(text, list(actions[0].edit.changes[uri]))
     assert [d for d in await editor.rewrite(uri, mended) if d.severity == lsp.DiagnosticSeverity.Error] == []
     editor.close(uri)
+
+
+async def test_formatting_is_that_of_fmt(client) -> None:
+    from antdsl import syntax
+    from antdsl.source import Source
+
+    async def formatted(text: str) -> str | None:
+        editor, uri = Editor(client), (client.folder / "foraging" / "layout.ant").resolve().as_uri()
+        await editor.open(uri, text)
+        options = lsp.FormattingOptions(tab_size=8, insert_spaces=False)
+        edits = await client.text_document_formatting_async(
+            lsp.DocumentFormattingParams(lsp.TextDocumentIdentifier(uri), options)
+        )
+        editor.close(uri)
+        return None if edits is None else applied(text, list(edits))
+
+    untidy = (
+        FORAGER.replace("    steer ", "  steer   ")
+        .replace("    deposit", "\tdeposit")
+        .replace(" -> ", "->")
+        .replace("\n\n", "\n\n\n")
+    )
+    assert await formatted(FORAGER) == FORAGER
+    assert untidy != FORAGER and await formatted(untidy) == syntax.format(Source("layout.ant", untidy))[0]
+    assert await formatted(FORAGER.replace("state carry", "state carry carry carry")) is None, "a text with errors is left alone"

@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from lsp_client import COMMAND, ROOT, Editor, applied, ask, cut_out, initialize_params, lsp, place_of, pytest_lsp
+from lsp_client import COMMAND, ROOT, applied, ask, cut_out, initialize_params, lsp, place_of, pytest_lsp
 
 from antdsl.lsp.text import path_of
 from antdsl.pipeline import check_path
@@ -112,7 +112,9 @@ async def definition(client, file: str, word: str, nth: int = 0) -> list[tuple[s
         ("using/mine.ant", "slow\n", 0, ("mine.ant", "let slow")),
     ],
 )
-async def test_a_name_leads_to_where_it_is_declared(client, file: str, word: str, nth: int, wanted: tuple[str, str] | None) -> None:
+async def test_a_name_leads_to_where_it_is_declared(
+    client, file: str, word: str, nth: int, wanted: tuple[str, str] | None
+) -> None:
     found = await definition(client, file, word, nth)
     if wanted is None:
         assert found == []
@@ -134,7 +136,7 @@ async def test_references_are_found_in_programs_and_scenes(client) -> None:
         ("forager.ant", "patience")
     ] * 3 + [("many.yaml", "patience")]
     assert len(await references(client, "foraging/forager.ant", "patience =", declaration=False)) == 3
-    states = lines(await references(client, "foraging/forager.ant", "approach \"Smells"))
+    states = lines(await references(client, "foraging/forager.ant", 'approach "Smells'))
     assert len(states) == 5 and sum("-> approach" in line for _, line in states) == 4
     assert {name for name, _ in lines(await references(client, "foraging/scene.yaml", "stones:"))} == {
         "forager.ant", "scene.yaml", "many.yaml",
@@ -153,10 +155,10 @@ async def rename(client, file: str, word: str, new: str) -> dict[str, str]:
 @pytest.mark.parametrize(
     "word, new, files",
     [
-        ("smell  =", "nose", {"forager.ant"}),
+        ("smell    =", "nose", {"forager.ant"}),
         ("patience =", "endurance", {"forager.ant", "many.yaml"}),
         ("load   =", "cargo", {"forager.ant", "scene.yaml", "many.yaml"}),
-        ("carry \"", "haul", {"forager.ant"}),
+        ('carry "', "haul", {"forager.ant"}),
         ("food {", "meals", {"forager.ant", "scene.yaml", "many.yaml"}),
         ("trail on", "scent_trail", {"forager.ant"}),
         ("forager {", "worker", {"forager.ant", "scene.yaml", "many.yaml"}),
@@ -191,13 +193,13 @@ async def test_a_rename_reaches_into_used_files_and_machines(client) -> None:
 @pytest.mark.parametrize(
     "file, word, new, why",
     [
-        ("foraging/forager.ant", "smell  =", "size", "word of the language"),
-        ("foraging/forager.ant", "smell  =", "state", "word of the language"),
-        ("foraging/forager.ant", "smell  =", "Nose", "small letters"),
-        ("foraging/forager.ant", "smell  =", "reward", "already"),
-        ("foraging/forager.ant", "smell  =", "meal", "already"),
+        ("foraging/forager.ant", "smell    =", "size", "word of the language"),
+        ("foraging/forager.ant", "smell    =", "state", "word of the language"),
+        ("foraging/forager.ant", "smell    =", "Nose", "small letters"),
+        ("foraging/forager.ant", "smell    =", "reward", "already"),
+        ("foraging/forager.ant", "smell    =", "meal", "already"),
         ("foraging/forager.ant", "food {", "trail", "already"),
-        ("foraging/forager.ant", "carry \"", "search", "already"),
+        ("foraging/forager.ant", 'carry "', "search", "already"),
         ("foraging/forager.ant", "wander(", "stroll", "library"),
         ("foraging/forager.ant", "nearest(", "closest_of", "word of the language"),
         ("foraging/scene.yaml", "food:", "nest", "already"),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+
 def test_the_extra_is_named_when_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     import antdsl.lsp
 

@@ -45,7 +45,7 @@ async def test_edits_of_parts_of_a_text_are_put_together(client) -> None:
     ]
     found = await editor.change(path.as_uri(), both)
     assert [(d.code, d.range.start) for d in found] == [("unknown-edition", lsp.Position(0, 4))]
-    hover = await client.text_document_hover_async(lsp.HoverParams(**ask(path.as_uri(), place_of(FORAGER, "smell  ="))))
+    hover = await client.text_document_hover_async(lsp.HoverParams(**ask(path.as_uri(), place_of(FORAGER, "smell    ="))))
     assert "param smell = 50 mm" in hover.contents.value
     editor.close(path.as_uri())
 

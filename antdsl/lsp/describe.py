@@ -7,6 +7,7 @@ from typing import Any
 
 from antdsl.lsp.names import Key, declaration
 from antdsl.lsp.navigation import declared
+from antdsl.lsp.words import FORM_HELP, KINDS, SETTINGS, STATE_WORD_HELP, WORD_HELP
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.expected import MOTION
 from antdsl.program.kinds import Kind, Type
@@ -26,58 +27,6 @@ from antdsl.program.vocabulary import (
 from antdsl.program.wording import type_words
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FORMS
-
-_STATE_WORDS = {
-    "state": "the state it is in",
-    "previous": "the state it was in before",
-    "next": "the state it goes to, while it changes",
-    "time_in_state": "how long it has been in its state",
-}
-_WORDS = {
-    "self": "the animal itself",
-    "it": "the element that `with:` asks about",
-    "true": "yes",
-    "false": "no",
-    "dt": "how long one step lasts",
-    "time": "since the first frame",
-    "frame": "the number of the frame",
-    "slope": "between the ground and the level",
-    "at_start": "what the other side of the comparison was at the start",
-    "motion": "how the crowd moves: `motion.turn_p99` and the like",
-}
-KINDS = {
-    "surface": "what can be walked on",
-    "obstacle": "what stands in the way, and is gone round",
-    "solid": "soft ground that may be dug",
-    "items": "things that are placed, each with values of its own",
-    "curve": "a line drawn in space",
-    "flow": "directions over the ground",
-    "map": "numbers painted on the ground",
-    "species": "animals that another file describes",
-}
-SETTINGS = {
-    "cell": "how large its cells are",
-    "half_life": "the time in which half of it is gone",
-    "evaporate": "the share that goes in a time, such as `10 %/s`",
-    "keeps": "the share that stays in a step, such as `90 %/step`",
-    "diffuse": "how it spreads, an area in a time, such as `20 mm^2/s`",
-    "combine": "`add` what is laid, or keep the `max`",
-    "limit": "the most that a cell holds",
-}
-FORM_HELP = {
-    "steer": "what the animal wants in this state, a push", "when": "leads to another state", "interrupt": "a change that leaves before all others",
-    "deposit": "lays scent into a field", "carve": "digs a ball out of a solid", "give": "hands an amount to an item",
-    "take": "gets an amount from an item, as part of the condition", "emit": "raises an event", "spawn": "makes a new agent",
-    "die": "ends this agent", "enter": "once, when the state begins", "exit": "once, when the state ends",
-    "param": "a value that a scene may set, with its range", "let": "a name for a value", "latch": "a yes that stays until something else",
-    "fuzzy": "rules over shades of truth", "start": "the first state", "on": "what happens at an event",
-    "layers": "which wish wins: the first line first", "machine": "states beside others", "state": "what an animal does for a while",
-    "from": "a change out of any state", "use": "brings in behaviours", "world": "what a scene must bring", "field": "scent on surfaces",
-    "species": "a kind of animal", "behaviour": "a named wish or value", "spec": "what a crowd must do",
-    "keep": "memory from step to step", "for": "how long it runs", "seeds": "with which seeds", "set": "with which values",
-    "always": "holds in every frame", "never": "holds in no frame", "eventually": "holds in some frame", "until": "ends the run",
-    "within": "holds before a time is over", "each": "asks of every agent", "ant": "the edition of the language", "play": "plays a clip; not yet",
-}  # fmt: skip
 
 
 def markdown(form: str, *lines: str) -> str:
@@ -124,7 +73,9 @@ def _own(workspace: Workspace, document: Document, key: Key) -> str | None:
         return None
     where, node = found[0], declaration(found[1].node) or found[1].node
     typed = _typed(workspace.good(where.path), key)
-    word = {nodes.ParamDecl: "param ", nodes.Let: "let ", nodes.Latch: "latch ", nodes.Fuzzy: "fuzzy "}.get(type(found[1].node), "")
+    word = {nodes.ParamDecl: "param ", nodes.Let: "let ", nodes.Latch: "latch ", nodes.Fuzzy: "fuzzy "}.get(
+        type(found[1].node), ""
+    )
     if isinstance(node, nodes.Latch):
         form = f"latch {node.name.text} = {_flat(node.on.span.text)} until {_flat(node.until.span.text)}"
     elif isinstance(node, nodes.Fuzzy):
@@ -139,7 +90,12 @@ def _own(workspace: Workspace, document: Document, key: Key) -> str | None:
         more.append(f"default {_flat(node.value.span.text)}" if word else f"{_flat(node.value.span.text)} at birth")
         if node.each is not None:
             more.append(f"one value about each {node.each.species.text}")
-    return markdown(form, _kind_line(typed, *more), _help(node), f"{'param' if word == 'param ' else word.strip() or 'attribute'} of `{key[1]}`")
+    return markdown(
+        form,
+        _kind_line(typed, *more),
+        _help(node),
+        f"{'param' if word == 'param ' else word.strip() or 'attribute'} of `{key[1]}`",
+    )
 
 
 def _thing(workspace: Workspace, document: Document, key: Key) -> str | None:
@@ -148,7 +104,9 @@ def _thing(workspace: Workspace, document: Document, key: Key) -> str | None:
     if not isinstance(node, nodes.WorldItem):
         return None
     inner = "; ".join(_flat(each.span.text) for each in node.attributes)
-    return markdown(f"{node.kind.text} {node.name.text}" + (f" {{ {inner} }}" if inner else ""), KINDS.get(node.kind.text, ""), _help(node))
+    return markdown(
+        f"{node.kind.text} {node.name.text}" + (f" {{ {inner} }}" if inner else ""), KINDS.get(node.kind.text, ""), _help(node)
+    )
 
 
 def _attribute(workspace: Workspace, document: Document, key: Key) -> str | None:
@@ -253,7 +211,9 @@ def _element(workspace: Workspace, document: Document, key: Key) -> str | None:
 
 
 def _given(workspace: Workspace, document: Document, key: Key) -> str | None:
-    row = GIVEN[key[1]]
+    row = GIVEN.get(key[1])
+    if row is None:
+        return None
     more = ([f"default {row.default}"] if row.default else []) + (["may be set"] if row.settable else [])
     return markdown(f"{key[1]}: {row.type}", "; ".join([row.help, *more]), "every animal has it")
 
@@ -286,7 +246,7 @@ def _builtin_argument(workspace: Workspace, document: Document, key: Key) -> str
 
 def _word(workspace: Workspace, document: Document, key: Key) -> str | None:
     word = key[1]
-    help = _STATE_WORDS.get(word) or _WORDS.get(word)
+    help = STATE_WORD_HELP.get(word) or WORD_HELP.get(word)
     type = RUN_NAMES.get(word) or SENSED_NAMES.get(word)
     return markdown(f"{word}: {type}" if type else word, help) if help else None
 

@@ -8,27 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from antdsl import limits
-from antdsl.lsp.index import Occurrence
 from antdsl.lsp.names import Declared, Key
 from antdsl.lsp.text import Range
+from antdsl.lsp.tokens import keywords
+from antdsl.lsp.uses import Occurrence
 from antdsl.lsp.workspace import Document, Workspace
+from antdsl.program.states import STATE_WORDS
 from antdsl.program.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
 from antdsl.source import Span
-from antdsl.syntax.words import LINE_WORDS
 
 # Kinds of names that an author gives; the others are words of the language.
 GIVEN_BY_AUTHOR = frozenset(
-    ("thing", "attribute", "field", "species", "own", "machine", "state", "let", "event", "behaviour", "inner", "element", "alias",
-     "scene-item")
+    ("thing", "attribute", "field", "species", "own", "machine", "state", "let", "event", "behaviour", "inner", "element",
+     "alias", "scene-item")
 )  # fmt: skip
 _NAME = re.compile(r"[a-z][a-z_0-9]*")
-_GRAMMAR_WORDS = frozenset(
-    "ant use as world field species behaviour spec on param relax over for each strongest let latch until fuzzy start layers "
-    "machine from any except state at least steer enter exit interrupt when held after take previous choose deposit carve give "
-    "all emit spawn die play keep then seeds set always never eventually within if else or and not no is none of chance to in "
-    "next time_in_state self true false it".split()
-)
-_TAKEN = _GRAMMAR_WORDS | {*RUN_NAMES, *SENSED_NAMES, *RESERVED} | {word for words in LINE_WORDS.values() for word in words}
+_TAKEN = frozenset({*RUN_NAMES, *SENSED_NAMES, *RESERVED, *STATE_WORDS, "self", "true", "false", "it"})
 _UNKNOWN = {"?": ("thing", "field", "species"), "?behaviour": ("behaviour",), "?member": ("own", "attribute")}
 
 
@@ -124,7 +119,9 @@ def references(workspace: Workspace, document: Document, offset: int, declaratio
     for other, occurrence in _all(workspace, document, keys):
         if declaration or not occurrence.declares:
             found.setdefault((other.path, other.start(occurrence.span)), Found(other, occurrence.span))
-    return sorted(found.values(), key=lambda each: (each.document.path != document.path, each.document.path, each.document.start(each.span)))
+    return sorted(
+        found.values(), key=lambda each: (each.document.path != document.path, each.document.path, each.document.start(each.span))
+    )
 
 
 def _same_place(document: Document, offset: int) -> list[Occurrence]:
@@ -167,7 +164,8 @@ def rename(workspace: Workspace, document: Document, offset: int, new: str) -> l
     first = renamable(document, offset)
     if not _NAME.fullmatch(new) or len(new) > limits.NAME_CHARACTERS:
         raise Refused(f"`{new[:80]}` is no name: small letters, digits and `_`, beginning with a letter")
-    if new in _TAKEN or (first.key[0] == "behaviour" and (new in BUILTINS or new in REDUCERS)) or _given(first.key, new):
+    called = first.key[0] == "behaviour" and (new in BUILTINS or new in REDUCERS)
+    if new in _TAKEN or new in keywords() or called or _given(first.key, new):
         raise Refused(f"`{new}` is a word of the language")
     keys = _bound_together(workspace, document, {each.key for each in _same_place(document, offset)})
     places = {(other.path, other.start(each.span)): (other, each) for other, each in _all(workspace, document, keys)}

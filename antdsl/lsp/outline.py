@@ -18,7 +18,8 @@ _PIECE = re.compile(r'"[^"\n]*"?|#[^\n]*|[{}()\[\]]')
 
 @dataclass(slots=True)
 class Symbol:
-    """`kind`: species, state, behaviour, param, attribute, value, machine, layers, field, thing, world, spec, event, key, file."""
+    """`kind`: species, state, behaviour, param, attribute, value, machine, layers, field, thing, world, spec, event, key,
+    file."""
 
     name: str
     kind: str
@@ -83,7 +84,9 @@ def _keys(node: Node) -> Iterator[Symbol]:
             if isinstance(item, MappingNode):
                 name = next((item.entries[k] for k in ("species",) if k in item.entries), None)
                 text = name.text if isinstance(name, ScalarNode) else "…"
-                yield Symbol(text, "key", item.span, Span(item.span.source, item.span.start, item.span.start + 1), "", list(_keys(item)))
+                yield Symbol(
+                    text, "key", item.span, Span(item.span.source, item.span.start, item.span.start + 1), "", list(_keys(item))
+                )
 
 
 @dataclass(frozen=True, slots=True)

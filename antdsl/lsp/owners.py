@@ -8,7 +8,7 @@ from antdsl.lsp.names import Names, declaration
 from antdsl.syntax import nodes
 
 if TYPE_CHECKING:
-    from antdsl.lsp.index import Place
+    from antdsl.lsp.uses import Place
 
 # ("item", "food") one of the food; ("things", "food") all of it; ("agent", "rabbit"), ("species", "rabbit"); ("hit", "").
 Owner = tuple[str, str] | None

@@ -8,9 +8,9 @@ from lsprotocol import types as lsp
 
 from antdsl.diagnostics import Diagnostic
 from antdsl.lsp.actions import Action
-from antdsl.lsp.completion import Item
 from antdsl.lsp.hints import Hint
 from antdsl.lsp.outline import Fold, Symbol
+from antdsl.lsp.proposals import Item
 from antdsl.lsp.text import Edit, Range, uri_of
 from antdsl.lsp.workspace import Document, Workspace
 

@@ -6,8 +6,9 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from antdsl.lsp.completion import Item
 from antdsl.lsp.names import declaration
+from antdsl.lsp.proposals import Item
+from antdsl.lsp.words import SCENE_HELP
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.scene import model
 from antdsl.scene.matching import FRAME_ATTRIBUTES
@@ -20,23 +21,14 @@ _PARTS: dict[str, type[model.Part]] = {
     "crowd": model.CrowdLine,
 }  # fmt: skip
 _FORMS = {
-    "surface": "{mesh: ${1:ground.ply}}", "obstacle": "{mesh: ${1:stones.ply}}", "solid": "{mesh: ${1:hill.ply}, voxel: ${2:1 mm}}",
-    "curve": "{curve: ${1:way.json}}", "items": "{${1:one}: {at: [${2:0}, 0, ${3:0}]}}", "flow": "{toward: ${1:nest}, radius: ${2:50 mm}}",
+    "surface": "{mesh: ${1:ground.ply}}",
+    "obstacle": "{mesh: ${1:stones.ply}}",
+    "solid": "{mesh: ${1:hill.ply}, voxel: ${2:1 mm}}",
+    "curve": "{curve: ${1:way.json}}",
+    "items": "{${1:one}: {at: [${2:0}, 0, ${3:0}]}}",
+    "flow": "{toward: ${1:nest}, radius: ${2:50 mm}}",
     "map": "{painted: ${1:ground.ply}, attribute: ${2:damp}}",
-}  # fmt: skip
-HELP = {
-    "antdsl": "the edition of the scene format, `1`", "extends": "another scene, of which this one says what differs",
-    "units": "what a bare number of this file is in: `mm`, `cm`, `m`", "up": "the axis that points up: `x`, `y`, `z`",
-    "fps": "frames a second", "frames": "first and last frame, `1..240`", "preroll": "steps before the first frame, not written",
-    "substeps": "how often the moving part is done in a step", "seed": "where all chance begins", "from": "the program, or a cache to go on from",
-    "world": "what the programs walk on, go round and find", "crowd": "which agents, how many, where", "set": "other values for params and settings of fields",
-    "fields": "what lies in a field at the start", "layers": "another order of a species' layers", "camera": "from where pictures are taken",
-    "lod": "distances from the camera beyond which feelers are simpler", "output": "what a cache holds", "species": "a species of the program",
-    "count": "how many agents", "place": "where they begin", "body": "what pictures draw", "on": "the surface", "around": "a point `[x, y, z]`, or an item",
-    "radius": "how far about that place", "points": "a file of places", "density": "a map that says where they are many",
-    "at": "a place, `[x, y, z]`", "look_at": "what the camera looks at", "focal": "focal length", "mesh": "a file of triangles",
-    "voxel": "how fine a solid is", "keys": "places at frames", "attributes": "what a frame of the cache holds", "checkpoint": "frames between full checkpoints",
-}  # fmt: skip
+}
 
 
 def path_at(text: str, offset: int) -> tuple[tuple[str, ...], str]:
@@ -104,9 +96,13 @@ def _keys(workspace: Workspace, document: Document, path: tuple[str, ...], line:
     elif path == ("set",):
         yield from _settings(workspace, document)
     elif path == ("fields",):
-        yield from (Item(name, "property", "field", "", f"{name}: ") for p in _programs(workspace, document) for name in p.names.fields)
+        yield from (
+            Item(name, "property", "field", "", f"{name}: ") for p in _programs(workspace, document) for name in p.names.fields
+        )
     elif path == ("layers",):
-        yield from (Item(name, "property", "species", "", f"{name}: ") for p in _programs(workspace, document) for name in p.names.species)
+        yield from (
+            Item(name, "property", "species", "", f"{name}: ") for p in _programs(workspace, document) for name in p.names.species
+        )
     elif path[:1] == ("fields",):
         yield from _fields(model.FieldStart)
     elif path == ("output", "attributes"):
@@ -120,7 +116,7 @@ def _keys(workspace: Workspace, document: Document, path: tuple[str, ...], line:
 def _fields(part: type[model.Part]) -> Iterator[Item]:
     for name, field in part.model_fields.items():
         key = field.alias or name
-        yield Item(key, "property", "must be given" if field.is_required() else "", HELP.get(key, ""), f"{key}: ")
+        yield Item(key, "property", "must be given" if field.is_required() else "", SCENE_HELP.get(key, ""), f"{key}: ")
 
 
 def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> Iterator[Item]:
@@ -128,7 +124,9 @@ def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> I
     if len(path) == 1:
         for name, item in things.items():
             form = _FORMS.get(item.kind.text, "")
-            yield Item(name, "thing", item.kind.text, item.help.text if item.help is not None else "", f"{name}: {form}", bool(form))
+            yield Item(
+                name, "thing", item.kind.text, item.help.text if item.help is not None else "", f"{name}: {form}", bool(form)
+            )
         return
     thing = things.get(path[1])
     if thing is not None and thing.kind.text == "items":
@@ -138,7 +136,7 @@ def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> I
                 yield Item(each.name.text, "property", f"value of {path[1]}", "", f"{each.name.text}: ")
         return
     for head, (_, part) in model.HEADS.items():
-        yield Item(head, "property", "says what it is", HELP.get(head, ""), f"{head}: ")
+        yield Item(head, "property", "says what it is", SCENE_HELP.get(head, ""), f"{head}: ")
         if head == "mesh":
             yield from _fields(part)
 
@@ -179,5 +177,3 @@ def _values(workspace: Workspace, document: Document, key: str, path: tuple[str,
         yield from (Item(name, "thing", "item") for name in document.scene.items)
     elif key == "density":
         yield from (Item(n, "thing", "map") for n, i in things.items() if i.kind.text == "map")
-    elif key in HELP and not path:
-        return

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from antdsl.lsp.index import Occurrence
 from antdsl.lsp.names import Key
+from antdsl.lsp.uses import Occurrence
 from antdsl.program.vocabulary import ITEM_GIVEN
 from antdsl.scene.document import MappingNode, Node, ScalarNode, SequenceNode, read_document
 from antdsl.scene.model import ItemThing

@@ -21,8 +21,9 @@ from antdsl.lsp.formatting import formatted
 from antdsl.lsp.hints import hints
 from antdsl.lsp.navigation import Found, Refused, definition, references, renamable, rename
 from antdsl.lsp.outline import folds, symbols
-from antdsl.lsp.scene_help import HELP, complete_scene
+from antdsl.lsp.scene_help import complete_scene
 from antdsl.lsp.text import path_of, uri_of
+from antdsl.lsp.words import SCENE_HELP
 from antdsl.lsp.workspace import Document, Workspace
 
 T = TypeVar("T")
@@ -71,7 +72,7 @@ class Server(LanguageServer):
         waiting, self.waiting = self.waiting, set()
         for path in sorted(waiting):
             self.tell(path)
-        for path in sorted({scene for path in waiting for scene in self.files.scenes_of(path)} - waiting):
+        for path in sorted({scene for each in waiting for scene in self.files.scenes_of(each)} - waiting):
             self.tell(path)
 
     def tell(self, path: Path) -> None:
@@ -171,18 +172,14 @@ def _at(ls: Server, params: Any, answer: Callable[[Document, int], T]) -> T | No
 @server.feature(lsp.TEXT_DOCUMENT_HOVER)
 def _hover(ls: Server, params: lsp.HoverParams) -> lsp.Hover | None:
     def answer(document: Document, offset: int) -> lsp.Hover | None:
-        said = []
-        for found in document.at(offset):
-            text = describe(ls.files, document, found.key)
-            if text is not None and text not in said:
-                said.append(text)
-                span = said_of = found.span if len(said) == 1 else said_of
+        names = document.at(offset)
+        said = {text: each.span for each in names if (text := describe(ls.files, document, each.key)) is not None}
         if not said:
             start, end = document.word(offset)
             word = document.text.text[start:end]
-            text = keyword(word) if document.is_program else HELP.get(word)
+            text = keyword(word) if document.is_program else SCENE_HELP.get(word)
             return lsp.Hover(_markdown(text), protocol.range_of(document.text.range(start, end))) if text else None
-        return lsp.Hover(_markdown("\n\n---\n\n".join(said)), protocol.range_of(document.range(span)))
+        return lsp.Hover(_markdown("\n\n---\n\n".join(said)), protocol.range_of(document.range(next(iter(said.values())))))
 
     return _at(ls, params, answer)
 
@@ -191,9 +188,7 @@ def _markdown(text: str) -> lsp.MarkupContent:
     return lsp.MarkupContent(lsp.MarkupKind.Markdown, text)
 
 
-@server.feature(
-    lsp.TEXT_DOCUMENT_COMPLETION, lsp.CompletionOptions(trigger_characters=[".", ">", "(", " ", ":", "/", ",", "{"])
-)
+@server.feature(lsp.TEXT_DOCUMENT_COMPLETION, lsp.CompletionOptions(trigger_characters=[".", ">", "(", " ", ":", "/", ",", "{"]))
 def _completion(ls: Server, params: lsp.CompletionParams) -> lsp.CompletionList | None:
     def answer(document: Document, offset: int) -> lsp.CompletionList:
         found = complete(ls.files, document, offset) if document.is_program else complete_scene(ls.files, document, offset)

@@ -8,6 +8,7 @@ from functools import lru_cache
 from antdsl.lsp.text import Text
 from antdsl.lsp.workspace import Document
 from antdsl.resources import grammar_file
+from antdsl.syntax.words import UNIT_NAMES
 
 TYPES = (
     "keyword", "comment", "string", "number", "operator", "class", "enumMember", "function", "parameter", "property", "variable",
@@ -23,10 +24,11 @@ _KINDS: dict[str, tuple[str, int]] = {
     "setting": ("property", 4), "kind": ("keyword", 0), "type": ("type", 4), "alias": ("namespace", 0),
     "library": ("namespace", 4), "event": ("event", 0), "motion": ("property", 4), "colour": ("variable", 4),
 }  # fmt: skip
+_UNIT = rf"(?:{'|'.join(UNIT_NAMES)})(?:\^[0-9]+)?(?![A-Za-z_])"
 _PIECE = re.compile(
     r'(?P<string>"[^"\n]*"?)|(?P<comment>\#[^\n]*)|(?P<word>[A-Za-z_][A-Za-z_0-9]*)'
-    r"|(?P<number>[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?(?:[ \t]*(?:%|/?(?:UNIT)(?:\^[0-9]+)?)(?![A-Za-z_])(?:[*/](?:UNIT)(?:\^[0-9]+)?(?![A-Za-z_]))*)?)"
-    r"|(?P<operator>->|\.\.|[-+<>=!]=|[-+*/^<>=])".replace("UNIT", "mm|cm|m|s|min|deg|rad|turn|mg|g|kg|N|uN|u|step")
+    rf"|(?P<number>[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?(?:[ \t]*(?:%|/?{_UNIT})(?:[*/]{_UNIT})*)?)"
+    r"|(?P<operator>->|\.\.|[-+<>=!]=|[-+*/^<>=])"
 )
 
 

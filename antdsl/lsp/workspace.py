@@ -1,4 +1,4 @@
-"""The files of one editing session: open buffers over what is on disk, each parsed once, checked by the chain of `antdsl check`."""
+"""The files of one editing session: open buffers over what is on disk, checked by the chain of `antdsl check`."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 from antdsl import limits, syntax
 from antdsl.diagnostics import Diagnostic, Report
 from antdsl.loading import Parsed
-from antdsl.lsp.index import Occurrence, occurrences
+from antdsl.lsp.index import occurrences
 from antdsl.lsp.names import Names, names_of
 from antdsl.lsp.scenes import SceneIndex, scene_index
 from antdsl.lsp.text import Range, Text, normal
+from antdsl.lsp.uses import Occurrence
 from antdsl.pipeline import check_scene_text, compile_files
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes

@@ -31,7 +31,8 @@ def check(
 
     `library` gives the file behind `use NAME`, or None; `modules` the files behind `use "PATH" as NAME`, by `Source.path` or by
     the path as written. `strict` adds warnings about what is legal and depends on the frames per second. `memo` brings what an
-    earlier check of the same files found about parts that are still the same. A program that comes with errors in the report is for looking at, not for lowering.
+    earlier check found about parts that are still the same. A program that comes with errors in the report is for looking at,
+    not for lowering.
     """
     files = [files] if isinstance(files, nodes.File) else list(files)
     report = Report()

@@ -1,0 +1,264 @@
+"""What may stand inside an expression: values that are known there, members after a dot, arguments inside brackets."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from antdsl.lsp.context import Context
+from antdsl.lsp.describe import builtin_form, signature
+from antdsl.lsp.names import Names, declaration
+from antdsl.lsp.owners import owner_of
+from antdsl.lsp.uses import Place
+from antdsl.lsp.workspace import Document, Workspace
+from antdsl.program.states import STATE_WORDS
+from antdsl.program.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES
+from antdsl.source import Source, Span
+from antdsl.syntax import nodes
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One proposal. `kind`: keyword, state, unit, function, argument, variable, property, thing, type, colour, file; `insert`
+    may hold snippet places such as `${1:name}` when `snippet`."""
+
+    label: str
+    kind: str
+    detail: str = ""
+    help: str = ""
+    insert: str = ""
+    snippet: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    workspace: Workspace
+    document: Document
+    names: Names
+    context: Context
+
+    @property
+    def before(self) -> str:
+        """The statement before the word that is being written."""
+        return self.context.line.removesuffix(self.context.word)
+
+    @property
+    def species(self) -> str | None:
+        return self.context.around("top", "species") or self.context.around("spec_line", "each")
+
+    @property
+    def machine(self) -> str:
+        return self.context.around("member", "machine") or "main"
+
+
+def things(*kinds: str) -> Callable[[Request], Iterator[Item]]:
+    def give(request: Request) -> Iterator[Item]:
+        for name, item in request.names.things.items():
+            if not kinds or item.kind.text in kinds:
+                yield Item(name, "thing", item.kind.text, item.help.text if item.help is not None else "")
+
+    return give
+
+
+def fields(request: Request) -> Iterator[Item]:
+    for name, node in request.names.fields.items():
+        yield Item(name, "thing", "field", node.help.text if node.help is not None else "")
+
+
+def species(request: Request) -> Iterator[Item]:
+    for name in request.names.species:
+        yield Item(name, "thing", "species")
+
+
+def _place(request: Request) -> Place:
+    behaviour = request.context.around("top", "behaviour")
+    local: dict[str, Any] = {}
+    node = request.names.behaviours.get(behaviour or "")
+    if node is not None:
+        for each in (*node.arguments, *node.body):
+            local[each.name.text] = (("inner", "", behaviour, each.name.text), None)
+    for variable, over in re.findall(r"\(\s*([a-z_][a-z_0-9]*)\s+in\s+([a-z_][a-z_0-9]*)", request.context.line):
+        owner = _owner_of_text(request, Place(request.species, locals={}), over)
+        if over == "neighbours":
+            owner = ("agent", request.species or "")
+        elif over in ("feelers", "ray"):
+            owner = ("hit", "")
+        elif over in ("all", "nearest"):
+            inner = re.search(rf"{variable}\s+in\s+{over}\(\s*([a-z_][a-z_0-9]*)", request.context.line)
+            owner = _owner_of_text(request, Place(request.species, locals={}), inner.group(1)) if inner else None
+        if owner is not None:
+            owner = ({"things": "item", "species": "agent"}.get(owner[0], owner[0]), owner[1])
+        local[variable] = (("element", None), owner)
+    return Place(request.species, request.machine, behaviour, local, None, request.context.around("top", "spec") is not None)
+
+
+def _owner_of_text(request: Request, place: Place, name: str) -> Any:
+    span = Span(Source("", name), 0, len(name))
+    return owner_of(request.names, place, nodes.NameRef(nodes.Name(name, span), span))
+
+
+def members(request: Request) -> Iterator[Item]:
+    before = request.before[:-1].rstrip()
+    call = re.search(r"\b(?:nearest|random|first|pick)\(\s*([a-z_][a-z_0-9]*)[^()]*\)$", before)
+    name = call or re.search(r"([a-z_][a-z_0-9]*)$", before)
+    if name is None:
+        return
+    word = name.group(1)
+    place = _place(request)
+    table = request.names.species.get(request.species or "")
+    if word in request.names.modules and word not in place.locals:
+        module = request.workspace.document(request.names.modules[word])
+        for behaviour in module.names.behaviours.values() if module is not None else ():
+            yield _call(behaviour)
+        return
+    if table is not None and word in table.machines:
+        for each in STATE_WORDS:
+            yield Item(each, "property", f"of machine {word}")
+        return
+    owner = _owner_of_text(request, place, word)
+    if owner is None:
+        return
+    kind, whose = owner
+    if kind in ("item", "things"):
+        thing = request.names.things.get(whose)
+        for attribute in thing.attributes if thing is not None else ():
+            yield Item(attribute.name.text, "property", f"value of {whose}", attribute.help.text if attribute.help else "")
+        for given, type in ITEM_GIVEN.items():
+            yield Item(given, "property", type)
+    elif kind == "hit":
+        for given, type in HIT_GIVEN.items():
+            yield Item(given, "property", type)
+    else:
+        other = request.names.species.get(whose)
+        for own, member in (other.own if other is not None else {}).items():
+            node = declaration(member)
+            yield Item(own, "property", f"of {whose}", node.help.text if node is not None and node.help is not None else "")
+        if kind == "agent":
+            for given, row in GIVEN.items():
+                yield Item(given, "property", row.type, row.help)
+
+
+def argument_names(request: Request) -> Iterator[Item]:
+    context = request.context
+    if not re.search(r"(^|[,(])\s*[a-z_0-9]*$", "(" + context.given):
+        return
+    given = set(re.findall(r"([a-z_][a-z_0-9]*)\s*:", context.given))
+    called = context.called or ""
+    behaviour = _find_behaviour(request, called)
+    if behaviour is not None:
+        for argument in behaviour.arguments:
+            if argument.name.text not in given:
+                default = f" = {argument.default.span.text}" if argument.default is not None else ""
+                yield _argument(argument.name.text, argument.type.span.text + default)
+        return
+    for row in BUILTINS.get(called, ()):
+        for arg in row.args:
+            if arg.name not in given:
+                yield _argument(arg.name, arg.type + (f" = {arg.default}" if arg.default is not None else ""))
+    for name, detail in _LINE_ARGUMENTS.get(called if called in _LINE_ARGUMENTS else context.line.split(" ")[0], ()):
+        if name not in given and context.line.startswith(("carve", "emit")):
+            yield _argument(name, detail)
+
+
+_LINE_ARGUMENTS = {
+    "carve": (("radius", "length"), ("toward", "push"), ("into", "attribute, a volume")), "emit": (("within", "length"),),
+}  # fmt: skip
+
+
+def _argument(name: str, detail: str) -> Item:
+    return Item(f"{name}:", "argument", detail, "", f"{name}: ")
+
+
+def _find_behaviour(request: Request, called: str) -> nodes.Behaviour | None:
+    alias, dot, name = called.partition(".")
+    if dot:
+        module = request.workspace.document(request.names.modules[alias]) if alias in request.names.modules else None
+        return module.names.behaviours.get(name) if module is not None else None
+    return dict(_known_behaviours(request)).get(called)
+
+
+def _known_behaviours(request: Request) -> Iterator[tuple[str, nodes.Behaviour]]:
+    for path in request.names.libraries.values():
+        library = request.workspace.document(path.resolve())
+        if library is not None:
+            yield from library.names.behaviours.items()
+    yield from request.names.behaviours.items()
+
+
+def behaviours(request: Request) -> Iterator[Item]:
+    for behaviour in dict(_known_behaviours(request)).values():
+        yield _call(behaviour)
+    for alias in request.names.modules:
+        yield Item(alias, "file", "another file")
+
+
+def _call(node: nodes.Behaviour) -> Item:
+    """A behaviour with a place for each argument that must be given."""
+    wanted = [argument for argument in node.arguments if argument.default is None]
+    places = ", ".join(f"${{{number}:{argument.name.text}}}" for number, argument in enumerate(wanted, 1))
+    optional = "$0" if not wanted and node.arguments else ""
+    insert = f"{node.name.text}({places or optional})" + ("" if optional else "$0")
+    return Item(node.name.text, "function", signature(node), node.help.text if node.help is not None else "", insert, True)
+
+
+def own(request: Request, assignable: bool = False) -> Iterator[Item]:
+    table = request.names.species.get(request.species or "")
+    for name, member in (table.own if table is not None else {}).items():
+        if assignable and not isinstance(member, nodes.Declaration):
+            continue
+        node = declaration(member)
+        kind = {nodes.ParamDecl: "param", nodes.Let: "let", nodes.Latch: "latch", nodes.Fuzzy: "fuzzy"}.get(
+            type(member), "attribute"
+        )
+        value = f" = {' '.join(node.value.span.text.split())}" if isinstance(node, nodes.Declaration) else ""
+        yield Item(name, "variable", f"{kind}{value}", node.help.text if node.help is not None else "")
+
+
+def values(request: Request) -> Iterator[Item]:
+    """Everything that can be a value, or begin one."""
+    place = _place(request)
+    for name, (key, _) in place.locals.items():
+        yield Item(name, "variable", "argument" if key[0] == "inner" else "element")
+    if place.behaviour is None:
+        yield from own(request)
+        for word in (
+            *STATE_WORDS,
+            *(request.names.species[request.species].machines if request.species in request.names.species else ()),
+        ):
+            if word != "main":
+                yield Item(word, "variable", "of its states")
+    yield from behaviours(request)
+    yield from things()(request)
+    yield from fields(request)
+    yield from species(request)
+    for name, row in GIVEN.items():
+        yield Item(name, "variable", row.type, row.help)
+    for name, type in (*RUN_NAMES.items(), *SENSED_NAMES.items()):
+        yield Item(name, "variable", type)
+    for name, rows in BUILTINS.items():
+        yield Item(name, "function", builtin_form(name, rows[0]), rows[0].help, f"{name}($0)", True)
+    for name, help in REDUCERS.items():
+        yield Item(name, "function", f"{name}(n in SET: …)", help, f"{name}(${{1:n}} in ${{2:neighbours(20 mm)}}: $0)", True)
+    for word in (
+        "and",
+        "or",
+        "not",
+        "no",
+        "if",
+        "then",
+        "else",
+        "is none",
+        "none of",
+        "held",
+        "take",
+        "after",
+        "chance",
+        "when",
+        "self",
+    ):
+        yield Item(word, "keyword")
+    if place.spec:
+        for word in ("total", "share", "at_start", "motion"):
+            yield Item(word, "keyword", "of the whole crowd")
