@@ -1,4 +1,4 @@
-"""`antdsl new DIR`: a project to start from: a program, a scene and a ground, ready to run."""
+"""`antdsl new DIR`: a project to start from: a program, a scene and a ground, ready to run, and ready for CI."""
 
 from __future__ import annotations
 
@@ -8,73 +8,26 @@ from typing import Any
 import typer
 
 from antdsl.cli.exits import Exit, Stop
-
-PROGRAM = """\
-ant 1
-"Walkers that stroll, and rest now and then."
-use steering
-
-world { surface ground }
-
-species walker {
-  param pace = 30 mm/s in 5 mm/s .. 100 mm/s "How fast a walker strolls"
-
-  size      4 mm
-  max_speed pace
-
-  start stroll
-  state stroll "Taking a walk" amber {
-    steer wander(swing: 40 deg)
-    when chance 10 %/s -> rest
-  }
-  state rest "Having a rest" blue {
-    when after 1 s -> stroll
-  }
-
-  layers {
-    separate(radius: 2 * size)
-    state
-  }
-}
-
-spec "walkers keep moving, none too fast" on "scene.yaml" {
-  for 5 s
-  always: share(state == rest) < 50 %
-  always: motion.circling < 10 %
-  each walker { always: speed < 1.01 * pace }
-}
-"""
-
-SCENE = """\
-antdsl: 1
-units: mm
-up: y
-fps: 24
-frames: 1..240
-seed: 1
-world:
-  ground: {mesh: ground.ply}
-crowd:
-  - {species: walker, from: walker.ant, count: 200, place: {on: ground, radius: 60 mm}}
-set: {walker.pace: 25 mm/s}
-camera: {at: [0, 130, 190], look_at: [0, 0, 0], focal: 35 mm}
-"""
+from antdsl.cli.project import FILES
 
 
 def new(
     folder: Path = typer.Argument(..., metavar="DIR", help="A folder that is not there yet, or is empty."),
 ) -> None:
-    """Write a small project to start from."""
+    """Write a small project to start from, with its specs and what checks it in CI."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise Stop(Exit.INPUT_OUTPUT, f"error: `{folder}` is there already and not empty", "name another folder")
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "walker.ant").write_text(PROGRAM, encoding="utf-8")
-    (folder / "scene.yaml").write_text(SCENE, encoding="utf-8")
+    for name, text in FILES:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8", newline="\n")
     (folder / "ground.ply").write_bytes(ground())
     typer.echo(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
     typer.echo(f"  antdsl run {folder / 'scene.yaml'}")
     typer.echo(f"  antdsl test {folder}")
     typer.echo(f"  antdsl render {folder / 'out' / 'scene'} --sheet")
+    typer.echo(f"{folder / 'README.md'} says more; a workflow for GitHub and hooks for pre-commit are there too")
 
 
 def ground(side: int = 49, width: float = 200.0) -> bytes:
