@@ -302,6 +302,7 @@ def test_feelers_meet_a_ball_where_it_is_and_run_along_it_free():
         near = feel.near(*(way * (20 + away)).T, np.inf)
         assert near.t == pytest.approx(away, abs=error)
         assert (np.stack([near.nx, near.ny, near.nz], axis=1) * way).sum(axis=1).min() > 0.99
+    assert not feel.near(*(way * 50.0).T, ball.band[1]).hit.any(), "nothing is touched by who reaches just to the band's end"
     clear = feel.clearance(*(way * 50.0).T)
     assert (clear <= 30.0 + 1e-3).all() and (clear > 0).all()
 

@@ -203,6 +203,42 @@ def test_a_flow_leads_over_what_may_be_dug_as_well() -> None:
     assert (away(made, 150, 0) < 30).mean() > 0.7
 
 
+def test_a_solved_flow_goes_round_what_is_solid_and_through_it_once_it_is_dug() -> None:
+    text = (
+        "ant 1\nuse steering\nworld { surface ground; solid hill; flow drift }\nspecies ant { state s { steer along(drift) } }\n"
+    )
+    lowered, report = plan.lower(checked(text)[0])
+    assert complaints(report) == []
+    hill = SolidData(MeshData(*meshes.box((-40, -10, -150), (40, 25, 80))), 4.0)
+    crowd = CrowdData("ant", 3, PlaceData(points=np.array([[-150.0, 50, 5.0 * k] for k in range(3)])))
+    floor = {"ground": MeshData(*meshes.grid(400.0, 40))}
+    flow = SolvedFlow(GOAL, every=0.25)
+
+    def begun() -> World:
+        return bind(lowered, Setting(surfaces=floor, solids={"hill": hill}, flows={"drift": flow}, crowds=(crowd,)))
+
+    def ahead(made: World) -> float:
+        return float(read(made, (-60, 0))[0, 0])
+
+    made = begun()
+    solved = made.flows["drift"].c
+    run(made, 7)
+    assert made.flows["drift"].c is solved, "nothing was dug, so nothing is solved anew"
+    assert ahead(made) < 0.6 and np.abs(read(made, (0, 0))).max() == 0, "round it; under it leads no way"
+    x = np.linspace(-44, 44, 40)
+    made.solids["hill"].carve(np.stack([x, 0 * x, 0 * x], axis=1), np.full(40, 30.0), np.arange(40))
+    assert ahead(made) < 0.6, "not before it is time to look"
+    kept = checkpoint(made)
+    places = run(made, 6)
+    assert ahead(made) > 0.95 and read(made, (0, 0))[0, 0] > 0.9
+    again = begun()
+    restore(again, kept)
+    assert np.array_equal(run(again, 6), places) and np.array_equal(again.flows["drift"].c, made.flows["drift"].c)
+    assert (away(again, 150, 0) > 100).all()
+    run(again, 260)
+    assert (away(again, 150, 0) < 20).all(), "through it: the way round is too long for that time"
+
+
 # --- borders ---------------------------------------------------------------------------------------------------------
 
 

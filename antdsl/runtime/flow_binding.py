@@ -29,6 +29,7 @@ _ACROSS = 64  # pieces of the ground's extent, where there is no radius either
 _ACROSS_CROWD = 48  # the same, where it is worked out again and again
 _OWN_POINTS = 200_000  # at most, where the cell is not given
 _ROOM_COST = 8.0  # beside an obstacle a mm costs so much more
+_SUNK = 0.05  # voxels that ground may lie under the surface of a solid and still be crossed
 _LIFT = 0.25  # of an edge: how high over the ground obstacles are looked for between two points
 
 
@@ -70,7 +71,8 @@ def _may_change(world: World, flow: SpreadFlow | BorderFlow | SolvedFlow) -> boo
     """Whether anything moves that a flow is made from: surfaces, what it leads to, obstacles on the way."""
     moves = world.setting.moves
     moving = [name for name in moves.meshes if name in world.setting.surfaces or isinstance(flow, SolvedFlow)]
-    return bool(moving) or (not isinstance(flow, BorderFlow) and flow.target.of in {**moves.items, **moves.curves})
+    dug = bool(world.solids) and isinstance(flow, SolvedFlow)
+    return bool(moving) or dug or (not isinstance(flow, BorderFlow) and flow.target.of in {**moves.items, **moves.curves})
 
 
 def _renew(world: World, made: Flow, flow: SpreadFlow | BorderFlow | SolvedFlow) -> None:
@@ -239,19 +241,34 @@ def _solved(world: World, flow: SolvedFlow) -> Flow:
     grounds = _grounds(world, lattice, chosen)
     start, first = _goal(world, flow, grounds)
     every = max(1, ceil(flow.every / world.dt - 1e-9))
+    changes = bool(flow.crowding or world.setting.moves)
+    looked = [_left(world)]
+
+    def due(now: World) -> bool:
+        """Whether it is time, and there is something to look at anew."""
+        if (now.frame - now.setting.first_frame) % every:
+            return False
+        before, looked[0] = looked[0], _left(now)
+        return changes or looked[0] != before
+
     made = Solved(
         lattice, np.zeros(0), np.zeros(0), None,
         grounds=grounds, cost=_cost(world, flow, grounds), start=start, first=first, strength=flow.strength,
-        crowding=flow.crowding, every=every, due=lambda now: (now.frame - now.setting.first_frame) % every == 0,
+        crowding=flow.crowding, every=every, due=due,
         crowd=np.zeros(len(grounds.land.points), np.int64) if flow.crowding else None,
     )  # fmt: skip
     made.solve()
     return made
 
 
+def _left(world: World) -> list[int]:
+    """How much is left of each solid: what tells whether anything was dug."""
+    return [volume.bricks.steps for volume in world.solids.values()]
+
+
 def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None = None) -> Grounds:
     """The lattice as land: points that are one although of several faces (`point`, where that is known), triangles that no
-    obstacle cuts, links between surfaces."""
+    obstacle cuts and no undug solid buries, links between surfaces."""
     _, _, mesh, table = world.ground.meshes.triangles
     face, place = _places(world, lattice)
     if point is None:
@@ -265,6 +282,8 @@ def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None 
     across = np.cross(b - a, c - a)
     areas = np.sqrt((across * across).sum(axis=1)) / 2
     open_ = chosen[owner] & (areas > 0) & ~_blocked(world, triangles, points, table.normal.T[owner])
+    for volume in world.solids.values():
+        open_ &= ~(volume.sample(points) < -_SUNK * volume.voxel)[triangles].any(axis=1)
     of = np.empty(count, np.int32)
     of[point] = mesh[face]
     land = Land(points, triangles, open_, _links(points, of, np.unique(triangles[open_]), areas))

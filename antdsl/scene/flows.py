@@ -89,7 +89,8 @@ def _match_solved(scene: Scene, program: Program, report: Report, name: str, thi
     for key in thing.maps:
         if key not in maps:
             _unknown(report, scene, (name, "maps", key), "no map is named", key, maps)
-    if thing.every is not None and not thing.crowding and not _may_move(scene):
+    dug = any(t.kind == "solid" for t in program.world.values())
+    if thing.every is not None and not (thing.crowding or dug or _may_move(scene)):
         report.error(
             "wrong-value",
             f"nothing that `{name}` is solved by changes, so it is solved once",

@@ -90,7 +90,7 @@ class SolidFeelers:
         size = np.sqrt((slope * slope).sum(axis=1))
         normal = np.where(size[:, None] > 0, slope / np.where(size > 0, size, 1)[:, None], 0).astype(np.float32)
         t = np.maximum(distance, np.float32(0))
-        beyond = np.flatnonzero((distance > self.volume.band[1] - self.volume.voxel) & (reach > self.volume.band[1]))
+        beyond = np.flatnonzero((distance > self.volume.band[1] - self.volume.voxel) & (reach >= self.volume.band[1]))
         if beyond.size:
             t[beyond], normal[beyond] = self._nearest(place[beyond])
         hit = t <= reach
