@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 from meshes import Mesh
 from numpy.typing import NDArray
-from torture_walks import BODY, STEP, Seen, above, crowd, depth, inside, shapes, wander, winding
+from torture_long import from_file, long_walk
+from torture_walks import BODY, STEP, Seen, above, crowd, depth, inside, parts, shapes, wander, winding
 
+from antdsl.runtime.senses import topology
 from antdsl.runtime.senses.ground import Ground
+from antdsl.runtime.senses.rays import RayScene
 
 SHAPES = shapes()
 N, STEPS = 300, 120
@@ -88,12 +94,6 @@ def test_a_sheet_without_thickness_is_gone_through_nowhere() -> None:
         assert np.array_equal(in_can(above(ground, at)), began)
         stopped += int(at.blocked.sum())
     assert stopped > 20  # by its border
-
-
-def parts(mesh: Mesh, size: int) -> list[Mesh]:
-    """The stones of a stack, which follow each other."""
-    points, faces = len(mesh[0]) // size, len(mesh[1]) // size
-    return [(mesh[0][k * points : (k + 1) * points], mesh[1][k * faces : (k + 1) * faces] - k * points) for k in range(size)]
 
 
 def test_nobody_on_a_stack_of_stones_comes_into_a_stone() -> None:
@@ -181,7 +181,51 @@ def test_a_broken_mesh_is_walked_like_the_mesh_that_was_meant() -> None:
     assert not inside(plain, above(ground, two)).any()
 
 
+def held(name: str, mesh: Mesh, n: int, steps: int) -> None:
+    """A crowd on a shape: on it, not lost, and nobody through a wall."""
+    walked = long_walk(name, mesh, n, steps)
+    walked.seen.good()
+    assert walked.agents > 0.9 * n and walked.through == 0 and walked.missed == 0, walked
+
+
+@pytest.mark.parametrize("name", ["eight", "bottle", "broken", "rag"])
+def test_nobody_goes_through_a_wall_or_round_the_border_of_a_sheet(name: str) -> None:
+    held(name, SHAPES.SHAPES[name](), 2 * N, STEPS)
+
+
+def test_a_hose_through_itself_is_gone_through_where_its_cuts_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(topology, "patches", lambda corners, weld, piece, grain: piece)
+    assert long_walk("eight", SHAPES.eight(), N, STEPS // 2).through > 10
+
+
+def test_faces_that_cut_each_other_are_of_different_patches_and_no_others_are() -> None:
+    for name, shape in SHAPES.SHAPES.items():
+        table = Ground({name: shape()}).triangles[3]
+        assert (table.patch != table.piece).any() == (name == "eight"), name
+    mesh = SHAPES.eight()
+    table = Ground({"eight": mesh}).triangles[3]
+    corners, crossings = mesh[0][mesh[1]], 0
+    near = np.flatnonzero(np.linalg.norm(corners.mean(axis=1) - [0.0, 12.0, 0.0], axis=1) < 16.0)
+    for f in near:
+        scene = RayScene(corners[f], np.arange(3, dtype=np.int32)[None])
+        for k in range(3):
+            edge = corners[near][:, [k, (k + 1) % 3]]
+            hit, part, _, _ = scene.cast_within(edge[:, 0], edge[:, 1] - edge[:, 0])
+            through = near[hit[(part > 0.01) & (part < 0.99)]]
+            through = through[[not np.isin(table.weld[f], table.weld[g]).any() for g in through]]
+            assert (table.patch[through] != table.patch[f]).all(), (f, through)
+            crossings += len(through)
+    assert crossings > 50
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHAPES.SHAPES)
 def test_five_thousand_for_five_thousand_steps(name: str) -> None:
-    print(name, walked(name, 5000, 5000))
+    held(name, SHAPES.SHAPES[name](), 5000, 5000)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("ANTDSL_MESHES" not in os.environ, reason="ANTDSL_MESHES names no folder of closed meshes")
+def test_five_thousand_for_five_thousand_steps_on_meshes_of_ones_own() -> None:
+    for path in sorted(Path(os.environ["ANTDSL_MESHES"]).glob("*.obj")):
+        held(path.stem, from_file(path), 5000, 5000)

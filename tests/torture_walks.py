@@ -58,10 +58,10 @@ def wander(
         yield before, at
 
 
-def above(ground: Ground, at: MoveResult) -> NDArray[np.float64]:
-    """Places a hair off the surface, on the side that everybody is on."""
+def above(ground: Ground, at: MoveResult, high: float = HAIR) -> NDArray[np.float64]:
+    """Places a hair off the surface, or `high` mm, on the side that everybody is on."""
     normal = ground.normal(at.footing)
-    return at.position + normal * np.where((normal * at.up).sum(axis=1) < 0, -HAIR, HAIR)[:, None]
+    return at.position + normal * np.where((normal * at.up).sum(axis=1) < 0, -high, high)[:, None]
 
 
 def winding(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -76,6 +76,12 @@ def winding(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
         low = la * lb * lc + (a * b).sum(axis=2) * lc + (b * c).sum(axis=2) * la + (c * a).sum(axis=2) * lb
         total[start : start + 500] = 2 * np.arctan2(top, low).sum(axis=1) / (4 * np.pi)
     return total
+
+
+def parts(mesh: Mesh, size: int) -> list[Mesh]:
+    """The stones of a stack, which follow each other."""
+    points, faces = len(mesh[0]) // size, len(mesh[1]) // size
+    return [(mesh[0][k * points : (k + 1) * points], mesh[1][k * faces : (k + 1) * faces] - k * points) for k in range(size)]
 
 
 def inside(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -41,7 +41,7 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> Wor
     up = np.asarray(setting.up, np.float64)
     meshes = {name: _moved(mesh, origin) for name, mesh in {**setting.surfaces, **setting.obstacles}.items()}
     solids = _solids(setting, origin)
-    ground = _ground({name: meshes[name] for name in setting.surfaces}, solids, up, setting.moves.meshes)
+    ground = _ground({name: meshes[name] for name in setting.surfaces}, solids, up, setting.moves.meshes, setting.by_rays)
     world = World(
         plan=plan,
         setting=setting,
@@ -116,10 +116,12 @@ def _solids(setting: Setting, origin: NDArray[np.float64]) -> dict[str, Any]:
     return found
 
 
-def _ground(meshes: dict[str, MeshData], solids: dict[str, Any], up: NDArray[np.float64], moving: Iterable[str]) -> Any:
+def _ground(
+    meshes: dict[str, MeshData], solids: dict[str, Any], up: NDArray[np.float64], moving: Iterable[str], by_rays: bool
+) -> Any:
     if not meshes and not solids:
         return Plane(up)
-    ground = _meshes(meshes, moving)
+    ground = _meshes(meshes, moving, by_rays)
     if not solids:
         return ground
     from antdsl.runtime.terrain import Terrain
@@ -127,19 +129,19 @@ def _ground(meshes: dict[str, MeshData], solids: dict[str, Any], up: NDArray[np.
     return Terrain(ground, solids, up / np.sqrt(np.dot(up, up)))
 
 
-def _meshes(meshes: dict[str, MeshData], moving: Iterable[str]) -> Any:
+def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool) -> Any:
     """The part of the ground that is made of meshes; None without any."""
     surfaces = {name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
     moved = [name for name in moving if name in surfaces]
     if moved:
         from antdsl.runtime.senses.moving_ground import MovingGround
 
-        return MovingGround(surfaces, moved)
+        return MovingGround(surfaces, moved, by_rays)
     if not surfaces:
         return None
     from antdsl.runtime.senses.ground import Ground
 
-    return Ground(surfaces)
+    return Ground(surfaces, by_rays)
 
 
 def _scenes(meshes: dict[str, MeshData], solids: dict[str, Any]) -> dict[str, Any]:

@@ -32,6 +32,7 @@ UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
 Unit = Annotated[str, BeforeValidator(one_of(*UNIT_MM))]
 Body = Annotated[str, BeforeValidator(one_of("ant", "person", "arrow", "ball"))]
+Stick = Annotated[str, BeforeValidator(one_of("triangles", "rays"))]
 Axis = Annotated[str, BeforeValidator(one_of("y", "z"))]
 Purpose = Annotated[str, BeforeValidator(one_of("render", "proxy"))]
 Factor = Annotated[float, BeforeValidator(number(1e-9, 1e9))]
@@ -325,6 +326,7 @@ class SceneModel(Part):
     frames: Frames = FrameRange(1, 240)
     preroll: Annotated[int, BeforeValidator(whole(0, limits.FRAMES))] = 0
     substeps: Annotated[int, BeforeValidator(whole(1, 64))] = 1
+    stick: Stick = "triangles"
     seed: Annotated[int, BeforeValidator(whole(0, 2**64 - 1))] = 0
     start: StartFrom | None = Field(None, alias="from")
     world: dict[Name, WorldThing] = {}

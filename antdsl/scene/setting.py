@@ -173,10 +173,12 @@ class DetailData:
 class Setting:
     """Everything that binding a plan needs. `unit_mm` is the length of `u`; `up` a unit vector; `params` by qualified name
     (`forager.smell`), those absent take their default; `first_frame` is the number of the first simulated frame. Meshes, items
-    and curves are where they are at that frame; `moves` says where they go. `camera` is one that a file brings."""
+    and curves are where they are at that frame; `moves` says where they go. `camera` is one that a file brings. With
+    `by_rays` agents stick to meshes by two rays a step and do not walk over triangles."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
+    by_rays: bool = False
     up: Point = (0.0, 1.0, 0.0)
     unit_mm: float = 1.0
     seed: int = 0

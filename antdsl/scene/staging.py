@@ -126,6 +126,7 @@ def stage(
     made = stage_of.Setting(
         fps=model.fps,
         substeps=model.substeps,
+        by_rays=model.stick == "rays",
         up=_UP[model.up],
         unit_mm=model.unit_mm,
         seed=model.seed,

@@ -139,6 +139,23 @@ def rod(length: float = 70.0, radius: float = 2.5) -> Mesh:
     return turned([(0.0, 0.0), (radius, 0.0), (radius, length / 2), (radius * 0.8, length), (0.0, length)], 9)
 
 
+def eight(along: int = 64, around: int = 12, radius: float = 7.0) -> Mesh:
+    """A closed hose along the curve of Gerono, which goes through itself in the middle: one piece, walls inside walls."""
+    t = 2 * np.pi * np.arange(along) / along
+    line = np.stack([34.0 * np.sin(t), np.full(along, 12.0), 34.0 * np.sin(t) * np.cos(t)], axis=1)
+    ahead = np.stack([np.cos(t), np.zeros(along), np.cos(2 * t)], axis=1)
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    across = np.cross(ahead, [0.0, 1.0, 0.0])
+    turn = 2 * np.pi * (np.arange(around) + 0.3) / around
+    ring = across[:, None] * np.cos(turn)[:, None] + np.array([0.0, 1.0, 0.0]) * np.sin(turn)[:, None]
+    vertices = (line[:, None] + radius * ring).reshape(-1, 3)
+    number = np.arange(along * around).reshape(along, around)
+    a, b = number, np.roll(number, -1, axis=1)
+    c, d = np.roll(b, -1, axis=0), np.roll(a, -1, axis=0)
+    faces = np.concatenate([np.stack([a, c, b], axis=2).reshape(-1, 3), np.stack([a, d, c], axis=2).reshape(-1, 3)])
+    return vertices, faces.astype(np.int32)
+
+
 def boulder() -> Mesh:
     """To be sunk into the ground by half."""
     vertices, faces = stone(66, (24.0, 20.0, 21.0), detail=3)
@@ -156,7 +173,7 @@ def ground(lines: int = 61) -> Mesh:
 
 SHAPES = {
     "cube": cube, "plate": plate, "torus": torus, "bottle": bottle, "can": can, "pot": pot, "stones": stones, "moebius": moebius,
-    "rag": rag, "broken": broken, "rod": rod, "boulder": boulder, "ground": ground,
+    "rag": rag, "broken": broken, "eight": eight, "rod": rod, "boulder": boulder, "ground": ground,
 }  # fmt: skip
 
 
@@ -167,5 +184,5 @@ def write(name: str, mesh: Mesh) -> None:
 
 if __name__ == "__main__":
     for name, shape in SHAPES.items():
-        if name not in ("pot", "broken"):  # for tests only
+        if name not in ("pot", "broken", "eight"):  # for tests only
             write(name, shape())

@@ -73,9 +73,9 @@ class Listing:
 
     def _ahead(self, parts: Parts, reach: float) -> Lists:
         asking = np.flatnonzero(parts.count)
-        piece = self._table.piece
+        patch = self._table.patch
         one, other = self._pairs(asking, self._corners[asking], reach)
-        apart = piece[asking[one]] != piece[other]
+        apart = patch[asking[one]] != patch[other]
         return self._lists(asking if one.size else asking[:0], one[apart], other[apart])
 
     def _beyond(self, reach: float) -> Lists:

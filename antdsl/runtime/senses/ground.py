@@ -15,7 +15,7 @@ from antdsl.runtime.senses.clearances import Clearances, Parts
 from antdsl.runtime.senses.rays import FAR, Mesh, RayScene
 from antdsl.runtime.senses.surroundings import BEYOND, LIFT, NOISE, Around
 from antdsl.runtime.senses.topology import Topology, build, facing
-from antdsl.runtime.senses.walk import Walkers, dot, in_frame, inside, turned, walk
+from antdsl.runtime.senses.walk import Walkers, dot, in_frame, inside, laid_down, turned, walk
 
 if TYPE_CHECKING:
     from antdsl.runtime.senses.walk_events import Walk
@@ -44,6 +44,11 @@ class Footing:
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Footing:
         """The footings of some rows."""
         return Footing(*(_rows(getattr(self, f.name), rows) for f in fields(self)))
+
+    @staticmethod
+    def chosen(which: NDArray[np.bool_], one: Footing, other: Footing) -> Footing:
+        """The footings of `one` where `which` says so, else those of `other`."""
+        return Footing(*(np.where(which, getattr(one, f.name), getattr(other, f.name)) for f in fields(Footing)))
 
     @staticmethod
     def joined(parts: Iterable[Footing]) -> Footing:
@@ -84,11 +89,12 @@ class MoveResult:
 class Ground:
     """One or more surfaces, by name, in the order given: (vertices float64[n,3], faces int32[m,3]) in millimetres.
 
-    An obstacle that may be climbed is a surface like any other. Meshes may overlap and need not be closed.
+    An obstacle that may be climbed is a surface like any other. Meshes may overlap and need not be closed. With `by_rays` agents
+    do not walk over triangles but are put where rays hit: see `sticking`.
     """
 
-    def __init__(self, surfaces: Mapping[str, Mesh]) -> None:
-        self.names = tuple(surfaces)
+    def __init__(self, surfaces: Mapping[str, Mesh], by_rays: bool = False) -> None:
+        self.names, self._by_rays = tuple(surfaces), by_rays
         meshes = [
             (np.asarray(v, np.float64).reshape(-1, 3), np.asarray(f, np.int32).reshape(-1, 3)) for v, f in surfaces.values()
         ]
@@ -108,10 +114,11 @@ class Ground:
         self._table: Topology = build(self._vertices, self._faces, self._mesh, self.extent)
         self._side = facing(self._table.normal.T)
         self._scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
-        self._clearances = Clearances(self._vertices[self._faces], self._table.piece, self.low, self.extent * NOISE)
-        # A hundred times the rounding of float32, which counts from the middle where that is far away.
-        margin = 1e-5 * (self.extent + min(float(np.abs([self.low, self.high]).max()), FAR))
-        self._listing = Listing(self._table, self._vertices[self._faces], margin)
+        self._clearances = Clearances(self._vertices[self._faces], self._table.patch, self.low, self.extent * NOISE)
+        # Twenty times the rounding of float32, which counts from the middle where that is far away; lists mind five times that.
+        rounding = 2e-6 * (self.extent + min(float(np.abs([self.low, self.high]).max()), FAR))
+        self._errors = (rounding, rounding / 10)
+        self._listing = Listing(self._table, self._vertices[self._faces], 5 * rounding)
         self._fast: Walk | None = None
 
     # ---- asking
@@ -228,6 +235,10 @@ class Ground:
         body = np.ascontiguousarray(np.broadcast_to(np.asarray(body, np.float64), (n,)))
         body.flags.writeable = False  # whether one or many were given: a kernel is compiled for either
         wish, heading_t, up_t = (np.ascontiguousarray(np.asarray(v, np.float64).T) for v in (displacement, heading, up))
+        if self._by_rays:
+            from antdsl.runtime.senses.sticking import move_by_rays
+
+            return move_by_rays(self, footing, wish, heading_t, up_t, body, threads)
         with np.errstate(all="ignore"):
             parts = self._clearances.within(self._reach(wish, body))
             if compiled.wanted(n):
@@ -252,7 +263,7 @@ class Ground:
         moved = Footing(np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n), np.empty(n))
         place, above, ahead, direction, gone, blocked = *np.empty((4, 3, n)), np.empty(n), np.zeros(n, np.bool_)
         at, to = ((f.mesh, f.face, f.b1, f.b2) for f in (footing, moved))
-        around = Around(self._table, self._cast, self._weights, parts, noise, body, threads)
+        around = Around(self._table, self._cast, self._weights, parts, noise, self._errors, body, threads)
         candidates = self._candidates(parts, float(np.fmax.reduce(body)))
         results = (*to, place, above, ahead, direction, gone, blocked)
         done = self._fast.step(around, parts, candidates, noise, body, at, (wish, heading, up), results, threads)
@@ -282,11 +293,11 @@ class Ground:
         side = np.where(dot(up, t.normal.take(face, axis=1)) < 0, -1.0, 1.0)
         b1, b2 = inside(np.where(known, footing.b1, 0.0) + 0.0, np.where(known, footing.b2, 0.0) + 0.0)  # no -0.0
         axes = t.axis1.take(face, axis=1), t.axis2.take(face, axis=1)
-        c, s, way = _laid_down(axes, wish, 1.0, 0.0)
+        c, s, way = laid_down(axes, wish, 1.0, 0.0)
         way[~known] = 0.0
-        heading_c, heading_s, _ = _laid_down(axes, heading, c, s)
+        heading_c, heading_s, _ = laid_down(axes, heading, c, s)
         w = Walkers(face, b1, b2, side, c, s, heading_c, heading_s, way, np.zeros(n), np.zeros(n, bool))
-        around = Around(t, self._cast, self._weights, parts, self._clearances.noise, body, threads)
+        around = Around(t, self._cast, self._weights, parts, self._clearances.noise, self._errors, body, threads)
         walk(t, w, around.near(w, slice(None), way), around)
         smooth = self._smooth(w.face, w.b1, w.b2) * w.side
         axis1, axis2 = t.axis1.take(w.face, axis=1), t.axis2.take(w.face, axis=1)
@@ -366,17 +377,6 @@ class Ground:
         n = self._table.smooth.take(face, axis=1)
         v = n[:3] * (1.0 - b1 - b2) + n[3:6] * b1 + n[6:] * b2
         return v / np.sqrt(np.maximum(dot(v, v), 1e-300))
-
-
-def _laid_down(axes: tuple[Floats, Floats], v: Floats, c0: Floats | float, s0: Floats | float) -> tuple[Floats, Floats, Floats]:
-    """Vectors (3, n) laid into their face: unit (c, s) in its frame, (c0, s0) where nothing is left, and a length."""
-    c, s = dot(axes[0], v), dot(axes[1], v)
-    flat = np.sqrt(c * c + s * s)
-    usable = flat > 1e-150
-    size = np.where(usable, flat, 1.0)
-    # Up to 60 degrees off the surface the length is kept; beyond, it falls steadily to nothing.
-    length = np.minimum(np.sqrt(dot(v, v)), 2 * flat)
-    return np.where(usable, c / size, c0), np.where(usable, s / size, s0), np.where(usable, length, 0.0)
 
 
 def _unmoved(footing: Footing, up: Floats, heading: Floats) -> MoveResult:

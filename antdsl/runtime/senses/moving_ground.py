@@ -23,8 +23,8 @@ Axes = tuple[Floats, Floats, Floats]
 class MovingGround(Ground):
     """As `Ground`; the meshes named `moving` may be posed. `rest` is where all lay at first: cells of fields are in it."""
 
-    def __init__(self, surfaces: Mapping[str, Mesh], moving: Iterable[str]) -> None:
-        super().__init__(surfaces)
+    def __init__(self, surfaces: Mapping[str, Mesh], moving: Iterable[str], by_rays: bool = False) -> None:
+        super().__init__(surfaces, by_rays)
         counts = [len(np.reshape(v, (-1, 3))) for v, _ in surfaces.values()]
         ends = np.cumsum([0, *counts])
         self._corners = {name: slice(int(ends[k]), int(ends[k + 1])) for k, name in enumerate(self.names)}
@@ -34,6 +34,8 @@ class MovingGround(Ground):
         self._ends = {name: _ends(self._vertices[rows]) for name, rows in self._corners.items()}
         self._still_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         self._clearances = _Clearances(self)  # type: ignore[assignment]
+        # What moves may come over feet by as much as it likes: what shows its back is below an agent, however far above.
+        self._errors = (self._errors[0], np.inf)
 
     def copy(self) -> MovingGround:
         """One that can be posed apart from this one."""
@@ -160,10 +162,10 @@ class _Clearances:
         self._fixed = np.flatnonzero(~self._loose)
         corners = ground._vertices[ground._faces[self._fixed]]
         low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
-        self._still = Clearances(corners, ground._table.piece[self._fixed], low, self.noise)
-        pieces = {name: int((np.unique(ground._table.piece[rows]) >= 0).sum()) for name, rows in ground._rows.items()}
+        self._still = Clearances(corners, ground._table.patch[self._fixed], low, self.noise)
+        patches = {name: int((np.unique(ground._table.patch[rows]) >= 0).sum()) for name, rows in ground._rows.items()}
         self._low, self._high = _boxes(ground._vertices, ground._faces)
-        self._several = [name for k, name in enumerate(ground.names) if ground._moves[k] and pieces[name] > 1]
+        self._several = [name for k, name in enumerate(ground.names) if ground._moves[k] and patches[name] > 1]
         self._parts: Parts | None = None
 
     def forget(self) -> None:

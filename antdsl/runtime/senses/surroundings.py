@@ -22,22 +22,36 @@ HIGH, DEEP = 0.5, 0.25  # of a body: from how far above, and how deep below it l
 BEYOND = 0.6  # of a body: all that it looks at beyond a border and back below is nearer, but for noise
 NOISE = 1e-4  # of the extent of a ground: float32 rays err by less
 SKIP = 0.01  # of that noise: how far beyond the own surface, where that hides others, a ray goes on
+SHY = 0.1  # of what rays err: how near to a wall no way ends
 AGAIN = 4  # times that it goes on
 
 
 class Around:
-    """Rays of walkers against all surfaces of a ground: what stands in their way and what continues beyond a border."""
+    """Rays of walkers against all surfaces of a ground: what stands in their way and what continues beyond a border.
+
+    Rays err by less than the first of `errors` (mm); feet are no more than the second below what they should be on.
+    """
 
     def __init__(
-        self, table: Topology, cast: Cast, weights: Weights, parts: Parts, noise: float, body: Floats, threads: int
+        self,
+        table: Topology,
+        cast: Cast,
+        weights: Weights,
+        parts: Parts,
+        noise: float,
+        errors: tuple[float, float],
+        body: Floats,
+        threads: int,
     ) -> None:
         self._table, self._cast, self._weights, self._parts = table, cast, weights, parts
         self._body, self._threads = body, threads
-        self._noise = noise
+        self._noise, self._errors = noise, errors
+        self._rounding, self._grain = errors
 
     def of(self, agents: Index) -> Around:
         """The same for some of the agents, whose numbers count from 0."""
-        return Around(self._table, self._cast, self._weights, self._parts, self._noise, self._body.take(agents), self._threads)
+        body = self._body.take(agents)
+        return Around(self._table, self._cast, self._weights, self._parts, self._noise, self._errors, body, self._threads)
 
     def near(self, walkers: Walkers, rows: Index | slice, length: Floats) -> NDArray[np.bool_]:
         """Who of `rows` may meet another piece of surface within `length`."""
@@ -54,23 +68,24 @@ class Around:
         rows, length = rows.take(asked), length.take(asked)
         place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
         lift = np.fmax(LIFT * self._body.take(rows), self._noise)
-        piece = t.piece.take(walkers.face.take(rows))
+        own = walkers.face.take(rows)
         high = lift.copy()
         below = np.flatnonzero(self.near(walkers, rows, np.zeros(rows.size)))
         if below.size:
-            part, face = self._others(place.take(below, axis=1), (up * lift).take(below, axis=1), piece.take(below))
-            # What shows its back is not above the agent: the agent is a hair below it, at the foot of a gentle climb.
-            low = (face >= 0) & (dot(t.normal.take(face, axis=1), up[:, below]) < 0)
+            part, face = self._others(place.take(below, axis=1), (up * lift).take(below, axis=1), own.take(below))
+            # What shows its back a grain above the agent is below it: feet may be that far in the ground that they climb.
+            front = dot(t.normal.take(face, axis=1), up[:, below]) < 0
+            low = (face >= 0) & (front | (lift[below] * part > self._grain))
             high[below[low]] = lift[below[low]] * part[low] / 2
         eye = place + up * high
-        part, face = self._others(eye, way * length, piece)
+        part, face = self._others(eye, way * length, own)
         gone = np.where(face >= 0, part, 1.0) * length
         hit, towards = eye + way * gone, way
         # What has come between the eye and the ground is below the next eye, that of the face round the edge or of the next step.
-        still = np.flatnonzero((face < 0) & (high > SKIP * self._noise))
+        still = np.flatnonzero(face < 0)
         if still.size:
-            down = up.take(still, axis=1) * (SKIP * self._noise - high.take(still))
-            part, face[still] = self._others(hit.take(still, axis=1), down, piece.take(still))
+            down = up.take(still, axis=1) * -high.take(still)
+            part, face[still] = self._others(hit.take(still, axis=1), down, own.take(still))
             found = face[still] >= 0
             between, down = still[found], down[:, found]
             hit[:, between] += down * part[found]
@@ -80,26 +95,54 @@ class Around:
             return Landing(who, who, *np.empty((4, 0)))
         return self._landing(asked[who], face[who], hit[:, who], towards[:, who], gone[who])
 
-    def _others(self, origin: Floats, step: Floats, piece: Index) -> tuple[Floats, Index]:
-        """Where rays hit the first surface that is not of their piece: the own one, at an edge or in a hollow, hides none."""
-        part, face = self._cast(origin, step, self._threads)
-        own = np.flatnonzero((face >= 0) & (self._table.piece.take(face) == piece))
+    def _others(self, origin: Floats, step: Floats, own: Index) -> tuple[Floats, Index]:
+        """Where rays hit the first face that is not of the patch of their `own`: that one, at an edge or in a hollow, hides none.
+
+        Rays find faces in float32, a hair before and after their way too; where these are is told in float64. So a way that
+        begins where another ended, a thousandth of a hair from a wall, meets it, and one that leads off that wall does not. Nor
+        does a way end nearer to a wall before it than rays can tell: round an edge the eye might be behind it.
+        """
         length = np.sqrt(dot(step, step))
-        begin = np.zeros(part.size)
-        for _ in range(AGAIN):
-            if not own.size:
+        hair = self._rounding / np.maximum(length, 1e-300)
+        begin, part, face = -hair, np.full(length.size, np.inf), np.full(length.size, -1, np.int64)
+        rows = np.arange(length.size)
+        for _ in range(AGAIN + 1):
+            rest = 1.0 + hair.take(rows) - begin.take(rows)
+            on = step.take(rows, axis=1)
+            met, there = self._cast(origin.take(rows, axis=1) + on * begin.take(rows), on * rest, self._threads)
+            rows, met, there, rest = (v[there >= 0] for v in (rows, met, there, rest))
+            if not rows.size:
                 break
-            begin[own] = part[own] + SKIP * self._noise / length[own]
-            rest = 1.0 - begin[own]
-            start = origin.take(own, axis=1) + step.take(own, axis=1) * begin[own]
-            again, face[own] = self._cast(start, step.take(own, axis=1) * rest, self._threads)
-            part[own] = begin[own] + again * rest
-            own = own[(face[own] >= 0) & (self._table.piece.take(face[own]) == piece[own])]
-        face[own] = -1
+            at = begin.take(rows) + met * rest
+            exact, short = self._crossing(origin.take(rows, axis=1), step.take(rows, axis=1), there, at)
+            found = self._other(own.take(rows), there) & (exact >= 0) & ((exact <= 1) | (short <= SHY * self._rounding))
+            part[rows[found]], face[rows[found]] = np.minimum(exact[found], 1.0), there[found]
+            rows, at = rows[~found], at[~found]
+            begin[rows] = at + SKIP * self._noise / np.maximum(length.take(rows), 1e-300)
+            rows = rows[begin.take(rows) < 1.0 + hair.take(rows)]
         return part, face
 
+    def _other(self, own: Index, there: Index) -> NDArray[np.bool_]:
+        """Whether faces are of another patch; the neighbour across an edge is not, where a patch ends within a piece."""
+        t = self._table
+        other: NDArray[np.bool_] = t.patch.take(own) != t.patch.take(there)
+        same = np.flatnonzero(other & (t.piece.take(own) == t.piece.take(there)))
+        if same.size:
+            one, two = t.weld.take(own[same], axis=0), t.weld.take(there[same], axis=0)
+            other[same] = (one[:, :, None] == two[:, None, :]).sum(axis=(1, 2)) < 2
+        return other
+
+    def _crossing(self, origin: Floats, step: Floats, face: Index, at: Floats) -> tuple[Floats, Floats]:
+        """After what part of their step rays cross the planes of faces that they meet after about `at` of it, and how far from
+        these they end."""
+        normal = self._table.normal.take(face, axis=1)
+        towards = dot(normal, step)
+        apart = dot(normal, self._table.corner.take(face, axis=1) - origin)
+        return np.where(towards != 0, apart / np.where(towards != 0, towards, 1.0), at), np.abs(apart - towards)
+
     def beyond(self, walkers: Walkers, rows: Index) -> Landing:
-        """Past an open border: what a ray down just beyond it meets, else what a ray back from below it meets."""
+        """Past an open border: what a ray down just beyond it meets, else what a ray back from below it meets. The other side of
+        the own sheet is not beyond its border."""
         t = self._table
         place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
         body = np.maximum(self._body[rows], 2 * self._noise)
@@ -107,18 +150,28 @@ class Around:
         down = -up * body
         part, face = self._cast(place + way * gap + up * (HIGH * body), down, self._threads)
         hit = place + way * gap + up * (HIGH * body) + down * np.where(np.isfinite(part), part, 0.0)
-        met = (face >= 0) & (face != walkers.face[rows])
+        met = self._open(walkers, rows, face, down)
         back = -way * (gap + HIGH * body)
         start = place + way * gap - up * (DEEP * body)
         part2, face2 = self._cast(start, back, self._threads)
-        below = ~met & (face2 >= 0) & (face2 != walkers.face[rows])
+        below = ~met & self._open(walkers, rows, face2, back)
         hit = np.where(below, start + back * np.where(np.isfinite(part2), part2, 0.0), hit)
         face, towards = np.where(below, face2, face), np.where(below, back, down)
         who = np.flatnonzero(met | below)
         gone = np.where(below, DEEP * body, gap)[who]
         return self._landing(who, face[who], hit[:, who], towards[:, who], gone)
 
-    def _landing(self, who: Index, face: Index, hit: Floats, towards: Floats, gone: Floats) -> Landing:
+    def _open(self, walkers: Walkers, rows: Index, face: Index, towards: Floats) -> NDArray[np.bool_]:
+        """Who of `rows` may step over to the faces that rays meet (-1 for none): not to the other side of the sheet walked on."""
+        t, own = self._table, walkers.face.take(rows)
+        there = np.where(self._side(face, towards) < 0, 1, 0)
+        here = np.where(walkers.side.take(rows) < 0, 1, 0)
+        round_it = (t.piece.take(face) == t.piece.take(own)) & (t.way[there, face] != t.way[here, own])
+        return (face >= 0) & (face != own) & ~round_it
+
+    def _side(self, face: Index, towards: Floats) -> Floats:
         """The side of a face that a ray came from is the side to walk on."""
-        side = np.where(dot(self._table.normal.take(face, axis=1), towards) > 0, -1.0, 1.0)
-        return Landing(who, face, *self._weights(face, hit), side, gone)
+        return np.where(dot(self._table.normal.take(face, axis=1), towards) > 0, -1.0, 1.0)
+
+    def _landing(self, who: Index, face: Index, hit: Floats, towards: Floats, gone: Floats) -> Landing:
+        return Landing(who, face, *self._weights(face, hit), self._side(face, towards), gone)

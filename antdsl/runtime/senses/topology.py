@@ -8,10 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime.senses.self_cuts import patches
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 _WELD = 1e-6  # of the extent: corners nearer than this are one corner
+_THROUGH = 1e-6  # of the extent: what goes less far through a face only touches it
 _NO_WIDTH = 1e12  # weights gained by a mm across a face that has none
 _FLAT = 1e-7  # height over longest edge below which a triangle is a line
 _CREASE = np.cos(np.radians(45.0))  # faces meeting more sharply than this are not smoothed into each other
@@ -46,6 +49,8 @@ class Topology:
     link: Ints
     piece: Ints
     pieces: int
+    patch: Ints  # the piece, but for faces of one piece that cut each other, which are of different patches: see `self_cuts`
+    way: Ints  # (2, m): which sides of faces, 0 that of the normal, can be walked to from each other across edges
     forked: bool  # whether any edge leads on differently on its two sides, being of more than two faces
     smooth: Floats  # (9, m): unit normal at corner 0, 1, 2
     weld: Ints  # (m, 3): numbers of corners, those of one place being one
@@ -62,9 +67,18 @@ def build(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
     live = _live(weld, _length(np.cross(b - a, c - a)), (b - a, c - a, c - b))
     link = _links(vertices, faces, weld, live)
     piece, pieces = _pieces(link, live)
+    patch = patches(vertices[faces], weld, piece, extent * _THROUGH)
     forked = bool((link[0] != link[1]).any())
     return Topology(
-        live=live, link=link, piece=piece, pieces=pieces, forked=forked, weld=weld, **_shape(vertices, faces, weld, live)
+        live=live,
+        link=link,
+        piece=piece,
+        pieces=pieces,
+        patch=patch,
+        way=_ways(link, live),
+        forked=forked,
+        weld=weld,
+        **_shape(vertices, faces, weld, live),
     )
 
 
@@ -207,6 +221,27 @@ def _pieces(link: Ints, live: NDArray[np.bool_]) -> tuple[Ints, int]:
     result = np.full(m, -1, np.int32)
     result[live] = numbers
     return result, int(named.size)
+
+
+def _ways(link: Ints, live: NDArray[np.bool_]) -> Ints:
+    """Which sides of faces hang together, as a number per side and face (2, m): the two of a sheet do not, those of a Möbius
+    strip do. All 0 without an open border: nobody asks."""
+    m = len(live)
+    if not (link[0].reshape(-1, 3)[live] == NO_LINK).any():
+        return np.zeros((2, m), np.int32)
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    here, there = [], []
+    for side in (0, 1):
+        half = np.flatnonzero(link[side] != NO_LINK)
+        beyond = link[side, half].astype(np.int64)
+        here.append(half // 3 + side * m)
+        there.append((beyond >> 3) + (side ^ (beyond & 1)) * m)
+    one, two = np.concatenate(here), np.concatenate(there)
+    graph = coo_array((np.ones(one.size, np.int8), (one, two)), shape=(2 * m, 2 * m))
+    number: Ints = connected_components(graph, directed=False)[1].astype(np.int32)
+    return number.reshape(2, m)
 
 
 def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_], normal: Floats) -> Floats:

@@ -88,6 +88,17 @@ def in_frame(table: Topology, face: Index, v: Floats) -> tuple[Floats, Floats]:
     return dot(table.axis1.take(face, axis=1), v), dot(table.axis2.take(face, axis=1), v)
 
 
+def laid_down(axes: tuple[Floats, Floats], v: Floats, c0: Floats | float, s0: Floats | float) -> tuple[Floats, Floats, Floats]:
+    """Vectors (3, n) laid into their face: unit (c, s) in its frame, (c0, s0) where nothing is left, and a length."""
+    c, s = dot(axes[0], v), dot(axes[1], v)
+    flat = np.sqrt(c * c + s * s)
+    usable = flat > 1e-150
+    size = np.where(usable, flat, 1.0)
+    # Up to 60 degrees off the surface the length is kept; beyond, it falls steadily to nothing.
+    length = np.minimum(np.sqrt(dot(v, v)), 2 * flat)
+    return np.where(usable, c / size, c0), np.where(usable, s / size, s0), np.where(usable, length, 0.0)
+
+
 def dot(a: Floats, b: Floats) -> Floats:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 

@@ -1,0 +1,170 @@
+"""Long walks on one shape at a time, held to all that is true of any surface: `python tests/torture_long.py` prints a table.
+
+`--agents 5000 --steps 5000` by default. Names of shapes pick some of them; the path of a closed mesh is walked on as well."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import open3d
+import trimesh
+from meshes import Mesh
+from numpy.typing import NDArray
+from torture_walks import BODY, HAIR, Seen, above, crowd, parts, shapes, wander, winding
+
+from antdsl.runtime.senses.ground import Ground, MoveResult
+from antdsl.runtime.senses.surroundings import LIFT
+
+SHAPES = shapes()
+SHEETS = ("pot", "moebius", "rag", "ground")
+TALL = 150.0  # mm: as long as a mesh from a file is made
+EVERY = 25  # steps between two looks at who is in what
+Asked = Callable[[Ground, MoveResult], NDArray[np.bool_]]
+
+
+class Rooms:
+    """In which closed meshes places are: by the parity of what a ray crosses, which is fast, and by winding numbers."""
+
+    def __init__(self, closed: list[Mesh]) -> None:
+        self.closed, self.scenes = closed, []
+        for vertices, faces in closed:
+            scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+            scene.add_triangles(vertices.astype(np.float32), faces.astype(np.uint32))
+            self.scenes.append(scene)
+
+    def parity(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Bool (meshes, n)."""
+        asked = points.astype(np.float32)
+        return np.stack([s.compute_occupancy(asked, nthreads=1, nsamples=3).numpy() > 0 for s in self.scenes])
+
+    def winding(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Whole numbers (meshes, n)."""
+        return np.stack([np.round(winding(mesh, points)).astype(np.int64) for mesh in self.closed])
+
+
+@dataclass(slots=True)
+class Walls:
+    """Who has gone through a wall: who is in another room than at first at two looks one after the other, for a place at a
+    sharp edge may be told wrong once. At the end winding numbers, which are exact, say who was right."""
+
+    rooms: Rooms
+    began: NDArray[np.int64]
+    parity: NDArray[np.bool_]
+    doubtful: NDArray[np.bool_]
+    through: set[int] = field(default_factory=set)
+
+    @staticmethod
+    def of(closed: list[Mesh], places: NDArray[np.float64]) -> Walls:
+        rooms = Rooms(closed)
+        began = rooms.winding(places)
+        return Walls(rooms, began, began % 2 == 1, np.zeros(began.shape[1], bool))
+
+    def look(self, places: NDArray[np.float64]) -> None:
+        wrong = (self.rooms.parity(places) != self.parity).any(axis=0)
+        self.through |= set(np.flatnonzero(wrong & self.doubtful).tolist())
+        self.doubtful = wrong
+
+    def end(self, places: NDArray[np.float64]) -> None:
+        self.through |= set(np.flatnonzero((self.rooms.winding(places) != self.began).any(axis=0)).tolist())
+
+
+def begun(ground: Ground, mesh: Mesh, closed: list[Mesh], n: int, rng: np.random.Generator) -> MoveResult:
+    """A crowd. Where stones are sunk in each other nobody begins in the sunken part of one; nor where feet are in another room
+    than the eye above them."""
+    begin = crowd(ground, [mesh], n if len(closed) < 2 else 3 * n, rng)
+    if len(closed) > 1:
+        free = ~np.any([np.abs(winding(each, above(ground, begin))) > 0.5 for each in closed], axis=0)
+        begin = begin.take(np.flatnonzero(free)[:n])
+    for each in closed:
+        feet, eye = (np.round(winding(each, above(ground, begin, high))) for high in (HAIR, LIFT * BODY))
+        begin = begin.take(np.flatnonzero(feet == eye))
+    return begin
+
+
+def solid(name: str, mesh: Mesh) -> list[Mesh]:
+    """The closed meshes that a shape is made of."""
+    if name in SHEETS:
+        return []
+    if name == "stones":
+        return parts(mesh, len(SHAPES.STACK))
+    if name == "broken":
+        plain = SHAPES.stone(65, (22.0, 20.0, 22.0), detail=2)
+        return [(plain[0] + np.array([0.0, 19.0, 0.0]), plain[1])]
+    return [mesh]
+
+
+@dataclass(slots=True)
+class Walked:
+    """What is seen of a crowd on a shape: of how many, how many of them went through a wall, how many met no surface at some
+    step (nobody who walks over triangles should: borders are not counted), and seconds that each move took."""
+
+    seen: Seen
+    agents: int
+    through: int
+    missed: int
+    seconds: list[float]
+
+
+def long_walk(name: str, mesh: Mesh, n: int, steps: int, by_rays: bool = False) -> Walked:
+    """A crowd that begins evenly over a shape and walks at random."""
+    ground, rng, seen = Ground({name: mesh}, by_rays), np.random.default_rng(4), Seen()
+    closed = solid(name, mesh)
+    begin = begun(Ground({name: mesh}), mesh, closed, n, rng)
+    n = len(begin.up)
+    walls = Walls.of(closed, above(ground, begin)) if closed else None
+    at, sides = begin, side(ground, begin)
+    through, missed, seconds = np.zeros(n, bool), np.zeros(n, bool), []
+    steady = wander(ground, begin, steps, rng)
+    for k in range(steps):
+        start = time.perf_counter()
+        before, at = next(steady)
+        seconds.append(time.perf_counter() - start)
+        seen.look(ground, [mesh], before, at)
+        missed |= at.blocked if by_rays else at.lost
+        if walls is not None and k % EVERY == EVERY - 1:
+            walls.look(above(ground, at))
+        if name in ("pot", "rag", "ground"):  # sheets of one winding: who comes to the other side went through, or round
+            through |= side(ground, at) != sides
+    if walls is not None:
+        walls.end(above(ground, at))
+        through[list(walls.through)] = True
+    return Walked(seen, n, int(through.sum()), int(missed.sum()), seconds)
+
+
+def side(ground: Ground, at: MoveResult) -> NDArray[np.bool_]:
+    return np.asarray((ground.normal(at.footing) * at.up).sum(axis=1) > 0)
+
+
+def from_file(path: Path) -> Mesh:
+    """A mesh of a file, made TALL and put at the origin."""
+    made = trimesh.load(path, process=False, force="mesh")
+    vertices = np.asarray(made.vertices, np.float64)
+    vertices = (vertices - vertices.mean(axis=0)) * (TALL / np.ptp(vertices, axis=0).max())
+    return vertices, np.asarray(made.faces, np.int32)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", default=list(SHAPES.SHAPES))
+    parser.add_argument("--agents", type=int, default=5000)
+    parser.add_argument("--steps", type=int, default=5000)
+    asked = parser.parse_args()
+    print("shape      agents  steps       s  surface/body      tilt  lost  through      mm")
+    for name in asked.names:
+        label, mesh = (name, SHAPES.SHAPES[name]()) if name in SHAPES.SHAPES else (Path(name).stem, from_file(Path(name)))
+        walked = long_walk(label, mesh, asked.agents, asked.steps)
+        seen = walked.seen
+        print(
+            f"{label:10} {walked.agents:6} {asked.steps:6} {sum(walked.seconds):7.0f} {seen.away:13.1e} {seen.tilt:9.1e} "
+            f"{seen.lost:5} {walked.through:8} {seen.moved:7.0f}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
