@@ -1,4 +1,4 @@
-"""`stick: rays`: two rays a step in place of walking over triangles; where that leads, where it fails, how a scene asks for it."""
+"""`stick: rays`: two rays a step in place of walking over triangles; where it leads, where it fails, how a scene asks for it."""
 
 from __future__ import annotations
 
