@@ -111,28 +111,60 @@ OPS: dict[str, Operation] = {
     "id": Operation("", (), L, _A, "the agent's own id"),
     "age": Operation("", (), F, _A, "seconds since birth"),
     "draw": Operation("", ("site", "index"), F, _A, "uniform in [0, 1): a function of seed, frame, species, id, site, index"),
-    "draw.agent": Operation("", ("site", "species"), L, _A, "the id of one living agent of the species, evenly; -1 if there is none"),
+    "draw.agent": Operation(
+        "", ("site", "species"), L, _A, "the id of one living agent of the species, evenly; -1 if there is none"
+    ),
     "event": Operation("", ("name",), B, _A, "the event reached this agent in the step before"),
     "surface.touching": Operation("", ("name",), B, _A, "the agent stands on that surface"),
     # references to other agents and to items
-    "agent.get": Operation("l", ("species", "register"), F, _A, "another agent's register as it was; 0 for none; kind of the register"),
+    "agent.get": Operation(
+        "l", ("species", "register"), F, _A, "another agent's register as it was; 0 for none; kind of the register"
+    ),
     "agent.alive": Operation("l", ("species",), B, _A, "there is such an agent"),
     "item.get": Operation("i", ("items", "attribute"), F, _A, "x y z radius or a declared attribute of an item; 0 for none"),
     "item.alive": Operation("i", ("items",), B, _A, "there is such an item"),
     # senses of the place; the agent's own position at the start of the step
-    "ray": Operation("ffff", ("target",), T, _A, "(hit b, distance f, nx f, ny f, nz f) along the direction (made unit), up to reach; normal toward the agent"),
-    "obstacle.near": Operation("f", ("target",), T, _A, "(within reach b, distance f, nx f, ny f, nz f): closest point of an obstacle, surface or solid"),
+    "ray": Operation(
+        "ffff",
+        ("target",),
+        T,
+        _A,
+        "(hit b, distance f, nx f, ny f, nz f) along the direction (made unit), up to reach; normal toward the agent",
+    ),
+    "obstacle.near": Operation(
+        "f", ("target",), T, _A, "(within reach b, distance f, nx f, ny f, nz f): closest point of an obstacle, surface or solid"
+    ),
     "field.value": Operation("", ("field",), F, _A, "the field in the agent's own cell"),
-    "field.strongest": Operation("", ("field", "count"), T, _A, "(value f, x f, y f, z f): the strongest of the nearest `count` cells; own position where there is none"),
+    "field.strongest": Operation(
+        "",
+        ("field", "count"),
+        T,
+        _A,
+        "(value f, x f, y f, z f): the strongest of the nearest `count` cells; own position where there is none",
+    ),
     "field.gradient": Operation("", ("field",), T, _A, "(x f, y f, z f), per mm"),
-    "curve.closest": Operation("", ("curve",), T, _A, "(distance f, x f, y f, z f, tx f, ty f, tz f): closest point and unit tangent"),
+    "curve.closest": Operation(
+        "", ("curve",), T, _A, "(distance f, x f, y f, z f, tx f, ty f, tz f): closest point and unit tangent"
+    ),
     "flow.value": Operation("", ("flow",), T, _A, "(x f, y f, z f): a flow where the agent stands, along its surface; no unit"),
     "map.value": Operation("", ("map",), F, _A, "a painted number where the agent stands"),
     # sets
-    "set.agents": Operation("ff", ("species", "all_round"), S, _A, "others of a species within radius (first) whose direction has a cosine to the heading >= the second (ignored if all_round); never oneself"),
+    "set.agents": Operation(
+        "ff",
+        ("species", "all_round"),
+        S,
+        _A,
+        "others of a species within radius (first) whose direction has a cosine to the heading >= the second (ignored if all_round); never oneself",
+    ),
     "set.every": Operation("", ("species",), S, _A, "all others of a species"),
     "set.items": Operation("f", ("items",), S, _A, "items whose centre lies within a distance (inf: all)"),
-    "other": Operation("", ("register",), F, _P, "the other agent's register as it was, or the item's attribute (x y z radius …); kind of the register"),
+    "other": Operation(
+        "",
+        ("register",),
+        F,
+        _P,
+        "the other agent's register as it was, or the item's attribute (x y z radius …); kind of the register",
+    ),
     "other.id": Operation("", (), L, _P, "the other agent's id"),
     "other.row": Operation("", (), I, _P, "the item's row"),
     "pair.x": Operation("", (), F, _P, "other's x - own x"),
@@ -140,7 +172,9 @@ OPS: dict[str, Operation] = {
     "pair.z": Operation("", (), F, _P, "other's z - own z"),
     "pair.distance": Operation("", (), F, _P, "sqrt((x*x + y*y) + z*z)"),
     # reductions: set, condition (BOOL), body where there is one. Sums are exact: decision 23 of the language reference
-    "reduce.sum": Operation("sbf", ("quantum",), F, _A, "each term rounded to a multiple of 2**quantum, then added exactly; 0 for none"),
+    "reduce.sum": Operation(
+        "sbf", ("quantum",), F, _A, "each term rounded to a multiple of 2**quantum, then added exactly; 0 for none"
+    ),
     "reduce.min": Operation("sbf", (), F, _A, "inf for none"),
     "reduce.max": Operation("sbf", (), F, _A, "-inf for none"),
     "reduce.count": Operation("sb", (), F, _A, "how many"),
@@ -159,7 +193,9 @@ TUPLES: dict[str, tuple[Kind, ...]] = {
 }
 
 SENSES = frozenset(
-    name for name in OPS if name.split(".")[0] in ("ray", "obstacle", "field", "curve", "flow", "map", "reduce") or name in ("draw.agent",)
+    name
+    for name in OPS
+    if name.split(".")[0] in ("ray", "obstacle", "field", "curve", "flow", "map", "reduce") or name in ("draw.agent",)
 )
 
 

@@ -104,9 +104,7 @@ def _on_faces(
     return points
 
 
-def _by_density(
-    world: World, place: PlaceData, u: NDArray[np.float32], cuts: NDArray[np.float32]
-) -> NDArray[np.float64]:
+def _by_density(world: World, place: PlaceData, u: NDArray[np.float32], cuts: NDArray[np.float32]) -> NDArray[np.float64]:
     """Points as dense as a map says, from one draw and three ascending ones each.
 
     A density that is linear in a triangle is a mixture of three that are each proportional to one corner's weight, and so are

@@ -3,6 +3,7 @@ Only comparisons with constants, and the same text twice, are understood; all el
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
@@ -42,6 +43,10 @@ class TooMany(Exception):
     """A condition has more cases than are looked at."""
 
 
+# Such a condition is left alone; so is one that goes through more lets, each in the other, than can be followed.
+NOT_FOLLOWED = (TooMany, RecursionError)
+
+
 @dataclass(slots=True)
 class Reader:
     """Reads conditions of one species. `known` has the range in which a number lies anyway, by its key."""
@@ -50,13 +55,19 @@ class Reader:
     known: dict[str, Interval] = field(default_factory=dict)
     keys: dict[int, str] = field(default_factory=dict)
     kept: list[object] = field(default_factory=list)  # what the ids of `keys` belong to stays alive
+    # A let may stand in many places, and what it names be made of lets again: each is looked at once.
+    ranges: dict[int, Interval] = field(default_factory=dict)
+    behind: dict[tuple[int, bool], Cases] = field(default_factory=dict)
 
     def cases(self, test: Expr | None, holds: bool = True) -> Cases:
         """When a condition is true, or when it is not. Raises TooMany."""
         if test is None:
             return [Case()] if holds else []
         if isinstance(test, Local) and test.binding.role in ("let", "argument") and test.binding.value is not None:
-            return self.cases(test.binding.value, holds)
+            found = self.behind.get((id(test.binding), holds))
+            if found is None:
+                found = self.behind[id(test.binding), holds] = self.cases(test.binding.value, holds)
+            return found
         if isinstance(test, Const):
             return [Case()] if (test.number != 0) == holds else []
         if isinstance(test, Op) and test.type.kind is Kind.BOOL:
@@ -84,10 +95,10 @@ class Reader:
             if self.key(left) > self.key(right):
                 left, right, name = right, left, _SWAPPED[name]
             key = f"{self.key(left)} - {self.key(right)}"
-            a, b = range_of(left, self.params), range_of(right, self.params)
+            a, b = range_of(left, self.params, self.ranges), range_of(right, self.params, self.ranges)
             return self._against(key, Interval(a.low - b.high, a.high - b.low), 0.0, name)
         subject, edge, name = _alone(left, edge, name)
-        return self._against(self.key(subject), range_of(subject, self.params), edge, name)
+        return self._against(self.key(subject), range_of(subject, self.params, self.ranges), edge, name)
 
     def _against(self, key: str, known: Interval, edge: float, name: str) -> Cases:
         if not (math.isnan(known.low) or math.isnan(known.high)):
@@ -101,13 +112,17 @@ class Reader:
         return [Case(numbers={key: interval}) for interval in found if not interval.empty]
 
     def key(self, part: object) -> str:
-        """The same for expressions that mean the same; two draws never do, nor two memories."""
+        """The same for expressions that mean the same; two draws never do, nor two memories. Long ones are hashed: lets that
+        are made of each other twice would double it with each."""
         if isinstance(part, Local) and part.binding.role in ("let", "argument") and part.binding.value is not None:
             return self.key(part.binding.value)
         known = self.keys.get(id(part))
         if known is None:
             self.kept.append(part)
-            known = self.keys[id(part)] = self._key(part)
+            known = self._key(part)
+            if len(known) > 200:
+                known = hashlib.blake2b(known.encode(), digest_size=16).hexdigest()
+            self.keys[id(part)] = known
         return known
 
     def _key(self, part: object) -> str:
@@ -167,7 +182,7 @@ def never(reader: Reader, test: Expr | None) -> bool:
     """Whether a condition cannot hold."""
     try:
         return not reader.cases(test)
-    except TooMany:
+    except NOT_FOLLOWED:
         return False
 
 
@@ -175,7 +190,7 @@ def always(reader: Reader, test: Expr | None) -> bool:
     """Whether a condition cannot but hold. Beside numbers that are none, for which no comparison holds."""
     try:
         return not reader.cases(test, False)
-    except TooMany:
+    except NOT_FOLLOWED:
         return False
 
 
@@ -183,5 +198,5 @@ def implies(reader: Reader, narrow: Expr | None, wide: Expr | None) -> bool:
     """Whether `wide` holds whenever `narrow` does."""
     try:
         return not _both(reader.cases(narrow), reader.cases(wide, False))
-    except TooMany:
+    except NOT_FOLLOWED:
         return False

@@ -46,12 +46,16 @@ def _drawn(part: Op) -> bool:
 
 
 def _within(root: Expr, through: Collection[str]) -> Iterator[Expr]:
-    """An expression and what is inside it, as far as these operations and the names of values go. Sets are left alone."""
+    """An expression and what is inside it, as far as these operations and the names of values go, what a name stands for once.
+    Sets are left alone."""
     stack: list[Expr] = [root]
+    named: set[int] = set()
     while stack:
         part = stack.pop()
         if isinstance(part, Local) and part.binding.role in ("let", "argument") and part.binding.value is not None:
-            stack.append(part.binding.value)
+            if id(part.binding) not in named:
+                named.add(id(part.binding))
+                stack.append(part.binding.value)
             continue
         yield part
         if isinstance(part, Op) and (part is root or part.name in through):

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from antdsl.diagnostics import Label, Report
 from antdsl.program.checks.checked import Checked
-from antdsl.program.checks.conditions import Reader, TooMany
+from antdsl.program.checks.conditions import NOT_FOLLOWED, Reader
 from antdsl.program.model import Assign, Attribute, Expr, Machine, State, Transition
 from antdsl.program.walk import parts
 from antdsl.program.wording import quoted
@@ -58,7 +58,7 @@ def _overlap(reader: Reader, one: Expr, other: Expr) -> bool:
     """Whether both are comparisons of one and the same value with constants, and some values fulfil both."""
     try:
         cases = [reader.cases(one), reader.cases(other)]
-    except TooMany:
+    except NOT_FOLLOWED:
         return False
     subjects = {key for each in cases for case in each for key in case.numbers}
     if len(subjects) != 1 or any(case.tests for each in cases for case in each):

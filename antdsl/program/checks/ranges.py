@@ -50,8 +50,9 @@ _WORDS: dict[str, Interval] = {
 }
 
 
-def range_of(expr: Expr | None, params: Mapping[str, Param]) -> Interval:
-    """The range of a number in base units. A param counts with its range, for a scene may set any value in it."""
+def range_of(expr: Expr | None, params: Mapping[str, Param], known: dict[int, Interval]) -> Interval:
+    """The range of a number in base units. A param counts with its range, for a scene may set any value in it. `known` keeps
+    those of bindings by their ids, for the next call: a let may stand in many places."""
     if expr is None or expr.type.kind is not Kind.NUMBER:
         return ANY
     if isinstance(expr, Const):
@@ -59,16 +60,19 @@ def range_of(expr: Expr | None, params: Mapping[str, Param]) -> Interval:
     if isinstance(expr, ParamRef):
         return _of_param(params.get(expr.name))
     if isinstance(expr, Local):
-        fixed = expr.binding.role in ("let", "argument") and expr.binding.value is not None
-        return range_of(expr.binding.value, params) if fixed else ANY
+        if expr.binding.role not in ("let", "argument") or expr.binding.value is None:
+            return ANY
+        if id(expr.binding) not in known:
+            known[id(expr.binding)] = range_of(expr.binding.value, params, known)
+        return known[id(expr.binding)]
     if isinstance(expr, Attribute):
         return POSITIVE if expr.name.endswith(".time_in_state") else _OWN.get(expr.name, ANY)
     if isinstance(expr, Inline):
-        return range_of(expr.result, params)
+        return range_of(expr.result, params, known)
     if isinstance(expr, Reduce):
         return POSITIVE if expr.how == "count" else ANY
     if isinstance(expr, Op):
-        return _of_op(expr, params)
+        return _of_op(expr, params, known)
     return ANY
 
 
@@ -85,13 +89,13 @@ def _of_param(param: Param | None) -> Interval:
     return Interval(param.low.number, param.high.number)
 
 
-def _of_op(op: Op, params: Mapping[str, Param]) -> Interval:
+def _of_op(op: Op, params: Mapping[str, Param], known: dict[int, Interval]) -> Interval:
     if op.name in _WORDS:
         return _WORDS[op.name]
     rule = _RULES.get(op.name)
     if rule is None:
         return ANY
-    parts = [range_of(arg, params) for arg in op.args]
+    parts = [range_of(arg, params, known) for arg in op.args]
     found = rule(parts)
     return ANY if math.isnan(found.low) or math.isnan(found.high) else found
 

@@ -7,17 +7,23 @@ from antdsl.program.checks.checked import Checked
 from antdsl.program.checks.conditions import Reader, always, implies, never
 from antdsl.program.folding import constant_behind
 from antdsl.program.model import Expr, Transition
+from antdsl.source import Span
 
 
 def shadowed(checked: Checked, report: Report) -> None:
     reader = Reader(checked.program.params)
     for species in checked.program.species.values():
         for machine in species.machines:
+            above: dict[Span, list[Transition | None]] = {}  # `from any` stands in many states, and may count in some
+            changes: dict[Span, Transition] = {}
             for state in machine.states:
                 for place, change in enumerate(state.transitions):
                     first = next((each for each in state.transitions[:place] if _hides(reader, each, change)), None)
-                    if first is not None:
-                        _told(reader, change, first, report)
+                    above.setdefault(change.span, []).append(first)
+                    changes[change.span] = change
+            for span, found in above.items():
+                if found[0] is not None and None not in found:
+                    _told(reader, changes[span], found[0], report)
 
 
 def _told(reader: Reader, change: Transition, first: Transition, report: Report) -> None:
