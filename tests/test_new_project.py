@@ -37,7 +37,7 @@ def shell(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 def run(line: str, folder: Path, shell: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(["bash", "-c", line], cwd=folder, env=shell, capture_output=True, text=True, timeout=120)
+    return subprocess.run(["bash", "-c", line], cwd=folder, env=shell, capture_output=True, text=True, timeout=400)
 
 
 @pytest.fixture(scope="module")
