@@ -37,7 +37,7 @@ crowd:
 
 @pytest.mark.parametrize("fps", [24, 30])
 def test_the_five_do_what_the_page_says_whatever_the_frame_rate(tmp_path: Path, fps: int) -> None:
-    blocks = re.findall(r"```ant fragment-of-file\n(.*?)```", PAGE, re.DOTALL)
+    blocks = re.findall(r"```ant fragment-of-(?:file|page)\n(.*?)```", PAGE, re.DOTALL)
     assert len(blocks) == 6
     (tmp_path / "five.ant").write_text(HEAD + "\n".join(blocks), encoding="utf-8")
     (tmp_path / "scene.yaml").write_text(SCENE.format(fps=fps), encoding="utf-8")

@@ -88,6 +88,9 @@ def whole(block: Block) -> str:
     if part is None:
         return block.text
     text = block.text
+    if part == "page":  # it speaks of what the blocks above it on its page declare
+        above = [b.text for b in ALL if b.document == block.document and b.line < block.line and b.words[:1] == ["ant"]]
+        return WORLD + "\n".join([*above, text])
     if part == "file":
         words = WORLD + TRAIL if "world {" not in text else "ant 1\nuse steering\n"
         return words + text + ("" if re.search(r"^(species|behaviour) ", text, re.M) else WALKER)
