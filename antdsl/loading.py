@@ -7,6 +7,7 @@ import hashlib
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from antdsl import limits, syntax
 from antdsl.diagnostics import Label, Report
@@ -15,7 +16,19 @@ from antdsl.scene.paths import PathRefused, Roots
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
 
+if TYPE_CHECKING:
+    from antdsl.program.model import Program
+
 Parsed = dict[str, tuple[nodes.File, Report]]
+
+
+class Kept(Parsed):
+    """The same for many files that nobody changes meanwhile. `checked` is what the same files came to together: a scene's program
+    is that of its file."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.checked: dict[tuple[object, ...], tuple[Program, Report]] = {}
 
 
 @dataclass(slots=True)

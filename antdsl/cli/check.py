@@ -12,7 +12,6 @@ from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
-    from antdsl.loading import Parsed
     from antdsl.program.model import Const, Param, Program
     from antdsl.source import Span
 
@@ -49,12 +48,13 @@ def check(
     from antdsl.cli.arguments import grants
     from antdsl.cli.reports import show, verdict
     from antdsl.diagnostics.ignoring import judged
+    from antdsl.loading import Kept
     from antdsl.pipeline import Choices, check_path, find_files, sources
 
     files, report = find_files(paths)
     choices = Choices(grants(root))
     programs: list[tuple[Path, Program]] = []
-    parsed: Parsed = {}
+    parsed = Kept()
     for file in files:
         program, findings = check_path(file, choices, strict=strict, parsed=parsed)
         report.extend(findings)

@@ -6,8 +6,11 @@ from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 
 from antdsl.program import model
+from antdsl.program.kinds import Dim, Rate, Type
 from antdsl.source import Span
 from antdsl.syntax import nodes
+
+_INNER: dict[type, tuple[str, ...]] = {}  # by type, the fields with something inside, the last one first
 
 
 def parts(root: object) -> Iterator[object]:
@@ -16,14 +19,30 @@ def parts(root: object) -> Iterator[object]:
     stack: list[object] = [root]
     while stack:
         part = stack.pop()
-        if isinstance(part, (tuple, list)) and not hasattr(part, "_fields"):
-            stack += reversed(part)
-        elif isinstance(part, dict):
-            stack += reversed(list(part.values()))
-        elif is_dataclass(part) and not isinstance(part, (Span, nodes.File)) and id(part) not in seen:
+        kind = type(part)
+        if kind is tuple or kind is list:
+            stack += reversed(part)  # type: ignore[call-overload]
+            continue
+        if kind is dict:
+            stack += reversed(list(part.values()))  # type: ignore[attr-defined]
+            continue
+        names = _INNER.get(kind)
+        if names is None:
+            names = _INNER[kind] = _inner(kind)
+        if names and id(part) not in seen:
             seen.add(id(part))
             yield part
-            stack += reversed([getattr(part, f.name) for f in fields(part)])
+            stack += [value for name in names if type(value := getattr(part, name)) not in _LEAVES]
+
+
+_LEAVES = frozenset((Span, str, int, float, bool, type(None), Type, Rate, Dim))
+
+
+def _inner(kind: type) -> tuple[str, ...]:
+    """Names of the fields to look into; none for what is no part of a program."""
+    if not is_dataclass(kind) or issubclass(kind, (Span, nodes.File)):
+        return ()
+    return tuple(field.name for field in reversed(fields(kind)))
 
 
 def bindings_in(expr: model.Expr) -> set[model.Binding]:

@@ -9,7 +9,6 @@ from antdsl.diagnostics import Fix, Report
 from antdsl.program.checks.checked import Checked
 from antdsl.program.folding import constant_behind
 from antdsl.program.model import Const, Expr, Local, Op
-from antdsl.program.walk import parts
 from antdsl.program.wording import quoted
 
 _DRAWS = frozenset(("uniform", "normal", "pick"))
@@ -23,13 +22,16 @@ def draws(checked: Checked, report: Report) -> None:
         tests = [change.condition for machine in species.machines for state in machine.states for change in state.transitions]
         tests += [layer.condition for layer in species.layers.layers]
         for test in tests:
-            if test is not None and not any(isinstance(part, Op) and part.name == "event" for part in parts(test)):
+            if test is not None:
                 _test(test, report)
 
 
 def _test(test: Expr, report: Report) -> None:
-    for part in _within(test, ("and", "or", "not")):
-        if isinstance(part, Op) and part.name in _COMPARISONS and _drawn(part):
+    within = [part for part in _within(test, ("and", "or", "not")) if isinstance(part, Op)]
+    if any(part.name == "event" for part in within):
+        return  # an event is there for one step only
+    for part in within:
+        if part.name in _COMPARISONS and _drawn(part):
             rate = _rate(part)
             report.warning(
                 "draw-in-condition",

@@ -14,8 +14,9 @@ def one_way(checked: Checked, report: Report) -> None:
         for attribute in species.attributes:
             if not attribute.given:
                 _attribute(checked, species, attribute, report)
-    read = {part.name for part in parts(_all(checked.program)) if isinstance(part, Thing)}
-    laid = {part.field for part in parts(_all(checked.program)) if isinstance(part, Deposit)}
+    every = list(parts(_all(checked.program))) if checked.program.fields else []
+    read = {part.name for part in every if isinstance(part, Thing)}
+    laid = {part.field for part in every if isinstance(part, Deposit)}
     for field in checked.program.fields.values():
         if field.name in laid and field.name not in read and not checked.uses("smelled", field.name):
             report.warning(
