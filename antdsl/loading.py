@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Parsed = dict[str, tuple[nodes.File, Report]]
 
 
-class Kept(Parsed):
+class CheckedOnce(Parsed):
     """The same for many files that nobody changes meanwhile. `checked` is what the same files came to together: a scene's program
     is that of its file."""
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl import __version__, limits
 from antdsl.diagnostics import Report
-from antdsl.loading import Kept, Loaded, Parsed, shown
+from antdsl.loading import CheckedOnce, Loaded, Parsed, shown
 from antdsl.source import Source
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def _checked(loaded: Loaded, strict: bool, memo: Memo | None = None) -> tuple[Pr
         return None, report
     # files are the same objects as long as they are in `parsed`; names of modules are read from their texts
     key = (strict, *(id(file) for file in loaded.files), *((name, id(file)) for name, file in sorted(loaded.modules.items())))
-    kept = loaded.parsed.checked if isinstance(loaded.parsed, Kept) else {}
+    kept = loaded.parsed.checked if isinstance(loaded.parsed, CheckedOnce) else {}
     if key not in kept:
         kept[key] = check(loaded.files, loaded.library, loaded.modules, strict=strict, memo=memo)
     program, findings = kept[key]

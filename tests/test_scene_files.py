@@ -34,7 +34,7 @@ species ant {
   max_speed pace
   start go
   state go amber {
-    steer wander()
+    steer wander() * (1 + trail)
     deposit trail 2 /s
     when touching(food) take 1 load from nearest(food) -> go
   }

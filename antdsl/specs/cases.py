@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from antdsl.diagnostics import Report
-from antdsl.loading import Kept, Parsed
+from antdsl.loading import CheckedOnce, Parsed
 from antdsl.pipeline import Choices, Shot, check_path, find_files, open_scene
 from antdsl.plan.judging import SpecPlan, lower_spec
 from antdsl.program.expected import Changed, Spec
@@ -102,7 +102,7 @@ def cases(
     only specs whose name has this in it."""
     paths = list(paths)
     files, report = find_files(paths)
-    parsed = Kept()
+    parsed = CheckedOnce()
     finder = _Finder(dict(grants or {}), parsed, report)
     for file in (file for file in files if file.suffix == ".ant" or file in paths):
         program, findings = check_path(file, Choices(finder.grants), parsed=parsed)

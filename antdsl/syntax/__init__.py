@@ -1,9 +1,27 @@
 """Text → tree: `read` opens a file safely, `parse` makes a `File` of its text. `format` writes a text in the one layout, `write`
 puts it in the file's place."""
 
-from antdsl.syntax.formatting import format
+from pathlib import Path
+
+from antdsl.diagnostics.model import Report
+from antdsl.source import Source
 from antdsl.syntax.parser import parse
 from antdsl.syntax.reading import read, read_bytes
-from antdsl.syntax.writing import write
 
 __all__ = ["format", "parse", "read", "read_bytes", "write"]
+
+# Few who read programs lay them out or write them: these two are only loaded by those.
+
+
+def format(source: Source) -> tuple[str | None, Report]:
+    """As `formatting.format`."""
+    from antdsl.syntax import formatting
+
+    return formatting.format(source)
+
+
+def write(path: Path, text: str) -> None:
+    """As `writing.write`."""
+    from antdsl.syntax import writing
+
+    writing.write(path, text)
