@@ -18,7 +18,7 @@ field trail on ground { cell 20 mm; half_life 4 s }
 species walker {
   param pace = 0.5 in 0 .. 1 "How fast"
   start on
-  state on { steer wander(pace: pace); deposit trail 0 /s }
+  state on { steer wander(pace: pace) * (1 + trail); deposit trail 0 /s }
   layers { state }
 }
 """
