@@ -1,0 +1,52 @@
+"""The patterns as a Pygments lexer: `pygmentize file.ant`, and every tool that asks Pygments for the name `ant`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from re import Match
+from typing import Any, ClassVar
+
+from pygments.lexer import RegexLexer
+from pygments.token import Text, Token
+
+from antdsl.highlighting.patterns import CLASSES, PATTERNS, Pattern
+
+_Found = Iterator[tuple[int, Any, str]]
+
+
+def token_type(name: str) -> Any:
+    """Pygments' type of token for a class."""
+    found: Any = Token
+    for part in CLASSES[name][1].split("."):
+        found = getattr(found, part)
+    return found
+
+
+def _action(pattern: Pattern) -> Callable[[RegexLexer, Match[str]], _Found]:
+    """Cuts what a pattern matches at its groups; what lies between them is blanks."""
+    types = [token_type(name) for name in pattern.classes]
+
+    def action(lexer: RegexLexer, match: Match[str]) -> _Found:
+        last = match.start()
+        for number, kind in enumerate(types, 1 if match.re.groups else 0):
+            start, end = match.span(number)
+            if start < 0:  # a group that is not there
+                continue
+            if start > last:
+                yield last, Text, match.string[last:start]
+            yield start, kind, match.group(number)
+            last = end
+
+    return action
+
+
+class AntLexer(RegexLexer):
+    """`.ant` programs of antdsl."""
+
+    name = "antdsl"
+    aliases: ClassVar[list[str]] = ["ant", "antdsl"]
+    filenames: ClassVar[list[str]] = ["*.ant"]
+    mimetypes: ClassVar[list[str]] = ["text/x-antdsl"]
+    tokens: ClassVar[dict[str, list[Any]]] = {
+        "root": [*((pattern.regex, _action(pattern)) for pattern in PATTERNS), (r"\n|[ \t]+", Text)]
+    }

@@ -1,0 +1,49 @@
+"""The patterns as a TextMate grammar: `python -m antdsl.highlighting.textmate` writes the files that ship."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from antdsl import resources
+from antdsl.highlighting.patterns import CLASSES, PATTERNS, Pattern
+
+SCOPE = "source.antdsl"
+# The second is the copy that is packed with the extension for VS Code.
+FILES = ("antdsl.tmLanguage.json", "vscode/syntaxes/antdsl.tmLanguage.json")
+
+
+def scope(name: str) -> str:
+    """The scope of a class."""
+    return f"{CLASSES[name][0]}.antdsl"
+
+
+def _rule(pattern: Pattern) -> dict[str, Any]:
+    if not re.compile(pattern.regex).groups:
+        return {"match": pattern.regex, "name": scope(pattern.classes[0])}
+    captures = {str(number): {"name": scope(name)} for number, name in enumerate(pattern.classes, 1)}
+    return {"match": pattern.regex, "captures": captures}
+
+
+def grammar_text() -> str:
+    """The grammar as JSON text."""
+    grammar = {
+        "comment": "Made from the tables of the language by `python -m antdsl.highlighting.textmate`: change it there.",
+        "name": "antdsl",
+        "scopeName": SCOPE,
+        "fileTypes": ["ant"],
+        "patterns": [_rule(pattern) for pattern in PATTERNS],
+    }
+    return json.dumps(grammar, indent=2) + "\n"
+
+
+def write(folder: Path) -> None:
+    for name in FILES:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(grammar_text(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write(resources.grammar_folder())
