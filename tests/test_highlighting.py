@@ -80,7 +80,9 @@ def compare(path: Path, coloured: Cut) -> None:
     for start, end, kind in coloured:
         seen[start:end] = [SEEN_AS[kind]] * (end - start)
     for start, end, kind in real(path):
-        different = {seen[at] for at in range(start, end) if kind == "string" or kind == "comment" or not text[at].isspace()} - {kind}
+        different = {seen[at] for at in range(start, end) if kind == "string" or kind == "comment" or not text[at].isspace()} - {
+            kind
+        }
         assert not different, f"{Source(path.name, text).line_column(start)}: `{text[start:end]}` is a {kind}, not {different}"
     real_places = {at for start, end, _ in real(path) for at in range(start, end)}
     assert not [at for at, kind in enumerate(seen) if kind is not None and at not in real_places and not text[at].isspace()]
@@ -115,7 +117,9 @@ def test_textmate_sees_what_the_lexer_sees(path: Path) -> None:
     for line in path.read_text(encoding="utf-8").split("\n"):
         at = 0
         while at < len(line):
-            matches = [(match.start(), k, match, rule) for k, (regex, rule) in enumerate(compiled) if (match := regex.search(line, at))]
+            matches = [
+                (match.start(), k, match, rule) for k, (regex, rule) in enumerate(compiled) if (match := regex.search(line, at))
+            ]
             if not matches:
                 break
             _, _, match, rule = min(matches, key=lambda each: each[:2])
@@ -152,7 +156,8 @@ const [grammar, scopeName, ...paths] = process.argv.slice(2);
     for (const line of fs.readFileSync(path, "utf8").split("\\n")) {
       const { tokens, ruleStack } = loaded.tokenizeLine(line, stack);
       for (const { startIndex, endIndex, scopes } of tokens)
-        if (scopes.length > 1) found[path].push([begin + startIndex, begin + Math.min(endIndex, line.length), scopes[scopes.length - 1]]);
+        if (scopes.length > 1)
+          found[path].push([begin + startIndex, begin + Math.min(endIndex, line.length), scopes.at(-1)]);
       stack = ruleStack;
       begin += line.length + 1;
     }
@@ -184,7 +189,7 @@ def test_vs_code_sees_what_the_lexer_sees(tmp_path: Path) -> None:
     names = {scope(name): name for name in reversed(CLASSES)}
     found = json.loads(done.stdout)
     for path in TEXTS:
-        assert "\U00010000" > max(path.read_text(encoding="utf-8"))  # so that places are the same in UTF-16
+        assert max(path.read_text(encoding="utf-8")) < "\U00010000"  # so that places are the same in UTF-16
         compare(path, [(start, end, names[kind]) for start, end, kind in found[str(path)]])
 
 
@@ -222,7 +227,9 @@ def test_every_pattern_is_of_use() -> None:
     for path in TEXTS:
         text, at = path.read_text(encoding="utf-8"), 0
         while at < len(text):
-            match = next(((k, m) for k, p in enumerate(PATTERNS) if (m := re.compile(p.regex, AntLexer.flags).match(text, at))), None)
+            match = next(
+                ((k, m) for k, p in enumerate(PATTERNS) if (m := re.compile(p.regex, AntLexer.flags).match(text, at))), None
+            )
             won.add(match[0] if match else None)
             at = match[1].end() if match else at + 1
     assert won - {None} == set(range(len(PATTERNS)))
@@ -284,7 +291,13 @@ def test_the_extension_packs(tmp_path: Path) -> None:
     from zipfile import ZipFile
 
     names = set(ZipFile(copy / "antdsl.vsix").namelist())
-    wanted = ("extension.js", "package.json", "syntaxes/antdsl.tmLanguage.json", "snippets/antdsl.json", "language-configuration.json")
+    wanted = (
+        "extension.js",
+        "package.json",
+        "syntaxes/antdsl.tmLanguage.json",
+        "snippets/antdsl.json",
+        "language-configuration.json",
+    )
     assert {f"extension/{name}" for name in wanted} <= names
     assert "extension/node_modules/vscode-languageclient/node.js" in names
     assert not [name for name in names if "vscode-textmate" in name or "@vscode/vsce" in name]

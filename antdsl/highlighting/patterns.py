@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from antdsl.program.colours import COLOURS
 from antdsl.program.vocabulary import BUILTINS, GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES, TYPE_WORDS
-from antdsl.syntax.words import FIELD_SETTINGS, LINE_WORDS, UNIT_NAMES, WORLD_KINDS
+from antdsl.syntax.words import FIELD_SETTINGS, FORMS, LINE_WORDS, UNIT_NAMES, WORLD_KINDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +47,11 @@ CLASSES: dict[str, tuple[str, str]] = {
 DECLARING = ("species", "behaviour", "field", "machine", "state", "param", "let", "latch", "fuzzy", "keep", "start")
 # Words inside a line. Those that are names too where an argument is named or called are told by the sign after them.
 INNER = (
-    "when", "interrupt", "as", "on", "any", "except", "for", "each", "held", "after", "take", "from", "all", "to", "until", "then", "relax",
-    "over", "strongest", "if", "else", "at", "least",
+    "when", "interrupt", "within", "as", "on", "any", "except", "for", "each", "held", "after", "take", "from", "all", "to",
+    "until", "then", "relax", "over", "strongest", "if", "else", "at", "least",
 )  # fmt: skip
 OPERATORS = ("or", "and", "not", "no", "is", "none", "of", "chance", "in")
-CLAIMS = ("always", "never", "eventually", "until")  # a colon follows these
+CLAIMS = tuple(word for word, form in FORMS.items() if form.startswith(f"{word}:"))  # a colon follows these
 
 _NAME = "[a-z][a-z_0-9]*"
 _END = "(?![A-Za-z_0-9])"
@@ -79,7 +79,7 @@ PATTERNS: tuple[Pattern, ...] = (
     Pattern(r'"[^"\n]*"?', ("string",)),
     Pattern(rf"({_NUMBER})([ \t]*{_TAIL})?", ("number", "unit")),
     # the first word of a line
-    Pattern(rf"{_BEGIN}{_any(CLAIMS)}{_LABELLED}", ("keyword",)),
+    Pattern(rf"{_any(CLAIMS)}{_LABELLED}", ("keyword",)),
     Pattern(rf"{_INSIDE}(species)(?=[ \t]+{_NAME})", ("kind",)),
     Pattern(rf"{_BEGIN}{_any(DECLARING)}[ \t]+(?!when{_END})({_NAME})", ("declaration", "declared")),
     Pattern(rf"{_BEGIN}{_any(WORLD_KINDS)}(?=[ \t]+{_NAME})", ("kind",)),
