@@ -107,7 +107,8 @@ class _Parentheses:
         word = text_of(self.scan, first)
         if word not in BLOCK_WORDS or below.indent <= first.indent:
             return False
-        if word == "behaviour" and index + 3 < len(tokens) and text_of(self.scan, tokens[index + 3]) == ":":
+        after = next((token for token in tokens[index + 3 :] if token.kind != "end"), None)
+        if word == "behaviour" and after is not None and text_of(self.scan, after) == ":":
             return False  # the name of an argument, whatever word it is
         return text_of(self.scan, below) in _LINE_WORDS
 
