@@ -118,6 +118,10 @@ def test_a_request_for_a_billion_cells_is_refused_before_it_costs_anything():
     tracemalloc.stop()
     with pytest.raises(FieldTooFine):
         SurfaceCells([grid(100, 4)], 1.0, cap=9_000)
+    ribbon = (np.array([[0, 0, 0], [0, 0, 0.5], [1e5, 0, 0]]), np.array([[0, 1, 2]], np.int32))
+    with pytest.raises(FieldTooFine) as told:
+        SurfaceCells([ribbon], 0.1)
+    assert told.value.in_a_row and told.value.needed > told.value.cap
     for cell in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="more than 0"):
             SurfaceCells([grid(100, 4)], cell)

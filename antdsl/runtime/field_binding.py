@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.plan import ir
 from antdsl.runtime.fields.cells import FieldTooFine, SurfaceCells
@@ -37,12 +36,9 @@ def bind_fields(world: World, meshes: dict[str, MeshData], value: Callable[[Worl
                 kind = GrowingCells if any(name in world.solids for name in plan.surfaces) else SurfaceCells
                 cells[key] = kind(surfaces, size)
             except FieldTooFine as why:
-                report.error(
-                    "field-too-fine",
-                    f"field `{plan.name}` needs about {why.needed:,} cells of {size:g} mm; {limits.FIELD_CELLS:,} are allowed",
-                    plan.span,
-                    "write a larger `cell`",
-                )
+                row = " in a row" if why.in_a_row else ""
+                words = f"about {why.needed:,} cells of {size:g} mm{row}; {why.cap:,} are allowed"
+                report.error("field-too-fine", f"field `{plan.name}` needs {words}", plan.span, "write a larger `cell`")
                 continue
         field = PheromoneField(cells[key], "max" if plan.combine == "max" else "add", limit)
         start = world.setting.field_start.get(plan.name)

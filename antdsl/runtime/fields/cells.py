@@ -26,11 +26,11 @@ _CHUNK = 1 << 15
 
 
 class FieldTooFine(ValueError):
-    """A field would need more cells than `limits.FIELD_CELLS`; nothing was allocated for it."""
+    """A field would need more cells than `limits.FIELD_CELLS`, or more `in_a_row` than can be numbered; nothing was allocated."""
 
-    def __init__(self, needed: int, cap: int) -> None:
+    def __init__(self, needed: int, cap: int, in_a_row: bool = False) -> None:
         super().__init__(f"about {needed:,} cells are needed and {cap:,} are allowed; a larger `cell` needs fewer")
-        self.needed, self.cap = needed, cap
+        self.needed, self.cap, self.in_a_row = needed, cap, in_a_row
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +60,11 @@ class SurfaceCells:
         corners, across, area = (a[area > 0] for a in (corners, across, area))
         needed = float(area.sum() / 2 / self.cell**2)
         extent = corners.max(axis=(0, 1)) - corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
-        if needed > cap or float(extent.max()) / self.cell > _ALONG:
-            raise FieldTooFine(int(max(needed, float(extent.max()) / self.cell)), cap)
+        if needed > cap:
+            raise FieldTooFine(int(needed), cap)
+        along = float(extent.max()) / self.cell
+        if along > _ALONG:
+            raise FieldTooFine(int(along), _ALONG, in_a_row=True)
         scaled = corners / self.cell + 0.5
         self._low = np.floor(scaled.min(axis=(0, 1))).astype(np.int64) if len(corners) else np.zeros(3, np.int64)
         self._size = np.floor(scaled.max(axis=(0, 1))).astype(np.int64) - self._low + 1 if len(corners) else np.ones(3, np.int64)
