@@ -84,6 +84,29 @@ def test_explain_shows_the_page() -> None:
     assert done.stdout == (PAGES / "unknown-state.md").read_text(encoding="utf-8")
 
 
+def test_check_leads_to_the_page_once_and_for_people_only(tmp_path: Path) -> None:
+    from typer.testing import CliRunner
+
+    from antdsl.cli import app
+
+    wrong = code_pages.read(PAGES / "unknown-sign.md").wrong  # two complaints of one code
+    with code_pages.laid_out(wrong, tmp_path / "wrong"):
+        full, concise = (
+            CliRunner().invoke(app, ["check", "walker.ant", "--format", kind]).stdout for kind in ("full", "concise")
+        )
+    assert full.count("`antdsl check --explain unknown-sign` says more") == 1 and "--explain" not in concise
+
+
+def test_a_code_without_its_page_is_explained_in_a_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from antdsl.cli import pages
+
+    monkeypatch.setattr(pages, "code_page", lambda code: None)
+    pages.show_page("trap")
+    assert CODES["trap"] in capsys.readouterr().out
+
+
 def test_explain_is_laid_out_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """What rich makes of a page has its words and none of Markdown's signs."""
     from antdsl.cli import pages
