@@ -43,7 +43,7 @@ species bug {
   }
   state rest "" { when after 1 s -> previous; when fear > 1 -> idle }
   state roam { when after 1 s -> idle }
-  state flee red { when fear < 1 -> idle; interrupt when fear > 20 -> roam }
+  state flee red { when fear < 1 -> idle; interrupt when fear < -9 -> roam }
   machine mood {
     start calm
     state calm { when fear > 1 -> upset }
@@ -111,7 +111,7 @@ def test_any_previous_choose_interrupts_and_machines_are_drawn_once_each(odd: tu
         ("rest", "previous", ("1: after 1 s",), False),
         ("rest", "idle", ("2: fear > 1",), False),
         ("roam", "idle", ("after 1 s",), False),
-        ("flee", "roam", ("1: interrupt when fear > 20",), True),
+        ("flee", "roam", ("1: interrupt when fear < -9",), True),
         ("flee", "idle", ("2: fear < 1",), False),
         ("any state", "flee", ("1: fear > 3 and (fear < 9 or fear > 11)",), False),
         ("any but rest, flee", "previous", ("2: fear > 2 held 1 s",), False),
@@ -374,3 +374,13 @@ def test_without_the_extra_pictures_name_it_and_texts_are_written(
         assert found is None and [d.code for d in report.errors] == ["missing-extra"]
         assert 'pip install "antdsl[graph]"' in report.errors[0].help
     assert written(odd, "mermaid") and written(odd, "dot")
+
+
+def test_pillows_own_letters_have_what_they_are_taken_for() -> None:
+    """A sign that a font does not have is drawn like one that no font has."""
+    from antdsl.graphs.letters import _OWN, _built_in
+
+    letters = _built_in(20)
+    nothing = bytes(letters.getmask("\uffff"))
+    for sign in [*_OWN, *(chr(code) for code in range(33, 127))]:
+        assert bytes(letters.getmask(sign)) != nothing, sign

@@ -78,7 +78,7 @@ def _tried(chart: Chart, spacing: dict[str, float]) -> tuple[PlacedChart, Found]
     folded = [fold(arrow) for arrow in chart.arrows]
     extents = [_extent(lines) if lines else None for lines in folded]
     for arrow, extent in zip(chart.arrows, extents, strict=True):
-        room = {"label_size": {"width": extent[0], "height": extent[1]}} if extent else {}
+        room: dict[str, Any] = {"label_size": {"width": extent[0], "height": extent[1]}} if extent else {}
         graph.edge(arrow.source, arrow.target, **room)
     laid = graphlay.layout(graph, preset="process_map", options={**_OPTIONS, "spacing": spacing})
     places = [
