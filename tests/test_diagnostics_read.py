@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -108,6 +109,13 @@ def test_sarif_keeps_to_the_standard(found: Report) -> None:
         ids = [rule["id"] for rule in run["tool"]["driver"]["rules"]]
         assert len(set(ids)) == len(ids) and all(ids[each["ruleIndex"]] == each["ruleId"] for each in run["results"])
         assert all(each["level"] in ("error", "warning") for each in run["results"])
+
+
+@pytest.mark.skipif("SARIF_SCHEMA" not in os.environ, reason="SARIF_SCHEMA does not name a file with the schema of SARIF 2.1.0")
+def test_sarif_is_valid_by_the_whole_schema(found: Report) -> None:
+    schema = json.loads(Path(os.environ["SARIF_SCHEMA"]).read_text(encoding="utf-8-sig"))
+    for report in (found, Report()):
+        jsonschema.validate(json.loads(render(report, "sarif")), schema)
 
 
 def test_sarif_fixes_can_be_applied(found: Report) -> None:

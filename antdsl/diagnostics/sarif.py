@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 from urllib.parse import quote
 
+from antdsl import __version__
 from antdsl.diagnostics.codes import CODES
 from antdsl.diagnostics.model import Diagnostic
 from antdsl.diagnostics.places import area
@@ -24,7 +25,7 @@ def sarif(diagnostics: Sequence[Diagnostic], more: int) -> str:
     seen: Counter[str] = Counter()
     results = [_result(diagnostic, codes.index(diagnostic.code), seen) for diagnostic in diagnostics]
     run: dict[str, Any] = {
-        "tool": {"driver": {"name": "antdsl", "rules": rules}},
+        "tool": {"driver": {"name": "antdsl", "semanticVersion": __version__, "rules": rules}},
         "columnKind": "unicodeCodePoints",
         "results": results,
     }
