@@ -7,6 +7,7 @@ import re
 
 import pytest
 from layouts import Layout, program
+from test_docs import Block, of_kind
 
 from antdsl.source import Source
 from antdsl.syntax import format, parse
@@ -220,3 +221,37 @@ def test_any_layout_becomes_the_one() -> None:
 def test_any_of_ten_thousand_layouts_becomes_the_one() -> None:
     read = [holds(seed) for seed in range(1000, 11_500)]
     assert sum(read) >= 10_000
+
+
+# --- the samples of the documents ------------------------------------------------------------------------------------
+
+# What stands around a fragment, and how far its lines are set in there.
+AROUND = {
+    None: ("", "", 0),
+    "file": ("ant 1\n", "", 0),
+    "species": ("ant 1\nspecies a {\n", "}\n", 2),
+    "state": ("ant 1\nspecies a {\n  state s {\n", "  }\n}\n", 4),
+}
+
+
+def sample(block: Block) -> str | None:
+    """A document's sample in the one layout; None for one that is no program, or shows an error of writing."""
+    part = next((word.removeprefix("fragment-of-") for word in block.words if word.startswith("fragment-of-")), None)
+    if part not in AROUND:
+        return None
+    start, end, indent = AROUND[part]
+    text, _ = format(Source(str(block), start + block.text + end))
+    if text is None:
+        return None
+    assert text.startswith(start) and text.endswith(end)
+    return "".join(line[indent:] if line.strip() else line for line in text[len(start) : len(text) - len(end)].splitlines(True))
+
+
+@pytest.mark.parametrize("block", of_kind("ant"), ids=str)
+def test_samples_have_the_one_layout(block: Block) -> None:
+    found = sample(block)
+    assert found is None or found == block.text
+
+
+def test_most_samples_are_looked_at() -> None:
+    assert sum(sample(block) is not None for block in of_kind("ant")) > 25
