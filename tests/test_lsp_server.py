@@ -35,6 +35,14 @@ async def test_complaints_come_as_one_types_and_go(client) -> None:
     editor.close(path.as_uri())
 
 
+async def test_yaml_that_is_no_scene_is_left_in_peace(client) -> None:
+    editor, path = Editor(client), client.folder / "compose.yaml"
+    recipe = "services:\n  web: {image: nginx}\n"
+    assert await editor.open(path, recipe) == []
+    assert await editor.rewrite(path.as_uri(), "antdsl: 1\n" + recipe) != []
+    editor.close(path.as_uri())
+
+
 async def test_edits_of_parts_of_a_text_are_put_together(client) -> None:
     editor, path = Editor(client), client.folder / "foraging" / "parts.ant"
     await editor.open(path, FORAGER)

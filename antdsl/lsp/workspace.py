@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 PROGRAM = ".ant"
 _MOST = 8  # symbols that one word can stand for
+_SCENE = re.compile(r"^(?:antdsl|crowd|extends)[ \t]*:", re.MULTILINE)  # keys that scenes have, and few other files
 
 
 @dataclass(eq=False)
@@ -217,7 +219,11 @@ class Workspace:
         return Checked(program, scene, report)
 
     def complaints(self, path: Path) -> list[Diagnostic]:
-        """What is wrong in this very document; one about all of it has no span."""
+        """What is wrong in this very document; one about all of it has no span. A YAML file that is no scene is nobody's
+        business here: editors send every one."""
+        document = self.document(path)
+        if document is not None and not document.is_program and not _SCENE.search(document.text.text):
+            return []
         checked = self.check(path)
         if checked is None:
             return []
