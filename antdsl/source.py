@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """One file's text, with the name under which it is shown to people."""
+    """One file's text, with the name under which it is shown to people. `part`: the number of a part of a file that is a source
+    of its own, so that it can move in its file and stay as it is; 0 for a whole file."""
 
     path: str
     text: str
+    part: int = 0
     _starts: tuple[int, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -55,4 +57,5 @@ class Span:
 
     def __str__(self) -> str:
         line, column = self.source.line_column(self.start)
-        return f"{self.source.path}:{line}:{column}"
+        part = f"#{self.source.part}" if self.source.part else ""
+        return f"{self.source.path}{part}:{line}:{column}"

@@ -46,7 +46,7 @@ def _key(diagnostic: Diagnostic) -> tuple[str | int, ...]:
     span = diagnostic.span
     if span is None:
         return (diagnostic.code, diagnostic.message)
-    return (diagnostic.code, span.source.path, span.start, span.end)
+    return (diagnostic.code, span.source.path, span.source.part, span.start, span.end)
 
 
 _INSTEAD = re.compile("(?:did you mean|write) `([^`…]+)`\\??")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from antdsl import limits, syntax
 from antdsl.diagnostics import Diagnostic, Report
+from antdsl.diagnostics.ignoring import judged
 from antdsl.loading import Parsed
 from antdsl.lsp.index import occurrences
 from antdsl.lsp.names import Names, names_of
@@ -19,8 +20,10 @@ from antdsl.lsp.scenes import SceneIndex, scene_index
 from antdsl.lsp.text import Range, Text, normal
 from antdsl.lsp.uses import Occurrence
 from antdsl.pipeline import check_scene_text, compile_files
+from antdsl.program.memo import Memo
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
+from antdsl.syntax.parts import Parts
 
 if TYPE_CHECKING:
     from antdsl.program.model import Program
@@ -40,6 +43,7 @@ class Document:
     stamp: tuple[int, int] | None = None
     version: int | None = None
     earlier: SceneIndex | None = None  # of the text before, for while this one is no YAML
+    parts: Parts = field(default_factory=Parts)  # go from one version of an open buffer to the next
 
     @property
     def is_program(self) -> bool:
@@ -47,11 +51,17 @@ class Document:
 
     @cached_property
     def parsed(self) -> tuple[nodes.File, Report]:
-        return syntax.parse(Source(str(self.path), self.text.text))
+        return self.parts.parse(Source(str(self.path), self.text.text))
 
     @cached_property
     def names(self) -> Names:
         return names_of(self.path, self.parsed[0])
+
+    @cached_property
+    def uses(self) -> list[Path]:
+        """The files behind `use "PATH"`."""
+        written = (item.path for item in self.parsed[0].items if isinstance(item, nodes.Use))
+        return [self.path.parent.joinpath(path.text).resolve() for path in written if path is not None]
 
     @cached_property
     def occurrences(self) -> list[Occurrence]:
@@ -77,10 +87,13 @@ class Document:
 
     def start(self, span: Span) -> int:
         """Where a span of this document begins in its text."""
-        return span.start
+        return self._whole(span).start
 
     def end(self, span: Span) -> int:
-        return span.end
+        return self._whole(span).end
+
+    def _whole(self, span: Span) -> Span:
+        return self.parsed[0].whole(span) if self.is_program else span
 
     def range(self, span: Span) -> Range:
         return self.text.range(self.start(span), self.end(span))
@@ -124,6 +137,7 @@ class Workspace:
     _disk: dict[Path, Document] = field(default_factory=dict)
     _checked: dict[Path, tuple[object, Checked]] = field(default_factory=dict)
     _good: dict[Path, Program] = field(default_factory=dict)
+    _memos: dict[Path, Memo] = field(default_factory=dict)
 
     # --- documents ---
 
@@ -135,12 +149,14 @@ class Workspace:
     def change(self, path: Path, text: Text, version: int | None) -> Document:
         before = self.open.get(path)
         earlier = before.scene if before is not None and not before.is_program else None
-        document = self.open[path] = Document(path, text, None, version, earlier)
+        parts = before.parts if before is not None else Parts()
+        document = self.open[path] = Document(path, text, None, version, earlier, parts)
         return document
 
     def close(self, path: Path) -> None:
         self.open.pop(path, None)
-        self._checked.pop(path, None)
+        for kept in (self._checked, self._good, self._memos):
+            kept.pop(path, None)  # type: ignore[attr-defined]
 
     def document(self, path: Path) -> Document | None:
         """A file as the editor has it, or else as it is on disk; None when it cannot be read."""
@@ -164,8 +180,10 @@ class Workspace:
     def span_of(self, span: Span) -> tuple[Document, Range] | None:
         """The document that a span lies in, and where."""
         for document in (*self.open.values(), *self._disk.values()):
-            if document.is_program and "parsed" in document.__dict__ and document.parsed[0].source is span.source:
-                return document, document.range(span)
+            if document.is_program and "parsed" in document.__dict__:
+                file = document.parsed[0]
+                if span.source is file.source or span.source in file.parts:
+                    return document, document.range(span)
         document = self.document(Path(os.path.realpath(span.source.path)))
         return (document, document.range(span)) if document is not None else None
 
@@ -210,7 +228,8 @@ class Workspace:
         return [Path(os.path.realpath(path)) for path in behaviours_folder().glob("*.ant")]
 
     def _check_program(self, document: Document) -> Checked:
-        program, report = compile_files([document.path], parsed=self.parsed(document.path))
+        memo = self._memos.setdefault(document.path, Memo())
+        program, report = compile_files([document.path], parsed=self.parsed(document.path), memo=memo)
         return Checked(program, None, report)
 
     def _check_scene(self, document: Document) -> Checked:
@@ -227,8 +246,9 @@ class Workspace:
         checked = self.check(path)
         if checked is None:
             return []
-        own = {os.path.realpath(path)}
-        return [d for d in checked.report.sorted() if d.span is None or os.path.realpath(d.span.source.path) in own]
+        document, own = self.document(path), str(path)
+        said = [d for d in checked.report.sorted() if d.span is None or os.path.realpath(d.span.source.path) == own]
+        return judged(Report(said), [Source(own, document.text.text)]).sorted() if document is not None else said
 
     # --- which files belong together ---
 
@@ -243,7 +263,7 @@ class Workspace:
             found[each] = None
             document = self.document(each)
             if document is not None:
-                stack += document.names.modules.values() if document.is_program else document.scene.files
+                stack += document.uses if document.is_program else document.scene.files
         return list(found)
 
     def family(self, path: Path) -> list[Path]:

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 
 from antdsl.diagnostics import Report
 from antdsl.program import model
 from antdsl.program.behaviours import check_behaviour
-from antdsl.program.checks import CHECKS, OF_SOUND, Checked
+from antdsl.program.checks import CHECKS, OF_EACH, OF_SOUND, Check, Checked
 from antdsl.program.collect import Library, Loader, declare
 from antdsl.program.consequences import without_consequences
-from antdsl.program.memo import Memo
+from antdsl.program.memo import Memo, part
 from antdsl.program.rules import RULES
 from antdsl.program.scope import Declared, FileNames
 from antdsl.program.species import complete, draft
 from antdsl.program.specs import check_spec
 from antdsl.program.world import check_brought, check_field, declare_fields, declare_world
+from antdsl.source import Span
 from antdsl.syntax import nodes
+from antdsl.syntax.parts import moved
 
 
 def check(
@@ -45,15 +49,63 @@ def check(
     for each in names:
         declare_world(declared, each)
     fields = [(each, field) for each in names for field in declare_fields(declared, each)]
+    declared.outside = outside = _outside(declared, loader)
     program = _program(declared, names, fields)
+    declared.outside = outside
     _behaviours(declared, [*names, *_modules(names)])
     checked = Checked(program, declared, names)
     for look in CHECKS:
-        look(checked, report)
+        _look(checked, look, report)
     doubtful = [span for each in loader.known.values() for span in each.node.doubtful]
     for look in OF_SOUND if report.ok and not doubtful else ():
+        _look(checked, look, report)
+    if memo is not None:
+        memo.forget()
+        if any(each.wanting for each in loader.known.values()):
+            memo.known.clear()  # parts kept silent about what a missing `use` would bring
+    return program, without_consequences(*_whole(loader, report, doubtful))
+
+
+def _look(checked: Checked, look: Check, report: Report) -> None:
+    """A check of the whole; one that looks at each species by itself looks again only where something has changed."""
+    program = checked.program
+    if checked.declared.memo is None or look not in OF_EACH:
         look(checked, report)
-    return program, without_consequences(report, doubtful)
+        return
+    params = tuple(program.params.values())
+    for name, species in program.species.items():
+        alone = replace(checked, program=replace(program, species={name: species}))
+        part(checked.declared, (look, species, params), partial(look, alone, report))
+
+
+def _whole(loader: Loader, report: Report, doubtful: Sequence[Span]) -> tuple[Report, list[Span]]:
+    """The same complaints and doubtful places, in whole files instead of in parts of them."""
+    files = {part: file.node for file in loader.known.values() for part in file.node.parts}
+    if not files:
+        return report, list(doubtful)
+
+    def whole(span: Span) -> Span:
+        return files[span.source].whole(span) if span.source in files else span
+
+    return Report([moved(each, whole) for each in report.diagnostics]), [whole(span) for span in doubtful]
+
+
+def _outside(declared: Declared, loader: Loader) -> Hashable:
+    """All that a part of the program can see of the others before the types of attributes are known."""
+    things = [(t.name, t.kind, tuple((a.name, a.type) for a in t.attributes)) for t in declared.things.values()]
+    machines = [
+        (s.name, s.node is None, tuple((m.name, *m.states) for m in s.machines.values())) for s in declared.species.values()
+    ]
+    called = [
+        item for each in loader.known.values() for item in each.node.items if isinstance(item, (nodes.Behaviour, nodes.Use))
+    ]
+    fields = list(declared.fields.values())
+    return declared.strict, *map(tuple, (things, machines, called, fields, declared.events, declared.unclear))
+
+
+def _types(declared: Declared) -> Hashable:
+    """The types of what the species have, as far as they are known."""
+    return tuple((s.name, *s.attributes.items(), *s.each.items(), *s.params.items()) for s in declared.species.values())
 
 
 def _program(
@@ -61,15 +113,22 @@ def _program(
 ) -> model.Program:
     made_fields = {node.name.text: field for file, node in fields if (field := check_field(declared, file, node)) is not None}
     drafts = []
+    outside = declared.outside
     for file in names:
         for item in file.node.items:
             if isinstance(item, nodes.Species) and declared.species[item.name.text].node is item:
                 drafts.append(draft(declared, file, item))
+            declared.outside = outside, _types(declared)
     check_brought(declared)
+    declared.outside = outside, _types(declared)
     species = {work.names.name: complete(work) for work in drafts}
     params = {param.name: param for each in species.values() for param in each.params}
     written = [(file, item) for file in names for item in file.node.items if isinstance(item, nodes.Spec)]
-    specs = tuple(check_spec(declared, file, item, params, made_fields) for file, item in written)
+    known = (*params.values(), *(b for each in species.values() for b in (*each.lets, *each.latches)))
+    specs = tuple(
+        part(declared, ("spec", item, known), partial(check_spec, declared, file, item, params, made_fields))
+        for file, item in written
+    )
     return model.Program(
         species, dict(declared.things), made_fields, params, tuple(declared.events), specs, tuple(file.node for file in names)
     )  # fmt: skip

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.colours import COLOURS, default_rgb, rgb
 from antdsl.program.folding import constant_behind
+from antdsl.program.memo import part
 from antdsl.program.model import Binding, Expr
 from antdsl.program.operators import condition, wanted
 from antdsl.program.scope import NUMBER, TIME, Keys, MachineNames, Scope, did_you_mean, duplicate, listed
@@ -24,13 +26,23 @@ def machine(scope: Scope, names: MachineNames, members: Sequence[object], span: 
     """A machine with its states; `span` is where it is named."""
     scope = scope.inside(machine=names)
     states = [m for m in members if isinstance(m, nodes.State)]
-    general_keys = scope.inside(keys=Keys(f"{names.key}.{model.ANYWHERE}"))
-    anywhere = [(node, _from_any(general_keys, names, node)) for node in members if isinstance(node, nodes.Change)]
+    known = (names.key, *(scope.species.bindings.values() if scope.species is not None else ()))
+    changes = tuple(node for node in members if isinstance(node, nodes.Change))
+    anywhere = part(scope.declared, ("anywhere", changes, known), lambda: _anywhere(scope, names, changes))
     made: list[model.State] = []
     for index, state in enumerate(_once(states)):
         general = [change for node, change in anywhere if change is not None and _applies(node, change, state.name.text, index)]
-        made.append(_state(scope, names, state, index, general))
+        key = ("state", state, index, *general, *known)
+        made.append(part(scope.declared, key, partial(_state, scope, names, state, index, general)))
     return model.Machine(names.name, _start(scope, names, members, span), tuple(made), span)
+
+
+def _anywhere(
+    scope: Scope, names: MachineNames, changes: Sequence[nodes.Change]
+) -> list[tuple[nodes.Change, model.Transition | None]]:
+    """The changes `from any`."""
+    scope = scope.inside(keys=Keys(f"{names.key}.{model.ANYWHERE}"))
+    return [(node, _from_any(scope, names, node)) for node in changes]
 
 
 def _once(states: Sequence[nodes.State]) -> list[nodes.State]:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
+
+from antdsl.diagnostics import Diagnostic
 
 if TYPE_CHECKING:
     from antdsl.program.scope import Declared
@@ -11,37 +14,67 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
+def part(declared: Declared, key: Hashable, make: Callable[[], T]) -> T:
+    """What `make` gives, or gave in an earlier check of which somebody kept the memo. The key holds all that it depends on
+    besides `declared.outside`."""
+    return make() if declared.memo is None else declared.memo.part(declared, (key, declared.outside), make)
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """What came out of a part. `expanded`: the operations of behaviours that were put in place for it."""
+
+    result: Any
+    said: tuple[Diagnostic, ...]
+    used: frozenset[tuple[str, str]]
+    written: frozenset[str]
+    expanded: int
+
+
+class _Told(set[tuple[str, ...]]):
+    """Unknown names that were told. A part that kept silent because of them may have to speak another time."""
+
+    silenced = False
+
+    def __contains__(self, name: object) -> bool:
+        found = super().__contains__(name)
+        self.silenced = self.silenced or found
+        return found
+
+
 class Memo:
-    """Results of parts that had nothing to complain about, by all that they depend on. What was not asked for in a whole check is
-    forgotten after it."""
+    """Results of parts by all that they depend on. What was not asked for in a whole check is forgotten after it."""
 
     def __init__(self) -> None:
-        self.known: dict[Hashable, tuple[Any, frozenset[tuple[str, str]], frozenset[str], int]] = {}
+        self.known: dict[Hashable, _Known] = {}
         self.asked: set[Hashable] = set()
-        self.world: Hashable = None  # what the whole program declares, by which parts depend on each other
 
     def part(self, declared: Declared, key: Hashable, make: Callable[[], T]) -> T:
-        """What `make` gives, or gave for the same key; with it goes what it counted as used and written."""
+        """What `make` gives, or gave for the same key; with it goes what it complained about, and what it counted as used and
+        written."""
         self.asked.add(key)
         known = self.known.get(key)
-        if known is not None:
-            result, used, written, expanded = known
-            declared.used |= used
-            declared.written |= written
-            declared.expanded += expanded
-            return result  # type: ignore[no-any-return]
-        report, told, expanded = declared.report, len(declared.told), declared.expanded
-        before, used_before, written_before = len(report.diagnostics), declared.used, declared.written
-        declared.used, declared.written = set(), set()
+        if known is None:
+            return self._made(declared, key, make)
+        declared.used |= known.used
+        declared.written |= known.written
+        declared.expanded += known.expanded
+        declared.report.extend(known.said)
+        return known.result  # type: ignore[no-any-return]
+
+    def _made(self, declared: Declared, key: Hashable, make: Callable[[], T]) -> T:
+        said, expanded, told = len(declared.report.diagnostics), declared.expanded, len(declared.told)
+        used, written, names = declared.used, declared.written, declared.told
+        declared.used, declared.written, declared.told = set(), set(), _Told(names)
         try:
             result = make()
         finally:
-            used, written = frozenset(declared.used), frozenset(declared.written)
-            declared.used, declared.written = used_before, written_before
-            declared.used |= used
-            declared.written |= written
-        if len(report.diagnostics) == before and len(declared.told) == told:
-            self.known[key] = result, used, written, declared.expanded - expanded
+            own_used, own_written, own_told = declared.used, declared.written, declared.told
+            declared.used, declared.written, declared.told = used | own_used, written | own_written, names | own_told
+        if len(own_told) == told and not (isinstance(own_told, _Told) and own_told.silenced):
+            complaints = tuple(declared.report.diagnostics[said:])
+            spent = declared.expanded - expanded
+            self.known[key] = _Known(result, complaints, frozenset(own_used), frozenset(own_written), spent)
         return result
 
     def forget(self) -> None:

@@ -14,6 +14,7 @@ from antdsl.program.collect import EVENTS, free_in_species
 from antdsl.program.expressions import referable
 from antdsl.program.folding import constant_behind
 from antdsl.program.machines import machine
+from antdsl.program.memo import part
 from antdsl.program.model import Binding, Dim, Kind, Rate, Type
 from antdsl.program.operators import condition, wanted
 from antdsl.program.ordering import ordered
@@ -58,8 +59,20 @@ def draft(declared: Declared, file: FileNames, node: nodes.Species) -> Draft:
     scope = Scope(declared, file, Keys(names.name), declared.report, species=names, no_keep=_PURE)
     _check_names(scope, node)
     names.pending = {m.name.text for m in _members(node, nodes.Let, nodes.Latch, nodes.Fuzzy)} - GIVEN.keys()
+    head = tuple(m for m in node.members if isinstance(m, (nodes.ParamDecl, nodes.Declaration, nodes.Given)))
+    params, attributes, known = part(declared, ("draft", names.name, head, node.name), lambda: _drafted(scope, node))
+    names.attributes, names.each, names.params = (dict(each) for each in known)
+    return Draft(names, node, scope, params, attributes)
+
+
+def _drafted(
+    scope: Scope, node: nodes.Species
+) -> tuple[list[model.Param], list[model.AttributeDecl], tuple[dict[str, Any], ...]]:
+    names = scope.species
+    assert names is not None
     params = [p for m in node.members if isinstance(m, nodes.ParamDecl) and (p := param(scope, m.declaration)) is not None]
-    return Draft(names, node, scope, params, attributes_in(scope, node))
+    attributes = attributes_in(scope, node)
+    return params, attributes, (dict(names.attributes), dict(names.each), dict(names.params))
 
 
 def _members(node: nodes.Species, *kinds: type) -> list[Any]:
@@ -97,16 +110,29 @@ def _check_names(scope: Scope, node: nodes.Species) -> None:
 
 def complete(work: Draft) -> model.Species:
     """Lets, latches, handlers, machines and layers, now that the attributes of all species are known."""
+    names, key = work.names, ("species", work.node.name, work.node.help, work.node.members, *work.attributes, *work.params)
+    made, names.bindings = part(work.scope.declared, key, lambda: (_completed(work), names.bindings))
+    names.pending.clear()
+    return made
+
+
+def _completed(work: Draft) -> model.Species:
     scope, node, names = work.scope, work.node, work.names
     attributes = [_relaxing(scope, a, _declaration(node, a.name)) for a in work.attributes]
-    bindings = _bindings(scope, node)
+    named = tuple(_members(node, nodes.Let, nodes.Latch, nodes.Fuzzy))
+    bindings = part(scope.declared, ("bindings", names.name, named), lambda: _bindings(scope, node))
+    names.bindings = {binding.name: binding for binding in bindings}
+    names.pending.clear()
     machines = _machines(scope.inside(no_keep=None), node)
-    events: dict[str, Keys] = {}
-    handlers = [_handler(scope.inside(no_keep=None), m, events) for m in node.members if isinstance(m, nodes.On)]
+    known = (names.name, *bindings)
+    handling = tuple(m for m in node.members if isinstance(m, nodes.On))
+    handlers = part(scope.declared, ("handlers", handling, known), lambda: _handlers(scope.inside(no_keep=None), handling))
+    blocks = tuple(m for m in node.members if isinstance(m, nodes.Layers))
+    layers = part(scope.declared, ("layers", node.name, blocks, known), lambda: _layers(scope.inside(no_keep=None), node))
     return model.Species(
         names.name, node.help.text if node.help else "", tuple(attributes), tuple(work.params),
         tuple(b for b in bindings if b.role == "let"), tuple(b for b in bindings if b.role == "latch"),
-        tuple(handlers), tuple(machines), _layers(scope.inside(no_keep=None), node), node.name.span,
+        tuple(handlers), tuple(machines), layers, node.name.span,
     )  # fmt: skip
 
 
@@ -211,6 +237,11 @@ def _machines(scope: Scope, node: nodes.Species) -> list[model.Machine]:
             seen.add(member.name.text)
             made.append(machine(scope, names.machines[member.name.text], member.members, member.name.span))
     return made
+
+
+def _handlers(scope: Scope, written: tuple[nodes.On, ...]) -> list[model.Handler]:
+    events: dict[str, Keys] = {}
+    return [_handler(scope, each, events) for each in written]
 
 
 def _handler(scope: Scope, node: nodes.On, events: dict[str, Keys]) -> model.Handler:

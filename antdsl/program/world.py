@@ -58,7 +58,7 @@ def _thing(declared: Declared, names: FileNames, item: nodes.WorldItem) -> None:
         declared.unclear.add(name)
         return
     known = declared.things.get(name)
-    if known is not None and (known.kind != kind or known.span.source is item.span.source):
+    if known is not None and (known.kind != kind or known.span.source.path == item.span.source.path):
         duplicate(report, kind, item.name, known.span)
         return
     if kind not in ("items", "species") and item.attributes:
@@ -152,7 +152,7 @@ def declare_fields(declared: Declared, names: FileNames) -> list[nodes.FieldDecl
             elif free(declared.report, item.name):
                 declared.fields[item.name.text] = item
                 added.append(item)
-        elif known.span.source is item.span.source or known.span.text.split() != item.span.text.split():
+        elif known.span.source.path == item.span.source.path or known.span.text.split() != item.span.text.split():
             duplicate(declared.report, "field", item.name, known.name.span)
     if len(declared.fields) > limits.FIELDS:
         declared.report.error(

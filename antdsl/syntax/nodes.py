@@ -5,6 +5,7 @@ Every node has a `span`. A name is a `Name(text, span)`, never a bare string. No
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar, dataclass_transform
 
@@ -569,3 +570,9 @@ class File:
     items: tuple[TopItem, ...]
     comments: tuple[Comment, ...] = field(default=())
     doubtful: tuple[Span, ...] = field(default=())
+    parts: Mapping[Source, int] = field(default_factory=dict)
+
+    def whole(self, span: Span) -> Span:
+        """The place in `source` of a place in one of `parts`: sources of their own, by where each begins."""
+        base = self.parts.get(span.source)
+        return span if base is None else Span(self.source, base + span.start, base + span.end)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from bisect import insort
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 from threading import Lock
 from typing import TYPE_CHECKING, Any
@@ -101,6 +102,36 @@ def parse(source: Source) -> tuple[n.File, Report]:
         return _Reading(scanned).file(lines), report
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Lines of a file that were read by themselves. `edition` and `help` are there only where the part begins the file."""
+
+    source: Source
+    nodes: tuple[Any, ...]
+    report: Report
+    comments: tuple[n.Comment, ...]
+    doubtful: tuple[Span, ...]
+    edition: n.Number | None = None
+    help: n.Text | None = None
+
+
+def parse_part(source: Source, rule: str, *, begins: bool = False) -> Part:
+    """Read some whole lines of a file by the rule of what is around them: `top`, or `member` inside a species. Braces must be
+    paired in it. `begins`: it is the beginning of the file. Never raises."""
+    report = Report()
+    scanned = scan(source, report)
+    tokens = pair(scanned)
+    if tokens is None:
+        return Part(source, (), report, tuple(scanned.comments), ())
+    lines = cut(scanned, tokens)
+    scanned.faults.sort()
+    with _lock:
+        reading = _Reading(scanned)
+        edition, help, lines = reading.beginning(lines) if begins else (None, None, lines)
+        nodes = reading.lines(lines, rule)
+        return Part(source, nodes, report, tuple(scanned.comments), reading.doubtful(), edition, help)
+
+
 def _other_language(text: str) -> str | None:
     """JSON or YAML that carries the wrong ending: told by its first line."""
     first = text.lstrip("\ufeff \t\r\n")[:200]
@@ -122,16 +153,21 @@ class _Reading:
     # --- the file ---
 
     def file(self, lines: list[Line]) -> n.File:
-        edition, lines = self.header(lines)
-        help: n.Text | None = None
-        if lines and [token.kind for token in lines[0].tokens] == ["text"]:
-            first = lines.pop(0)
-            help = n.Text(text_of(self.scan, first.tokens[0])[1:-1], Span(self.source, first.start, first.end))
+        edition, help, lines = self.beginning(lines)
         items = self.lines(lines, "top")
         if not items and self.report.ok:
             help_text = "write a `species`, or a `behaviour` that other files can use"
             self.report.error("empty-file", "file declares nothing", Span(self.source, 0, 0), help_text)
         return n.File(self.source, edition, help, items, tuple(self.scan.comments), self.doubtful())
+
+    def beginning(self, lines: list[Line]) -> tuple[n.Number | None, n.Text | None, list[Line]]:
+        """The edition and the help of a file, and the lines that follow."""
+        edition, lines = self.header(lines)
+        help: n.Text | None = None
+        if lines and [token.kind for token in lines[0].tokens] == ["text"]:
+            first = lines.pop(0)
+            help = n.Text(text_of(self.scan, first.tokens[0])[1:-1], Span(self.source, first.start, first.end))
+        return edition, help, lines
 
     def doubtful(self) -> tuple[Span, ...]:
         return tuple(d.span for d in self.report.diagnostics if d.code in _DOUBTFUL and d.span is not None)

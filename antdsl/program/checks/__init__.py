@@ -19,7 +19,8 @@ from antdsl.program.checks.shadowed import shadowed
 from antdsl.program.checks.unused import unused
 from antdsl.program.checks.writers import writers
 
-CHECKS: tuple[Callable[[Checked, Report], None], ...] = (
+Check = Callable[[Checked, Report], None]
+CHECKS: tuple[Check, ...] = (
     empty,  # a file that does nothing says so before anything else is looked for in it
     reachability,  # states that nothing leads to, and that nothing leads out of
     shadowed,  # changes that can never be looked at
@@ -30,7 +31,7 @@ CHECKS: tuple[Callable[[Checked, Report], None], ...] = (
 )
 
 # What can only be said of a program without errors: it reads meaning out of what is written.
-OF_SOUND: tuple[Callable[[Checked, Report], None], ...] = (
+OF_SOUND: tuple[Check, ...] = (
     firing,  # changes whose condition never holds, or always
     flicker,  # two states that send the animal to each other
     draws,  # numbers drawn in a condition
@@ -38,4 +39,7 @@ OF_SOUND: tuple[Callable[[Checked, Report], None], ...] = (
     one_way,  # attributes and fields that are only set, or only read
 )
 
-__all__ = ["CHECKS", "OF_SOUND", "Checked"]
+# Those that look at each species by itself, at nothing but its own parts and the params.
+OF_EACH = frozenset((shadowed, writers, layering, firing, flicker, draws, idle_layers))
+
+__all__ = ["CHECKS", "OF_EACH", "OF_SOUND", "Check", "Checked"]

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from antdsl.diagnostics import Report
 from antdsl.program.checks.checked import Checked
-from antdsl.program.model import AttributeDecl, Const, Deposit, NoneRef, Program, Species, Thing
+from antdsl.program.expected import Spec
+from antdsl.program.memo import part
+from antdsl.program.model import AttributeDecl, Const, Deposit, NoneRef, Species, Thing
 from antdsl.program.walk import parts
 from antdsl.program.wording import quoted
 
@@ -14,9 +18,9 @@ def one_way(checked: Checked, report: Report) -> None:
         for attribute in species.attributes:
             if not attribute.given:
                 _attribute(checked, species, attribute, report)
-    every = list(parts(_all(checked.program))) if checked.program.fields else []
-    read = {part.name for part in every if isinstance(part, Thing)}
-    laid = {part.field for part in every if isinstance(part, Deposit)}
+    wholes = (*checked.program.species.values(), *checked.program.specs) if checked.program.fields else ()
+    named = [part(checked.declared, ("named", each), partial(_named, each)) for each in wholes]
+    read, laid = (frozenset().union(*names) for names in zip(*named, strict=True)) if named else (frozenset(), frozenset())
     for field in checked.program.fields.values():
         if field.name in laid and field.name not in read and not checked.uses("smelled", field.name):
             report.warning(
@@ -27,8 +31,13 @@ def one_way(checked: Checked, report: Report) -> None:
             )
 
 
-def _all(program: Program) -> tuple[object, ...]:
-    return tuple(program.species.values()), program.specs
+def _named(root: Species | Spec) -> tuple[frozenset[str], frozenset[str]]:
+    """The things that are named as values below `root`, and the fields that something is laid into."""
+    every = list(parts(root))
+    return (
+        frozenset(each.name for each in every if isinstance(each, Thing)),
+        frozenset(each.field for each in every if isinstance(each, Deposit)),
+    )
 
 
 def _attribute(checked: Checked, species: Species, attribute: AttributeDecl, report: Report) -> None:

@@ -60,9 +60,13 @@ def _leaving(checked: Checked) -> Iterator[Span]:
             for member in (m for members in (species.members, *machines) for m in members):
                 if isinstance(member, nodes.State) and (
                     any(isinstance(line, nodes.Change) for line in member.body)
-                    or any(member.span.start <= span.start < member.span.end for span in file.node.doubtful)
+                    or any(_holds(member.span, span) for span in file.node.doubtful)
                 ):
                     yield member.name.span
+
+
+def _holds(outer: Span, inner: Span) -> bool:
+    return outer.source is inner.source and outer.start <= inner.start < outer.end
 
 
 def _stuck(state: State) -> bool:

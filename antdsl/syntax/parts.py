@@ -1,0 +1,183 @@
+"""A text that changes a little at a time: cut into blocks, each parsed once for as long as its text is the same."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+from antdsl.diagnostics.model import Diagnostic, Fix, Label, Report
+from antdsl.source import Source, Span
+from antdsl.syntax import nodes as n
+from antdsl.syntax.parser import Part, parse, parse_part
+from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS
+
+# Brackets and line ends, with what may hide them. What has a name here, only reading the whole text can make sense of.
+_PIECE = re.compile(
+    r'"[^"\n]*"|#[^\n]*|(?P<odd>\n[ \t]*\{)|[{}()\[\]\n]|(?P<strange>["\x00-\x08\x0b-\x1f\x7f-\U0010ffff]|//|/\*|<<<<<<<|>>>>>>>|```|~~~)'
+)
+_FIRST = re.compile(r"[ \t]*([a-z]+)(?![A-Za-z_0-9])")
+_BLOCKS = BLOCK_WORDS | {"on", "from"}
+_TOP = frozenset(LINE_WORDS["top"])
+_SPECIES = re.compile(r"species\b[^{}\n]*\{[ \t]*(?:#[^\n]*)?\n")
+_EDITION = re.compile(r"(?:[ \t]*(?:#[^\n]*)?\n)*[ \t]*ant\b")
+# Said once of a name, wherever it stands in a file: where two blocks say so, the whole text has to be read.
+_ONCE = frozenset(("bad-name", "look-alike", "odd-blank", "name-too-long", "line-too-long", "markdown-fence"))
+_MOST = 50  # complaints of parsing, after which less is said of further ones
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """Whole lines from one offset to another, and the rule that reads them."""
+
+    rule: str
+    start: int
+    end: int
+
+
+def cuts(text: str) -> list[Cut] | None:
+    """The blocks of a text in order: those at the top of the file, a species as its first line and its members. None where the
+    brackets are not paired, or something else asks for the whole text."""
+    tops, members = _bounds(text)
+    if not tops or not _EDITION.match(text, 0, tops[0]):
+        return None
+    found: list[Cut] = [Cut("begins", 0, tops[0])]
+    for start, end in zip(tops, [*tops[1:], len(text)], strict=True):
+        found += _species(text, start, end, members) if text.startswith("species", start) else [Cut("top", start, end)]
+    return found
+
+
+def _bounds(text: str) -> tuple[list[int] | None, dict[int, tuple[list[int], int]]]:
+    """Where blocks begin at the top of the file, and by the offset of each opening brace there: where lines begin that belong
+    to it alone, and where it closes."""
+    tops: list[int] = [0] if _word(text, 0) in _TOP else []
+    members: dict[int, tuple[list[int], int]] = {}
+    stack: list[str] = []
+    opened, lines = 0, []  # type: tuple[int, list[int]]
+    for match in _PIECE.finditer(text):
+        if match.lastgroup:
+            return None, {}
+        sign = match.group()
+        if sign == "\n":
+            if not stack:
+                if _word(text, match.end()) in _TOP:
+                    tops.append(match.end())
+            elif len(stack) == 1 and stack[0] == "{":
+                lines.append(match.end())
+        elif sign in "{([":
+            if sign == "{" and stack and stack[-1] != "{":
+                return None, {}
+            if not stack:
+                opened, lines = match.start(), []
+            stack.append(sign)
+        elif sign in "})]":
+            if not stack or stack.pop() + sign not in ("{}", "()", "[]"):
+                return None, {}
+            if not stack and sign == "}":
+                members[opened] = lines, match.start()
+    return (None if stack else tops), members
+
+
+def _word(text: str, offset: int) -> str:
+    match = _FIRST.match(text, offset)
+    return match.group(1) if match else ""
+
+
+def _species(text: str, start: int, end: int, members: dict[int, tuple[list[int], int]]) -> Iterator[Cut]:
+    head = _SPECIES.match(text, start, end)
+    opened = text.find("{", start, end)
+    lines, closed = members.get(opened, ([], -1))
+    rest = text[closed + 1 : end] if closed >= 0 else ""
+    if head is None or not lines or re.sub("#[^\n]*", "", rest).strip() or text[lines[-1] : closed].strip():
+        yield Cut("top", start, end)
+        return
+    yield Cut("species", start, head.end())
+    begin, block = head.end(), False
+    for line in lines[:-1] if lines[0] == head.end() else lines:
+        word = _word(text, line)
+        if line > begin and word and (block or word in _BLOCKS):
+            yield Cut("member", begin, line)
+            begin = line
+        if word:
+            block = word in _BLOCKS
+    yield Cut("member", begin, lines[-1])
+
+
+@dataclass(slots=True)
+class Parts:
+    """The parsed blocks of one file, kept from one version of it to the next."""
+
+    _known: list[tuple[Cut, str, Part]] = field(default_factory=list)
+    _count: int = 0
+
+    def parse(self, source: Source) -> tuple[n.File, Report]:
+        """As `syntax.parse`, to the same complaints. The file's nodes have places in its parts: `File.whole` gives those in
+        `source`. Comments behind the closing brace of a species are left out."""
+        found = cuts(source.text)
+        if found is None or len(found) < 3:
+            return parse(source)
+        texts = [source.text[cut.start : cut.end] + ("}" if cut.rule == "species" else "") for cut in found]
+        before, after = self._same(found, texts)
+        last = len(found) - after
+        self._known = [
+            (cut, text, self._known[number][2] if number < before
+             else self._known[number - len(found)][2] if number >= last
+             else self._part(source, cut, text))
+            for number, (cut, text) in enumerate(zip(found, texts, strict=True))
+        ]  # fmt: skip
+        parts = [(cut, part) for cut, _, part in self._known]
+        said = [d for _, part in parts for d in part.report.diagnostics]
+        heads = [part for cut, part in parts if cut.rule == "species"]
+        hard = any(part.report.diagnostics or not _is_species(part) for part in heads)
+        if hard or len(said) > _MOST or sum(d.code in _ONCE for d in said) > 1:
+            return parse(source)
+        return _file(source, parts)
+
+    def _same(self, found: list[Cut], texts: list[str]) -> tuple[int, int]:
+        """How many blocks at the beginning and at the end are as they were. Two blocks with one text are two places, so order
+        tells which is which."""
+        known, most = self._known, min(len(self._known), len(found))
+        before = after = 0
+        while before < most and self._is_same(known[before], found[before], texts[before]):
+            before += 1
+        while after < most - before and self._is_same(known[-1 - after], found[-1 - after], texts[-1 - after]):
+            after += 1
+        return before, after
+
+    @staticmethod
+    def _is_same(known: tuple[Cut, str, Part], cut: Cut, text: str) -> bool:
+        return known[0].rule == cut.rule and known[1] == text
+
+    def _part(self, source: Source, cut: Cut, text: str) -> Part:
+        self._count += 1
+        rule = "top" if cut.rule in ("begins", "species") else cut.rule
+        return parse_part(Source(source.path, text, self._count), rule, begins=cut.rule == "begins")
+
+
+def _is_species(part: Part) -> bool:
+    return len(part.nodes) == 1 and isinstance(part.nodes[0], n.Species)
+
+
+def _file(source: Source, parts: list[tuple[Cut, Part]]) -> tuple[n.File, Report]:
+    items: list[n.TopItem] = []
+    species: n.Species | None = None
+    for cut, part in parts:
+        if cut.rule == "member" and species is not None:
+            species = replace(species, members=(*species.members, *part.nodes))
+            items[-1] = species
+            continue
+        items += part.nodes
+        species = part.nodes[0] if cut.rule == "species" else None
+    first = parts[0][1]
+    file = n.File(
+        source, first.edition, first.help, tuple(items), tuple(c for _, part in parts for c in part.comments),
+        tuple(span for _, part in parts for span in part.doubtful), {part.source: cut.start for cut, part in parts},
+    )  # fmt: skip
+    return file, Report([moved(each, file.whole) for _, part in parts for each in part.report.diagnostics])
+
+
+def moved(found: Diagnostic, whole: Callable[[Span], Span]) -> Diagnostic:
+    """A complaint with its places in whole files instead of in parts of them."""
+    labels = tuple(Label(whole(label.span), label.text) for label in found.labels)
+    fix = Fix(whole(found.fix.span), found.fix.text) if found.fix is not None else None
+    return replace(found, span=whole(found.span) if found.span is not None else None, labels=labels, fix=fix)
