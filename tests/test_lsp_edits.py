@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -100,9 +101,9 @@ def test_blocks_are_whole_lines_in_order() -> None:
         text = path.read_text(encoding="utf-8")
         found = cuts(text)
         assert found is not None and len(found) > 3, path
-        assert all(a.end <= b.start for a, b in zip(found, found[1:], strict=False))
+        assert all(a.end <= b.start for a, b in pairwise(found))
         assert all(text[cut.start - 1 : cut.start] in ("", "\n") for cut in found)
-        left = [text[a.end : b.start].partition("#")[0].strip() for a, b in zip(found, found[1:], strict=False)]
+        left = [text[a.end : b.start].partition("#")[0].strip() for a, b in pairwise(found)]
         assert set(left) <= {"", "}"}, "between blocks there is nothing but what closes a species"
 
 

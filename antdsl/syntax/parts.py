@@ -14,7 +14,8 @@ from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS
 
 # Brackets and line ends, with what may hide them. What has a name here, only reading the whole text can make sense of.
 _PIECE = re.compile(
-    r'"[^"\n]*"|#[^\n]*|(?P<odd>\n[ \t]*\{)|[{}()\[\]\n]|(?P<strange>["\x00-\x08\x0b-\x1f\x7f-\U0010ffff]|//|/\*|<<<<<<<|>>>>>>>|```|~~~)'
+    r'"[^"\n]*"|#[^\n]*|(?P<odd>\n[ \t]*\{)|[{}()\[\]\n]'
+    r'|(?P<strange>["\x00-\x08\x0b-\x1f\x7f-\U0010ffff]|//|/\*|<<<<<<<|>>>>>>>|```|~~~)'
 )
 _FIRST = re.compile(r"[ \t]*([a-z]+)(?![A-Za-z_0-9])")
 _BLOCKS = BLOCK_WORDS | {"on", "from"}
