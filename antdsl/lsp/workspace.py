@@ -228,7 +228,8 @@ class Workspace:
         return [Path(os.path.realpath(path)) for path in behaviours_folder().glob("*.ant")]
 
     def _check_program(self, document: Document) -> Checked:
-        memo = self._memos.setdefault(document.path, Memo())
+        # a text that had to be read as a whole has nothing in common with the one before, which may come back
+        memo = self._memos.setdefault(document.path, Memo()) if document.parsed[0].parts else None
         program, report = compile_files([document.path], parsed=self.parsed(document.path), memo=memo)
         return Checked(program, None, report)
 

@@ -57,9 +57,11 @@ def check(
     for look in CHECKS:
         _look(checked, look, report)
     doubtful = [span for each in loader.known.values() for span in each.node.doubtful]
-    for look in OF_SOUND if report.ok and not doubtful else ():
+    sound = report.ok and not doubtful
+    for look in OF_SOUND if sound else ():
         _look(checked, look, report)
     if memo is not None:
+        memo.keep(() if sound else (*OF_SOUND, "named"))
         memo.forget()
         if any(each.wanting for each in loader.known.values()):
             memo.known.clear()  # parts kept silent about what a missing `use` would bring

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Collection, Hashable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -76,6 +76,10 @@ class Memo:
             spent = declared.expanded - expanded
             self.known[key] = _Known(result, complaints, frozenset(own_used), frozenset(own_written), spent)
         return result
+
+    def keep(self, kinds: Collection[Hashable]) -> None:
+        """Count what is known of some kinds of parts, by the first of their key, as asked for: it was left out this time."""
+        self.asked |= {key for key in self.known if isinstance(key, tuple) and key[0][0] in kinds}
 
     def forget(self) -> None:
         """Drop what the check that has ended did not ask for."""
