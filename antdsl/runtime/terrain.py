@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from antdsl.runtime.senses.ground import Footing, Ground, MoveResult
 from antdsl.runtime.senses.topology import facing
 from antdsl.runtime.senses.walk import turned
+from antdsl.runtime.soil import below, dropped, entered, normals
 from antdsl.runtime.solids import Volume
 from antdsl.runtime.solids import move as walk_on
 from antdsl.runtime.standing import Standing
@@ -24,8 +25,6 @@ Rows = NDArray[np.intp]
 _SUNK = 0.05  # voxels that a mesh's ground may lie under a solid's surface and still be walked on
 _HOPS = 4  # from mesh to solid and back in one step
 _LIFT = 0.02  # of a body: how far above its way an agent looks for a mesh across it
-_HALVINGS = 12
-_PARTS = 8  # of a step at which it is looked whether it leads into a solid
 
 
 @dataclass(slots=True)
@@ -93,7 +92,7 @@ class Terrain:
             rows = np.arange(len(points)) if asked else np.flatnonzero(buried)
             if not rows.size:
                 continue
-            top, met = _dropped(volume, points[rows], up[rows])
+            top, met = dropped(volume, points[rows], up[rows])
             higher = met & (((top - points[rows]) * up[rows]).sum(axis=1) > height[rows])
             higher |= met & buried[rows]
             chosen = rows[higher]
@@ -137,7 +136,7 @@ class Terrain:
         for k, volume in enumerate(self._volumes):
             rows = self._solid_rows(standing, k)
             if rows.size:
-                normal[rows] = _normals(volume, self.position(standing.take(rows)))
+                normal[rows] = normals(volume, self.position(standing.take(rows)))
         return normal
 
     def sides(self, standing: Standing) -> NDArray[np.int64]:
@@ -247,14 +246,7 @@ class Terrain:
             if not inside.size:
                 continue
             a, b = start(inside), end[inside]
-            shut = np.ones(len(inside))
-            for step in range(_PARTS - 1, -1, -1):  # the first of the parts that lies in it
-                shut = np.where(volume.sample(a + step / _PARTS * (b - a)) < 0, step / _PARTS, shut)
-            free = np.maximum(shut - 1 / _PARTS, 0.0)
-            for _ in range(_HALVINGS):
-                middle = (free + shut) / 2
-                solid = volume.sample(a + middle[:, None] * (b - a)) < 0
-                free, shut = np.where(solid, free, middle), np.where(solid, middle, shut)
+            free = entered(volume, a, b)
             sooner = free < part[inside]
             chosen = inside[sooner]
             part[chosen], which[chosen] = free[sooner], k
@@ -272,7 +264,7 @@ class Terrain:
             of, part = found.who[mine], found.part[mine]
             # From a little above: who stood at the very seam might find itself below a mesh with its next step.
             above = found.place[mine] + moved.up[of] * (_LIFT * body[rows[of]])[:, None]
-            landed = volume.project(above, _normals(volume, above), 2 * volume.voxel)
+            landed = volume.project(above, normals(volume, above), 2 * volume.voxel)
             ok = landed.found
             if self.meshes is not None:
                 ok &= ~self.meshes.met(above, landed.points - above, threads)[0]
@@ -333,7 +325,7 @@ class Terrain:
         least = np.full(len(rows), np.inf)
         for k, volume in enumerate(self._volumes):
             reach = length(np.maximum(np.abs(volume.high - start), np.abs(start - volume.low)))
-            place, met = _below(volume, start, np.broadcast_to(self._up, start.shape), reach)
+            place, met = below(volume, start, np.broadcast_to(self._up, start.shape), reach)
             gone = length(place - start)
             first = np.flatnonzero(met & (gone < least))
             onto.put(first, Standing.on_solid(self._count + k, place[first]))
@@ -367,28 +359,3 @@ class Terrain:
 
     def _solid_rows(self, standing: Standing, k: int) -> Rows:
         return np.flatnonzero(standing.mesh == self._count + k)
-
-
-def _normals(volume: Volume, place: Floats) -> Floats:
-    """Unit normals float64[n,3] out of a solid; zero where its field is flat."""
-    slope = volume.gradient(place).astype(np.float64)
-    normal: Floats = slope / np.maximum(length(slope), 1e-12)[:, None]
-    return normal
-
-
-def _dropped(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """The first place of a solid that a ray from far above along -`up` meets, and whether there is one."""
-    height = float(length((volume.high - volume.low)[None, :])[0])
-    middle = (volume.low + volume.high) / 2
-    start = points + up * (((middle - points) * up).sum(axis=1) + height)[:, None]
-    return _below(volume, start, up, 2 * height)
-
-
-def _below(volume: Volume, start: Floats, up: Floats, reach: Floats | float) -> tuple[Floats, NDArray[np.bool_]]:
-    """The first place of a solid that a ray along -`up` meets within `reach`, and whether there is one."""
-    from antdsl.runtime.senses.solid_feelers import SolidFeelers
-
-    hits = SolidFeelers(volume).feelers(*start.T, -up[:, 0], -up[:, 1], -up[:, 2], reach)  # type: ignore[call-arg]
-    place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
-    landed = volume.project(place, up, 2 * volume.voxel)
-    return landed.points, hits.hit & landed.found
