@@ -29,3 +29,31 @@ def test_paths_and_uris_lead_to_each_other(tmp_path: Path) -> None:
     path = (tmp_path / "a b%20c#ü🐜.ant").resolve()
     assert path_of(uri_of(path)) == path
     assert path_of("untitled:Untitled-1") is None
+
+
+def test_large_folders_are_not_searched_at_every_question(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from antdsl.lsp import workspace
+    from antdsl.pipeline import find_files
+
+    searched: list[int] = []
+    clock = [100.0]
+
+    def slow(paths: object) -> object:
+        searched.append(1)
+        clock[0] += 2
+        return find_files(paths)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(workspace, "find_files", slow)
+    monkeypatch.setattr(workspace, "monotonic", lambda: clock[0])
+    files = workspace.Workspace([tmp_path])
+    first = tmp_path / "one.ant"
+    first.write_text("ant 1\n", encoding="utf-8")
+    assert files.files() == [first.resolve()] == files.files() and len(searched) == 1
+    second = tmp_path / "two.ant"
+    second.write_text("ant 1\n", encoding="utf-8")
+    assert len(files.files()) == 1, "a search that took 2 s holds for 40 s"
+    clock[0] += 50
+    assert len(files.files()) == 2
+    first.unlink()
+    files.search_again()
+    assert files.files() == [second.resolve()]

@@ -107,6 +107,7 @@ def _folders(ls: Server, params: lsp.DidChangeWorkspaceFoldersParams) -> None:
     gone = {path_of(folder.uri) for folder in params.event.removed}
     added = [path for folder in params.event.added if (path := path_of(folder.uri)) is not None]
     ls.files.roots = [root for root in ls.files.roots if root not in gone] + added
+    ls.files.search_again()
 
 
 @server.feature(lsp.TEXT_DOCUMENT_DID_OPEN)
@@ -155,6 +156,7 @@ def _watched(ls: Server, params: lsp.DidChangeWatchedFilesParams) -> None:
 
 def _others(ls: Server) -> None:
     """What is on disk has changed: all that is open is looked at again, which costs nothing where nothing has."""
+    ls.files.search_again()
     for path in ls.files.open:
         ls.check_soon(path)
 

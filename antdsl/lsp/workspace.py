@@ -8,6 +8,7 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING
 
 from antdsl import limits, syntax
@@ -19,7 +20,7 @@ from antdsl.lsp.names import Names, names_of
 from antdsl.lsp.scenes import SceneIndex, scene_index
 from antdsl.lsp.text import Range, Text, normal
 from antdsl.lsp.uses import Occurrence
-from antdsl.pipeline import check_scene_text, compile_files
+from antdsl.pipeline import check_scene_text, compile_files, find_files
 from antdsl.program.memo import Memo
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
@@ -138,6 +139,7 @@ class Workspace:
     _checked: dict[Path, tuple[object, Checked]] = field(default_factory=dict)
     _good: dict[Path, Program] = field(default_factory=dict)
     _memos: dict[Path, Memo] = field(default_factory=dict)
+    _searched: tuple[float, list[Path]] = (0.0, [])  # until when these files count as all
 
     # --- documents ---
 
@@ -286,8 +288,15 @@ class Workspace:
         return [each for each in self.open if each != path and path in self.linked(each)]
 
     def files(self) -> list[Path]:
-        """Programs and scenes below the editor's folders, and the open ones."""
-        from antdsl.pipeline import find_files
+        """Programs and scenes below the editor's folders, and the open ones. Large folders are not searched at every question:
+        what was found holds for twenty times as long as the search took, or until the editor tells of a change."""
+        now = monotonic()
+        if now >= self._searched[0]:
+            found, _ = find_files(root for root in self.roots if root.is_dir())
+            real = [Path(os.path.realpath(each)) for each in found]
+            self._searched = (monotonic() + 20 * (monotonic() - now), real)
+        return list(dict.fromkeys([*self.open, *self._searched[1]]))
 
-        found, _ = find_files(root for root in self.roots if root.is_dir())
-        return list(dict.fromkeys([*self.open, *(Path(os.path.realpath(each)) for each in found)]))
+    def search_again(self) -> None:
+        """Files may have come or gone."""
+        self._searched = (0.0, [])
