@@ -346,5 +346,5 @@ _LOWER: dict[type, Callable[[Writer, Any], Value]] = {
     model.Const: _const, model.NoneRef: _none, model.StateConst: _state, model.ParamRef: _param, model.Thing: _thing,
     model.Local: _local, model.Inline: _inline, model.Attribute: _attribute, model.Op: _op,
     model.SetOf: _set, model.Reduce: _reduce, expected.Whole: _told, expected.AtStart: _told, expected.Measured: _told,
-    expected.Other: _told, expected.Bodily: _told,
+    expected.Other: _told, expected.Bodily: _told, expected.CellValue: _told,
 }  # fmt: skip

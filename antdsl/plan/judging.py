@@ -128,6 +128,8 @@ class _Writer(Writer):
             return self.work.other(e)
         if isinstance(e, expected.Bodily):
             return self.bodily(e)
+        if isinstance(e, expected.CellValue):
+            return self.b("snap", attrs=("value",), kind=Kind.F32)
         assert isinstance(e, expected.AtStart)
         return self.work.start(self, e)
 
@@ -183,6 +185,11 @@ class _Work:
             self.writers[items] = _Writer(self, self._named(items), {n: Register(n, Kind.F32, "attribute") for n in names})
         return self.writers[items]
 
+    def of_cells(self, field: str) -> _Writer:
+        if field not in self.writers:
+            self.writers[field] = _Writer(self, self._named(field), {"value": Register("value", Kind.F32, "attribute")})
+        return self.writers[field]
+
     # --- wholes and starts -------------------------------------------------------------------------------------------
 
     def whole(self, e: expected.Whole) -> Node:
@@ -195,8 +202,8 @@ class _Work:
         name, of = f"whole#{len(self.wholes) + 1}", e.over.of or ""
         kind = _KINDS[e.over.kind]
         where = body = amount = None
-        if kind in ("species", "items"):
-            w = self.of_items(of) if kind == "items" else self.of_agents(of, e.span)
+        if kind in ("species", "items") or e.body is not None:
+            w = self.of_cells(of) if kind == "field" else self.of_items(of) if kind == "items" else self.of_agents(of, e.span)
             for element in e.elements:
                 w.environment[element] = Own()
             if e.where is not None:
@@ -239,8 +246,11 @@ class _Work:
         if w.statements:
             w.statements.clear()
             raise NotYet("something that remembers, in a spec,", e.span, "ask for what it does: an attribute, a state, a speed")
-        if w.species.name in self.lowered.items and any(_of_an_agent(n) for n in needed([node])):
-            raise NotYet("a sense of an item", e.span, _OF_ITEMS)
+        name = w.species.name
+        if name in (*self.lowered.items, *self.program.fields) and any(_of_an_agent(n) for n in needed([node])):
+            if name in self.lowered.items:
+                raise NotYet("a sense of an item", e.span, _OF_ITEMS)
+            raise NotYet("a sense of a cell", e.span, "a cell of a field has a `value` and nothing else")
         return node
 
     # --- lines -------------------------------------------------------------------------------------------------------

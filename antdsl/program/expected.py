@@ -43,6 +43,13 @@ class Bodily(Expr):
 
 
 @value
+class CellValue(Expr):
+    """How much of a field is in a cell, where the cells are asked one by one."""
+
+    field: str
+
+
+@value
 class Measured(Expr):
     """A measure of motion over the whole run, by its name in a run's summary."""
 

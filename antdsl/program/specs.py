@@ -30,6 +30,7 @@ from antdsl.syntax import nodes
 
 MOST_SEEDS = 1000
 _COMPARED = ("lt", "le", "gt", "ge", "eq", "ne")
+_REFERENCES = (Kind.ITEM, Kind.AGENT)
 _HOW = ("seeds", "pass", "set", "until")  # what is expected is another matter
 _DRAWS = ("uniform", "normal", "pick", "random_agent", "chance")
 _FIXED = ("cell", "combine")  # what a field is made of: another value is another field
@@ -316,7 +317,9 @@ def _readings(found: Expr, node: nodes.Expr) -> Iterator[Reading]:
     stack: list[Expr] = [found]
     while stack:
         part = stack.pop()
-        if isinstance(part, Op) and part.name in ("and", "or", "not", *_COMPARED):
+        if isinstance(part, Op) and part.name == "is_none" and part.args[0] is not None and part.args[0].type.kind in _REFERENCES:
+            yield Reading(part.args[0], "")  # who it is, or none
+        elif isinstance(part, Op) and part.name in ("and", "or", "not", *_COMPARED):
             stack += [arg for arg in reversed(part.args) if arg is not None]
         elif part.rate > Rate.RUN or isinstance(part, Whole | AtStart | Measured | Other | Bodily):
             yield Reading(part, _unit(part, units))

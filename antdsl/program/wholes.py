@@ -8,7 +8,7 @@ from typing import cast
 
 from antdsl.program import calls, expressions, operators
 from antdsl.program.arguments import type_all
-from antdsl.program.expected import GEOMETRY, MOTION, AtStart, Bodily, Measured, Other, Whole
+from antdsl.program.expected import GEOMETRY, MOTION, AtStart, Bodily, CellValue, Measured, Other, Whole
 from antdsl.program.expressions import Known
 from antdsl.program.model import Binding, Dim, Expr, Kind, Local, ParamRef, Rate, Reduce, Thing, Type
 from antdsl.program.operators import condition, value
@@ -37,6 +37,7 @@ class SpecRules:
         if compares:
             self.compared["other"] = self._in_other
         self.inside = False  # a `total(…)` or its like
+        self.cells = ""  # the field whose cells are asked there
         self.other: Expr | None = None  # the other side of the comparison that `at_start` or `other` stands in
         own: dict[type, Callable[..., Expr]] = {
             nodes.Call: self._call, nodes.NameRef: self._name, nodes.Member: self._member, nodes.Binary: self._binary,
@@ -96,6 +97,8 @@ class SpecRules:
     def _member(self, scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
         owner, name = node.owner, node.name.text
         if isinstance(owner, nodes.NameRef):
+            if owner.name.text in scope.declared.fields and name == "value":
+                return self._cell(scope, node, owner.name.text)
             if owner.name.text == "motion" and "motion" not in scope.locals:
                 return self._motion(scope, node)
             self_there = scope.locals.get(owner.name.text)
@@ -114,6 +117,16 @@ class SpecRules:
             if self._one_of_many(scope, owner.name.text, node):
                 return bad(node.span)
         return expressions.member_of(scope, node, want)
+
+    def _cell(self, scope: Scope, node: nodes.Member, field: str) -> Expr:
+        scope.use("field", field)
+        if self.cells == field:
+            return CellValue(NUMBER, Rate.ELEMENT, node.span, field)
+        scope.report.error(
+            "wrong-rate", f"`{field}.value` is a value of each cell, and nobody says of which", node.span,
+            f"ask of all: `max({field}.value)`, `share({field}.value > 0)`; where an agent stands it is `{field}` alone",
+        )  # fmt: skip
+        return bad(node.span)
 
     def _one_of_many(self, scope: Scope, owner: str, node: nodes.Member) -> bool:
         """Complains about `forager.load` where nobody says which forager."""
@@ -197,29 +210,42 @@ class SpecRules:
             return bad(node.span)
         bare = asked.name.text if isinstance(asked, nodes.NameRef) else ""
         how = "total" if name == "sum" else name
-        if bare in scope.declared.fields and name in _OF_CELLS:
+        field = _cells_of(scope.declared, asked)
+        if field:
+            if name not in _TRUTHS and not (isinstance(asked, nodes.Member) and asked.name.text == "value"):
+                return self._no_sum(scope, node, field)
+            bare = bare if name in _TRUTHS else field
+        if bare in scope.declared.fields and name in (*_OF_CELLS, "count"):
             scope.use("field", bare)
             return Whole(NUMBER, Rate.STEP, node.span, how, Type(Kind.FIELD, of=bare), (), None, None)
         solid = scope.declared.things.get(bare)
         if solid is not None and solid.kind == "solid" and name == "total":
             scope.use("thing", bare)
             return Whole(_VOLUME, Rate.STEP, node.span, how, Type(Kind.SOLID, of=bare), (), None, None)
-        over = _whom(scope, node, asked)
+        over = Type(Kind.FIELD, of=field) if field else _whom(scope, node, asked)
         if over is None:
             return bad(node.span)
-        inner, elements = _one_of(scope, over, node.span)
+        inner, elements = (scope.inside(species=None), ()) if field else _one_of(scope, over, node.span)
+        self.cells = field
         body: Expr | None = None
         if not (name in ("count", "any") and bare == over.of):
             if bare == over.of:
                 return self._no_value(scope, node, bare)
             self.inside = True
             body = condition(inner, asked, f"`{name}`") if name in _TRUTHS else body_of(inner, name, asked)
-            self.inside = False
+            self.inside, self.cells = False, ""
             if body.type.kind is Kind.BAD:
                 return bad(node.span)
             if body.type.kind is Kind.VECTOR:
                 return self._no_vector(scope, node, asked)
         return Whole(_result(how, body), Rate.STEP, node.span, how, over, elements, None, body)
+
+    @staticmethod
+    def _no_sum(scope: Scope, node: nodes.Call, field: str) -> Expr:
+        words = f"{quoted(node.span)} works something out for each cell of `{field}`"
+        known = f"write `{node.function.span.text}({field}.value)`, or `count({field}.value > 0)` and the like"
+        scope.report.error("wrong-argument", words, node.span, known)
+        return bad(node.span)
 
     @staticmethod
     def _no_value(scope: Scope, node: nodes.Call, who: str) -> Expr:
@@ -281,6 +307,13 @@ def _is_set(scope: Scope, node: nodes.Expr) -> bool:
         return False
     binding = scope.species.bindings.get(node.name.text)
     return binding is not None and binding.type.kind is Kind.SET
+
+
+def _cells_of(declared: Declared, asked: nodes.Expr) -> str:
+    """The field whose cells a question is about, `trail.value > 0.1`; empty where it is about none."""
+    members = [part for part, _ in written(asked) if isinstance(part, nodes.Member) and part.name.text == "value"]
+    owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
+    return next((name for name in owners if name in declared.fields), "")
 
 
 # --- of whom ---------------------------------------------------------------------------------------------------------

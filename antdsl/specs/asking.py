@@ -50,10 +50,7 @@ class Asker:
             items.show()
         there = copy(world)
         there.plan, there.backend, there.grids, there.clearances = self.plan.plan, self.backend, {}, {}
-        there.populations = {
-            name: self._items(world.items[name]) if name in world.items else self._agents(there, world.populations[name])
-            for name in self.plan.plan.species
-        }
+        there.populations = {name: self._judged(there, name) for name in self.plan.plan.species}
         there.told = dict.fromkeys(self.names, np.float32(0))  # nobody has been asked yet
         self.backend.begin(there)
         self.run(there, "decide")
@@ -81,6 +78,20 @@ class Asker:
             unknown = world.motion.ways == 0 and name in ("circling", "straightness")
             turned = radians(number) if name == "turn_p99" else number
             self.told[f"motion.{name}"] = np.float32(np.nan if unknown else turned)
+
+    def _judged(self, there: World, name: str) -> Population:
+        """All agents of a species, all items of a name or all cells of a field, to be asked one by one."""
+        if name in there.items:
+            return self._items(there.items[name])
+        return self._cells(there, name) if name in there.fields else self._agents(there, there.populations[name])
+
+    def _cells(self, there: World, name: str) -> Population:
+        """Cells of a field as if they were agents."""
+        plan, values = self.plan.plan.species[name], np.asarray(there.fields[name].values)
+        start, count = {"value": values.astype(np.float32)}, len(values)
+        nobody, nowhere = np.zeros(count, np.bool_), np.broadcast_to(np.zeros(3), (count, 3))
+        now = _answers(plan.registers, start, count)
+        return Population(plan, np.arange(count), np.zeros(count, np.int64), nobody, start, now, nowhere, None, {}, {})
 
     def _agents(self, there: World, population: Population) -> Population:
         """A population with the same agents and registers for answers."""

@@ -67,8 +67,8 @@ def _difference(world: World, column: Column, sums: tuple[int, int], words: str,
 def _name(column: Column, row: int) -> str:
     if column.names:
         return column.names[row]
-    if column.who == "param":
-        return ""
+    if not column.what and len(column.ids) == 1:
+        return ""  # a param
     return f"{column.who} {column.ids[row]}" if column.what else f"cell {column.ids[row]}"
 
 

@@ -91,7 +91,7 @@ class Column:
             return f"{np.count_nonzero(self.values)} of {len(self.values)}"
         if self.type.kind is not Kind.NUMBER or self.values.dtype.kind != "f":
             return ""
-        return f"mean {self.shown(world, np.float64(exact_total(self.values) / len(self.values)))}"
+        return f"{self.shown(world, np.float64(exact_total(self.values) / len(self.values)))} on average"
 
 
 def columns(world: World, program: Program) -> dict[str, Column]:
@@ -108,7 +108,7 @@ def columns(world: World, program: Program) -> dict[str, Column]:
     for name, parts in sorted(_digests(world).items()):
         found.append(Column(name, "", 3, np.zeros(1, np.int64), np.frombuffer(parts[:8], np.uint64), opaque=True))
     for name, value in sorted(world.params.items()):
-        found.append(Column("param", name, 0, np.zeros(1, np.int64), np.array([value], np.float32)))
+        found.append(Column(name, "", 0, np.zeros(1, np.int64), np.array([value], np.float32)))
     return {column.key: column for column in found}
 
 

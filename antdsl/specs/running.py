@@ -57,14 +57,16 @@ def _fail(run: Run, failure: Failure) -> None:
 
 def _run(run: Run, work: Work, moments: dict[int, Moment]) -> None:
     """Simulate and judge; `moments` gets the first failure of each case, by its id."""
+    rivals = _rivals(run, work)
     try:
-        rivals = _rivals(run, work)
         world = _begin(run.shot, run.seed, work.options, work.coverage)
     except FaultStop as why:
         return _faulted(run, why)
     first, trail = world.frame, None if work.keeper is None else Trail(run.shot.setting)
-    judges = [(case, Judge(case.plan, world, run.shot.frames.last, rivals.get(id(case)))) for case in run.cases]
-    last = max(judge.last for _, judge in judges)
+    judges = [
+        (case, Judge(case.plan, world, run.shot.frames.last, rivals.get(id(case)))) for case in run.cases if not case.failures
+    ]
+    last = max((judge.last for _, judge in judges), default=first)
     watch = None if work.goldens is None else work.goldens.watch(run, last - first + 1)
     while True:
         for case, judge in judges:
@@ -103,25 +105,40 @@ def _begin(shot: Shot, seed: int, options: Options, coverage: Coverage) -> World
 
 
 def _faulted(run: Run, why: FaultStop) -> None:
+    _fail(run, _fault(why, ""))
+
+
+def _fault(why: FaultStop, where: str) -> Failure:
     found = why.fault
     whose = (found.species, found.agent)
-    _fail(run, Failure(f"`{found.what}` is not finite", found.span, found.frame, None, found.operands, whose, 0, (found.agent,)))
+    words = f"{where}`{found.what}` is not finite"
+    return Failure(words, found.span, found.frame, None, found.operands, whose, 0, (found.agent,))
 
 
 def _rivals(run: Run, work: Work) -> dict[int, Rival]:
-    """The runs that cases compare with, by the case's id: those of one shot are simulated once."""
+    """The runs that cases compare with, by the case's id: those of one shot are simulated once. A fault there fails these
+    cases."""
     found: dict[int, Rival] = {}
     for shot in {id(case.against.shot): case.against.shot for case in run.cases if case.against is not None}.values():
-        world = _begin(shot, run.seed, work.options, work.coverage)
-        first, mine = world.frame, [c for c in run.cases if c.against is not None and c.against.shot is shot]
-        here = {id(case): Rival(case.against.plan, world) for case in mine if case.against is not None}
-        last = max(last_frame(case.plan, world, first + run.shot.frames.last - run.shot.frames.first) for case in mine)
-        while True:
-            for rival in here.values():
-                rival.look(world)
-            work.frame(run, world.frame - first, last - first)
-            if world.frame >= last:
-                break
-            step(world)
-        found |= here
+        mine = [case for case in run.cases if case.against is not None and case.against.shot is shot]
+        try:
+            found |= _watched(run, work, shot, mine)
+        except FaultStop as why:
+            for case in mine:
+                case.failures.append(_fault(why, "in the run that is compared with, "))
     return found
+
+
+def _watched(run: Run, work: Work, shot: Shot, cases: list[Case]) -> dict[int, Rival]:
+    """One run that cases compare with, to the last frame that one of them asks for."""
+    world = _begin(shot, run.seed, work.options, work.coverage)
+    first = world.frame
+    rivals = {id(case): Rival(case.against.plan, world) for case in cases if case.against is not None}
+    last = max(last_frame(case.plan, world, first + run.shot.frames.last - run.shot.frames.first) for case in cases)
+    while True:
+        for rival in rivals.values():
+            rival.look(world)
+        work.frame(run, world.frame - first, last - first)
+        if world.frame >= last:
+            return rivals
+        step(world)

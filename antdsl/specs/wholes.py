@@ -31,8 +31,10 @@ def exact_total(values: NDArray[Any]) -> np.float64:
 
 def whole(world: World, judged: dict[str, Population], plan: WholePlan) -> Any:
     """The number: float64 for totals and counts, float32 for all else. Of nobody: as for an empty set."""
-    if plan.kind == "field":
+    if plan.kind == "field" and plan.body is None:
         values = world.fields[plan.of].values
+        if plan.how == "count":
+            return np.float64(len(values))
         return _of_values(plan.how, values, len(values))
     if plan.kind == "solid":
         return np.float64(world.solids[plan.of].volume())
