@@ -8,6 +8,7 @@ import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +48,19 @@ class RawMesh:
 def read_mesh(data: bytes, name: str, group: str | None = None) -> RawMesh:
     """The triangles of an .obj, .ply or .stl file's bytes, of an .obj those of one `group` where it is given; MeshError says why
     there are none."""
-    return sound(*mesh_arrays(data, name, group))
+    return _read(data, name, group) if len(data) <= _KEPT_BYTES else sound(*mesh_arrays(data, name, group))
+
+
+_KEPT_BYTES = 2 * limits.MIB  # of a file that is read again for the next scene of a folder
+
+
+@lru_cache(maxsize=16)
+def _read(data: bytes, name: str, group: str | None) -> RawMesh:
+    """Small meshes that several scenes share are read once. Nobody may change their arrays."""
+    mesh = sound(*mesh_arrays(data, name, group))
+    for array in (mesh.vertices, mesh.faces, mesh.own_vertices, mesh.own_faces):
+        array.setflags(write=False)
+    return mesh
 
 
 def mesh_arrays(data: bytes, name: str, group: str | None = None) -> tuple[Floats, Faces]:
