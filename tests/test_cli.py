@@ -167,6 +167,19 @@ def test_it_starts_fast_and_without_what_it_does_not_need(folder: Path, words: l
     assert min(spent) < (0.6 if words == ["--help"] else 1.2)
 
 
+def test_all_programs_and_scenes_of_the_repository_are_checked_in_little_time() -> None:
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    words = [sys.executable, "-m", "antdsl", "check", ".", "--format", "json"]
+    spent = []
+    for _ in range(2):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        done = subprocess.run(words, cwd=ROOT, env=env, capture_output=True, text=True, timeout=60)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        assert done.returncode == 1 and json.loads(done.stdout)["left_out"] > 100  # of the cases that are to be wrong
+        spent.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    assert min(spent) < 3.0, spent  # 1.6 on a busy machine of two cores
+
+
 def test_pictures_sheets_and_films_are_drawn(tmp_path: Path) -> None:
     from PIL import Image
 
