@@ -187,6 +187,16 @@ def test_nobody_gets_a_text_that_means_something_else(monkeypatch: pytest.Monkey
             format(Source("t.ant", "ant 1\nspecies a { size 4 mm } # c\n"))
 
 
+def test_what_could_not_be_read_again_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = 'ant 1\nspecies a {\n  let b = min(x,\n    y) "' + "x" * 1985 + '"\n}\n'
+    assert parse(Source("t.ant", text))[1].ok
+    found, report = format(Source("t.ant", text))
+    assert found is None and [d.code for d in report.errors] == ["line-too-long"]
+    monkeypatch.setattr("antdsl.limits.ANT_FILE_BYTES", 200)
+    found, report = format(Source("t.ant", "ant 1\nspecies a {" + "x=1;" * 45 + "y=1}"))
+    assert found is None and [d.code for d in report.errors] == ["file-too-large"]
+
+
 def test_a_difference_is_named() -> None:
     def file(text: str) -> n.File:
         return parse(Source("t.ant", text))[0]

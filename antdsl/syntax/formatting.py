@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from typing import Any
 
+from antdsl import limits
 from antdsl.diagnostics.model import Report
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
@@ -20,18 +21,33 @@ class NotTheSame(RuntimeError):
 
 def format(source: Source) -> tuple[str | None, Report]:
     """The text in the one layout, and what parsing had to say. None where the text has errors: what is not understood is not
-    moved about. Formatting what comes out gives the same text again. Raises NotTheSame where the result would mean something
-    else."""
+    moved about; and where it would grow beyond the limits of a text. Formatting what comes out gives the same text again.
+    Raises NotTheSame where the result would mean something else."""
     file, report = parse(source)
     if not report.ok:
         return None, report
     text = text_of_items(items(file))
     if text == source.text:
         return text, report
+    if too_long(source, text, report):
+        return None, report
     again, findings = parse(Source(source.path, text))
     if not findings.ok or difference(file, again):
         raise NotTheSame(f"{source.path}: {difference(file, again) or findings.diagnostics[0].message}")
     return text, report
+
+
+def too_long(source: Source, text: str, report: Report) -> bool:
+    """Complains where a text that could be read could not be read any more once it is laid out: lines that were broken come
+    together before a long help, and blanks take room."""
+    line = max(text.split("\n"), key=len).strip()
+    if len(line) > limits.LINE_CHARACTERS:
+        message = f"line that begins with `{line[:40]}` would have more than {limits.LINE_CHARACTERS} characters"
+        report.error("line-too-long", message, Span(source, 0, 0), "shorten its text, or give parts of it a name with `let`")
+    if len(text.encode("utf-8", "surrogatepass")) > limits.ANT_FILE_BYTES:
+        message = f"laid out, the file would be larger than {limits.ANT_FILE_BYTES // limits.KIB} KiB"
+        report.error("file-too-large", message, Span(source, 0, 0), "split it, and bring the parts in with `use`")
+    return not report.ok
 
 
 def difference(one: n.File, other: n.File) -> str | None:
