@@ -3,8 +3,8 @@
 Millimetres, y up; a block of soil 150 × 50 × 110 with its top about y = 0, on a floor. The same numbers give the same files."""
 
 # Where things lie (x, y, z):
-#   doors  (-10,   0,   2)  (10,   0, -4)  (2,   0,  8)
-#   rooms  (-38, -17,   4)  (36, -22, -8)  (4, -26, 34)
+#   doors  (-22,   0,   0)  (22,   0,   0)  (1,   0, 14)
+#   rooms  (-40, -20,   1)  (38, -25,  -1)  (2, -29, 30)
 #   heap   ( 50,   0,  30)
 
 from pathlib import Path
