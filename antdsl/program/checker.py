@@ -9,7 +9,7 @@ from functools import partial
 from antdsl.diagnostics import Report
 from antdsl.program import model
 from antdsl.program.behaviours import check_behaviour
-from antdsl.program.checks import CHECKS, OF_EACH, OF_SOUND, Check, Checked
+from antdsl.program.checks import CHECKS, OF_EACH, OF_SOUND, OF_STATES, Check, Checked
 from antdsl.program.collect import Library, Loader, declare
 from antdsl.program.consequences import without_consequences
 from antdsl.program.memo import Memo, part
@@ -75,9 +75,23 @@ def _look(checked: Checked, look: Check, report: Report) -> None:
         look(checked, report)
         return
     params = tuple(program.params.values())
-    for name, species in program.species.items():
-        alone = replace(checked, program=replace(program, species={name: species}))
-        part(checked.declared, (look, species, params), partial(look, alone, report))
+
+    def seen(species: model.Species) -> None:
+        look(replace(checked, program=replace(program, species={species.name: species})), report)
+
+    for species in program.species.values():
+        if look not in OF_STATES:
+            part(checked.declared, (look, species, params), partial(seen, species))
+            continue
+        part(checked.declared, (look, species.layers, params), lambda all=species: seen(replace(all, machines=())))
+        for machine in species.machines:
+            for state in machine.states:
+                one = partial(_with_one_state, species, machine, state)
+                part(checked.declared, (look, state, params), lambda one=one: seen(one()))
+
+
+def _with_one_state(species: model.Species, machine: model.Machine, state: model.State) -> model.Species:
+    return replace(species, machines=(replace(machine, states=(state,)),), layers=replace(species.layers, layers=()))
 
 
 def _whole(loader: Loader, report: Report, doubtful: Sequence[Span]) -> tuple[Report, list[Span]]:

@@ -41,5 +41,7 @@ OF_SOUND: tuple[Check, ...] = (
 
 # Those that look at each species by itself, at nothing but its own parts and the params.
 OF_EACH = frozenset((shadowed, writers, layering, firing, flicker, draws, idle_layers))
+# And of these, those that look at each state by itself, and at the layers.
+OF_STATES = frozenset((firing, draws))
 
-__all__ = ["CHECKS", "OF_EACH", "OF_SOUND", "Check", "Checked"]
+__all__ = ["CHECKS", "OF_EACH", "OF_SOUND", "OF_STATES", "Check", "Checked"]

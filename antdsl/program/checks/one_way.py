@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 
 from antdsl.diagnostics import Report
 from antdsl.program.checks.checked import Checked
-from antdsl.program.expected import Spec
 from antdsl.program.memo import part
-from antdsl.program.model import AttributeDecl, Const, Deposit, NoneRef, Species, Thing
+from antdsl.program.model import AttributeDecl, Const, Deposit, NoneRef, Program, Species, Thing
 from antdsl.program.walk import parts
 from antdsl.program.wording import quoted
 
@@ -18,7 +18,7 @@ def one_way(checked: Checked, report: Report) -> None:
         for attribute in species.attributes:
             if not attribute.given:
                 _attribute(checked, species, attribute, report)
-    wholes = (*checked.program.species.values(), *checked.program.specs) if checked.program.fields else ()
+    wholes = _wholes(checked.program) if checked.program.fields else ()
     named = [part(checked.declared, ("named", each), partial(_named, each)) for each in wholes]
     read, laid = (frozenset().union(*names) for names in zip(*named, strict=True)) if named else (frozenset(), frozenset())
     for field in checked.program.fields.values():
@@ -31,7 +31,15 @@ def one_way(checked: Checked, report: Report) -> None:
             )
 
 
-def _named(root: Species | Spec) -> tuple[frozenset[str], frozenset[str]]:
+def _wholes(program: Program) -> Iterator[object]:
+    """Everything that can name a field: states one by one, as they are what changes while somebody writes."""
+    for species in program.species.values():
+        yield from (state for machine in species.machines for state in machine.states)
+        yield (*species.attributes, *species.lets, *species.latches, *species.handlers, species.layers)
+    yield from program.specs
+
+
+def _named(root: object) -> tuple[frozenset[str], frozenset[str]]:
     """The things that are named as values below `root`, and the fields that something is laid into."""
     every = list(parts(root))
     return (
