@@ -123,10 +123,12 @@ def sound(vertices: Floats, faces: Faces) -> RawMesh:
 
 
 def _first_of_each(rows: Faces, bound: int) -> NDArray[np.int64]:
-    """Where each row of three numbers below `bound` stands first. As one number they are compared twenty times sooner."""
+    """Where each row of three numbers below `bound` stands first. As one number they are compared sooner."""
     if bound > 2**21:
-        return np.unique(rows, axis=0, return_index=True)[1]
-    return np.unique((rows[:, 0] << 42) | (rows[:, 1] << 21) | rows[:, 2], return_index=True)[1]
+        _, first = np.unique(rows, axis=0, return_index=True)
+    else:
+        _, first = np.unique((rows[:, 0] << 42) | (rows[:, 1] << 21) | rows[:, 2], return_index=True)
+    return np.asarray(first, np.int64)
 
 
 def _number(text: bytes) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from antdsl.diagnostics import Label, Report
 from antdsl.program.checks.checked import Checked
 from antdsl.program.checks.conditions import Reader, always, never
@@ -71,7 +73,7 @@ def strength(push: Expr) -> float:
     if push.name == "vector":
         numbers = [constant_behind(arg) if arg is not None else None for arg in push.args]
         known = [c.number for c in numbers if c is not None and not (c.u or c.step)]
-        return sum(x * x for x in known) ** 0.5
+        return math.hypot(*known)
     return 0.0
 
 
