@@ -1,4 +1,4 @@
-"""Where agents start: on the ground, outside of obstacles. A place is a function of (seed, species, id): more move nobody."""
+"""Where agents start: on the ground or inside things, outside of obstacles. A place is a function of (seed, species, id): more move nobody."""
 
 from __future__ import annotations
 
@@ -29,8 +29,13 @@ def populate(world: World) -> None:
         counted[crowd.species] = population.next_id = int(crowd.count + (ids[0] if len(ids) else population.next_id))
         if not len(ids):
             continue
-        footing = _footing(world, crowd.species, crowd.place, ids)
+        if crowd.place.inside is not None and world.ground.meshes is not None:
+            footing, up = _seen_from(world, crowd.species, crowd.place, crowd.place.inside, ids)
+        else:
+            footing, up = _footing(world, crowd.species, crowd.place, ids), np.broadcast_to(world.up, (len(ids), 3))
         rows = add_rows(population, ids, world.frame, world.ground.position(footing), footing)
+        for k, axis in enumerate(AXES):
+            population.now[f"up.{axis}"][rows] = up[:, k]
         population.now["group"][rows] = crowd.group
     alive = [population for population in world.populations.values() if len(population)]
     for population in alive:
@@ -66,6 +71,31 @@ def _footing(world: World, species: str, place: PlaceData, ids: NDArray[np.int64
         found = found.copy()
         found[poor] = good
     return footing
+
+
+def _seen_from(
+    world: World, species: str, place: PlaceData, eye: tuple[float, float, float], ids: NDArray[np.int64]
+) -> tuple[Any, NDArray[np.float64]]:
+    """Footings where lines from a place in drawn directions first meet a mesh, and ups (n, 3) towards it. Who has drawn nothing but
+    lines that meet none, or others than those in `on`, begins at the nearest surface."""
+    meshes, start = world.ground.meshes, np.asarray(eye, np.float64) - world.origin
+    begin = np.broadcast_to(start, (len(ids), 3))
+    far = meshes.extent * 1.8 + float(np.abs(start - (meshes.low + meshes.high) / 2).max())
+    place_at, towards, left = begin.copy(), np.array(np.broadcast_to(world.up, begin.shape)), np.arange(len(ids))
+    wanted = [meshes.names.index(name) for name in (place.on or meshes.names) if name in meshes.names]
+    for attempt in range(_TRIES):
+        if not len(left):
+            break
+        u, v = (_draw(world, species, 2 * attempt + k, ids[left], "inside") for k in range(2))
+        height = 1.0 - 2.0 * u.astype(np.float64)  # even over a ball, by a theorem of Archimedes
+        flat, angle = np.sqrt(np.maximum(1.0 - height * height, 0.0)), v * _TURN
+        way = np.stack([flat * kernels.cos(angle), height, flat * kernels.sin(angle)], axis=1)
+        found, part, footing = meshes.met(begin[left], way * far)
+        at = begin[left] + way * (far * part)[:, None]
+        good = found & np.isin(footing.mesh, wanted) & ~inside_obstacle(world, at)
+        place_at[left[good]], towards[left[good]] = at[good], -way[good]
+        left = left[~good]
+    return world.ground.nearest(place_at)[0], towards
 
 
 def _points(world: World, species: str, place: PlaceData, ids: NDArray[np.int64], attempt: int) -> NDArray[np.float64]:
@@ -146,7 +176,8 @@ def _shuffle(world: World, population: Population) -> None:
 
 def _stand(world: World, population: Population) -> None:
     """Up from the ground, and a heading drawn around it; at rest."""
-    up = vec.columns(world.ground.upright(population.footing, world.up), np.float32)
+    side = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
+    up = vec.columns(world.ground.upright(population.footing, side), np.float32)
     angle = _draw(world, population.name, 0, population.ids, "heading") * _TURN
     side = vec.across(up)
     ahead = vec.cross(up, side)

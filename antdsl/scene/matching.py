@@ -265,15 +265,12 @@ def _placement(scene: Scene, program: Program, report: Report, place: Placement,
         maps = [name for name, thing in program.world.items() if thing.kind == "map"]
         if place.density not in maps:
             _unknown(report, scene, (*path, "density"), "no map is named", maps, key=False)
-        for other in ("points", "around", "radius"):
-            if getattr(place, other) is not None:
-                report.error(
-                    "wrong-value",
-                    f"agents are placed by `density` or by `{other}`, not both",
-                    scene.span(*path, "density", key=True),
-                    "keep one of them",
-                )
-                break
+    given = [name for name in ("points", "around", "radius", "density") if getattr(place, name) is not None]
+    for way in ("density", "inside"):
+        other = [name for name in given if name != way]
+        if getattr(place, way) is not None and other:
+            words = f"agents are placed by `{way}` or by `{other[0]}`, not both"
+            report.error("wrong-value", words, scene.span(*path, way, key=True), "keep one of them")
     _around(scene, report, place.around, place.radius, *path)
 
 

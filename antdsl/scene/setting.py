@@ -118,11 +118,12 @@ class PlaceData:
     """Where a crowd starts.
 
     `points` (n, 3), one an agent, in order (those after the last start over); else a disc of `radius` mm around `around`, dropped
-    along the scene's up onto the surfaces; else evenly over the surfaces, or as densely as the map `density` says. `on` narrows
-    to some surfaces (empty: all)."""
+    along the scene's up onto the surfaces; else where lines from `inside` in all directions first meet a surface, on that side;
+    else evenly over the surfaces, or as densely as the map `density` says. `on` narrows to some surfaces (empty: all)."""
 
     on: tuple[str, ...] = ()
     around: Point | None = None
+    inside: Point | None = None
     radius: float | None = None
     points: NDArray[np.float64] | None = None
     density: str | None = None

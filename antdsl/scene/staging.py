@@ -175,7 +175,7 @@ Places = Mapping[str, stage_of.Point]
 
 
 def _point(
-    staging: Staging, places: Places, around: Point | str | None, radius: Quantity | None, *path: Key
+    staging: Staging, places: Places, around: Point | str | None, radius: Quantity | None, *path: Key, key: str = "around"
 ) -> stage_of.Point | None:
     """Where something lies about: a point, an item's place, the origin where only a radius is given."""
     if around is None:
@@ -185,7 +185,7 @@ def _point(
     if around not in places and staging.report.ok:
         near = nearest_name(around, places)
         help = f"did you mean `{near}`?" if near else None
-        staging.report.error("unknown-thing", f"no item is named `{around}`", staging.scene.span(*path, "around"), help)
+        staging.report.error("unknown-thing", f"no item is named `{around}`", staging.scene.span(*path, key), help)
     return places.get(around)
 
 
@@ -362,6 +362,7 @@ def _place(staging: Staging, places: Places, place: Placement, *path: Key) -> st
     return stage_of.PlaceData(
         on=(place.on,) if place.on is not None else (),
         around=_point(staging, places, place.around, place.radius, *path),
+        inside=_point(staging, places, place.inside, None, *path, key="inside"),
         radius=_length(scene, place.radius),
         points=points,
         density=place.density,
