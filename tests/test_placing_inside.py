@@ -20,7 +20,8 @@ def begun(folder: Path, place: str, count: int = 300) -> World:
     for name in ("can.ply", "cube.ply"):
         shutil.copy(EXAMPLE / name, folder)
     (folder / "ant.ant").write_text(
-        "ant 1\nuse steering\nworld { surface can; surface cube; items crumb }\nspecies ant { size 2 mm; max_speed 20 mm/s; start roam\n"
+        "ant 1\nuse steering\nworld { surface can; surface cube; items crumb }\n"
+        "species ant { size 2 mm; max_speed 20 mm/s; start roam\n"
         "  state roam { steer wander() }\n}\n"
     )
     scene = folder / "scene.yaml"

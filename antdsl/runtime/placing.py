@@ -1,4 +1,5 @@
-"""Where agents start: on the ground or inside things, outside of obstacles. A place is a function of (seed, species, id): more move nobody."""
+"""Where agents start: on the ground or inside things, outside of obstacles. A place is a function of (seed, species, id):
+more move nobody."""
 
 from __future__ import annotations
 
@@ -76,8 +77,8 @@ def _footing(world: World, species: str, place: PlaceData, ids: NDArray[np.int64
 def _seen_from(
     world: World, species: str, place: PlaceData, eye: tuple[float, float, float], ids: NDArray[np.int64]
 ) -> tuple[Any, NDArray[np.float64]]:
-    """Footings where lines from a place in drawn directions first meet a mesh, and ups (n, 3) towards it. Who has drawn nothing but
-    lines that meet none, or others than those in `on`, begins at the nearest surface."""
+    """Footings where lines from a place in drawn directions first meet a mesh, and ups (n, 3) towards it. Who has drawn nothing
+    but lines that meet none, or others than those in `on`, begins at the nearest surface."""
     meshes, start = world.ground.meshes, np.asarray(eye, np.float64) - world.origin
     begin = np.broadcast_to(start, (len(ids), 3))
     far = meshes.extent * 1.8 + float(np.abs(start - (meshes.low + meshes.high) / 2).max())

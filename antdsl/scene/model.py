@@ -252,7 +252,8 @@ def _point_or_name(value: Any) -> str:
 
 class Placement(Part):
     """Where a crowd begins: scattered on a surface (all of it, by the `density` that a map paints, or within `radius` of a point
-    or an item, by itself of the scene's origin), at given points, or where lines from a point or an item, `inside` something, end."""
+    or an item, by itself of the scene's origin), at given points, or where lines from a point or an item end, `inside`
+    of something."""
 
     on: Name | None = None
     inside: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None

@@ -114,7 +114,9 @@ class Ground:
         self._table: Topology = build(self._vertices, self._faces, self._mesh, self.extent)
         self._side = facing(self._table.normal.T)
         self._scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
-        self._clearances = Clearances(self._vertices[self._faces], self._table.patch, self.low, self.extent * NOISE)
+        self._clearances = Clearances(
+            self._vertices[self._faces], self._table.patch, self._table.pieces, self.low, self.extent * NOISE
+        )
         # Twenty times the rounding of float32, which counts from the middle where that is far away; lists mind five times that.
         rounding = 2e-6 * (self.extent + min(float(np.abs([self.low, self.high]).max()), FAR))
         self._errors = (rounding, rounding / 10)

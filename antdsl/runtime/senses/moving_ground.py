@@ -162,7 +162,7 @@ class _Clearances:
         self._fixed = np.flatnonzero(~self._loose)
         corners = ground._vertices[ground._faces[self._fixed]]
         low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
-        self._still = Clearances(corners, ground._table.patch[self._fixed], low, self.noise)
+        self._still = Clearances(corners, ground._table.patch[self._fixed], ground._table.pieces, low, self.noise)
         patches = {name: int((np.unique(ground._table.patch[rows]) >= 0).sum()) for name, rows in ground._rows.items()}
         self._low, self._high = _boxes(ground._vertices, ground._faces)
         self._several = [name for k, name in enumerate(ground.names) if ground._moves[k] and patches[name] > 1]

@@ -1,6 +1,6 @@
 """Where a mesh cuts through itself: found once, so that only there rays look out for what is of one's own piece.
 
-Faces that cut each other get different numbers of a patch; all others have the number of their piece."""
+There each face is a patch of its own; all others have the number of their piece."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from antdsl.runtime.senses.rasterise import triangle_cells
 
@@ -20,7 +18,7 @@ Index = NDArray[np.int64]
 _PAIRS = 2_000_000  # of faces in one cell, looked at together
 _CELL = 2.0  # mean sizes of faces: width of a cell
 _FOLDED = 0.5  # cosine between the normals of faces that share a corner, above which they are not folded over each other
-_RINGS = 2  # of faces around those that are cut that belong to their patch: an agent's eye is ahead of its feet
+_RINGS = 2  # of faces around those that are cut that look out as well: an agent's eye is ahead of its feet
 _MOST_CELLS = 1 << 20  # along an axis
 
 
@@ -28,19 +26,15 @@ def patches(corners: Floats, weld: Ints, piece: Ints, grain: float) -> Ints:
     """Patch int32[m] of each face, -1 for those without a piece: corners float64[m,3,3] whose places are numbered by `weld`
     (m, 3). What goes less than `grain` (mm) through a face touches it and does not cut it."""
     one, two = _cuts(corners, weld, piece, grain)
-    if not one.size:
-        return piece
-    cut = np.unique(np.concatenate([one, two]))
-    colour = _coloured(cut, np.searchsorted(cut, one), np.searchsorted(cut, two), weld)
-    whole = np.zeros(len(piece), np.int64)
-    whole[cut] = colour
-    for _ in range(_RINGS):
-        whole = _spread(whole, weld, cut)
-    first = int(piece.max(initial=-1)) + 1
-    pair = np.stack([piece.astype(np.int64), whole], axis=1)[whole > 0]
-    _, number = np.unique(pair, axis=0, return_inverse=True)
     patch = piece.copy()
-    patch[whole > 0] = first + number.ravel()
+    if one.size:
+        alone = np.zeros(len(piece), bool)
+        alone[one] = alone[two] = True
+        for _ in range(_RINGS):
+            near = np.zeros(int(weld.max()) + 1, bool)
+            near[weld[alone].ravel()] = True
+            alone = near[weld].any(axis=1) & (piece >= 0)
+        patch[alone] = int(piece.max()) + 1 + np.arange(int(alone.sum()))
     return patch
 
 
@@ -125,47 +119,3 @@ def _pierces(start: Floats, end: Floats, triangle: Floats, grain: float) -> NDAr
     b2 = (np.cross(e1[rows], place) * normal[rows]).sum(axis=1) / square
     result[rows] = (b1 >= 0) & (b2 >= 0) & (b1 + b2 <= 1)
     return result
-
-
-def _coloured(cut: Index, one: Index, two: Index, weld: Ints) -> Index:
-    """Numbers from 0 for `cut` faces, different for each pair of numbers in `cut`, as few as come of taking them as they hang
-    together: strips along a cut have one number mostly."""
-    size = cut.size
-    near = _touching(weld[cut])
-    _, strip = connected_components(near, directed=False)
-    order = np.concatenate([_in_turn(near, int(np.flatnonzero(strip == k)[0])) for k in range(int(strip.max()) + 1)])
-    enemies: list[list[int]] = [[] for _ in range(size)]
-    for a, b in zip(one.tolist(), two.tolist(), strict=True):
-        enemies[a].append(b)
-        enemies[b].append(a)
-    colour = np.full(size, -1, np.int64)
-    for face in order.tolist():
-        taken = {int(colour[other]) for other in enemies[face]}
-        friends = near.indices[near.indptr[face] : near.indptr[face + 1]]
-        wanted = [int(c) for c in colour[friends] if c >= 0]
-        free = [c for c in wanted if c not in taken]
-        colour[face] = free[0] if free else next(c for c in range(size) if c not in taken)
-    return colour
-
-
-def _in_turn(near: coo_array, start: int) -> Index:
-    order: Index = breadth_first_order(near, start, directed=False, return_predecessors=False)
-    return order
-
-
-def _touching(weld: Ints) -> coo_array:
-    """Which faces share a corner, as a sparse table."""
-    count = len(weld)
-    places, number = np.unique(weld, return_inverse=True)
-    table = coo_array((np.ones(3 * count, np.int32), (np.repeat(np.arange(count), 3), number.ravel())), (count, len(places)))
-    return (table @ table.T).tocsr()
-
-
-def _spread(colour: Index, weld: Ints, cut: Index) -> Index:
-    """Faces beside those with a number above 0 get it too; those that are cut keep theirs."""
-    at = np.zeros(int(weld.max()) + 1, np.int64)
-    some = np.flatnonzero(colour > 0)
-    np.maximum.at(at, weld[some].ravel(), np.repeat(colour[some], 3))
-    wide = np.where(colour > 0, colour, at[weld].max(axis=1))
-    wide[cut] = colour[cut]
-    return wide

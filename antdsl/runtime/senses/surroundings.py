@@ -114,31 +114,33 @@ class Around:
             if not rows.size:
                 break
             at = begin.take(rows) + met * rest
-            exact, short = self._crossing(origin.take(rows, axis=1), step.take(rows, axis=1), there, at)
-            found = self._other(own.take(rows), there) & (exact >= 0) & ((exact <= 1) | (short <= SHY * self._rounding))
+            exact, off, short = self._crossing(origin.take(rows, axis=1), step.take(rows, axis=1), there, at)
+            found = self._other(own.take(rows), there, off) & (exact >= 0) & ((exact <= 1) | (short <= SHY * self._rounding))
             part[rows[found]], face[rows[found]] = np.minimum(exact[found], 1.0), there[found]
             rows, at = rows[~found], at[~found]
             begin[rows] = at + SKIP * self._noise / np.maximum(length.take(rows), 1e-300)
             rows = rows[begin.take(rows) < 1.0 + hair.take(rows)]
         return part, face
 
-    def _other(self, own: Index, there: Index) -> NDArray[np.bool_]:
-        """Whether faces are of another patch; the neighbour across an edge is not, where a patch ends within a piece."""
+    def _other(self, own: Index, there: Index, off: Floats) -> NDArray[np.bool_]:
+        """Whether faces are of another patch. The neighbour across an edge, where patches end within a piece, is not so for those
+        who stand on that edge."""
         t = self._table
         other: NDArray[np.bool_] = t.patch.take(own) != t.patch.take(there)
-        same = np.flatnonzero(other & (t.piece.take(own) == t.piece.take(there)))
+        same = np.flatnonzero(other & (off <= SHY * self._rounding) & (t.piece.take(own) == t.piece.take(there)))
         if same.size:
             one, two = t.weld.take(own[same], axis=0), t.weld.take(there[same], axis=0)
             other[same] = (one[:, :, None] == two[:, None, :]).sum(axis=(1, 2)) < 2
         return other
 
-    def _crossing(self, origin: Floats, step: Floats, face: Index, at: Floats) -> tuple[Floats, Floats]:
+    def _crossing(self, origin: Floats, step: Floats, face: Index, at: Floats) -> tuple[Floats, Floats, Floats]:
         """After what part of their step rays cross the planes of faces that they meet after about `at` of it, and how far from
-        these they end."""
+        these they begin and end."""
         normal = self._table.normal.take(face, axis=1)
         towards = dot(normal, step)
         apart = dot(normal, self._table.corner.take(face, axis=1) - origin)
-        return np.where(towards != 0, apart / np.where(towards != 0, towards, 1.0), at), np.abs(apart - towards)
+        part = np.where(towards != 0, apart / np.where(towards != 0, towards, 1.0), at)
+        return part, np.abs(apart), np.abs(apart - towards)
 
     def beyond(self, walkers: Walkers, rows: Index) -> Landing:
         """Past an open border: what a ray down just beyond it meets, else what a ray back from below it meets. The other side of

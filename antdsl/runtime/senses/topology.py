@@ -49,7 +49,7 @@ class Topology:
     link: Ints
     piece: Ints
     pieces: int
-    patch: Ints  # the piece, but for faces of one piece that cut each other, which are of different patches: see `self_cuts`
+    patch: Ints  # the piece; around where a piece cuts itself each face is one of its own, numbered from `pieces` on
     way: Ints  # (2, m): which sides of faces, 0 that of the normal, can be walked to from each other across edges
     forked: bool  # whether any edge leads on differently on its two sides, being of more than two faces
     smooth: Floats  # (9, m): unit normal at corner 0, 1, 2
