@@ -61,10 +61,10 @@ class Judge:
             return about_the_whole(world.frame, final, self.first, self._holds(world, plan.condition), since)
         judged = there.populations[plan.species]
         assert isinstance(plan.condition, str)
-        since = None if plan.since is None else judged.now[str(plan.since)].astype(np.bool_)
+        asked = None if plan.since is None else judged.now[str(plan.since)].astype(np.bool_)
         holds = judged.now[plan.condition].astype(np.bool_)
         begun = np.maximum(judged.born, self.first)
-        return Seen(world.frame, final, judged.ids, begun, holds, since, self._released(line, judged.ids))
+        return Seen(world.frame, final, judged.ids, begun, holds, asked, self._released(line, judged.ids))
 
     def _holds(self, world: World, node: ir.Node | str) -> bool:
         """A condition on the whole; what is no number makes it false."""

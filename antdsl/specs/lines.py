@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import ceil
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +93,8 @@ class Line:
 
 
 def _always(line: Line, seen: Seen) -> Ids:
-    return seen.ids[~seen.holds & ~seen.free]
+    failed: Ids = seen.ids[~seen.holds & ~seen.free]
+    return failed
 
 
 def _never(line: Line, seen: Seen) -> Ids:
@@ -185,7 +185,7 @@ def _met(line: Line, seen: Seen) -> Ids:
     return seen.ids[seen.holds]
 
 
-_KINDS: Mapping[str, Callable[[Line, Seen], Any]] = {
+_KINDS: Mapping[str, Callable[[Line, Seen], Ids]] = {
     "until": _met,
     "sooner": _met,
     "always": _always,
@@ -195,7 +195,7 @@ _KINDS: Mapping[str, Callable[[Line, Seen], Any]] = {
     "eventually": _eventually,
     "within": _eventually,
 }
-_SINCE: Mapping[str, Callable[[Line, Seen], Any]] = {
+_SINCE: Mapping[str, Callable[[Line, Seen], Ids]] = {
     "within": _since_within,
     "eventually": _since_within,
     "for": _since_for,
