@@ -61,7 +61,10 @@ def _root(
 
 def main() -> None:
     """Run a command and leave with its exit code; nothing that a person can do ends in a traceback."""
-    sys.exit(_run())
+    code = _run()
+    # What is left goes with the process; looking through it for garbage once more would be a tenth of a check.
+    gc.freeze()
+    sys.exit(code)
 
 
 def _run() -> int:

@@ -12,7 +12,6 @@ from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
-    from antdsl.program.model import Program
 
 
 class Format(StrEnum):
@@ -46,25 +45,17 @@ def check(
             raise typer.BadParameter("this is listed as text; ask for it without `--format`", param_hint=flag)
     if not paths:
         raise typer.BadParameter("name a file or a folder", param_hint="PATH")
+    from antdsl.checking import check_all
     from antdsl.cli.arguments import grants
     from antdsl.cli.reports import show, verdict
     from antdsl.diagnostics.ignoring import judged
-    from antdsl.loading import CheckedOnce
-    from antdsl.pipeline import Choices, check_path, find_files, sources
+    from antdsl.pipeline import Choices, find_files
 
     files, report = find_files(paths)
-    choices = Choices(grants(root))
-    programs: list[tuple[Path, Program]] = []
-    sound: list[tuple[Path, Program]] = []
-    parsed = CheckedOnce()
+    checked = check_all(files, Choices(grants(root)), strict=strict, programs=params or cost)
     for file in files:
-        program, findings = check_path(file, choices, strict=strict, parsed=parsed)
-        report.extend(findings)
-        if program is not None:
-            programs.append((file, program))
-            if findings.ok:
-                sound.append((file, program))
-    report = judged(report, sources(files, parsed), strict=strict)
+        report.extend(checked.reports[file])
+    report = judged(report, checked.sources, strict=strict)
     if strict:
         report = _strict(report)
     show(report, format.value)
@@ -74,6 +65,8 @@ def check(
     if params or cost:
         from antdsl.cli.check_tables import cost_table, params_table
 
+        programs = [(file, checked.programs[file]) for file in files if file in checked.programs]
+        sound = [(file, program) for file, program in programs if checked.reports[file].ok]
         for line in params_table(programs) if params else ():
             typer.echo(line)
         for line in cost_table(sound) if cost else ():
