@@ -11,7 +11,7 @@ gc.set_threshold(100_000, 50, 50)
 
 import typer  # noqa: E402
 
-from antdsl.cli import check, doctor, export, fmt, graph, info, lsp, new, plan, render, run, sweep, test  # noqa: E402
+from antdsl.cli import check, doctor, explain, export, fmt, graph, info, lsp, new, plan, render, run, sweep, test  # noqa: E402
 from antdsl.cli.exits import Exit, Stop  # noqa: E402
 
 # In the order of `antdsl --help`: what one does first comes first.
@@ -25,6 +25,7 @@ COMMANDS = (
     ("render", render.render),
     ("export", export.export),
     ("info", info.info),
+    ("explain", explain.explain),
     ("graph", graph.graph),
     ("plan", plan.plan),
     ("doctor", doctor.doctor),

@@ -67,9 +67,9 @@ class Cache:
         """The frames that have a checkpoint, in order."""
         return numbered(self.folder / "checkpoints")
 
-    def frame(self, number: int) -> Arrays:
-        """The arrays of a frame, as the format says; CacheError when it is missing or damaged."""
-        return _read(frame_path(self.folder, number), number)
+    def frame(self, number: int, only: frozenset[str] | None = None) -> Arrays:
+        """The arrays of a frame, or `only` those of some names, as the format says; CacheError when it is missing or damaged."""
+        return _read(frame_path(self.folder, number), number, only)
 
     def checkpoint(self, number: int) -> Arrays:
         """All that is needed to go on from a frame; CacheError when it is missing or damaged."""
@@ -106,9 +106,9 @@ def read_hashes(path: Path) -> dict[int, str]:
     return found
 
 
-def _read(path: Path, number: int | None) -> Arrays:
+def _read(path: Path, number: int | None, only: frozenset[str] | None = None) -> Arrays:
     try:
-        arrays = read_npz(path)
+        arrays = read_npz(path, None if only is None else only | {"frame"})
     except FileNotFoundError:
         raise CacheError(f"`{path}` is not there") from None
     except ArrayFileError as why:

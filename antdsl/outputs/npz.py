@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import os
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -91,10 +91,11 @@ def sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-def read_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """All arrays of a file that `to_bytes` wrote, checksums compared; ArrayFileError says what is wrong with any other."""
+def read_npz(path: Path, only: Container[str] | None = None) -> dict[str, NDArray[Any]]:
+    """All arrays of a file that `to_bytes` wrote, or `only` those of some names, checksums compared; ArrayFileError says what is
+    wrong with any other."""
     with open(path, "rb") as file:
         size = os.fstat(file.fileno()).st_size
         if size > FILE_BYTES:
             raise ArrayFileError(f"has {size:,} bytes, more than {FILE_BYTES:,}")
-        return read_archive(file, size)
+        return read_archive(file, size, only)

@@ -39,6 +39,7 @@ def _steer(w: Writer, s: model.Steer, site: str) -> None:
     for axis in AXES:
         w.declare(f"{STEER}.{axis}", Kind.F32, "temp")
     push = vector(w, s.push)
+    w.steered(s, site, push)
     w.store_vector(STEER, values.add(w.b, w.read_vector(STEER), push), s.span)
 
 

@@ -35,11 +35,13 @@ def blend(w: Writer, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
 
 def _layer(w: Writer, layer: model.Layer, mode: str, last: bool) -> None:
     b = w.b
-    left = b.true if mode == "sum" else b("gt", w.read(LEFT), b.number(0))
+    strength = w.read(LEFT)
+    left = b.true if mode == "sum" else b("gt", strength, b.number(0))
     with w.region(left, layer.span):
         condition = b.true if layer.condition is None else truth(w, layer.condition)
         with w.region(condition, layer.span):
             push = _states(w) if layer.push is None else vector(w, layer.push)
+            w.layered(layer, strength, left, condition, push)
             if mode == "sum":
                 w.store_vector(PUSH, values.add(b, w.read_vector(PUSH), push), layer.span)
             elif mode == "first":

@@ -15,6 +15,7 @@ from antdsl.plan.expressions import own, scalar, truth, vector
 from antdsl.plan.ir import Block, Kind, Node
 from antdsl.plan.lazy import lazy
 from antdsl.plan.machines import MachineWriter
+from antdsl.plan.noting import Notes, NotingWriter
 from antdsl.plan.values import Vec, scale, sub
 from antdsl.plan.values import add as add_vectors
 from antdsl.plan.walk import needed, operands, statements
@@ -24,14 +25,24 @@ from antdsl.program import model
 DEEP = 20_000  # frames of our own recursion over expressions; their nesting is capped by the parser and the checker
 
 
-def lower(program: model.Program, *, orders: Mapping[str, Sequence[str]] | None = None) -> tuple[ir.Plan, Report]:
+def lower(
+    program: model.Program, *, orders: Mapping[str, Sequence[str]] | None = None, notes: dict[str, Notes] | None = None
+) -> tuple[ir.Plan, Report]:
     """The plan of a program, and complaints about what checks but cannot run yet.
 
-    `orders`: for a species the order of its layers, each by its text or its word before the bracket."""
+    `orders`: for a species the order of its layers, each by its text or its word before the bracket. `notes` gets, for each
+    species, which nodes stand for which part of its text."""
     report = Report()
     builder = Builder()
+
+    def species_plan(s: model.Species) -> ir.SpeciesPlan:
+        if notes is None:
+            return _species(Writer(builder, program, s, report), (orders or {}).get(s.name))
+        notes[s.name] = Notes()
+        return _species(NotingWriter(builder, program, s, report, notes[s.name]), (orders or {}).get(s.name))
+
     with _deep():
-        species = {s.name: _species(builder, program, s, report, (orders or {}).get(s.name)) for s in program.species.values()}
+        species = {s.name: species_plan(s) for s in program.species.values()}
         fields = {f.name: _field(builder, program, f, report) for f in program.fields.values()}
         params = {p.name: ir.ParamPlan(p.name, _outside(builder, program, p.default, report)) for p in program.params.values()}
     world = program.world.values()
@@ -58,10 +69,8 @@ def _deep() -> Iterator[None]:
 # --- species ---------------------------------------------------------------------------------------------------------
 
 
-def _species(
-    builder: Builder, program: model.Program, species: model.Species, report: Report, order: Sequence[str] | None
-) -> ir.SpeciesPlan:
-    w = Writer(builder, program, species, report)
+def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
+    species = w.species
     birth.declare(w)
     blending.declare(w)
     for latch in species.latches:

@@ -94,7 +94,10 @@ class MachineWriter:
 
     def _weigh(self, changes: list[_Change]) -> None:
         winner = self.w.b.row(0)
-        for change, fires in reversed([(c, self._fires(c)) for c in changes]):
+        weighed = [(c, self._fires(c)) for c in changes]
+        for change, fires in weighed:
+            self.w.weighed(self.name, change.number, change.state, change.transition, fires)
+        for change, fires in reversed(weighed):
             winner = self.w.b("where", fires, self.w.b.row(change.number), winner)
         self.w.store(self.pending, winner, changes[0].state.span)
 
@@ -184,11 +187,14 @@ class MachineWriter:
             return w.read(f"{self.name}.previous")
         if not t.choices:
             return b.row(t.target if t.target is not None else change.state.index)
+        weights = [(index, b("max", scalar(w, weight), b.number(0))) for index, weight in t.choices]
         bounds, total = [], b.number(0)
-        for index, weight in t.choices:
-            total = b("add", total, b("max", scalar(w, weight), b.number(0)))
+        for index, weight in weights:
+            total = b("add", total, weight)
             bounds.append((index, total))
-        place = b("mul", b("draw", attrs=(f"{t.key}.choose", 0)), total)
+        draw = b("draw", attrs=(f"{t.key}.choose", 0))
+        w.chosen(t.key, draw, weights)
+        place = b("mul", draw, total)
         target = b.row(t.choices[-1][0])
         for index, bound in reversed(bounds[:-1]):
             target = b("where", b("lt", place, bound), b.row(index), target)

@@ -124,6 +124,22 @@ class Writer:
         """What a spec asks about a whole; programs themselves cannot."""
         raise PlanError(f"only a spec asks that: {e.span.text!r}")
 
+    # --- notes -------------------------------------------------------------------------------------------------------
+
+    # Told as the parts of the text are lowered; `NotingWriter` keeps what explains a step.
+
+    def weighed(self, machine: str, number: int, state: model.State, t: model.Transition, fires: Node) -> None:
+        """A transition of a state, and whether it fires."""
+
+    def chosen(self, key: str, draw: Node, weights: list[tuple[int, Node]]) -> None:
+        """A transition's choice among states: its draw and the weight of each."""
+
+    def layered(self, layer: model.Layer, left: Node, looked: Node, holds: Node, push: Vec) -> None:
+        """A layer: the strength left for it, whether there is any, whether its condition holds, its push."""
+
+    def steered(self, s: model.Steer, site: str, push: Vec) -> None:
+        """A `steer` line."""
+
     # --- statements --------------------------------------------------------------------------------------------------
 
     def add(self, statement: Statement) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import io
 import re
 import zipfile
+from collections.abc import Container
 from math import prod
 from typing import IO, Any
 
@@ -32,18 +33,18 @@ def read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
     return read_archive(io.BytesIO(data), len(data))
 
 
-def read_archive(file: IO[bytes], size: int) -> dict[str, NDArray[Any]]:
-    """As `read_arrays`, of an open file of `size` bytes."""
+def read_archive(file: IO[bytes], size: int, only: Container[str] | None = None) -> dict[str, NDArray[Any]]:
+    """As `read_arrays`, of an open file of `size` bytes. `only`: the names that are wanted; the bytes of others are not read."""
     try:
         with zipfile.ZipFile(file) as archive:
-            return _members(archive, size)
+            return _members(archive, size, only)
     # NotImplementedError: zipfile's word for a compression that it does not know
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, OverflowError) as problem:
         raise ArrayFileError(f"is damaged or no array file ({problem})") from None
 
 
-def _members(archive: zipfile.ZipFile, size: int) -> dict[str, NDArray[Any]]:
-    """All arrays of an open archive of `size` bytes; ArrayFileError, or an error of zipfile's own, says what is wrong."""
+def _members(archive: zipfile.ZipFile, size: int, only: Container[str] | None) -> dict[str, NDArray[Any]]:
+    """The arrays of an open archive of `size` bytes; ArrayFileError, or an error of zipfile's own, says what is wrong."""
     entries = archive.infolist()
     if len(entries) > MEMBERS:
         raise ArrayFileError(f"has {len(entries):,} arrays, more than {MEMBERS:,}")
@@ -58,7 +59,8 @@ def _members(archive: zipfile.ZipFile, size: int) -> dict[str, NDArray[Any]]:
             raise ArrayFileError(f"has two arrays `{name}`")
         if entry.compress_type != zipfile.ZIP_STORED or entry.flag_bits & 0x1 or entry.compress_size != entry.file_size:
             raise ArrayFileError(f"has a compressed or locked array `{name}`")
-        found[name] = parse_npy(archive.read(entry), name)  # read compares the checksum
+        if only is None or name in only:
+            found[name] = parse_npy(archive.read(entry), name)  # read compares the checksum
     return found
 
 

@@ -72,8 +72,9 @@ class Agent:
         self.values: dict[ir.Node, Any] = {}
         self.watch: Callable[[str, Span | None, ir.Node], None] | None = None
 
-    def run(self, block: str) -> None:
-        tree: ir.Block = getattr(self.population.plan, block)
+    def run(self, block: str, plan: ir.SpeciesPlan | None = None) -> None:
+        """Run a block; of another plan of the same species, if one is given."""
+        tree: ir.Block = getattr(plan or self.population.plan, block)
         self.block, self.values, self.early = block, {}, _early(tree)
         self._block(tree, ())
 
@@ -330,13 +331,14 @@ def operands_of(
             for name in ("born",) if block == "born" else BLOCKS:
                 agent.run(name)
                 if name == "decide":
-                    _with_winnings(agent, population)
+                    with_winnings(agent, population)
         except FaultMet as met:
             return _culprit(agent, met.node)
     return ()
 
 
-def _with_winnings(agent: Agent, population: Population) -> None:
+def with_winnings(agent: Agent, population: Population) -> None:
+    """Give an agent that is run again what the world has settled of its claims."""
     for claim in agent.effects.claims:
         won = bool(population.now[claim.statement.won][agent.row])
         agent.now[claim.statement.won][0] = won

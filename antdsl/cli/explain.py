@@ -1,0 +1,51 @@
+"""`antdsl explain CACHE --agent ID --frame N`: why an agent did what it did."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from antdsl.cli.exits import Exit, Stop
+
+
+def explain(
+    cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
+    agent: int = typer.Option(..., "--agent", metavar="ID", min=0, help="The agent's id."),
+    frame: int = typer.Option(..., "--frame", metavar="N", help="The frame that the step led to."),
+    species: str = typer.Option(None, "--species", metavar="NAME", help="Its species, where the scene has several."),
+    scene: Path = typer.Option(None, "--scene", metavar="FILE", help="The scene, where it is not near the cache."),
+    root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
+    json: bool = typer.Option(False, "--json", help="Print it as JSON."),
+) -> None:
+    """Say why an agent did what it did in a frame: each change looked at, each layer's push, what it sensed and drew."""
+    from antdsl.cli.arguments import grants
+    from antdsl.cli.reports import demand
+    from antdsl.cli.run import cores
+    from antdsl.explain import ExplainError, as_json, tell
+    from antdsl.explain import explain as explained
+    from antdsl.outputs.cache import CacheError, open_cache
+    from antdsl.outputs.manifest import ManifestError
+    from antdsl.runtime import BindError
+
+    try:
+        found = explained(
+            open_cache(cache), agent, frame, species=species, scene=scene, grants=grants(root), threads=cores()
+        )  # fmt: skip
+    except ManifestError as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
+    except CacheError as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes it again") from None
+    except BindError as why:
+        demand(why.report)
+        raise Stop(Exit.FINDINGS) from None
+    except ExplainError as why:
+        if why.report is not None:
+            demand(why.report)
+        raise Stop(Exit.USAGE if why.usage else Exit.FINDINGS, f"error: {why}", f"help: {why.help}" if why.help else "") from None
+    if json:
+        from json import dumps
+
+        typer.echo(dumps(as_json(found), indent=1, ensure_ascii=False, allow_nan=False))
+        return
+    typer.echo(tell(found), nl=False)

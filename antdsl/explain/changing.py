@@ -1,0 +1,79 @@
+"""What a step did to an agent: its attributes and memories before and after, and what it asked of the rest of the world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from antdsl.explain.model import Changed
+from antdsl.explain.tracing import Trace
+from antdsl.explain.values import in_unit, said, triple, value
+from antdsl.plan.ir import Register
+from antdsl.program.model import Dim, Kind, Species, Type
+from antdsl.program.units import unit_of
+from antdsl.runtime.effects import Effects
+from antdsl.runtime.world import AXES, Population, World
+
+_VECTORS = {"position": "mm", "velocity": "mm/s", "heading": "", "up": ""}
+
+
+def changes(world: World, population: Population, species: Species, trace: Trace, agent: int) -> tuple[Changed, ...]:
+    """Registers that are kept and changed, in the order of the program; `world` is that after the step. Empty for the dead."""
+    row = int(population.rows_of(np.array([agent]))[0])
+    return () if row < 0 else tuple(_changes(world, population, species, trace, row))
+
+
+def _changes(world: World, population: Population, species: Species, trace: Trace, row: int) -> Iterator[Changed]:
+    types = {a.name: a.type for a in species.attributes}
+    for name, register in population.plan.registers.items():
+        if register.role == "temp" or name.endswith((".y", ".z", ".next")):
+            continue
+        stem = name.removesuffix(".x")
+        memory = register.role == "memory"
+        if name.endswith(".x") and f"{stem}.y" in population.plan.registers:
+            both = [[a[f"{stem}.{axis}"] for axis in AXES] for a in (trace.before, _row(population, stem, row))]
+            if any(x != y for x, y in zip(*both, strict=True)):
+                yield _vector(world, stem, both, types.get(stem), memory)
+            continue
+        before, after = trace.before[name], population.now[name][row]
+        if before != after:
+            type = types.get(name) or _type(name, register, species)
+            unit = unit_of(type.dim) if type.kind is Kind.NUMBER else ""
+            told = [(value(world, each, type, unit), said(world, each, type, unit)) for each in (before, after)]
+            yield Changed(name, told[0][0], told[1][0], unit, (told[0][1], told[1][1]), memory)
+
+
+def _row(population: Population, stem: str, row: int) -> dict[str, Any]:
+    return {f"{stem}.{axis}": population.now[f"{stem}.{axis}"][row] for axis in AXES}
+
+
+def _vector(world: World, name: str, both: list[list[Any]], type: Type | None, memory: bool) -> Changed:
+    unit = _VECTORS.get(name, unit_of(type.dim) if type is not None else "")
+    origin = world.origin if name == "position" else (0.0, 0.0, 0.0)  # registers are relative to it
+    before, after = (triple(in_unit(world, float(x) + o, unit) for x, o in zip(vector, origin, strict=True)) for vector in both)
+    shown = [f"({', '.join(f'{x:.4g}' for x in vector)}) {unit}".strip() for vector in (before, after)]
+    return Changed(name, before, after, unit, (shown[0], shown[1]), memory)
+
+
+def _type(name: str, register: Register, species: Species) -> Type:
+    """The type of a register that no attribute declares: a machine's, or a memory."""
+    machine, _, part = name.partition(".")
+    if part in ("state", "previous") and any(m.name == machine for m in species.machines):
+        return Type(Kind.STATE, of=f"{species.name}.{machine}")
+    if part == "time_in_state":
+        return Type(Kind.NUMBER, Dim(time=1))
+    return Type(Kind.AGENT, of=register.of) if register.of else Type(Kind.NUMBER)
+
+
+def did(effects: Effects) -> tuple[str, ...]:
+    """What it asked of the world, in words: deposits, gifts, digging, calls, births and its death."""
+    found = [f"deposit {entry.field} {float(entry.amount[0]):.4g}" for entry in effects.deposits if float(entry.amount[0])]
+    found += [f"give {entry.statement.own} {float(entry.amount[0]):.4g} to {entry.statement.items}" for entry in effects.gives]
+    found += [f"carve {entry.statement.solid}, radius {float(entry.radius[0]):.4g} mm" for entry in effects.carves]
+    found += [f"emit {e.event}" + ("" if e.within is None else f" within {float(e.within[0]):.4g} mm") for e in effects.emits]
+    found += [f"spawn {entry.species}" for entry in effects.spawns]
+    found += ["die"] if effects.deaths else []
+    found += [f"a value for `{entry.register}` was no number and was refused" for entry in effects.faults]
+    return tuple(found)

@@ -1,0 +1,97 @@
+"""What a machine did in a step: every transition looked at in its order, what won, what was claimed, what was drawn for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.explain.model import Choice, Claim, Looked, MachineStep
+from antdsl.explain.tracing import Trace
+from antdsl.explain.values import part, place, timer
+from antdsl.plan.ir import MachinePlan
+from antdsl.plan.noting import ChangeNote, ChoiceNote, Notes
+from antdsl.program import model
+from antdsl.runtime import randomness
+from antdsl.runtime.effects import ClaimEntry
+from antdsl.runtime.world import Population, World
+
+
+def machine_step(world: World, population: Population, machine: MachinePlan, notes: Notes, trace: Trace) -> MachineStep:
+    """One machine of an agent, `world` in the step to be explained: still as it was when the step began."""
+    before = int(trace.before[f"{machine.name}.state"])
+    after = int(trace.now[f"{machine.name}.state"])
+    mine = [n for n in notes.changes if n.machine == machine.name and n.state.index == before]
+    winner = int(trace.now[f"~{machine.name}.pending"]) if mine else 0
+    won = next((note for note in mine if note.number == winner), None)
+    claim = _claim(world, population, won, trace) if won is not None and won.transition.take is not None else None
+    changed = won is not None and (claim is None or claim.won)
+    choice = notes.choices.get(won.transition.key) if won is not None and changed else None
+    return MachineStep(
+        machine.name,
+        machine.states[before],
+        machine.states[after],
+        float(trace.before[f"{machine.name}.time_in_state"]),
+        tuple(_looked(world, machine, note, winner, trace) for note in mine),
+        changed,
+        claim,
+        None if choice is None else _choice(machine, choice, trace, after),
+    )
+
+
+def _looked(world: World, machine: MachinePlan, note: ChangeNote, winner: int, trace: Trace) -> Looked:
+    t = note.transition
+    kind = "interrupt" if t.interrupt else "from any" if f".{model.ANYWHERE}->" in t.key else "when"
+    return Looked(
+        place(t.span),
+        kind,
+        _target(machine, t),
+        part(world, note.condition, trace.values),
+        note.holds is None or bool(trace.values[note.holds]),
+        tuple(timer(each, trace.values) for each in note.timers),
+        part(world, note.take, trace.values),
+        bool(trace.values[note.fires]),
+        note.number == winner,
+    )
+
+
+def _target(machine: MachinePlan, t: model.Transition) -> str:
+    if t.previous:
+        return "previous"
+    if t.choices:
+        return " | ".join(machine.states[index] for index, _ in t.choices)
+    return machine.states[t.target] if t.target is not None else "the same"
+
+
+def _claim(world: World, population: Population, won: ChangeNote, trace: Trace) -> Claim | None:
+    entry = next((each for each in trace.claims if each.statement.site == won.transition.key), None)
+    if entry is None:
+        return None
+    statement = entry.statement
+    names = world.items[statement.items].names
+    item = int(entry.item[0])
+    return Claim(
+        statement.items,
+        names[item] if 0 <= item < len(names) else "none",
+        statement.attribute,
+        float(entry.amount[0]),
+        _turn(world, population, entry, trace.row),
+        bool(population.now[statement.won][trace.row]),
+        place(won.transition.take.span if won.transition.take is not None else won.transition.span),
+    )
+
+
+def _turn(world: World, population: Population, entry: ClaimEntry, row: int) -> float:
+    """The draw that says when its claim is served, from 0 to 1."""
+    ids = population.ids[row : row + 1]
+    words = randomness.words(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)
+    return float(words[0][0]) / float(np.uint64(1) << np.uint64(32))
+
+
+def _choice(machine: MachinePlan, note: ChoiceNote, trace: Trace, after: int) -> Choice | None:
+    if note.draw not in trace.values:
+        return None
+    total = sum(float(trace.values[node]) for _, node in note.weights)
+    bars, sum_so_far = [], 0.0
+    for index, node in note.weights:
+        sum_so_far += float(trace.values[node])
+        bars.append((machine.states[index], sum_so_far / total if total > 0 else 0.0))
+    return Choice(float(trace.values[note.draw]), tuple(bars), machine.states[after])

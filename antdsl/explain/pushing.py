@@ -1,0 +1,67 @@
+"""What the layers gave: each wish, what strength was left for it, what was cut. The sums are those of the step, in float32."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.explain.model import Layer, Steer
+from antdsl.explain.tracing import Trace
+from antdsl.explain.values import part, place, triple
+from antdsl.plan.noting import LayerNote, Notes
+from antdsl.runtime.world import AXES, World
+
+_F = np.float32
+Push = NDArray[np.float32]
+
+
+def layers(world: World, mode: str, notes: Notes, trace: Trace) -> tuple[Layer, ...]:
+    """The layers in the order in which they were asked."""
+    with np.errstate(all="ignore"):
+        return tuple(_layer(world, mode, note, trace) for note in notes.layers)
+
+
+def _layer(world: World, mode: str, note: LayerNote, trace: Trace) -> Layer:
+    where, left = place(note.layer.span, note.layer.text), float(trace.values.get(note.left, 0.0))
+    nothing = (0.0, 0.0, 0.0)
+    if not trace.values.get(note.looked, False):
+        return Layer(where, "no strength", None, left, None, 0.0, nothing, 0.0, 0.0)
+    condition = part(world, note.condition, trace.values)
+    if not trace.values.get(note.holds, False):
+        return Layer(where, "off", condition, left, None, 0.0, nothing, 0.0, 0.0)
+    push = np.array([trace.values[node] for node in note.push], _F)
+    size = length(push)
+    given = _given(mode, push, size, _F(left))
+    had = float(length(given))
+    state = "pushed" if size > 0 else "nothing"
+    return Layer(where, state, condition, left, triple(push), float(size), triple(given), had, max(float(size) - had, 0.0))
+
+
+def _given(mode: str, push: Push, size: np.float32, left: np.float32) -> Push:
+    """A layer's part of the push: whole in a sum; cut to what is left, or to 1 where the first takes all."""
+    if mode == "sum":
+        return push
+    most = left if mode == "budget" else _F(1)
+    return push * (most / size if size > most else _F(1))
+
+
+def length(push: Push) -> np.float32:
+    """The length of a vector, in the order of operations of the plan."""
+    x, y, z = push
+    found: np.float32 = np.sqrt((x * x + y * y) + z * z)
+    return found
+
+
+def pushed(trace: Trace) -> Push:
+    """What all layers together gave: the register that moves the agent."""
+    return np.array([trace.now[f"push.{axis}"] for axis in AXES], _F)
+
+
+def steers(species: str, notes: Notes, trace: Trace, places: tuple[str, ...]) -> tuple[Steer, ...]:
+    """The `steer` lines at these places (beginnings of sites) that ran."""
+    found = []
+    for note in notes.steers:
+        if note.site.startswith(places) and all(node in trace.values for node in note.push):
+            push = np.array([trace.values[node] for node in note.push], _F)
+            found.append(Steer(note.text, triple(push), float(length(push))))
+    return tuple(found)

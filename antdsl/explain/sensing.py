@@ -1,0 +1,84 @@
+"""What an agent looked at in a step: others and items near it, fields where it stood, rays, curves, flows, draws."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from antdsl.explain.model import Draw, Near, Seen, Sense
+from antdsl.explain.tracing import Trace
+from antdsl.plan.ir import Node
+from antdsl.runtime.backends.reference import Member
+from antdsl.runtime.world import Population, World
+
+MOST = 10  # others told of a set
+
+
+def seen(world: World, trace: Trace) -> tuple[Seen, ...]:
+    """The sets that were looked through, each once, in the order in which they were asked."""
+    found: dict[tuple[str, tuple[int, ...]], Seen] = {}
+    for node, members in trace.sets.items():
+        nearest = sorted(members, key=lambda m: (float(m[4]), m[0]))
+        of = str(node.attrs[0])
+        key = (of, tuple(m[0] for m in nearest))
+        if key not in found:
+            near = tuple(_near(world, node, member) for member in nearest[:MOST])
+            found[key] = Seen(_text(node), of, len(members), near)
+    return tuple(found.values())
+
+
+def _near(world: World, node: Node, member: Member) -> Near:
+    row, distance, of = member[0], float(member[4]), str(node.attrs[0])
+    if node.op == "set.items":
+        items = world.items[of]
+        amounts = ", ".join(f"{name} {float(items.seen[name][row]):.4g}" for name in items.amounts)
+        return Near(items.names[row], distance, amounts)
+    population = world.populations[of]
+    machines = population.plan.machines
+    state = machines[0].states[int(population.start[f"{machines[0].name}.state"][row])] if machines else ""
+    return Near(str(int(population.ids[row])), distance, state)
+
+
+def fields(world: World, population: Population, row: int) -> tuple[tuple[str, float], ...]:
+    """Every field where the agent stood as the step began."""
+    rows = np.array([row])
+    return tuple((name, float(field.sample(population.cells[name][rows])[0])) for name, field in world.fields.items())
+
+
+def senses(trace: Trace) -> tuple[Sense, ...]:
+    """The senses of the place that were asked."""
+    return tuple(
+        sense for node, value in sorted(trace.senses.items(), key=lambda pair: pair[0].number) for sense in _sense(node, value)
+    )
+
+
+def _sense(node: Node, value: Any) -> Iterator[Sense]:
+    kind, _, what = node.op.partition(".")
+    values = tuple(bool(v) if isinstance(v, np.bool_) else float(v) for v in (value if isinstance(value, tuple) else (value,)))
+    if node.op in ("ray", "obstacle.near"):
+        words = f"hit at {values[1]:.4g} mm" if values[0] else "nothing"
+    elif node.op == "field.strongest":
+        words = f"strongest {values[0]:.4g}"
+    elif len(values) == 1:
+        words = f"{values[0]:.4g}"
+    elif node.op == "curve.closest":
+        words = f"{values[0]:.4g} mm away"
+    else:
+        words = f"({', '.join(f'{v:.4g}' for v in values)})"
+    yield Sense(f"{kind} {what}".strip(), str(node.attrs[0]), _text(node), words, values)
+
+
+def draws(trace: Trace) -> tuple[Draw, ...]:
+    """The random numbers, by site."""
+    found = []
+    for node, value in trace.draws.items():
+        index = node.attrs[1] if node.op == "draw" else 0
+        site = str(node.attrs[0]) + (f"[{index}]" if index else "")
+        found.append(Draw(site, _text(node), float(value)))
+    return tuple(sorted(found, key=lambda draw: draw.site))
+
+
+def _text(node: Node) -> str:
+    return "" if node.span is None else " ".join(node.span.text.split())[:120]

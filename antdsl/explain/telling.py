@@ -1,0 +1,203 @@
+"""An explanation as text for people: one block after the other, what decided first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+from antdsl.explain.model import Explanation, Layer, Looked, MachineStep, Part, Seen, Stretch, Triple
+
+_BAR = 20  # characters for the whole budget
+_STRETCHES = 12  # of a long life, those about the frame asked for
+_DRAWS = 40
+
+
+def tell(e: Explanation) -> str:
+    """All of it, as lines."""
+    return "\n".join(_lines(e)) + "\n"
+
+
+def _lines(e: Explanation) -> Iterator[str]:
+    yield f"{e.species} {e.agent}, the step to frame {e.frame} of {e.scene}"
+    yield from (f"note: {note}" for note in e.notes)
+    if e.strip:
+        yield ""
+        yield from _strip(e.strip, e.frame)
+    for machine in e.machines:
+        yield ""
+        yield from _machine(machine)
+    if e.handlers:
+        yield ""
+        yield "events that reached it"
+        yield from (f"  {each.text}  ({each.file}:{each.line})" for each in e.handlers)
+    yield ""
+    yield from _pushes(e)
+    yield from _around(e)
+    yield from _after(e)
+
+
+def _strip(strip: tuple[Stretch, ...], frame: int) -> Iterator[str]:
+    """States over frames, the one of this frame in brackets."""
+    at = next((k for k, s in enumerate(strip) if s.first <= frame <= s.last), len(strip) - 1)
+    first = max(0, min(at - _STRETCHES // 2, len(strip) - _STRETCHES))
+    part = strip[first : first + _STRETCHES]
+    words = []
+    for k, stretch in enumerate(part, first):
+        name = stretch.state or "alive"
+        frames = f"{stretch.first}..{stretch.last}" if stretch.first != stretch.last else f"{stretch.first}"
+        words.append(f"[{name} {frames}]" if k == at else f"{name} {frames}")
+    before, after = "… > " if first else "", " > …" if first + _STRETCHES < len(strip) else ""
+    yield "its states"
+    yield f"  {before}{' > '.join(words)}{after}"
+    gaps = [f"{a.last + 1}..{b.first - 1}" for a, b in pairwise(part) if b.first > a.last + 1]
+    if gaps:
+        yield f"  not in the cache: {', '.join(gaps)}"
+
+
+# --- deciding --------------------------------------------------------------------------------------------------------
+
+
+def _machine(m: MachineStep) -> Iterator[str]:
+    head = "" if m.machine == "main" else f"{m.machine}: "
+    if m.before != m.after or m.changed:
+        yield f"{head}{m.before} -> {m.after}, after {m.since:.4g} s"
+    else:
+        yield f"{head}stays in {m.after}, since {m.since:.4g} s"
+    if not m.looked:
+        yield "  no change leads out of it"
+    hidden = False
+    for looked in m.looked:
+        yield from _looked(looked, hidden)
+        hidden = hidden or looked.wins
+    if m.claim is not None:
+        verdict = "won" if m.claim.won else "lost: others came first, or there was not enough"
+        yield f"  asked for {m.claim.amount:.4g} {m.claim.attribute} of {m.claim.item} (turn {m.claim.draw:.4f}): {verdict}"
+    if m.choice is not None:
+        bars = ", ".join(f"{name} up to {bar:.4g}" for name, bar in m.choice.bars)
+        yield f"  drew {m.choice.draw:.4f} among {bars}: {m.choice.chosen}"
+
+
+def _looked(looked: Looked, hidden: bool) -> Iterator[str]:
+    word = "wins" if looked.wins else ("holds too" if hidden else "holds") if looked.fires else "no"
+    yield f"  {word:<9} {looked.place.text}  ({looked.place.file}:{looked.place.line})"
+    if looked.condition is not None:
+        whole = looked.condition
+        for part in whole.parts if whole.parts and not looked.timers else (whole,):  # whether it holds is said already
+            yield from _parts(part, "            ")
+    for timer in looked.timers:
+        sign = "has passed" if timer.holds else "has not passed"
+        yield f"            {timer.what}: {timer.has:.4g} of {timer.needs:.4g} {timer.unit}, {sign}"
+    if looked.take is not None:
+        yield f"            from: {looked.take.shown}"
+
+
+def _parts(part: Part, indent: str) -> Iterator[str]:
+    """A part and those within it; of one that only asks whether the other is there, the other."""
+    if len(part.parts) == 1 and part.parts[0].text == part.text:
+        part = part.parts[0]
+    yield f"{indent}{part.text} = {part.shown}" if not part.role else f"{indent}{part.role}: {part.shown}"
+    for inner in part.parts:
+        yield from _parts(inner, indent + "  ")
+
+
+# --- pushing ---------------------------------------------------------------------------------------------------------
+
+
+def _pushes(e: Explanation) -> Iterator[str]:
+    yield {
+        "budget": "layers, from the top until the strength is spent",
+        "sum": "layers, added",
+        "first": "layers, the first takes all",
+    }[e.mode]
+    for layer in e.layers:
+        yield f"  {_bar(layer)} {layer.place.text}  ({layer.place.file}:{layer.place.line})"
+        yield f"  {'':<{_BAR + 2}} {_layer(layer)}"
+        if layer.condition is not None:
+            yield from _parts(layer.condition, " " * (_BAR + 7))
+    for steer in e.steers:
+        yield f"  {'':<{_BAR + 2}} state: {steer.text} = {_vector(steer.push)}, length {steer.length:.4g}"
+    yield f"  together  {_vector(e.push)}, length {_length(e.push):.4g}"
+    before, after = e.velocity
+    if after is not None and e.acceleration is not None:
+        yield (
+            f"  velocity  {_vector(before)} -> {_vector(after)} mm/s, speed {_length(before):.4g} -> {_length(after):.4g} mm/s"
+        )
+        yield f"  so        {_vector(e.acceleration)} mm/s^2 in this step"
+
+
+def _bar(layer: Layer) -> str:
+    """What it got of the whole strength, after what was spent before it."""
+    had = round(min(layer.share, 1.0) * _BAR)
+    if layer.share > 0:
+        had = max(had, 1)
+    spent = min(round((1 - min(layer.left, 1.0)) * _BAR), _BAR - had)
+    return f"[{'.' * spent}{'#' * had}{' ' * (_BAR - spent - had)}]"
+
+
+def _layer(layer: Layer) -> str:
+    match layer.state:
+        case "no strength":
+            return "not asked: no strength is left"
+        case "off":
+            return "off: its condition does not hold"
+        case "nothing":
+            return "no push"
+    words = f"push {_vector(layer.push or layer.given)}, length {layer.length:.4g}"
+    if layer.cut > 0:
+        return f"{words}; got {layer.share:.4g}, cut by {layer.cut:.4g}"
+    return f"{words}; got all of it"
+
+
+def _vector(vector: Triple) -> str:
+    return f"({', '.join(f'{x + 0.0:.4g}' for x in vector)})"
+
+
+def _length(vector: Triple) -> float:
+    return sum(x * x for x in vector) ** 0.5
+
+
+# --- around ----------------------------------------------------------------------------------------------------------
+
+
+def _around(e: Explanation) -> Iterator[str]:
+    if e.seen:
+        yield ""
+        yield "looked at"
+        for group in e.seen:
+            yield from _seen(group)
+    if e.fields:
+        yield ""
+        yield "fields where it stood"
+        yield from (f"  {name} = {value:.4g}" for name, value in e.fields)
+    if e.senses:
+        yield ""
+        yield "felt"
+        yield from (f"  {sense.kind} {sense.name}: {sense.shown}  ({sense.text})" for sense in e.senses)
+    if e.draws:
+        yield ""
+        yield "drew"
+        yield from (f"  {draw.value:.6f}  {draw.site}" for draw in e.draws[:_DRAWS])
+        if len(e.draws) > _DRAWS:
+            yield f"  and {len(e.draws) - _DRAWS} more"
+
+
+def _seen(group: Seen) -> Iterator[str]:
+    yield f"  {group.count} {group.of}: {group.asked}"
+    for near in group.nearest:
+        about = f", {near.about}" if near.about else ""
+        yield f"    {near.name} at {near.distance:.4g} mm{about}"
+    if group.count > len(group.nearest):
+        yield f"    and {group.count - len(group.nearest)} more"
+
+
+def _after(e: Explanation) -> Iterator[str]:
+    if e.did:
+        yield ""
+        yield "did"
+        yield from (f"  {each}" for each in e.did)
+    if e.changes:
+        yield ""
+        yield "changed"
+        yield from (f"  {each.name}: {each.shown[0]} -> {each.shown[1]}" for each in e.changes if not each.memory)
+        memories = [each for each in e.changes if each.memory]
+        yield from (f"  {each.name}: {each.shown[0]} -> {each.shown[1]} (memory)" for each in memories)

@@ -1,0 +1,129 @@
+"""One agent's step, run by the reference backend with an eye on it: what it found for every note, its draws, sets and senses.
+
+It runs beside the step itself, on copies of its registers: nothing in the world changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from antdsl.plan import ir
+from antdsl.plan.noting import ChangeNote, LayerNote, Notes, PartNote
+from antdsl.runtime.backends.reference import BLOCKS, Agent, Member, with_winnings
+from antdsl.runtime.effects import ClaimEntry, Effects
+from antdsl.runtime.reading import places
+from antdsl.runtime.world import DTYPES, Population, World
+
+FELT = frozenset(
+    ("ray", "obstacle.near", "field.value", "field.strongest", "field.gradient", "curve.closest", "flow.value", "map.value")
+)
+_DRAWN = frozenset(("draw", "draw.agent"))
+
+
+@dataclass(slots=True, eq=False)
+class Trace:
+    """What happened. `values`: of noted nodes; `before` and `now`: registers as the step began, and as the blocks left them.
+    `claims` are those asked, in text order."""
+
+    row: int
+    before: dict[str, Any]
+    now: dict[str, Any]
+    values: dict[ir.Node, Any] = field(default_factory=dict)
+    sets: dict[ir.Node, list[Member]] = field(default_factory=dict)
+    senses: dict[ir.Node, Any] = field(default_factory=dict)
+    draws: dict[ir.Node, Any] = field(default_factory=dict)
+    claims: list[ClaimEntry] = field(default_factory=list)
+    effects: Effects = field(default_factory=Effects)
+
+
+class TracedAgent(Agent):
+    """An agent that keeps the values of notes at the time they count."""
+
+    def __init__(
+        self, world: World, population: Population, plan: ir.SpeciesPlan, row: int, now: dict[str, Any], notes: Notes
+    ) -> None:
+        super().__init__(world, population, row, now, 0, Effects(), places(plan))
+        self.plan, self.notes = plan, notes
+        self.trace = Trace(row, {name: array[0] for name, array in now.items()}, {})
+
+    def run_all(self) -> Trace:
+        """The blocks of a step in their order; claims are won as the world has settled them."""
+        for block in BLOCKS:
+            self.run(block, self.plan)
+            if block == "decide":
+                self.trace.claims = list(self.effects.claims)
+                with_winnings(self, self.population)
+            self._collect(block)
+        self.trace.now = {name: array[0] for name, array in self.now.items()}
+        self.trace.effects = self.effects
+        return self.trace
+
+    def _store(self, s: ir.Store) -> None:
+        super()._store(s)
+        machine = s.register.removeprefix("~").removesuffix(".pending")
+        if s.register == f"~{machine}.pending":
+            state = int(self.trace.before[f"{machine}.state"])
+            for note in self.notes.changes:
+                if note.machine == machine and note.state.index == state:
+                    for node in of_change(note):
+                        self.trace.values[node] = self.value(node)
+
+    def _members(self, node: ir.Node) -> list[Member]:
+        self.trace.sets[node] = super()._members(node)
+        return self.trace.sets[node]
+
+    def _collect(self, block: str) -> None:
+        """What has been computed on the way, and no more than that: a layer that got no strength felt nothing."""
+        for node, value in self.values.items():
+            if node.op in FELT:
+                self.trace.senses[node] = value
+            elif node.op in _DRAWN:
+                self.trace.draws[node] = value
+        if block == "act":
+            steers = [node for note in self.notes.steers for node in note.push]
+            chosen = [node for note in self.notes.choices.values() for node in (note.draw, *(n for _, n in note.weights))]
+            self._keep([*steers, *chosen])
+        elif block == "blend":
+            self._keep([node for note in self.notes.layers for node in of_layer(note)])
+
+    def _keep(self, nodes: list[ir.Node]) -> None:
+        for node in nodes:
+            if node in self.values:
+                self.trace.values[node] = self.values[node]
+            elif node.rate <= ir.Rate.STEP:
+                self.trace.values[node] = self.value(node)
+
+
+def traced(world: World, population: Population, plan: ir.SpeciesPlan, row: int, notes: Notes) -> Trace:
+    """What the agent of a row does in the step under way, whose blocks have run and whose effects have not.
+
+    `plan` and `notes` come from lowering the same program again, with notes."""
+    now = {}
+    for name, register in plan.registers.items():
+        if register.role == "temp":
+            now[name] = np.full(1, register.zero, DTYPES[register.kind])
+        else:
+            now[name] = population.start[name][row : row + 1].copy()
+    with np.errstate(all="ignore"):
+        return TracedAgent(world, population, plan, row, now, notes).run_all()
+
+
+def of_part(note: PartNote | None) -> list[ir.Node]:
+    """All nodes of a noted part."""
+    if note is None:
+        return []
+    return [*note.nodes, *(node for part in note.parts for node in of_part(part))]
+
+
+def of_change(note: ChangeNote) -> list[ir.Node]:
+    """All nodes of a noted transition."""
+    timers = [node for timer in note.timers for node in (timer.has, timer.needs, timer.holds)]
+    own = [note.fires] if note.holds is None else [note.fires, note.holds]
+    return [*own, *timers, *of_part(note.condition), *of_part(note.take)]
+
+
+def of_layer(note: LayerNote) -> list[ir.Node]:
+    """All nodes of a noted layer."""
+    return [note.left, note.looked, note.holds, *note.push, *of_part(note.condition)]

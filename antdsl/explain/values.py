@@ -1,0 +1,78 @@
+"""Values of nodes as an author would write them: parts of conditions, timers, vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from antdsl.explain.model import Part, Place, Timer, Triple, Value
+from antdsl.plan.ir import Node
+from antdsl.plan.noting import PartNote, TimerNote
+from antdsl.program.model import Kind, Type
+from antdsl.program.units import measure
+from antdsl.runtime.world import World
+from antdsl.source import Span
+from antdsl.specs.values import shown
+
+Values = Mapping[Node, Any]
+_LONG = 160
+
+
+def place(span: Span, text: str | None = None) -> Place:
+    """Where a stretch of text stands; long text is cut."""
+    line = " ".join((text or span.text).split())
+    return Place(
+        line if len(line) <= _LONG else line[: _LONG - 1] + "…", span.source.path, span.source.line_column(span.start)[0]
+    )
+
+
+def triple(parts: Any) -> Triple:
+    x, y, z = (float(part) for part in parts)
+    return x, y, z
+
+
+def part(world: World, note: PartNote | None, values: Values) -> Part | None:
+    """A noted part with what it was worth."""
+    if note is None or any(node not in values for node in note.nodes):
+        return None
+    inner = tuple(found for each in note.parts if (found := part(world, each, values)) is not None)
+    if len(note.nodes) == 3:
+        vector = triple(in_unit(world, values[node], note.unit) for node in note.nodes)
+        words = f"({', '.join(f'{x:.4g}' for x in vector)}) {note.unit}".strip()
+        return Part(note.text, vector, note.unit, words, note.role, inner)
+    raw = values[note.nodes[0]]
+    return Part(
+        note.text, value(world, raw, note.type, note.unit), note.unit, said(world, raw, note.type, note.unit), note.role, inner
+    )
+
+
+def said(world: World, raw: Any, type: Type, unit: str) -> str:
+    """A value as one would write it; what has the kind of a truth by now is said as one, whatever its declared kind."""
+    if isinstance(raw, np.bool_ | bool):
+        type = Type(Kind.BOOL)
+    elif type.kind is Kind.BOOL:
+        type = Type(Kind.NUMBER)
+    return shown(world, raw, type, unit)
+
+
+def value(world: World, raw: Any, type: Type, unit: str) -> Value:
+    """A value for programs: a number in its unit, a truth, or a name."""
+    if isinstance(raw, np.bool_ | bool):
+        return bool(raw)
+    if type.kind in (Kind.STATE, Kind.ITEM, Kind.AGENT):
+        return said(world, raw, type, unit)
+    return float(in_unit(world, raw, unit))
+
+
+def in_unit(world: World, raw: Any, unit: str) -> float:
+    """A number of base units in a unit."""
+    known = measure(unit) if unit else None
+    return float(raw) if known is None else float(raw) / (known.factor * world.setting.unit_mm**known.u * world.dt**known.step)
+
+
+def timer(note: TimerNote, values: Values) -> Timer:
+    """A noted timer with what it had and what it needed."""
+    unit = "steps" if note.what == "held" else "s"
+    return Timer(note.what, float(values[note.has]), float(values[note.needs]), unit, bool(values[note.holds]))
