@@ -10,11 +10,12 @@ import numpy as np
 
 from antdsl import plan
 from antdsl.explain.opening import ExplainError
-from antdsl.explain.tracing import Trace, traced
+from antdsl.explain.tracing import Trace, of_notes, traced
 from antdsl.outputs.cache import Cache
 from antdsl.outputs.cache_writer import read_checkpoint
+from antdsl.passes.hoist import hoist
 from antdsl.pipeline import Shot
-from antdsl.plan.ir import Plan
+from antdsl.plan.ir import Node, Plan
 from antdsl.plan.noting import Notes
 from antdsl.runtime import CheckpointError, Options, Population, World, bind, restore, state_hash, step
 from antdsl.runtime.phases import PHASES
@@ -51,13 +52,16 @@ class Replay:
         self._world: World | None = None
         self._checkpoint = 0
         self.notes: dict[str, Notes] = {}
+        self.became: dict[Node, Node] = {}  # noted nodes, and what stands for them in the plan
         self.plan = self._noted()
 
     def _noted(self) -> Plan:
-        """The plan before any pass, with notes: its blocks give the same bits as the plan that runs."""
+        """The plan with notes, after the one pass that moves last bits: its blocks give the same bits as the plan that runs."""
         scene, program = self.shot.scene, self.shot.program
         orders = {name: order for name in scene.model.layers if (order := layer_order(scene, program, name)[0]) is not None}
-        return plan.lower(program, orders=orders, notes=self.notes)[0]
+        noted = plan.lower(program, orders=orders, notes=self.notes)[0]
+        self.became = {node: node for notes in self.notes.values() for node in of_notes(notes)}
+        return hoist(noted, self.became)
 
     def begin(self, frame: int) -> World:
         """The world as the step to a frame begins: at the frame before."""
@@ -86,7 +90,9 @@ class Replay:
         row = int(population.rows_of(np.array([agent]))[0])
         if row < 0 or population.quarantined[row]:
             return None
-        return look(world, population, traced(world, population, self.plan.species[species], row, self.notes[species]))
+        return look(
+            world, population, traced(world, population, self.plan.species[species], row, self.notes[species], self.became)
+        )
 
     def _nearer(self, here: int, frame: int) -> bool:
         return any(here < point < frame for point in self.cache.checkpoints())

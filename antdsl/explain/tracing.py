@@ -4,6 +4,7 @@ It runs beside the step itself, on copies of its registers: nothing in the world
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -42,10 +43,17 @@ class TracedAgent(Agent):
     """An agent that keeps the values of notes at the time they count."""
 
     def __init__(
-        self, world: World, population: Population, plan: ir.SpeciesPlan, row: int, now: dict[str, Any], notes: Notes
+        self,
+        world: World,
+        population: Population,
+        plan: ir.SpeciesPlan,
+        row: int,
+        now: dict[str, Any],
+        notes: Notes,
+        became: Mapping[ir.Node, ir.Node],
     ) -> None:
         super().__init__(world, population, row, now, 0, Effects(), places(plan))
-        self.plan, self.notes = plan, notes
+        self.plan, self.notes, self.became = plan, notes, became
         self.trace = Trace(row, {name: array[0] for name, array in now.items()}, {})
 
     def run_all(self) -> Trace:
@@ -68,7 +76,7 @@ class TracedAgent(Agent):
             for note in self.notes.changes:
                 if note.machine == machine and note.state.index == state:
                     for node in of_change(note):
-                        self.trace.values[node] = self.value(node)
+                        self.trace.values[node] = self.value(self.became[node])
 
     def _members(self, node: ir.Node) -> list[Member]:
         self.trace.sets[node] = super()._members(node)
@@ -82,24 +90,30 @@ class TracedAgent(Agent):
             elif node.op in _DRAWN:
                 self.trace.draws[node] = value
         if block == "act":
-            steers = [node for note in self.notes.steers for node in note.push]
-            chosen = [node for note in self.notes.choices.values() for node in (note.draw, *(n for _, n in note.weights))]
-            self._keep([*steers, *chosen])
+            self._keep(of_acts(self.notes))
         elif block == "blend":
             self._keep([node for note in self.notes.layers for node in of_layer(note)])
 
     def _keep(self, nodes: list[ir.Node]) -> None:
         for node in nodes:
-            if node in self.values:
-                self.trace.values[node] = self.values[node]
-            elif node.rate <= ir.Rate.STEP:
-                self.trace.values[node] = self.value(node)
+            now = self.became[node]
+            if now in self.values:
+                self.trace.values[node] = self.values[now]
+            elif now.rate <= ir.Rate.STEP:
+                self.trace.values[node] = self.value(now)
 
 
-def traced(world: World, population: Population, plan: ir.SpeciesPlan, row: int, notes: Notes) -> Trace:
+def traced(
+    world: World,
+    population: Population,
+    plan: ir.SpeciesPlan,
+    row: int,
+    notes: Notes,
+    became: Mapping[ir.Node, ir.Node],
+) -> Trace:
     """What the agent of a row does in the step under way, whose blocks have run and whose effects have not.
 
-    `plan` and `notes` come from lowering the same program again, with notes."""
+    `plan` and `notes` come from lowering the same program again, with notes; `became` says what stands for a noted node."""
     now = {}
     for name, register in plan.registers.items():
         if register.role == "temp":
@@ -107,7 +121,7 @@ def traced(world: World, population: Population, plan: ir.SpeciesPlan, row: int,
         else:
             now[name] = population.start[name][row : row + 1].copy()
     with np.errstate(all="ignore"):
-        return TracedAgent(world, population, plan, row, now, notes).run_all()
+        return TracedAgent(world, population, plan, row, now, notes, became).run_all()
 
 
 def of_part(note: PartNote | None) -> list[ir.Node]:
@@ -127,3 +141,15 @@ def of_change(note: ChangeNote) -> list[ir.Node]:
 def of_layer(note: LayerNote) -> list[ir.Node]:
     """All nodes of a noted layer."""
     return [note.left, note.looked, note.holds, *note.push, *of_part(note.condition)]
+
+
+def of_acts(notes: Notes) -> list[ir.Node]:
+    """All nodes of what is noted of acting: `steer` lines and choices of a state."""
+    chosen = [node for note in notes.choices.values() for node in (note.draw, *(n for _, n in note.weights))]
+    return [*(node for note in notes.steers for node in note.push), *chosen]
+
+
+def of_notes(notes: Notes) -> list[ir.Node]:
+    """All nodes that are noted of a species."""
+    changes = [node for note in notes.changes for node in of_change(note)]
+    return [*changes, *of_acts(notes), *(node for note in notes.layers for node in of_layer(note))]

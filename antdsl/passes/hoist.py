@@ -17,9 +17,9 @@ from antdsl.plan.ir import Node, Plan, Rate
 _COMPONENTS = frozenset(("pair.x", "pair.y", "pair.z", "other"))
 
 
-def hoist(plan: Plan) -> Plan:
-    """The same plan with products and quotients of pairs in a better order."""
-    return rebuilt(plan, _make)
+def hoist(plan: Plan, watched: dict[Node, Node] | None = None) -> Plan:
+    """The same plan with products and quotients of pairs in a better order. `watched` as in `rebuilt`."""
+    return rebuilt(plan, _make, watched)
 
 
 def _make(b: Builder, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> Node | None:

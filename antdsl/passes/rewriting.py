@@ -37,27 +37,31 @@ def with_blocks(plan: Plan, change: Callable[[SpeciesPlan, Block], Block]) -> Pl
     return replace(plan, species=species)
 
 
-def rebuilt(plan: Plan, make: Make | None = None) -> Plan:
+def rebuilt(plan: Plan, make: Make | None = None, watched: dict[Node, Node] | None = None) -> Plan:
     """The same plan of nodes that are needed only, simplified, shared and numbered without gaps.
 
-    `make` may give another node for an operation of operands that are made anew already."""
+    `make` may give another node for an operation of operands that are made anew already. `watched`: nodes to be kept, in the plan
+    or beside it; each is told what it has become."""
     builder = Builder()
     new: dict[Node, Node] = {}
-    for node in needed(roots(plan)):
+    beside = {} if watched is None else watched
+    for node in needed([*roots(plan), *beside]):
         builder.span = node.span
         args = tuple(new[a] for a in node.args)
         other = make(builder, node.op, args, node.attrs) if make else None
         new[node] = other or builder(node.op, *args, attrs=node.attrs, kind=node.kind)
     changed = _carried(plan, new)
-    return _numbered(changed)
+    beside.update((node, new[node]) for node in beside)
+    return _numbered(changed, beside)
 
 
-def _numbered(plan: Plan) -> Plan:
+def _numbered(plan: Plan, beside: dict[Node, Node]) -> Plan:
     """Folding leaves nodes that nobody needs any more: make the list anew without them."""
     builder = Builder()
     new: dict[Node, Node] = {}
-    for node in needed(roots(plan)):
+    for node in needed([*roots(plan), *beside.values()]):
         new[node] = builder.intern(node.op, tuple(new[a] for a in node.args), node.attrs, node.kind, node.span)
+    beside.update((node, new[now]) for node, now in beside.items())
     return replace(_carried(plan, new), nodes=tuple(builder.nodes))
 
 

@@ -1,0 +1,157 @@
+"""A run whose every step is written down as it happens, to hold explanations against: what won, what pushed, what was drawn."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from antdsl.explain import Explanation, Replay, accounts, open_shot
+from antdsl.outputs.cache import Cache, open_cache
+from antdsl.outputs.recording import begin, record
+from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.runtime import Options, World, bind, randomness, state_hash
+from antdsl.runtime.phases import PHASES
+from antdsl.scene.values import FrameRange
+
+
+@dataclass
+class Fact:
+    """What one agent did, read off the arrays of the run itself."""
+
+    species: str
+    agent: int
+    frame: int
+    pending: dict[str, int]
+    states: dict[str, tuple[str, str]]
+    push: tuple[Any, ...]
+    before: tuple[Any, ...]  # velocity
+    draws: dict[tuple[str, int], np.float32]
+    after: tuple[Any, ...] | None = None
+    hash: str = ""
+
+
+def shot_of(scene: Path, last: int) -> Shot:
+    shot, report = open_scene(scene, Choices(frames=FrameRange(1, last)))
+    assert shot is not None, report.sorted()
+    return shot
+
+
+def cached(scene: Path, last: int, folder: Path) -> Cache:
+    """A cache as `antdsl run` writes it."""
+    for _ in record(begin(shot_of(scene, last), folder, Options(), resume=False, force=False)):
+        pass
+    return open_cache(folder)
+
+
+def facts(shot: Shot, pairs: int, monkeypatch: pytest.MonkeyPatch, seed: int) -> list[Fact]:
+    """Facts of some random agents in random frames, as many of those that change their state as of the others."""
+    drawn: list[tuple[str, str, int, Any, Any]] = []
+    words = randomness.words
+
+    def noted(seed: int, frame: int, species: str, site: str, block: int, ids: Any) -> Any:
+        found = words(seed, frame, species, site, block, ids)
+        drawn.append((species, site, block, np.array(ids), found))
+        return found
+
+    monkeypatch.setattr(randomness, "words", noted)
+    world, picks = bind(shot.plan, shot.setting, Options()), random.Random(seed)
+    steps = shot.frames.last - shot.frames.first
+    wanted = sorted(picks.choices(range(1, steps + 1), k=pairs))
+    found: list[Fact] = []
+    for number in range(1, steps + 1):
+        drawn.clear()
+        here: list[Fact] = []
+        for name, phase in PHASES:
+            if name == "effects":
+                for _ in range(wanted.count(number)):
+                    here.append(_fact(world, picks, drawn))
+            phase(world)
+        value = state_hash(world) if here else ""
+        for fact in here:
+            population = world.populations[fact.species]
+            row = int(population.rows_of(np.array([fact.agent]))[0])
+            fact.after = None if row < 0 else tuple(population.now[f"velocity.{axis}"][row] for axis in "xyz")
+            fact.hash = value
+        found += here
+    monkeypatch.undo()
+    return found
+
+
+def _fact(world: World, picks: random.Random, drawn: list[tuple[str, str, int, Any, Any]]) -> Fact:
+    population = picks.choice([p for p in world.populations.values() if len(p)])
+    machines = population.plan.machines
+    pending = {m.name: population.now.get(f"~{m.name}.pending") for m in machines}
+    changing = [row for p in pending.values() if p is not None for row in np.flatnonzero(p)]
+    row = int(picks.choice(changing)) if changing and picks.random() < 0.5 else picks.randrange(len(population))
+    agent = int(population.ids[row])
+    draws = {}
+    for species, site, block, ids, words in drawn:  # four draws of a site come from one run of the generator
+        at = np.flatnonzero(ids == agent)
+        if species == population.name and len(at):
+            for k, word in enumerate(words):
+                draws[site, 4 * block + k] = randomness.unit_floats(word)[at[0]]
+    return Fact(
+        population.name,
+        agent,
+        world.frame + 1,
+        {name: 0 if p is None else int(p[row]) for name, p in pending.items()},
+        {m.name: tuple(m.states[int(a[f"{m.name}.state"][row])] for a in (population.start, population.now)) for m in machines},
+        tuple(population.now[f"push.{axis}"][row] for axis in "xyz"),
+        tuple(population.start[f"velocity.{axis}"][row] for axis in "xyz"),
+        draws,
+    )  # fmt: skip
+
+
+def explanations(cache: Cache, scene: Path, found: list[Fact]) -> Iterator[tuple[Fact, Explanation]]:
+    replay = Replay(cache, open_shot(cache, scene))
+    for frame in sorted({fact.frame for fact in found}):
+        mine = [fact for fact in found if fact.frame == frame]
+        for fact, told in zip(mine, accounts(replay, frame, [(f.species, f.agent) for f in mine]), strict=True):
+            assert told is not None, fact
+            yield fact, told
+
+
+def differences(shot: Shot, fact: Fact, told: Explanation) -> list[str]:
+    """In what an explanation differs from what happened."""
+    wrong = [] if told.hash == fact.hash else ["hash"]
+    program = shot.program.species[fact.species]
+    for machine, step in zip(program.machines, told.machines, strict=True):
+        transitions = [t for state in machine.states for t in state.transitions]
+        number = fact.pending[machine.name]
+        won = [looked for looked in step.looked if looked.wins]
+        if number and [(w.place.line, w.fires) for w in won] != [
+            (transitions[number - 1].span.source.line_column(transitions[number - 1].span.start)[0], True)
+        ]:
+            wrong.append(f"{machine.name}: transition {number} won, not {won}")
+        if not number and (won or any(looked.fires for looked in step.looked)):
+            wrong.append(f"{machine.name}: nothing won, not {won}")
+        if (step.before, step.after) != fact.states[machine.name]:
+            wrong.append(f"{machine.name}: {fact.states[machine.name]}, not {step.before, step.after}")
+        if [looked.place.text for looked in step.looked] != [
+            " ".join(t.span.text.split()) for t in next(s for s in machine.states if s.name == step.before).transitions
+        ]:
+            wrong.append(f"{machine.name}: not all its transitions in their order")
+    if told.push != tuple(float(x) for x in fact.push):
+        wrong.append(f"push {fact.push}, not {told.push}")
+    if told.mode == "budget":
+        total = np.zeros(3, np.float32)
+        for layer in told.layers:
+            total = total + np.array(layer.given, np.float32)
+        if tuple(float(x) for x in total) != told.push:
+            wrong.append(f"the layers give {total}, not {told.push}")
+    if told.velocity[0] != tuple(float(x) for x in fact.before):
+        wrong.append("velocity before")
+    if fact.after is not None and told.velocity[1] != tuple(float(x) for x in fact.after):
+        wrong.append("velocity after")
+    for draw in told.draws:
+        site, _, index = draw.site.partition("[")
+        kept = fact.draws.get((site, int(index.rstrip("]") or 0)))
+        if kept is None or float(kept) != draw.value:
+            wrong.append(f"draw {draw.site}: {kept}, not {draw.value}")
+    return wrong
