@@ -22,7 +22,8 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part of a condition: `value` in `unit`, `shown` as one would write it. `role`: draw or bar of a `chance`, else empty."""
+    """A part of a condition: `value` in `unit`, `shown` as one would write it. `role`: draw or bar of a `chance`; joined, where
+    it is no more than its parts with `and`, `<` and the like between; else empty."""
 
     text: str
     value: Value

@@ -14,6 +14,7 @@ from antdsl.runtime.backends.reference import Member
 from antdsl.runtime.world import Population, World
 
 MOST = 10  # others told of a set
+_LONG = 72  # letters of a text
 
 
 def seen(world: World, trace: Trace) -> tuple[Seen, ...]:
@@ -81,4 +82,6 @@ def draws(trace: Trace) -> tuple[Draw, ...]:
 
 
 def _text(node: Node) -> str:
-    return "" if node.span is None else " ".join(node.span.text.split())[:120]
+    """The author's text, or a library's, that asked; long text is cut."""
+    text = "" if node.span is None else " ".join(node.span.text.split())
+    return text if len(text) <= _LONG else text[: _LONG - 1].rstrip() + "…"

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import PurePath
 
-from antdsl.explain.model import Explanation, Layer, Looked, MachineStep, Part, Seen, Stretch, Triple
+from antdsl.explain.model import Explanation, Layer, Looked, MachineStep, Part, Place, Seen, Stretch, Triple
 
 _BAR = 20  # characters for the whole budget
 _STRETCHES = 12  # of a long life, those about the frame asked for
@@ -29,11 +32,16 @@ def _lines(e: Explanation) -> Iterator[str]:
     if e.handlers:
         yield ""
         yield "events that reached it"
-        yield from (f"  {each.text}  ({each.file}:{each.line})" for each in e.handlers)
+        yield from (f"  {each.text}  ({_where(each)})" for each in e.handlers)
     yield ""
     yield from _pushes(e)
     yield from _around(e)
     yield from _after(e)
+
+
+def _where(place: Place) -> str:
+    """File and line; of the file its name, which is enough to find it by."""
+    return f"{PurePath(place.file).name}:{place.line}"
 
 
 def _strip(strip: tuple[Stretch, ...], frame: int) -> Iterator[str]:
@@ -79,10 +87,10 @@ def _machine(m: MachineStep) -> Iterator[str]:
 
 def _looked(looked: Looked, hidden: bool) -> Iterator[str]:
     word = "wins" if looked.wins else ("holds too" if hidden else "holds") if looked.fires else "no"
-    yield f"  {word:<9} {looked.place.text}  ({looked.place.file}:{looked.place.line})"
+    yield f"  {word:<9} {looked.place.text}  ({_where(looked.place)})"
     if looked.condition is not None:
         whole = looked.condition
-        for part in whole.parts if whole.parts and not looked.timers else (whole,):  # whether it holds is said already
+        for part in whole.parts if whole.role == "joined" and not looked.timers else (whole,):  # whether it holds is said already
             yield from _parts(part, "            ")
     for timer in looked.timers:
         sign = "has passed" if timer.holds else "has not passed"
@@ -95,7 +103,12 @@ def _parts(part: Part, indent: str) -> Iterator[str]:
     """A part and those within it; of one that only asks whether the other is there, the other."""
     if len(part.parts) == 1 and part.parts[0].text == part.text:
         part = part.parts[0]
-    yield f"{indent}{part.text} = {part.shown}" if not part.role else f"{indent}{part.role}: {part.shown}"
+    if part.role in ("draw", "bar"):
+        yield f"{indent}{part.role}: {part.shown}"
+    elif isinstance(part.value, bool):
+        yield f"{indent}{part.text}: {part.shown}"
+    else:
+        yield f"{indent}{part.text} = {part.shown}"
     for inner in part.parts:
         yield from _parts(inner, indent + "  ")
 
@@ -110,7 +123,7 @@ def _pushes(e: Explanation) -> Iterator[str]:
         "first": "layers, the first takes all",
     }[e.mode]
     for layer in e.layers:
-        yield f"  {_bar(layer)} {layer.place.text}  ({layer.place.file}:{layer.place.line})"
+        yield f"  {_bar(layer)} {layer.place.text}  ({_where(layer.place)})"
         yield f"  {'':<{_BAR + 2}} {_layer(layer)}"
         if layer.condition is not None:
             yield from _parts(layer.condition, " " * (_BAR + 7))
@@ -153,7 +166,7 @@ def _vector(vector: Triple) -> str:
 
 
 def _length(vector: Triple) -> float:
-    return sum(x * x for x in vector) ** 0.5
+    return math.sqrt(sum(x * x for x in vector))
 
 
 # --- around ----------------------------------------------------------------------------------------------------------
@@ -172,7 +185,8 @@ def _around(e: Explanation) -> Iterator[str]:
     if e.senses:
         yield ""
         yield "felt"
-        yield from (f"  {sense.kind} {sense.name}: {sense.shown}  ({sense.text})" for sense in e.senses)
+        lines = Counter(f"{sense.kind} {sense.name}: {sense.shown}  ({sense.text})" for sense in e.senses)
+        yield from (f"  {line}" + (f", {count} times" if count > 1 else "") for line, count in lines.items())
     if e.draws:
         yield ""
         yield "drew"

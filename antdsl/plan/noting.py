@@ -29,7 +29,7 @@ _NUMBER = model.Type(model.Kind.NUMBER)
 @dataclass(frozen=True, slots=True, eq=False)
 class PartNote:
     """A part of an expression: `nodes` is one, or three for a vector; `unit` is one that the author wrote beside it, or a usual
-    one. `role`: draw or bar, of a `chance`."""
+    one. `role`: draw or bar, of a `chance`; joined, where it is no more than its parts with `and`, `<` and the like between."""
 
     text: str
     type: model.Type
@@ -149,7 +149,8 @@ class NotingWriter(Writer):
     def _part(self, e: model.Expr, units: list[str], deep: int = 0) -> PartNote | None:
         """An expression with the parts that decide it; None for what has no value of its own (a species, a field)."""
         value = lower(self, e)
-        text, type, parts = _line(e.span.text), e.type, ()
+        text, type = _line(e.span.text), e.type
+        parts: tuple[PartNote, ...] = ()
         if isinstance(value, values.Named | values.Own | values.Element):
             return None
         if isinstance(value, values.Vec):
@@ -163,7 +164,8 @@ class NotingWriter(Writer):
             return PartNote(text, _BOOL, "", (present(self, value, e),))
         if deep < _DEEP:
             parts = tuple(self._inner(e, value, units, deep + 1))
-        return PartNote(text, type, _unit(e, units, self.program), (value,), parts)
+        joined = isinstance(e, model.Op) and e.name in _JOINED and bool(parts)
+        return PartNote(text, type, _unit(e, units, self.program), (value,), parts, "joined" if joined else "")
 
     def _inner(self, e: model.Expr, node: Node, units: list[str], deep: int) -> Iterator[PartNote]:
         if isinstance(e, model.Op) and e.name == "chance" and node.op == "lt":
@@ -186,7 +188,7 @@ def _inner_parts(e: model.Expr, units: list[str]) -> Iterator[tuple[model.Expr, 
     """What an expression is worth telling by: sides of a comparison, names in a sum, what a `let` says."""
     if isinstance(e, model.Local) and e.binding.role == "let" and e.binding.value is not None:
         if isinstance(e.binding.value, model.Op):
-            yield from _inner_parts(e.binding.value, _units(e.binding.span))
+            yield from _inner_parts(e.binding.value, _units(e.binding.value.span))
         return
     if not isinstance(e, model.Op):
         return
