@@ -162,6 +162,8 @@ def test_attributes_of_ply_files_turn_with_their_mesh(folder: Path, text: bool) 
         ("radius: 40 mm", "on: grund", "unknown-thing", "did you mean `ground`?"),
         (DRIFT, "{border: ground}", "missing-key", "`drift` has no `within`"),
         (DRIFT, "{border: nest, within: 5 mm}", "unknown-thing", "no surface is named `nest`"),
+        ("{home: {at: [10, 0, 10], on: ground, radius: 5 mm}}\n  way: {curve: way.json}\n  drift: {tangent: way, radius: 40 mm}",
+         "{}\n  way: {curve: way.json}\n  drift: {solved: nest}", "missing-thing", "`nest` has no items"),
         (DRIFT, "{solved: nest, maps: {dam: 2}}", "unknown-thing", "did you mean `damp`?"),
         (DRIFT, "{solved: nest, every: 1 s}", "wrong-value", "add `crowding: 2`"),
         (DRIFT, "{curve: way.json}", "wrong-kind", "`drift` is a flow in the program"),
@@ -185,7 +187,7 @@ def test_what_does_not_fit_is_told_at_its_place(folder: Path, old: str, new: str
     assert words in f"{found.message} | {found.help}", found
     assert found.span is not None
     line, _ = found.span.source.line_column(found.span.start)
-    assert new in found.span.source.line_text(line), found.span.source.line_text(line)
+    assert new.splitlines()[-1] in found.span.source.line_text(line), found.span.source.line_text(line)
 
 
 def test_paint_that_is_no_paint(folder: Path) -> None:

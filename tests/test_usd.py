@@ -22,6 +22,7 @@ from antdsl.pipeline import Choices, Shot, open_scene, simulate  # noqa: E402
 from antdsl.runtime import Options  # noqa: E402
 from antdsl.scene import Roots  # noqa: E402
 from antdsl.scene.meshes import MeshError, read_mesh  # noqa: E402
+from antdsl.scene.setting import SolvedFlow, SpreadFlow  # noqa: E402
 from antdsl.scene.usd import (  # noqa: E402
     UsdError,
     UsdStage,
@@ -448,6 +449,49 @@ def test_mistakes_are_told_at_their_place(tmp_path: Path) -> None:
     assert shot is not None and shot.setting.crowds[0].place.around == shot.setting.items["food"][1].position
     _, report = scene(tmp_path, usd_sets.FROM_USD)
     assert {d.code for d in report.errors} == {"root-not-granted"}
+
+
+LED = """ant 1
+use steering
+world { surface ground; flow home; items food }
+species walker {
+  size 4 mm
+  start go
+  state go { steer toward(home) }
+}
+"""
+SPOTS = """def Xform "food" {
+  def Xform "a" {}
+  def Xform "b" { double3 xformOp:translate = (1, 0, 2)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+  }
+}
+"""
+
+
+@pytest.mark.parametrize(
+    ("goal", "which", "places"),
+    [("food", None, [[0, 0, 0], [1, 0, 2]]), ("a", 0, [[0, 0, 0]]), ("b", 1, [[1, 0, 2]]), ("c", None, [])],
+)
+@pytest.mark.parametrize("key", ["solved", "toward"])
+def test_flows_lead_to_items_of_a_file(tmp_path: Path, key: str, goal: str, which: int | None, places: list[list[float]]) -> None:
+    (tmp_path / "set.usda").write_text(usda(SPOTS + mesh(), MM))
+    (tmp_path / "walker.ant").write_text(LED)
+    path = tmp_path / "scene.yaml"
+    path.write_text(
+        "antdsl: 1\nworld:\n  ground: {usd: set.usda, prim: /m}\n  food: {usd: set.usda, prim: /food}\n"
+        f"  home: {{{key}: {goal}}}\ncrowd:\n  - {{species: walker, from: walker.ant, count: 1}}\n"
+    )
+    shot, report = open_scene(path, Choices())
+    if places:
+        assert shot is not None, report.errors
+        flow = shot.setting.flows["home"]
+        assert isinstance(flow, SolvedFlow | SpreadFlow)
+        assert (flow.target.of, flow.target.which, flow.target.places.tolist()) == ("food", which, places)
+    else:
+        [error] = report.errors
+        assert error.code == "unknown-thing" and error.span is not None and error.span.text == goal
+        assert error.help == "known: `a`, `b`, `food`"
 
 
 def test_without_usd_core_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

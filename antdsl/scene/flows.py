@@ -14,6 +14,7 @@ from antdsl.program.model import Program
 from antdsl.scene import model
 from antdsl.scene import setting as stage_of
 from antdsl.scene.load import Scene
+from antdsl.scene.matching import items_come_later
 from antdsl.scene.meshes import RawMesh, rotated, turned_up
 from antdsl.scene.painted import PaintError, read_painted
 from antdsl.scene.quantities import Quantity
@@ -77,8 +78,9 @@ def match_flow(scene: Scene, program: Program, report: Report, name: str, thing:
         return None
     if is_file(text):
         return key, text
-    known = _goals(scene, program, lines_only=key == "tangent")
-    if text not in known:
+    lines_only = key == "tangent"
+    known = _goals(scene, program, lines_only)
+    if text not in known and (lines_only or not items_come_later(scene)):
         what = "no curve is named" if key == "tangent" else "no curve and no item is named"
         _unknown(report, scene, (name, key), what, text, known)
     return None
@@ -210,11 +212,24 @@ def _target(
     if not found:
         own = [(group, k) for group, each in items.items() for k, item in enumerate(each) if item.name == goal]
         if not own:
+            _no_target(staging, name, key, goal, items)
             return None
         of, which = own[0]
         found = (items[of][which],)
     places, radii = (np.array([getattr(i, key) for i in found], np.float64) for key in ("position", "radius"))
     return Target(places, radii, of=of, which=which)
+
+
+def _no_target(staging: Staging, name: str, key: str, goal: str, items: Mapping[str, tuple[stage_of.ItemData, ...]]) -> None:
+    """Complain of a goal that is no item, as far as nothing else was told that may be why."""
+    if not staging.report.ok:
+        return
+    if goal in items:
+        words, help = f"`{goal}` has no items, so `{name}` leads nowhere", f"add one: `{goal}: {{one: {{at: [0, 0, 0]}}}}`"
+        staging.report.error("missing-thing", words, staging.scene.span("world", name, key), help)
+        return
+    known = [*items, *(item.name for each in items.values() for item in each)]
+    _unknown(staging.report, staging.scene, (name, key), "no curve and no item is named", goal, known)
 
 
 def _painted(staging: Staging, name: str, thing: model.PaintedThing, width: int) -> stage_of.Painted | None:

@@ -237,10 +237,13 @@ def item_names(scene: Scene) -> dict[str, tuple[str, str]]:
     return found
 
 
+def items_come_later(scene: Scene) -> bool:
+    """Whether names of items may come out of a USD file, which is read when the scene is staged."""
+    return any(isinstance(value, UsdThing) for value in scene.model.world.values())
+
+
 def _around(scene: Scene, report: Report, around: object, radius: object, *path: Key) -> None:
-    # the names of items that come out of a USD file are known when it is read
-    later = any(isinstance(value, UsdThing) for value in scene.model.world.values())
-    if isinstance(around, str) and around not in item_names(scene) and not later:
+    if isinstance(around, str) and around not in item_names(scene) and not items_come_later(scene):
         _unknown(report, scene, (*path, "around"), "no item is named", item_names(scene), key=False)
     if around is not None and radius is None:
         report.error(
