@@ -217,14 +217,22 @@ def test_a_cache_shows_what_was_dug_and_can_be_continued(scene, shot, tmp_path):
     [
         ("  hill: {mesh: hill.ply}", "missing-key", "voxel: 1 mm"),
         ("  hill: {mesh: hill.ply, voxel: 0.001 mm}", "too-large", "voxels of"),
-        ("  hill: {mesh: ground.ply, voxel: 1 mm}", "bad-mesh", "closed"),
+        ("  hill: {mesh: ground.ply, voxel: 1 mm}", "bad-mesh", "is not closed: 140 edges border on nothing"),
     ],
 )
 def test_solids_that_cannot_be(tmp_path, line, code, word):
     text = digging_shots.SCENE.replace("  hill: {mesh: hill.ply, voxel: 1 mm}", line)
     scene = digging_shots.folder(tmp_path, scene=text)
-    said = run("run", scene, "--out", tmp_path / "out", "--frames", "1..2", code=1)
-    assert code in said and word in said
+    said = run("check", scene, code=1)
+    assert code in said and word in said and str(scene.name) + ":" in said
+
+
+@pytest.mark.parametrize(("voxel", "warned"), [("1 mm", False), ("1.3 mm", False), ("1.4 mm", True)])
+def test_voxels_too_coarse_for_who_walks_there_are_warned_of(tmp_path, voxel, warned):
+    """Those who walk and dig there are 4 mm long."""
+    scene = digging_shots.folder(tmp_path, scene=digging_shots.SCENE.replace("voxel: 1 mm", f"voxel: {voxel}"))
+    told = run("check", scene, "--format", "concise")
+    assert ("odd-scale" in told and f"voxels of `hill` are {voxel} wide" in told) is warned
 
 
 def test_a_surface_has_no_voxels(tmp_path):

@@ -128,7 +128,7 @@ CODES: dict[str, str] = {
     "unused-let": "a `let` is never used",
     "unused-param": "a param is never used",
     # --- scenes ---
-    "bad-mesh": "a mesh file cannot be read, has no faces, or has values that no mesh can have",
+    "bad-mesh": "a mesh file cannot be read, has no faces, has values that no mesh can have, or is a solid that is not closed",
     "bad-paint": "a file does not hold the painted values that a flow or map wants, or not as many as the surface has",
     "bad-path": "a path leaves the folder of the scene, or is written in a way that is not followed",
     "bad-points": "a file of points is not a list of `[x, y, z]`",
@@ -145,7 +145,7 @@ CODES: dict[str, str] = {
     "no-such-file": "a file that is named is not there, or cannot be opened",
     "no-such-prim": "a USD file has no prim at a path, or nothing of the wanted kind at and below it",
     "not-a-file": "a path leads to a folder, a pipe or a device",
-    "odd-scale": "a surface is hardly larger than those who walk on it, or very much larger",
+    "odd-scale": "a surface is hardly larger than those who walk on it, or very much larger; or voxels are too coarse for them",
     "off-surface": "an item is to lie on a surface, and the surface is not below or above it",
     "out-of-range": "a value lies outside the range that it may have",
     "root-not-granted": "a path begins with a root that the person who runs the scene has not granted",

@@ -19,6 +19,7 @@ from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Const, Expr, Op, ParamRef, Program
 from antdsl.program.vocabulary import LENGTH
 from antdsl.scene import setting as stage_of
+from antdsl.scene.closed import grained, open_edges
 from antdsl.scene.document import Key
 from antdsl.scene.flows import check_densities, stage_flows
 from antdsl.scene.laying import items_of
@@ -40,6 +41,7 @@ from antdsl.scene.things import (
 
 _UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _WIDEST = 1e6  # body lengths: ants in a whole county
+_COARSEST, _FINE = 1 / 3, 1 / 4  # of a body: voxels that are too wide, and good ones
 _FAR = 1e7  # mm from the origin; float32 steps are 1 mm there
 
 
@@ -96,7 +98,7 @@ def stage(
     solids = _solids(staging)
     if staging.report.ok:
         _check_cells(staging, {**surfaces, **{name: solid.mesh for name, solid in solids.items()}})
-        _check_scale(staging, surfaces)
+        _check_scale(staging, surfaces, solids)
     curves = _curves(staging)
     laid = {name: found for name in model.world if (found := items_of(staging, name, surfaces)) is not None}
     items = {name: found for name, (found, _) in laid.items()}
@@ -274,7 +276,19 @@ def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
             staging, across[0] * across[1] * across[2], limits.VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel"
         )
         found[name] = stage_of.SolidData(mesh, edge)
+        if staging.report.ok:
+            _check_closed(staging, name, value, found[name])
     return found
+
+
+def _check_closed(staging: Staging, name: str, value: MeshThing | UsdThing, solid: stage_of.SolidData) -> None:
+    corners = solid.mesh.vertices[solid.mesh.faces]
+    loose, _ = open_edges(grained((corners - corners.min(axis=(0, 1))) / solid.voxel)[0])
+    if loose:
+        edges = "1 edge borders" if loose == 1 else f"{loose:,} edges border"
+        words = f"the mesh of the solid `{name}` is not closed: {edges} on nothing"
+        place = staging.scene.span("world", name, "mesh" if isinstance(value, MeshThing) else "prim")
+        staging.report.error("bad-mesh", words, place, "close its holes, so that it has an inside")
 
 
 def _check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
@@ -293,8 +307,9 @@ def _check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) ->
         )
 
 
-def _check_scale(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
-    """Warn of a surface hardly larger than who walks on it, or so large that its units are likely wrong."""
+def _check_scale(staging: Staging, surfaces: Mapping[str, stage_of.MeshData], solids: Mapping[str, stage_of.SolidData]) -> None:
+    """Warn of a surface hardly larger than who walks on it, or so large that its units are likely wrong; of voxels too coarse
+    for those who walk and dig there."""
     for line in staging.scene.model.crowd:
         species = staging.program.species.get(line.species)
         size = next((a.default for a in species.attributes if a.name == "size"), None) if species else None
@@ -308,6 +323,11 @@ def _check_scale(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) ->
                 staging.report.warning(
                     "odd-scale", words, staging.scene.span("world", name), "say the mesh's `units`, such as `units: m`"
                 )
+        for name, solid in solids.items():
+            if solid.voxel > _COARSEST * length:
+                words = f"voxels of `{name}` are {solid.voxel:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
+                place, help = staging.scene.span("world", name, "voxel"), f"write `voxel: {_FINE * length:.3g} mm` or less"
+                staging.report.warning("odd-scale", words, place, help)
 
 
 def _some_length(expression: Expr, staging: Staging) -> float | None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.solids.bricks import CUBE, SIDE
 from antdsl.runtime.solids.lattice import boxes
+from antdsl.scene.closed import grained, open_edges
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -20,30 +19,8 @@ class Shell:
     """A mesh as integers, so that which side of a line a place is on has no doubt: from corners float64[n,3,3] in voxels."""
 
     def __init__(self, corners: Floats) -> None:
-        extent = max(float(np.abs(corners).max()), 1.0)
-        # Products of two sides stay below 2**62.
-        self.grain = 1 << min(16, 29 - math.ceil(math.log2(extent)))
-        self.corners: Index = np.round(corners * self.grain).astype(np.int64)
-        self.open_edges, self.wound = self._edges()
-
-    def _edges(self) -> tuple[int, bool]:
-        """How many edges an odd number of faces share, and whether each is passed as often one way as the other."""
-        points = self.corners.reshape(-1, 3)
-        order = np.lexsort(points.T)
-        ranked = points[order]
-        new = np.concatenate(([False], (ranked[1:] != ranked[:-1]).any(axis=1)))
-        name = np.empty(len(points), np.int64)
-        name[order] = np.cumsum(new)
-        a = name.reshape(-1, 3)
-        b = a[:, [1, 2, 0]]
-        real = a != b
-        a, b = a[real], b[real]
-        edge = np.minimum(a, b) * len(points) + np.maximum(a, b)
-        order = np.argsort(edge, kind="stable")
-        first = np.flatnonzero(np.concatenate(([True], np.diff(edge[order]) != 0)))
-        count = np.diff(np.append(first, len(order)))
-        way = np.add.reduceat(np.where(a < b, 1, -1)[order], first) if len(order) else np.zeros(0)
-        return int((count % 2).sum()), not way.any()
+        self.corners, self.grain = grained(corners)
+        self.open_edges, self.wound = open_edges(self.corners)
 
 
 def brick_signs(shell: Shell, shape: tuple[int, int, int], near: Index) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
