@@ -11,7 +11,7 @@ from antdsl.program.folding import constant_behind
 from antdsl.program.model import Const, Expr, Kind, Type
 from antdsl.program.operators import value, wanted
 from antdsl.program.ordering import ordered
-from antdsl.program.scope import BAD, Keys, Scope, bad, did_you_mean, duplicate, type_from_words
+from antdsl.program.scope import BAD, Keys, Scope, bad, did_you_mean, duplicate, told_before, type_from_words
 from antdsl.program.units import constant, dimension_words, shown, unit_spelling
 from antdsl.program.vocabulary import GIVEN
 from antdsl.program.wording import fits, mismatch, quoted, type_words
@@ -135,7 +135,7 @@ def _settable(scope: Scope, member: nodes.Given) -> bool:
     if row is not None and row.settable:
         return True
     known = [n for n, g in GIVEN.items() if g.settable]
-    if row is None and scope.species and isinstance(member.value, nodes.NameRef) and _names_state(scope, member.value.name.text):
+    if row is None and scope.species and isinstance(member.value, nodes.NameRef) and names_state(scope, member.value.name.text):
         known = ["start"]  # `strat search`: only that word is followed by a state
         if nearest_name(name.text, known):
             scope.report.error("unknown-property", f"an animal has no property `{name.text}`", name.span, "did you mean `start`?")
@@ -151,11 +151,12 @@ def _settable(scope: Scope, member: nodes.Given) -> bool:
             name.span,
             did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"),
         )
+        told_before(scope, "name", name.text)  # it was to be declared here
     value(scope.inside(once=True), member.value)
     return False
 
 
-def _names_state(scope: Scope, word: str) -> bool:
+def names_state(scope: Scope, word: str) -> bool:
     return scope.species is not None and any(word in machine.states for machine in scope.species.machines.values())
 
 

@@ -30,6 +30,16 @@ class _Doubt:
     words: set[str] = field(default_factory=set)
     heads: set[str] = field(default_factory=set)
     missing: set[str] = field(default_factory=set)  # codes of what follows where a line declares something without its name
+    beside_missing: dict[str, set[int]] = field(default_factory=dict)  # words beside a missing name, and their lines
+
+    def beside(self, found: Diagnostic) -> None:
+        """A complaint about a missing name: the words beside it are used, and a missing state may lead to any other."""
+        assert found.span is not None
+        line = found.span.source.line_column(found.span.start)[0]
+        for word in _WORDS.findall(found.span.source.line_text(line).partition("#")[0]):
+            self.beside_missing.setdefault(word, set()).add(line)
+        if found.code == "unknown-state":
+            self.missing.add("unreachable-state")
 
 
 def without_consequences(report: Report, doubtful: Iterable[Span]) -> Report:
@@ -39,6 +49,9 @@ def without_consequences(report: Report, doubtful: Iterable[Span]) -> Report:
         _doubt(doubts.setdefault(span.source, _Doubt()), span)
     meant = {(d.span.source, d.help) for d in report.diagnostics if d.severity == "error" and d.span is not None}
     twice = {(d.span.source, d.message.split(" `")[0]) for d in report.diagnostics if d.code == "duplicate-name" and d.span}
+    for found in report.diagnostics:  # what a name that is missing was to be used with is perhaps not idle
+        if found.code in _MISSING and found.severity == "error" and found.span is not None:
+            doubts.setdefault(found.span.source, _Doubt()).beside(found)
     return Report([d for d in report.diagnostics if not _follows(d, doubts, meant) and not _renamed(d, twice)])
 
 
@@ -59,6 +72,8 @@ def _doubt(doubt: _Doubt, span: Span) -> None:
     begun = _NAMELESS.fullmatch(span.source.line_text(first)[: span.source.line_column(span.start)[1] - 1])
     if begun and not span.text[:1].isidentifier():
         doubt.missing.add(f"unknown-{begun[1]}" if begun[1] in ("state", "field", "species") else "unknown-name")
+    if _WORDS.findall(span.source.line_text(first))[:1] == ["use"]:
+        doubt.missing |= {"unknown-behaviour", "unknown-module"}
     for line in range(first, last + 1):
         if line not in doubt.lines:
             words = _WORDS.findall(span.source.line_text(line).partition("#")[0])
@@ -79,7 +94,10 @@ def _follows(found: Diagnostic, doubts: dict[Source, _Doubt], meant: set[tuple[S
     doubt = doubts.get(found.span.source)
     if doubt is None:
         return False
-    if found.span.source.line_column(found.span.start)[0] in doubt.lines:
+    line = found.span.source.line_column(found.span.start)[0]
+    if line in doubt.lines:
+        return True
+    if idle and doubt.beside_missing.get(name, set()) - {line}:
         return True
     if found.code in doubt.missing:
         return True

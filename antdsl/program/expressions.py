@@ -19,7 +19,7 @@ from antdsl.program.model import (
     Thing,
     Type,
 )
-from antdsl.program.scope import BAD, BOOL, Scope, attributes_of, bad, did_you_mean, listed, type_from_words
+from antdsl.program.scope import BAD, BOOL, Scope, attributes_of, bad, did_you_mean, listed, told_before, type_from_words
 from antdsl.program.states import STATE_WORDS, machine_named, of_machine, state_word
 from antdsl.program.units import constant, number
 from antdsl.program.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
@@ -212,10 +212,8 @@ def _unknown(scope: Scope, node: nodes.NameRef) -> Expr:
     name, report = node.name.text, scope.report
     if name in scope.declared.unclear:
         return bad(node.span)
-    where = (scope.file.node.source.path, scope.species.name if scope.species else "", scope.behaviour or "", name)
-    if where in scope.declared.told:
-        return bad(node.span)  # what is not there is missing everywhere: that is one mistake
-    scope.declared.told.add(where)
+    if told_before(scope, "name", name):
+        return bad(node.span)
     if name in RESERVED:
         report.error("not-yet", f"`{name}` is a word of the language that does not work yet", node.span, "leave it out for now")
     elif scope.species is not None and any(name in m.states for m in scope.species.machines.values()):

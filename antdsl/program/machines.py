@@ -62,7 +62,7 @@ def _start(scope: Scope, names: MachineNames, members: Sequence[object], span: S
     if starts:
         index = names.states.get(starts[0].state.text)
         if index is None:
-            unknown_state(scope.report, starts[0].state, names.key.partition(".")[0], list(names.states))
+            unknown_state(scope, starts[0].state, names.key.partition(".")[0], list(names.states))
         return index or 0
     if len(names.states) > 1:
         scope.report.error(
@@ -155,7 +155,7 @@ def _duration(scope: Scope, node: nodes.Expr | None, who: str) -> Expr | None:
 def _from_any(scope: Scope, names: MachineNames, node: nodes.Change) -> model.Transition | None:
     for name in node.any_except or ():
         if name.text not in names.states:
-            unknown_state(scope.report, name, names.key.partition(".")[0], list(names.states))
+            unknown_state(scope, name, names.key.partition(".")[0], list(names.states))
     return _change(scope, names, node, scope.keys.path)
 
 
@@ -192,7 +192,7 @@ def _target(scope: Scope, names: MachineNames, target: nodes.Target) -> int | No
         return None
     index = names.states.get(target.name.text)
     if index is None:
-        unknown_state(scope.report, target.name, names.key.partition(".")[0], list(names.states))
+        unknown_state(scope, target.name, names.key.partition(".")[0], list(names.states))
     return index
 
 
@@ -210,7 +210,7 @@ def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[t
             )
         index = names.states.get(choice.target.text)
         if index is None:
-            unknown_state(scope.report, choice.target, names.key.partition(".")[0], list(names.states))
+            unknown_state(scope, choice.target, names.key.partition(".")[0], list(names.states))
         else:
             made.append((index, weight))
     weights = [constant_behind(weight) for _, weight in made]

@@ -99,6 +99,16 @@ class Declared:
     outside: Hashable = None  # all that a part of the program can see of the others, as far as it is known
 
 
+def told_before(scope: Scope, kind: str, name: str) -> bool:
+    """Whether it was told that a name is missing; from now on it was. What is not there is missing everywhere: that is one
+    mistake. `kind` keeps names of different kinds apart."""
+    where = (kind, scope.file.node.source.path, scope.species.name if scope.species else "", scope.behaviour or "", name)
+    if where in scope.declared.told:
+        return True
+    scope.declared.told.add(where)
+    return False
+
+
 class Keys:
     """Names for memories and draws that stay when lines move: a path in the text, and the k-th of its word there."""
 

@@ -9,7 +9,7 @@ from antdsl import limits
 from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.attributes import attributes as attributes_in
-from antdsl.program.attributes import param
+from antdsl.program.attributes import names_state, param
 from antdsl.program.collect import EVENTS, free_in_species
 from antdsl.program.expressions import referable
 from antdsl.program.folding import constant_behind
@@ -306,7 +306,12 @@ def _layer(scope: Scope, node: nodes.Layer, counts: dict[str, int]) -> model.Lay
     counts[word] = counts.get(word, 0) + 1
     key = word if counts[word] == 1 else f"{word}#{counts[word]}"
     push = None
-    if not steered:
+    own = scope.species
+    if isinstance(node.push, nodes.NameRef) and names_state(scope, word) and own and word not in {*own.attributes, *own.bindings}:
+        message = f"`{word}` is a state, and a layer is a wish"
+        scope.report.error("state-as-value", message, node.push.span, "did you mean `state`?")  # whatever the state steers
+        push = bad(node.push.span)
+    elif not steered:
         push = wanted(scope, node.push, PUSH, "a layer")
     test = condition(scope, node.condition, "`when`") if node.condition is not None else None
     return model.Layer(push, test, text, node.span, key)

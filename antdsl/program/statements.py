@@ -11,7 +11,7 @@ from antdsl.program.carving import carve
 from antdsl.program.model import Dim, Expr, Kind, Type
 from antdsl.program.operators import value, wanted
 from antdsl.program.places import place
-from antdsl.program.scope import LENGTH, NUMBER, PUSH, Scope, did_you_mean, listed, type_from_words
+from antdsl.program.scope import LENGTH, NUMBER, PUSH, Scope, did_you_mean, listed, told_before, type_from_words
 from antdsl.program.units import product
 from antdsl.program.vocabulary import GIVEN
 from antdsl.program.wording import disagree, fits, mismatch, quoted, type_words
@@ -229,7 +229,8 @@ def _deposit(scope: Scope, line: nodes.Deposit, block: Block) -> model.Statement
     if name not in scope.declared.fields:
         fields = scope.declared.fields
         advice = did_you_mean(name, fields, f"declare it: `field {name} on … {{ cell 4 mm; half_life 8 s }}`")
-        scope.report.error("unknown-field", f"no field `{name}`", line.field.span, advice)
+        if not told_before(scope, "name", name):
+            scope.report.error("unknown-field", f"no field `{name}`", line.field.span, advice)
         return None
     scope.use("field", name)
     scope.use("deposit", name)

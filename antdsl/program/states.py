@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from antdsl.diagnostics import Report
 from antdsl.program.model import Attribute, Expr, Kind, Rate, StateConst, Thing, Type
-from antdsl.program.scope import TIME, MachineNames, Scope, bad, did_you_mean, listed
+from antdsl.program.scope import TIME, MachineNames, Scope, bad, did_you_mean, listed, told_before
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -74,10 +73,12 @@ def state_named(scope: Scope, asked: Expr, node: nodes.Expr) -> tuple[Expr, Expr
                 Type(Kind.STATE, of=machine.key), Rate.CONST, node.span, machine.key, index
             )
     known = [state for machine in order for state in machine.states]
-    unknown_state(scope.report, node.name, species, known)
+    unknown_state(scope, node.name, species, known)
     return asked, bad(node.span)
 
 
-def unknown_state(report: Report, name: nodes.Name, species: str, known: list[str]) -> None:
+def unknown_state(scope: Scope, name: nodes.Name, species: str, known: list[str]) -> None:
+    if told_before(scope, f"state of {species}", name.text):
+        return
     advice = did_you_mean(name.text, known, f"`{species}` has the states {listed(known)}" if known else None)
-    report.error("unknown-state", f"no state `{name.text}` in species `{species}`", name.span, advice)
+    scope.report.error("unknown-state", f"no state `{name.text}` in species `{species}`", name.span, advice)

@@ -38,14 +38,18 @@ def differences(
     now = columns(world, program)
     some = {name: _some(world, program, name, text) for name, text in agents.items() if name in world.populations}
     found: list[tuple[int, Difference]] = []
+    others = {name: len(world.populations[name]) for name in world.populations if _are_others(now, was, name)}
+    found += [(-1, Difference(name, "", "", f"{count} agents", "others")) for name, count in others.items()]
     for key, column in now.items():
+        if column.who in others and column.what == "id":
+            continue
         if key not in was:
             found.append((0, Difference(column.who, column.what, "", "there", "not there")))
             continue
         first, second, words = was[key]
         sums = (int(first, 16), int(second, 16))
         if column.sums() != sums:
-            found.append((column.rank, _difference(world, column, sums, words, some)))
+            found.append((column.rank, _difference(world, column, sums, words, some, column.who in others)))
     for key in was.keys() - now.keys():
         who, _, what = key.partition(".")
         found.append((0, Difference(who, what, "", "not there", "there")))
@@ -53,8 +57,16 @@ def differences(
     return [difference for _, difference in found]
 
 
-def _difference(world: World, column: Column, sums: tuple[int, int], words: str, some: Mapping[str, str]) -> Difference:
-    one = column.one(sums)
+def _are_others(now: Mapping[str, Column], was: Mapping[str, tuple[str, str, str]], species: str) -> bool:
+    """Whether these are not the agents that there were: what one of them has cannot be held against what another had."""
+    key = f"{species}.id"
+    return key in now and key in was and now[key].sums() != (int(was[key][0], 16), int(was[key][1], 16))
+
+
+def _difference(
+    world: World, column: Column, sums: tuple[int, int], words: str, some: Mapping[str, str], others: bool
+) -> Difference:
+    one = None if others else column.one(sums)
     if one is not None and not column.opaque:
         row, before = one
         return Difference(

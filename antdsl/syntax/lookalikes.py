@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 
 # Letter and what it looks like, one after the other.
@@ -35,11 +36,11 @@ WRONG_SIGNS = {
     "\u2212": ("write `-`", "-"),
     "\u2013": ("write `-`", "-"),
     "\u2014": ("write `-`", "-"),
-    "\u2192": ("write `->`", None),
-    "\u2264": ("write `<=`", None),
-    "\u2265": ("write `>=`", None),
-    "\u2260": ("write `!=`", None),
-    "\u2026": ("write `..` for a range", None),
+    "\u2192": ("write `->`", "->"),
+    "\u2264": ("write `<=`", "<="),
+    "\u2265": ("write `>=`", ">="),
+    "\u2260": ("write `!=`", "!="),
+    "\u2026": ("write `..` for a range", ".."),
     "\u00b0": ("write `deg`", None),
     "\u00b2": ("write `^ 2`", None),
     "\u00b3": ("write `^ 3`", None),
@@ -58,3 +59,16 @@ def ascii_for(character: str) -> str | None:
         return found
     wide = unicodedata.normalize("NFKC", character)
     return wide if len(wide) == 1 and wide < "\x80" and (wide.isalnum() or wide == "_") else None
+
+
+_WORD = re.compile("write `([a-z]+)`")
+
+
+def word_instead(help: str, before: str, after: str) -> str | None:
+    """For a sign in place of which a word is to be written: the word, with a blank where the character beside it is part of a
+    word."""
+    found = _WORD.fullmatch(help)
+    if found is None:
+        return None
+    left, right = (" " if each.isalnum() or each in ("_", ")") else "" for each in (before, after))
+    return f"{left}{found[1]}{right}"

@@ -12,7 +12,7 @@ from antdsl import limits
 from antdsl.diagnostics.model import Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
-from antdsl.syntax.lookalikes import DOUBLE_QUOTES, SINGLE_QUOTES, WRONG_SIGNS, ascii_for
+from antdsl.syntax.lookalikes import DOUBLE_QUOTES, SINGLE_QUOTES, WRONG_SIGNS, ascii_for, word_instead
 from antdsl.syntax.nodes import Comment
 from antdsl.syntax.pasted import blank_lines, look_over
 from antdsl.syntax.words import UNIT_NAMES, UNIT_SLIPS
@@ -98,6 +98,7 @@ _TAIL = re.compile(r"[ \t\r]*[{};]*[ \t\r]*(#[^\n]*)?$")  # what a text that is 
 _COLON = re.compile(r"[ \t]*:")
 _FRACTION = re.compile(r"\.[0-9]+")
 _SLIP = re.compile(rf"[/*]({'|'.join(UNIT_SLIPS)})(?![A-Za-z0-9_])")
+_PER = re.compile(rf"(?:[/*](?:{_UNIT}))+")
 _NO_NUMBERS = ("nan", "inf", "infinity")
 
 
@@ -295,7 +296,8 @@ class _Scanner:
             self.found.error("unknown-sign", f"`{piece}` does not begin a comment", start, end, help)
             blank_lines(self.found, start, stop)
             return stop
-        self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help)
+        fix = word_instead(help, self.characters[start - 1 : start] if start else "", self.characters[end : end + 1])
+        self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help, fix)
         if repair is None:
             self.found.blank(start, end)
             return end
@@ -317,12 +319,29 @@ class _Scanner:
         if piece in "\u00b0\u00ba" and tokens and tokens[-1].kind == "number" and tokens[-1].end == self.last_end:
             number = tokens.pop()
             self.found.error("unknown-sign", f"`{piece}` is not a unit", start, end, "write `deg`")
+            rest = _PER.match(self.characters, end)
+            end = rest.end() if rest is not None else end
             self.found.blank(start, end)
             return max(end, self.unreadable(number.start, number.end))
         help, repair = WRONG_SIGNS.get(piece, ("delete it", None))
-        self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help)
+        fix = word_instead(help, self.characters[start - 1 : start] if start else "", self.characters[end : end + 1])
+        self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help, fix)
+        if repair is not None and len(repair) > 1:
+            return self.wide_sign(start, end, repair)
         self.found.replace(start, repair or " ")
         return self.token("sign", start, end) if repair else end
+
+    def wide_sign(self, start: int, end: int, repair: str) -> int:
+        """A sign that takes two characters: a blank beside it gives it room."""
+        if self.characters[end : end + 1] == " ":
+            end += 1
+        elif start > 0 and self.found.clean[start - 1] == " ":
+            start -= 1
+        else:
+            self.found.blank(start, end)
+            return end
+        self.found.replace(start, repair)
+        return self.token("sign", start, end)
 
     def wrong_quotes(self, start: int, piece: str) -> int:
         quotes = DOUBLE_QUOTES + '"' if piece in DOUBLE_QUOTES else SINGLE_QUOTES

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from antdsl.diagnostics.model import Diagnostic, Fix, replacement
@@ -112,13 +113,27 @@ _JOINING = frozenset(
 )
 _VALUE = frozenset({"NUMBER", "QUANTITY", "NAME", "LPAR"})
 _ASSIGNING = {"=", "+=", "-=", "[", "."}
+# The beginning of a question to all: its brackets hold a condition and no argument's name.
+_ASKING = re.compile(r"\b(?:share|count|any|every)\(\s*[a-z_][a-z_0-9.]*\s*\Z|[(,]\s*(?:state|previous|next)\s*\Z")
 _WRITING = ("=", "+=", "-=")
 _COMPARISONS = {"==", "!=", "<", ">", "<=", ">=", "is"}
 
 
 def complain(surprise: Surprise) -> Diagnostic:
     """The complaint about a line that cannot be read; the first kind of mistake that fits."""
-    for kind in (_misspelt, _misplaced, _comma, _no_line, _label, _unit, _equals, _compared_twice, _second_line, _unfinished):
+    for kind in (
+        _quoted_library,
+        _misspelt,
+        _misplaced,
+        _comma,
+        _no_line,
+        _label,
+        _unit,
+        _equals,
+        _compared_twice,
+        _second_line,
+        _unfinished,
+    ):
         found = kind(surprise)
         if found is not None:
             return found
@@ -133,9 +148,23 @@ def complain(surprise: Surprise) -> Diagnostic:
         help, fix = f"did you mean `{slip}`?", Fix(surprise.span, slip)
     elif _forgets_colon(surprise):
         help, fix = f"to name an argument, write `{surprise.before}: {surprise.found}`", _before(surprise, ": ")
+    elif surprise.found_kind == "word" and surprise.next == ":" and {"RPAR", "_COMMA"} <= surprise.wanted:
+        help, fix = f"write a comma before `{surprise.found}:`", _behind(surprise, ",")
     elif _forgets_arrow(surprise):
         help, fix = f"write `-> {surprise.found}`", _before(surprise, "-> ")
     return Diagnostic("unexpected-text", f"{message}, expected {_wanted(surprise)}", surprise.span, help=help, fix=fix)
+
+
+def _quoted_library(surprise: Surprise) -> Diagnostic | None:
+    """`use "steering"`: a library has no quotes, a file has an ending and a name."""
+    name = surprise.before.strip('"')
+    if surprise.first != "use" or "AS" not in surprise.wanted or not name.isidentifier():
+        return None
+    start = surprise.span.source.text.rindex(surprise.before, 0, surprise.span.start)
+    span = Span(surprise.span.source, start, start + len(surprise.before))
+    return Diagnostic(
+        "unexpected-text", f"`{surprise.before}` in quotes is no file", span, help=f"write `{name}`", fix=Fix(span, name)
+    )
 
 
 def _slip(surprise: Surprise) -> str | None:
@@ -215,6 +244,9 @@ def _label(surprise: Surprise) -> Diagnostic | None:
     )
     if not names or surprise.rule in ("spec_line", "weight", "top"):
         return None
+    begun = surprise.span.source.text[surprise.first_span.start : surprise.span.start]
+    if begun.count("(") <= begun.count(")"):
+        return None
     message = f"found `{surprise.before}:` after {_shown(surprise.earlier)}, expected `,` or `)`"
     return Diagnostic("unexpected-text", message, surprise.span, help=f"write a comma before `{surprise.before}:`")
 
@@ -249,7 +281,8 @@ def _equals(surprise: Surprise) -> Diagnostic | None:
         return Diagnostic("unexpected-text", message, surprise.span, help=help, fix=Fix(surprise.span, "="))
     if surprise.found != "=" or "SAME" not in surprise.wanted:
         return None
-    if surprise.before_kind == "word" and surprise.earlier in ("(", ",") and "RPAR" in surprise.wanted:
+    named = surprise.before_kind == "word" and surprise.earlier in ("(", ",") and "RPAR" in surprise.wanted
+    if named and not _ASKING.search(surprise.span.source.text, 0, surprise.span.start):
         message, help = f"found `=` after the argument's name `{surprise.before}`", f"write `{surprise.before}: …`"
         return Diagnostic("unexpected-text", message, surprise.span, help=help, fix=Fix(surprise.span, ":"))
     return Diagnostic(
@@ -286,6 +319,13 @@ def _line_end(surprise: Surprise) -> Diagnostic:
 def _before(surprise: Surprise, text: str) -> Fix:
     """Text put in between what was read and the surprise."""
     return Fix(Span(surprise.span.source, surprise.span.start, surprise.span.start), text)
+
+
+def _behind(surprise: Surprise, text: str) -> Fix:
+    """Text put right behind what was read, before the blanks."""
+    source, start = surprise.span.source, surprise.span.start
+    end = len(source.text[:start].rstrip())
+    return Fix(Span(source, end, end), text)
 
 
 def begins_line(surprise: Surprise) -> bool:

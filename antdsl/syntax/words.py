@@ -70,6 +70,7 @@ OTHER_WORDS: dict[str, str] = {
     "class": "species",
     "const": "param",
     "def": "behaviour",
+    "every": "each",
     "fn": "behaviour",
     "function": "behaviour",
     "if": "when",
