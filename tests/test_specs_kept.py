@@ -247,6 +247,16 @@ def test_what_differs_first_is_named(folder: Path, golden, old: str, new: str, f
         assert words in text, text
 
 
+def test_other_agents_are_not_held_against_those_of_before(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
+    scene = folder / "scene.yaml"
+    assert "count: 20" in scene.read_text()
+    scene.write_text(scene.read_text().replace("count: 20", "count: 21"))
+    change(folder, "count(a) == 20", "count(a) == 21")
+    code, text = golden("test", "a.ant", "-q")
+    assert code == 1 and "`a` is 21 agents, was others" in text, text
+    assert "`a.mass`" not in text and "of a 20" not in text, text
+
+
 def test_a_golden_run_is_not_made_of_a_failure_and_damage_is_told(folder: Path, golden) -> None:  # type: ignore[no-untyped-def]
     path = golden_path(folder / "scene.yaml")
     before = path.read_text()
@@ -280,6 +290,14 @@ def test_build_servers_read_golden_runs_and_what_may_fail(folder: Path, golden) 
     assert (result["outcome"], result["frame"]) == ("differs", 11) and result["differences"][0]["now"] == "21"
     suites = {suite.name: suite for suite in junitparser.JUnitXml.fromfile(str(folder / "out.xml"))}
     assert suites["golden runs"].failures == 1 and suites["a.ant"].skipped == len(allowed) and suites["a.ant"].failures == 0
+
+
+def test_a_run_of_one_frame_meets_the_states_of_that_frame(folder: Path, run) -> None:  # type: ignore[no-untyped-def]
+    scene = folder / "scene.yaml"
+    scene.write_text(re.sub("preroll: [0-9]+", "preroll: 0", scene.read_text()))
+    (folder / "a.ant").write_text(PROGRAM + 'spec "soon over" on "scene.yaml" { for 2 s; never: count(a) == 20 }\n')
+    code, text = run("test", "a.ant", "--coverage", "--no-keep")
+    assert code == 1 and re.search(r"^ *20 +a\.go$", text, re.MULTILINE), text
 
 
 def test_coverage_is_listed_and_bounded(folder: Path, run) -> None:  # type: ignore[no-untyped-def]

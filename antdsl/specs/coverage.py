@@ -47,8 +47,12 @@ class Coverage:
         return sum(each.count > 0 for each in all) / len(all) if all else 1.0
 
     def watch(self, world: World, program: Program) -> None:
-        """Count in this world from now on."""
+        """Count in this world, its frame of now included."""
         machines = [self._machine(s.name, m) for s in program.species.values() for m in s.machines]
+        for machine in machines:
+            states = world.populations[machine.species].now.get(f"{machine.name}.state")
+            if states is not None:
+                _met(machine, states)
         world.watchers.append(partial(_count_all, machines=machines))
 
     def _machine(self, species: str, machine: Machine) -> _Machine:
@@ -66,6 +70,11 @@ class Coverage:
         return table.setdefault((span.source.path, span.start, name), Counted(name, span))
 
 
+def _met(machine: _Machine, states: np.ndarray) -> None:
+    for state, number in zip(machine.states, np.bincount(states, minlength=len(machine.states)), strict=True):
+        state.count += int(number)
+
+
 def _count_all(world: World, machines: list[_Machine]) -> None:
     for machine in machines:
         _count(world, machine)
@@ -76,11 +85,7 @@ def _count(world: World, machine: _Machine) -> None:
     population = world.populations[machine.species]
     before, after = (table.get(f"{machine.name}.state") for table in (population.start, population.now))
     if before is not None and after is not None:
-        met = np.bincount(before, minlength=len(machine.states)) + np.bincount(
-            after[before != after], minlength=len(machine.states)
-        )
-        for state, number in zip(machine.states, met, strict=True):
-            state.count += int(number)
+        _met(machine, np.concatenate([after, before[before != after]]))  # who was just born may have left already
     pending, won = (population.now.get(f"~{machine.name}.{word}") for word in ("pending", "won"))
     if pending is None:
         return

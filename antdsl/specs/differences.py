@@ -39,9 +39,9 @@ def differences(
     some = {name: _some(world, program, name, text) for name, text in agents.items() if name in world.populations}
     found: list[tuple[int, Difference]] = []
     others = {name: len(world.populations[name]) for name in world.populations if _are_others(now, was, name)}
-    found += [(-1, Difference(name, "", "", f"{count} agents", "others")) for name, count in others.items()]
+    found += [(0, Difference(name, "", "", f"{count} agents", "others")) for name, count in others.items()]
     for key, column in now.items():
-        if column.who in others and column.what == "id":
+        if column.who in others:
             continue
         if key not in was:
             found.append((0, Difference(column.who, column.what, "", "there", "not there")))
@@ -49,7 +49,7 @@ def differences(
         first, second, words = was[key]
         sums = (int(first, 16), int(second, 16))
         if column.sums() != sums:
-            found.append((column.rank, _difference(world, column, sums, words, some, column.who in others)))
+            found.append((column.rank, _difference(world, column, sums, words, some)))
     for key in was.keys() - now.keys():
         who, _, what = key.partition(".")
         found.append((0, Difference(who, what, "", "not there", "there")))
@@ -63,10 +63,8 @@ def _are_others(now: Mapping[str, Column], was: Mapping[str, tuple[str, str, str
     return key in now and key in was and now[key].sums() != (int(was[key][0], 16), int(was[key][1], 16))
 
 
-def _difference(
-    world: World, column: Column, sums: tuple[int, int], words: str, some: Mapping[str, str], others: bool
-) -> Difference:
-    one = None if others else column.one(sums)
+def _difference(world: World, column: Column, sums: tuple[int, int], words: str, some: Mapping[str, str]) -> Difference:
+    one = column.one(sums)
     if one is not None and not column.opaque:
         row, before = one
         return Difference(
