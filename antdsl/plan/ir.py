@@ -306,13 +306,15 @@ Statement = If | Store | Deposit | Claim | Give | Emit | Spawn | Die | Carve
 @dataclass(frozen=True, slots=True, eq=False)
 class Register:
     """A value per agent. role: attribute (the author's or given), memory (keep, latch, held, machines' bookkeeping), temp (this step only,
-    starts each step at `zero`). All but temp are kept from step to step and hashed."""
+    starts each step at `zero`). All but temp are kept from step to step and hashed. `holds` is the type behind it, where the language
+    has one: what an edited program declares under this name is the same value only if that is the same."""
 
     name: str
     kind: Kind
     role: str
     zero: float | int | bool = 0
     of: str | None = None  # species whose ids an I64 register holds: references to the dead become -1 in it
+    holds: tuple[Any, ...] = ()  # kind, exponents of its dimension, and of whom or what it is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -323,6 +325,7 @@ class MachinePlan:
     states: tuple[str, ...]
     labels: tuple[str, ...]
     colours: tuple[tuple[float, float, float], ...]
+    start: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -56,7 +56,11 @@ class MachineWriter:
     def plan(self) -> ir.MachinePlan:
         states = self.machine.states
         return ir.MachinePlan(
-            self.name, tuple(s.name for s in states), tuple(s.label for s in states), tuple(s.colour for s in states)
+            self.name,
+            tuple(s.name for s in states),
+            tuple(s.label for s in states),
+            tuple(s.colour for s in states),
+            self.machine.start,
         )
 
     def _in(self, state: model.State) -> Node:

@@ -59,22 +59,31 @@ class Writer:
 
     # --- registers ---------------------------------------------------------------------------------------------------
 
-    def declare(self, name: str, kind: Kind, role: str, zero: float | int | bool = 0, of: str | None = None) -> None:
+    def declare(
+        self,
+        name: str,
+        kind: Kind,
+        role: str,
+        zero: float | int | bool = 0,
+        of: str | None = None,
+        holds: tuple[Any, ...] = (),
+    ) -> None:
         """A register of this species; the same one twice is a mistake of ours."""
         known = self.registers.get(name)
         if known is None:
-            self.registers[name] = Register(name, kind, role, zero, of)
+            self.registers[name] = Register(name, kind, role, zero, of, holds)
         elif known.kind is not kind or known.role != role:
             raise PlanError(f"register {name} is a {known.kind.value} {known.role} and a {kind.value} {role}")
 
     def declare_typed(self, name: str, type: model.Type, role: str) -> None:
         """Registers for a value of the language: three for a vector."""
+        holds = (type.kind.value, *type.dim, type.of)
         if type.kind is model.Kind.VECTOR:
             for axis in AXES:
-                self.declare(f"{name}.{axis}", Kind.F32, role)
+                self.declare(f"{name}.{axis}", Kind.F32, role, holds=holds)
         elif type.kind in KINDS:
             of = type.of if type.kind is model.Kind.AGENT else None
-            self.declare(name, KINDS[type.kind], role, NONE.get(type.kind, 0), of)
+            self.declare(name, KINDS[type.kind], role, NONE.get(type.kind, 0), of, holds)
         else:
             raise PlanError(f"{name} cannot be stored: it is a {type.kind.value}")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from antdsl.runtime.motion import Motion
 from antdsl.runtime.placing import populate
 from antdsl.runtime.plane import Plane
 from antdsl.runtime.reading import reach
+from antdsl.runtime.reuse import Built
 from antdsl.runtime.world import AXES, Items, Options, World, empty_population
 from antdsl.scene.setting import FlowData, MeshData, Setting
 
@@ -36,12 +38,29 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> Wor
     """The world at `setting.first_frame`, everybody born and nobody moved. `plan` has been optimised and verified.
 
     Raises BindError with a report when plan and setting do not go together."""
-    options = options or Options()
-    origin = _origin(setting)
+    world = unpeopled(plan, setting, options)
+    with np.errstate(all="ignore"):
+        populate(world)
+    return world
+
+
+def unpeopled(
+    plan: ir.Plan,
+    setting: Setting,
+    options: Options | None = None,
+    *,
+    built: Built | None = None,
+    origin: NDArray[np.float64] | None = None,
+) -> World:
+    """As `bind`, with nobody in it yet. `built` keeps what is made of meshes from one world to the next; `origin` is one that
+    positions are counted from already."""
+    options, built = options or Options(), built or Built()
+    origin = _origin(setting) if origin is None else origin
     up = np.asarray(setting.up, np.float64)
     meshes = {name: _moved(mesh, origin) for name, mesh in {**setting.surfaces, **setting.obstacles}.items()}
-    solids = _solids(setting, origin)
-    ground = _ground({name: meshes[name] for name in setting.surfaces}, solids, up, setting.moves.meshes, setting.by_rays)
+    solids = _solids(setting, origin, built)
+    surfaces = {name: meshes[name] for name in setting.surfaces}
+    ground = _ground(surfaces, solids, up, setting.moves.meshes, setting.by_rays, built)
     world = World(
         plan=plan,
         setting=setting,
@@ -54,7 +73,7 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> Wor
         items={name: _items(setting, items, origin) for name, items in plan.items.items()},
         fields={},
         field_rates={},
-        obstacles=_scenes(meshes, solids),
+        obstacles=_scenes(meshes, solids, built),
         curves={name: curve(setting.curves[name] - origin) for name in plan.curves if name in setting.curves},
         flows={},
         maps={},
@@ -66,11 +85,9 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> Wor
         motion=Motion(),
     )
     _params(world)
-    _fields(world, {**meshes, **{name: _moved(solid.mesh, origin) for name, solid in setting.solids.items()}})
-    _flows(world)
+    _fields(world, {**meshes, **{name: _moved(solid.mesh, origin) for name, solid in setting.solids.items()}}, built)
+    _flows(world, built)
     _detail(world, {name: meshes[name] for name in setting.obstacles})
-    with np.errstate(all="ignore"):
-        populate(world)
     return world
 
 
@@ -98,7 +115,7 @@ def _moved(mesh: MeshData, origin: NDArray[np.float64]) -> MeshData:
     return MeshData(mesh.vertices - origin, mesh.faces) if origin.any() else mesh
 
 
-def _solids(setting: Setting, origin: NDArray[np.float64]) -> dict[str, Any]:
+def _solids(setting: Setting, origin: NDArray[np.float64], built: Built) -> dict[str, Any]:
     """A volume for each solid; BindError where its mesh can be none."""
     if not setting.solids:
         return {}
@@ -106,7 +123,8 @@ def _solids(setting: Setting, origin: NDArray[np.float64]) -> dict[str, Any]:
 
     found, report = {}, Report()
     for name, solid in setting.solids.items():
-        made = Volume.from_mesh(solid.mesh.vertices - origin, solid.mesh.faces, solid.voxel)
+        mesh = _moved(solid.mesh, origin)
+        made = built.once_deep("solid", (mesh, solid.voxel), partial(Volume.from_mesh, mesh.vertices, mesh.faces, solid.voxel))
         if isinstance(made, Unusable):
             report.error("bad-mesh", f"the mesh of the solid `{name}` cannot be dug: {made.message}", None, made.help)
         else:
@@ -117,11 +135,16 @@ def _solids(setting: Setting, origin: NDArray[np.float64]) -> dict[str, Any]:
 
 
 def _ground(
-    meshes: dict[str, MeshData], solids: dict[str, Any], up: NDArray[np.float64], moving: Iterable[str], by_rays: bool
+    meshes: dict[str, MeshData],
+    solids: dict[str, Any],
+    up: NDArray[np.float64],
+    moving: Iterable[str],
+    by_rays: bool,
+    built: Built,
 ) -> Any:
     if not meshes and not solids:
         return Plane(up)
-    ground = _meshes(meshes, moving, by_rays)
+    ground = _meshes(meshes, moving, by_rays, built)
     if not solids:
         return ground
     from antdsl.runtime.terrain import Terrain
@@ -129,28 +152,31 @@ def _ground(
     return Terrain(ground, solids, up / np.sqrt(np.dot(up, up)))
 
 
-def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool) -> Any:
+def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool, built: Built) -> Any:
     """The part of the ground that is made of meshes; None without any."""
     surfaces = {name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
     moved = [name for name in moving if name in surfaces]
     if moved:
         from antdsl.runtime.senses.moving_ground import MovingGround
 
-        return MovingGround(surfaces, moved, by_rays)
+        made = partial(MovingGround, surfaces, moved, by_rays)
+        return built.once("moving ground", (surfaces, moved, by_rays), made, copied=MovingGround.copy)
     if not surfaces:
         return None
     from antdsl.runtime.senses.ground import Ground
 
-    return Ground(surfaces, by_rays)
+    return built.once("ground", (surfaces, by_rays), partial(Ground, surfaces, by_rays))
 
 
-def _scenes(meshes: dict[str, MeshData], solids: dict[str, Any]) -> dict[str, Any]:
+def _scenes(meshes: dict[str, MeshData], solids: dict[str, Any], built: Built) -> dict[str, Any]:
     """What rays can be cast at: meshes, and solids as they are at each time."""
     if not meshes and not solids:
         return {}
     from antdsl.runtime.senses.rays import RayScene
 
-    found: dict[str, Any] = {name: RayScene(mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
+    found: dict[str, Any] = {
+        name: built.once("rays", mesh, partial(RayScene, mesh.vertices, mesh.faces)) for name, mesh in meshes.items()
+    }
     if solids:
         from antdsl.runtime.senses.solid_feelers import SolidFeelers
 
@@ -175,10 +201,11 @@ def _items(setting: Setting, plan: ir.ItemsPlan, origin: NDArray[np.float64]) ->
 def _params(world: World) -> None:
     for name, param in world.plan.params.items():
         given = world.setting.params.get(name)
-        world.params[name] = np.float32(_run_value(world, param.default) if given is None else given)
+        world.params[name] = np.float32(run_value(world, param.default) if given is None else given)
 
 
-def _run_value(world: World, node: ir.Node) -> float:
+def run_value(world: World, node: ir.Node) -> float:
+    """A node that is the same for all of a run."""
     return float(uniform_values(world, reach((node,)))[node])
 
 
@@ -194,13 +221,13 @@ def set_flow(world: World, name: str, flow: FlowData) -> None:
         raise BindError(report)
 
 
-def _flows(world: World) -> None:
+def _flows(world: World, built: Built) -> None:
     if not world.setting.flows and not world.setting.maps:
         return
     from antdsl.runtime.flow_binding import bind_flows
 
     report = Report()
-    bind_flows(world, report)
+    bind_flows(world, report, built)
     if not report.ok:
         raise BindError(report)
 
@@ -213,12 +240,12 @@ def _detail(world: World, obstacles: dict[str, MeshData]) -> None:
     world.detail = Detail(world.setting.detail, world.origin, obstacles)
 
 
-def _fields(world: World, meshes: dict[str, MeshData]) -> None:
+def _fields(world: World, meshes: dict[str, MeshData], built: Built) -> None:
     if not world.plan.fields:
         return
     from antdsl.runtime.field_binding import bind_fields
 
     report = Report()
-    bind_fields(world, meshes, _run_value, report)
+    bind_fields(world, meshes, run_value, report, built)
     if not report.ok:
         raise BindError(report)

@@ -98,7 +98,7 @@ def deaths_and_births(world: World) -> None:
         coming = _coming(world)
         generation += 1
     for population in world.populations.values():
-        _forget_the_dead(world, population)
+        forget_the_dead(world, population)
 
 
 Births = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], object, dict[str, NDArray[np.float32]]]]
@@ -174,7 +174,7 @@ def _smells(population: Population) -> bool:
     return any(node.op.startswith("field.") for node in nodes)
 
 
-def _forget_the_dead(world: World, population: Population) -> None:
+def forget_the_dead(world: World, population: Population) -> None:
     """References to the dead become none, where the plan says whose ids a register holds."""
     for register in population.plan.registers.values():
         if register.kind is ir.Kind.I64 and register.of in world.populations and register.role != "temp":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ from antdsl.plan import ir
 from antdsl.runtime.fields.cells import FieldTooFine, SurfaceCells
 from antdsl.runtime.fields.growing import GrowingCells
 from antdsl.runtime.fields.pheromone import PheromoneField
+from antdsl.runtime.reuse import Built
 from antdsl.scene.setting import FieldStart, MeshData
 from antdsl.scene.spreading import largest_stable_diffusion
 
@@ -19,7 +21,9 @@ if TYPE_CHECKING:
     from antdsl.runtime.world import World
 
 
-def bind_fields(world: World, meshes: dict[str, MeshData], value: Callable[[World, ir.Node], float], report: Report) -> None:
+def bind_fields(
+    world: World, meshes: dict[str, MeshData], value: Callable[[World, ir.Node], float], report: Report, built: Built
+) -> None:
     """Make all fields of the plan; what is wrong with one goes into the report."""
     cells: dict[tuple[tuple[str, ...], float], SurfaceCells] = {}
     for plan in world.plan.fields.values():
@@ -34,7 +38,9 @@ def bind_fields(world: World, meshes: dict[str, MeshData], value: Callable[[Worl
             surfaces = [(m.vertices, m.faces) for name in plan.surfaces if (m := meshes.get(name)) is not None]
             try:
                 kind = GrowingCells if any(name in world.solids for name in plan.surfaces) else SurfaceCells
-                cells[key] = kind(surfaces, size)
+                made = partial(kind, surfaces, size)
+                keep_all = built.once_deep if kind is GrowingCells else built.once
+                cells[key] = keep_all(kind.__name__, (surfaces, size), made)
             except FieldTooFine as why:
                 row = " in a row" if why.in_a_row else ""
                 words = f"about {why.needed:,} cells of {size:g} mm{row}; {why.cap:,} are allowed"

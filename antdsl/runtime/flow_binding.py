@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+from functools import partial
 from math import ceil
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +16,7 @@ from antdsl.runtime.fields.cost import Land
 from antdsl.runtime.fields.flow import Flow, Map, falling, laid, nearest, spread
 from antdsl.runtime.fields.lattice import Lattice, LatticeTooFine, cuts_for, slots_of, welded
 from antdsl.runtime.fields.solved import Grounds, Solved, least_cost
+from antdsl.runtime.reuse import Built
 from antdsl.runtime.senses.topology import NO_LINK
 from antdsl.scene.setting import BorderFlow, FlowData, Painted, SolvedFlow, SpreadFlow, Target
 
@@ -33,12 +36,26 @@ _SUNK = 0.05  # voxels that ground may lie under the surface of a solid and stil
 _LIFT = 0.25  # of an edge: how high over the ground obstacles are looked for between two points
 
 
-def bind_flows(world: World, report: Report) -> None:
-    """All maps and flows of the setting that the plan knows."""
-    for name, painted in world.setting.maps.items():
+def bind_flows(world: World, report: Report, built: Built) -> None:
+    """All maps and flows of the setting that the plan knows. Those that never change are kept in `built`."""
+    setting = world.setting
+    for name, painted in setting.maps.items():
         world.maps[name] = Map(_corners(world, painted)[:, :, 0])
-    for name, flow in world.setting.flows.items():
-        bind_flow(world, name, flow, report)
+    land = (setting.surfaces, setting.obstacles, setting.maps, setting.up, setting.by_rays, world.origin)
+    for name, flow in setting.flows.items():
+        if isinstance(flow, SolvedFlow) or world.solids or setting.moves:
+            bind_flow(world, name, flow, report)
+            continue
+        made = built.once("flow", (land, flow), partial(_bound, world, name, flow))
+        if made is None:
+            bind_flow(world, name, flow, report)  # complains
+        else:
+            world.flows[name] = copy(made)
+
+
+def _bound(world: World, name: str, flow: FlowData) -> Flow | None:
+    bind_flow(world, name, flow, Report())
+    return world.flows.get(name)
 
 
 def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:

@@ -3,6 +3,7 @@ more move nobody."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from antdsl.runtime import vectors as vec
 from antdsl.runtime.births import come_alive, deaths_and_births, settle_newborn
 from antdsl.runtime.reading import walk
 from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows
-from antdsl.scene.setting import MeshData, PlaceData
+from antdsl.scene.setting import CrowdData, MeshData, PlaceData
 
 _TRIES = 12  # a place beside the ground or in an obstacle is drawn again
 _FRAME = 0  # placement belongs to no frame
@@ -24,33 +25,50 @@ _TURN = np.float32(2 * np.pi)
 def populate(world: World) -> None:
     """Put all crowds into the world; ids in the order of the scene's lines."""
     counted: dict[str, int] = {}
+    joined: dict[str, NDArray[np.intp]] = {}
     for crowd in world.setting.crowds:
         population = world.populations[crowd.species]
         ids = np.arange(counted.get(crowd.species, 0), counted.get(crowd.species, 0) + crowd.count)
         counted[crowd.species] = population.next_id = int(crowd.count + (ids[0] if len(ids) else population.next_id))
         if not len(ids):
             continue
-        if crowd.place.inside is not None and world.ground.meshes is not None:
-            footing, up = _seen_from(world, crowd.species, crowd.place, crowd.place.inside, ids)
-        else:
-            footing, up = _footing(world, crowd.species, crowd.place, ids), np.broadcast_to(world.up, (len(ids), 3))
-        rows = add_rows(population, ids, world.frame, world.ground.position(footing), footing)
-        for k, axis in enumerate(AXES):
-            population.now[f"up.{axis}"][rows] = up[:, k]
-        population.now["group"][rows] = crowd.group
-    alive = [population for population in world.populations.values() if len(population)]
-    for population in alive:
-        _shuffle(world, population)
-        _stand(world, population)
-    come_alive(world, {population.name: np.arange(len(population)) for population in alive})
-    for population in alive:
-        _set_out(world, population)
-    if any(p.effects.spawns or p.effects.deaths for p in alive):
+        put(world, crowd, ids)
+    for name, population in world.populations.items():
+        if len(population):
+            _shuffle(world, population)
+            joined[name] = np.arange(len(population))
+    begin(world, joined)
+
+
+def put(world: World, crowd: CrowdData, ids: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Rows for agents of a crowd where the scene places them; gives the rows, of which nothing else is filled yet."""
+    population = world.populations[crowd.species]
+    if crowd.place.inside is not None and world.ground.meshes is not None:
+        footing, up = _seen_from(world, crowd.species, crowd.place, crowd.place.inside, ids)
+    else:
+        footing, up = _footing(world, crowd.species, crowd.place, ids), np.broadcast_to(world.up, (len(ids), 3))
+    rows = add_rows(population, ids, world.frame, world.ground.position(footing), footing)
+    for k, axis in enumerate(AXES):
+        population.now[f"up.{axis}"][rows] = up[:, k]
+    population.now["group"][rows] = crowd.group
+    return np.arange(rows.start, rows.stop)
+
+
+def begin(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
+    """Let those who were put into the world stand, be born and set out, by species their rows; what they raise at birth is
+    seen in the first step."""
+    for name, rows in joined.items():
+        _stand(world, world.populations[name], rows)
+    come_alive(world, joined)
+    for name, rows in joined.items():
+        _set_out(world, world.populations[name], rows)
+    if any(p.effects.spawns or p.effects.deaths for p in world.populations.values()):
         deaths_and_births(world)
     settle_newborn(world)
     for population in world.populations.values():
-        for name in population.events:  # raised at birth: seen in the first step
-            population.events[name], population.raised[name] = population.raised[name], population.events[name]
+        for name in population.events:
+            population.events[name] |= population.raised[name]
+            population.raised[name].fill(False)
 
 
 def _draw(world: World, species: str, index: int, ids: NDArray[np.int64], site: str = "place") -> NDArray[np.float32]:
@@ -175,26 +193,26 @@ def _shuffle(world: World, population: Population) -> None:
         select_rows(population, np.random.default_rng(world.options.shuffle_rows).permutation(len(population)))
 
 
-def _stand(world: World, population: Population) -> None:
+def _stand(world: World, population: Population, rows: NDArray[np.intp]) -> None:
     """Up from the ground, and a heading drawn around it; at rest."""
     side = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
-    up = vec.columns(world.ground.upright(population.footing, side), np.float32)
-    angle = _draw(world, population.name, 0, population.ids, "heading") * _TURN
+    up = vec.columns(world.ground.upright(population.footing, side)[rows], np.float32)
+    angle = _draw(world, population.name, 0, population.ids[rows], "heading") * _TURN
     side = vec.across(up)
     ahead = vec.cross(up, side)
     heading = vec.add(vec.scale(side, kernels.cos(angle)), vec.scale(ahead, kernels.sin(angle)))
     for k, axis in enumerate(AXES):
-        for name, value in (("position", population.position[:, k]), ("up", up[k]), ("heading", heading[k])):
-            population.now[f"{name}.{axis}"][:] = value
-            population.start[f"{name}.{axis}"][:] = value
+        for name, value in (("position", population.position[rows, k]), ("up", up[k]), ("heading", heading[k])):
+            population.now[f"{name}.{axis}"][rows] = value
+            population.start[f"{name}.{axis}"][rows] = value
 
 
-def _set_out(world: World, population: Population) -> None:
+def _set_out(world: World, population: Population, rows: NDArray[np.intp]) -> None:
     """A drawn share of full speed along the heading (T02), unless the species says at birth how it moves."""
     if any(isinstance(s, ir.Store) and s.register.startswith("velocity.") for _, s in walk(population.plan.born)):
         return
-    speed = population.now["max_speed"] * _draw(world, population.name, 1, population.ids, "heading")
+    speed = population.now["max_speed"][rows] * _draw(world, population.name, 1, population.ids[rows], "heading")
     for axis in AXES:
-        velocity = population.now[f"velocity.{axis}"]
-        velocity[:] = population.now[f"heading.{axis}"] * speed
-        population.start[f"velocity.{axis}"][:] = velocity
+        velocity = population.now[f"heading.{axis}"][rows] * speed
+        population.now[f"velocity.{axis}"][rows] = velocity
+        population.start[f"velocity.{axis}"][rows] = velocity

@@ -1,0 +1,70 @@
+"""What was made of meshes, kept for the next world by a digest of all that it was made from: an edited program rarely comes with
+other meshes, and a ground with its rays and cells takes longer to make than a step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from dataclasses import fields, is_dataclass
+from hashlib import sha256
+from typing import Any, TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+
+
+class Built:
+    """Grounds, ray scenes, cells, volumes and flows that do not change once they are made. Those that change, as what is dug or
+    moves does, are kept as they were made, and given out as copies."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, Any] = {}
+        self._asked: set[str] = set()
+
+    def once(self, what: str, of: object, make: Callable[[], T], *, copied: Callable[[T], T] | None = None) -> T:
+        """What `make` gives, or gave for the same `of` (arrays, numbers, texts and what is made of them). An exception of `make`
+        is passed on, and nothing is kept."""
+        key = digest((what, of))
+        self._asked.add(key)
+        if key not in self._kept:
+            self._kept[key] = make()
+        found: T = self._kept[key]
+        return found if copied is None else copied(found)
+
+    def once_deep(self, what: str, of: object, make: Callable[[], T]) -> T:
+        """As `once`, for what changes as it is used: a copy of all of it."""
+        return self.once(what, of, make, copied=deepcopy)
+
+    def forget(self) -> None:
+        """Drop what was not asked for since this was called last."""
+        self._kept = {key: value for key, value in self._kept.items() if key in self._asked}
+        self._asked = set()
+
+
+def digest(value: object) -> str:
+    """A hash of arrays, numbers, texts, mappings, sequences and dataclasses of these, by what they hold."""
+    hashed = sha256()
+    _add(hashed.update, value)
+    return hashed.hexdigest()
+
+
+def _add(update: Callable[[bytes], None], value: object) -> None:
+    if isinstance(value, np.ndarray):
+        update(f"a{value.dtype.str}{value.shape}".encode())
+        update(np.ascontiguousarray(value).tobytes())
+    elif is_dataclass(value) and not isinstance(value, type):
+        update(f"d{type(value).__name__}".encode())
+        for each in fields(value):
+            _add(update, getattr(value, each.name))
+    elif isinstance(value, Mapping):
+        update(f"m{len(value)}".encode())
+        for key, inner in value.items():
+            _add(update, key)
+            _add(update, inner)
+    elif isinstance(value, tuple | list):
+        update(f"t{len(value)}".encode())
+        for inner in value:
+            _add(update, inner)
+    else:
+        update(f"{type(value).__name__}:{value!r};".encode())
