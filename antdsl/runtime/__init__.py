@@ -5,13 +5,17 @@ from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore, sho
 from antdsl.runtime.digging import dig_again, handed_over
 from antdsl.runtime.faults import Fault, FaultStop
 from antdsl.runtime.hashing import state_hash
+from antdsl.runtime.reuse import Built
 from antdsl.runtime.snapshots import snapshot
 from antdsl.runtime.stepping import step
+from antdsl.runtime.taken_words import taken_line
+from antdsl.runtime.taking_over import Taken, take_over
 from antdsl.runtime.world import Items, Options, Population, World
 from antdsl.scene.setting import CrowdData, FieldStart, ItemData, MeshData, PlaceData, Setting
 
 __all__ = [
     "BindError",
+    "Built",
     "CheckpointError",
     "CrowdData",
     "Fault",
@@ -24,6 +28,7 @@ __all__ = [
     "PlaceData",
     "Population",
     "Setting",
+    "Taken",
     "World",
     "bind",
     "checkpoint",
@@ -38,4 +43,6 @@ __all__ = [
     "state",
     "state_hash",
     "step",
+    "take_over",
+    "taken_line",
 ]
