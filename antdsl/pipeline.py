@@ -85,8 +85,11 @@ def _checked(loaded: Loaded, strict: bool, memo: Memo | None = None) -> tuple[Pr
     return program, report
 
 
-def open_scene(path: Path, choices: Choices | None = None, *, parsed: Parsed | None = None) -> tuple[Shot | None, Report]:
-    """Everything from a scene's file to a shot: read, compile, match, lower, optimise, stage. `parsed` as in `compile_files`."""
+def open_scene(
+    path: Path, choices: Choices | None = None, *, parsed: Parsed | None = None, thorough: bool = True
+) -> tuple[Shot | None, Report]:
+    """Everything from a scene's file to a shot: read, compile, match, lower, optimise, stage. `parsed` as in `compile_files`,
+    `thorough` as in `passes.optimise`."""
     from antdsl import passes, plan
     from antdsl.scene.adjusting import with_fields
     from antdsl.scene.matching import layer_order
@@ -112,7 +115,7 @@ def open_scene(path: Path, choices: Choices | None = None, *, parsed: Parsed | N
     inputs = {"antdsl": __version__, "scene": _digest(repr(_result_relevant(scene))), **loaded.hashes(), **meshes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
-    return Shot(scene, program, passes.optimise(lowered), setting, inputs), report
+    return Shot(scene, program, passes.optimise(lowered, thorough=thorough), setting, inputs), report
 
 
 def _with_fields(program: Program, changes: Iterable[Changed]) -> Program:

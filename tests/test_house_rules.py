@@ -18,7 +18,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 ROOMS = (
     "__init__", "source", "diagnostics", "limits", "resources", "bootstrap", "syntax", "program", "highlighting", "graphs",
     "scene", "loading", "plan", "passes", "runtime", "bodies", "pipeline", "checking", "outputs", "specs", "explain", "sweep",
-    "lsp", "cli", "__main__",
+    "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.
 GROUND = frozenset(["source", "diagnostics", "limits", "resources"])

@@ -93,10 +93,22 @@ def three(place: NDArray[np.float64]) -> stage_of.Point:
     return float(place[0]), float(place[1]), float(place[2])
 
 
+def _near(mesh: stage_of.MeshData, point: stage_of.Point, flat: list[int]) -> NDArray[np.int32]:
+    """Faces whose rectangles, seen from above, the point is not clearly outside of."""
+    near = np.ones(len(mesh.faces), np.bool_)
+    for axis in flat:
+        a, b, c = (np.ascontiguousarray(mesh.vertices[:, axis])[mesh.faces[:, k]] for k in range(3))
+        low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+        slack = 1e-6 * (high - low)
+        near &= (low - slack <= point[axis]) & (point[axis] <= high + slack)
+    faces: NDArray[np.int32] = mesh.faces[near]
+    return faces
+
+
 def height_over(mesh: stage_of.MeshData, point: stage_of.Point, up: str) -> float | None:
     """The highest place of a mesh on the line through a point along the scene's up, or None where there is none."""
     flat, tall = ([0, 2], 1) if up == "y" else ([0, 1], 2)
-    corners = mesh.vertices[mesh.faces]
+    corners = mesh.vertices[_near(mesh, point, flat)]
     plan = corners[:, :, flat] - np.array(point)[flat]
     # twice the areas of the three triangles that the point makes with the edges, seen from above
     across = [plan[:, i, 0] * plan[:, (i + 1) % 3, 1] - plan[:, i, 1] * plan[:, (i + 1) % 3, 0] for i in range(3)]

@@ -1,0 +1,97 @@
+"""Opens one scene again and again: what has not changed since is not read, parsed or worked out a second time."""
+
+from __future__ import annotations
+
+import gc
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from antdsl import syntax
+from antdsl.diagnostics import Report
+from antdsl.loading import Parsed
+from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.runtime import BindError, Built, Taken, World, take_over
+from antdsl.scene.document import MappingNode, Node, SequenceNode
+from antdsl.scene.paths import PathRefused
+from antdsl.source import Source
+
+
+@dataclass(eq=False)
+class Compiler:
+    """One scene's file. `instead` has texts that stand for files: edits that nobody saved."""
+
+    scene: Path
+    instead: dict[Path, str] = field(default_factory=dict)
+    built: Built = field(default_factory=Built)
+    _parsed: Parsed = field(default_factory=dict)
+    _files: tuple[Path, ...] = ()
+
+    def open(self, choices: Choices | None = None) -> tuple[Shot | None, Report]:
+        """The shot as the files are now, or None; and what there is to complain about."""
+        self._forget_changed()
+        with _without_pauses():
+            shot, report = open_scene(self.scene, choices, parsed=self._parsed, thorough=False)
+        if shot is not None:
+            self._files = _files(shot)
+        return shot, report
+
+    def take_over(self, world: World, shot: Shot) -> tuple[World | None, Taken, Report]:
+        """The world of a shot that goes on from where another stands; None and complaints when it cannot be made."""
+        with _without_pauses():
+            try:
+                return *take_over(world, shot.plan, shot.setting, self.built), Report()
+            except BindError as why:
+                return None, Taken(), why.report
+
+    def files(self) -> list[Path]:
+        """All files that the scene was last made of, and those that it was tried with since."""
+        return list(dict.fromkeys([self.scene, *self._files, *(Path(place) for place in self._parsed)]))
+
+    def _forget_changed(self) -> None:
+        for path, text in self.instead.items():
+            known = self._parsed.get(str(path))
+            if known is None or known[0].source.text != text:
+                self._parsed[str(path)] = syntax.parse(Source(str(path) if known is None else known[0].source.path, text))
+        for place in [place for place in self._parsed if Path(place) not in self.instead]:
+            source, _ = syntax.read(place)
+            if source is None or source.text != self._parsed[place][0].source.text:
+                del self._parsed[place]
+
+
+@contextmanager
+def _without_pauses() -> Iterator[None]:
+    """A compiler makes tens of thousands of small things that are all in use: looking through them for garbage takes as long
+    as making them."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
+
+
+def _files(shot: Shot) -> tuple[Path, ...]:
+    """The scenes and what they name, less the programs, which are known by their parsed texts."""
+    found = dict.fromkeys(_sources(shot.scene.document))
+    for name in shot.inputs:
+        try:
+            found[shot.scene.roots.path(name)] = None
+        except PathRefused:
+            continue  # a value, or a file of the library
+    return tuple(path for path in found if os.path.isfile(path))
+
+
+def _sources(document: Node) -> Iterator[Path]:
+    """The files that parts of a scene stand in: one that is extended is among them."""
+    stack: list[Node] = [document]
+    while stack:
+        node = stack.pop()
+        yield Path(node.span.source.path)
+        if isinstance(node, MappingNode):
+            stack += node.entries.values()
+        elif isinstance(node, SequenceNode):
+            stack += node.items

@@ -1,0 +1,40 @@
+"""Layers that are off by hand: the texts of their programs without them, which stand for the files until somebody saves."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from antdsl import syntax
+from antdsl.syntax import nodes
+
+Off = Mapping[tuple[str, str], Path]
+
+
+def texts_without(off: Off) -> tuple[dict[Path, str], list[tuple[str, str]]]:
+    """The texts of files less the layers that are off, by species and text; and which of them are there no more. A file that
+    cannot be read is left as it is: who compiles it hears about it."""
+    texts: dict[Path, str] = {}
+    gone: list[tuple[str, str]] = []
+    for path in dict.fromkeys(off.values()):
+        source, _ = syntax.read(path)
+        if source is None:
+            continue
+        wanted = {key for key, place in off.items() if place == path}
+        file, _ = syntax.parse(source)
+        spans = []
+        for species in (item for item in file.items if isinstance(item, nodes.Species)):
+            for layers in (member for member in species.members if isinstance(member, nodes.Layers)):
+                for layer in layers.layers:
+                    key = (species.name.text, layer.span.text)
+                    if key in wanted:
+                        spans.append((layer.span.start, layer.span.end))
+                        wanted.discard(key)
+        gone += sorted(wanted)
+        text = source.text
+        for start, end in sorted(spans, reverse=True):
+            text = text[:start] + text[end:]
+        if spans:
+            texts[Path(os.path.realpath(path))] = text
+    return texts, gone

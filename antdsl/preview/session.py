@@ -1,0 +1,268 @@
+"""A scene under way with its history: it goes on, goes back to any frame that was simulated, and takes edits at any of them.
+
+Going back re-simulates from the nearest checkpoint, to the same bits; what is changed at an earlier frame begins a branch."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from antdsl import limits
+from antdsl.diagnostics import Report
+from antdsl.pipeline import Choices, Shot
+from antdsl.preview.binding_params import asked_before_the_first_step
+from antdsl.preview.compiling import Compiler
+from antdsl.preview.layers import Off, texts_without
+from antdsl.preview.timeline import Change, Light, Stretch, Timeline, nearest_checkpoint
+from antdsl.runtime import BindError, FaultStop, Options, World, bind, restore, set_param, state_hash, step, taken_line
+from antdsl.runtime.binding import unpeopled
+from antdsl.scene.adjusting import settable
+from antdsl.scene.matching import check_param
+from antdsl.scene.quantities import BadQuantity, Quantity, parse_quantity
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of an edit: `line` says what was kept, moved and reset; `text` is what to write into a file to have the same for
+    good. With errors in the report nothing has changed."""
+
+    report: Report = field(default_factory=Report)
+    line: str = ""
+    text: str = ""
+
+    @property
+    def ok(self) -> bool:
+        return self.report.ok
+
+
+class Session:
+    """Make one with `Session.open`."""
+
+    world: World  # to be read only
+
+    def __init__(self, compiler: Compiler, options: Options, timeline: Timeline) -> None:
+        self.compiler, self.options, self.timeline = compiler, options, timeline
+        self.playing = False
+        self.edited = False  # something was changed while it ran: not what a fresh run gives
+        self.fault: str | None = None  # of the last step
+        self._stretch: Stretch
+
+    @classmethod
+    def open(
+        cls,
+        scene: Path,
+        choices: Choices | None = None,
+        options: Options | None = None,
+        *,
+        every: int = 24,
+        budget: int = limits.GIB // 4,
+    ) -> tuple[Session | None, Report]:
+        """A session at the scene's first simulated frame, or None and complaints. A checkpoint each `every` frames; `budget`
+        bytes of memory for all that is kept."""
+        made = cls(Compiler(scene), options or Options(), Timeline(every, budget))
+        report = made._begin(choices or Choices(), {}).report
+        return (made if report.ok else None), report
+
+    # --- time --------------------------------------------------------------------------------------------------------
+
+    @property
+    def shot(self) -> Shot:
+        return self._stretch.shot
+
+    @property
+    def frame(self) -> int:
+        return self.world.frame
+
+    @property
+    def first(self) -> int:
+        return self.timeline.stretches[0].first
+
+    @property
+    def head(self) -> int:
+        """The last frame that was simulated."""
+        return self.timeline.head
+
+    @property
+    def hash(self) -> str:
+        return state_hash(self.world)
+
+    @property
+    def choices(self) -> Choices:
+        """What was set by hand, as of this frame."""
+        changed = {c.name: c.text for c in self._stretch.changes if c.frame <= self.frame}
+        return replace(self._stretch.choices, params={**self._stretch.choices.params, **changed})
+
+    def step(self) -> None:
+        """One frame on: through history as it was, then further. A value at fault stops nothing but `playing`."""
+        self._step()
+        later = self.timeline.after(self._stretch)
+        if later is not None and later.first == self.frame:
+            self._restore(later, later.first)
+        self.timeline.note(self._stretch, self.world)
+
+    def seek(self, frame: int) -> None:
+        """Be at a frame that was simulated. ValueError for any other, also for one that is forgotten."""
+        if not self.first <= frame <= self.head:
+            raise ValueError(f"frame {frame} is not among those kept, {self.first} to {self.head}")
+        stretch = self.timeline.at(frame)
+        nearest = nearest_checkpoint(stretch, frame)
+        if stretch is not self._stretch or not nearest <= self.frame <= frame:
+            self._restore(stretch, nearest)
+        while self.frame < frame:
+            self._step()
+
+    def shown(self, frame: int) -> Mapping[str, Light] | None:
+        """The agents at a frame by species, without simulating anything; None where that is forgotten."""
+        return self.timeline.light.get(frame)
+
+    def _step(self) -> None:
+        self.fault = None
+        for change in self._stretch.changes:
+            if change.frame == self.frame:
+                set_param(self.world, change.name, change.value)
+        try:
+            step(self.world)
+        except FaultStop as stop:
+            self.fault, self.playing = str(stop), False
+
+    def _restore(self, stretch: Stretch, frame: int) -> None:
+        """Be in a stretch as it was at a checkpoint, in a world that nothing was dug in yet."""
+        shot = stretch.shot
+        world = unpeopled(shot.plan, shot.setting, self.options, built=self.compiler.built, origin=stretch.origin)
+        restore(world, stretch.checkpoints[frame])
+        world.watchers = self.world.watchers
+        self._stretch, self.world = stretch, world
+
+    # --- edits ---------------------------------------------------------------------------------------------------------
+
+    def reload(self) -> Outcome:
+        """Go on with the files as they are now, from the frame one is at. With errors the last good program runs on."""
+        outcome = self._with(self.choices, self._stretch.off, unless_same=True)
+        if outcome.ok or not (self.choices.params or self._stretch.off):
+            return outcome
+        choices, dropped = self._known(self.choices, self._stretch.off)
+        if not dropped:
+            return outcome
+        outcome = self._with(choices, self._stretch.off)
+        return replace(outcome, line=" · ".join([outcome.line, *dropped])) if outcome.ok else outcome
+
+    def set(self, name: str, value: str) -> Outcome:
+        """Give a param, or a setting of a field, another value: a number and its unit. The text is the line of the scene."""
+        text = f"set: {{{name}: {value}}}"
+        quantity, report = _quantity(self.shot, name, value)
+        if quantity is None:
+            return Outcome(report)
+        if name not in self.shot.plan.params or name in asked_before_the_first_step(self.shot.plan):
+            choices = self.choices
+            return self._with(replace(choices, params={**choices.params, name: value}), self._stretch.off, text)
+        change = Change(self.frame, name, value, quantity.base(self.shot.scene.model.unit_mm, self.world.dt))
+        self.timeline.cut(self.frame, text)
+        others = [each for each in self._stretch.changes if (each.frame, each.name) != (self.frame, name)]
+        self._stretch.changes = [*others, change]
+        set_param(self.world, name, change.value)
+        self.edited = True
+        return Outcome(report, f"`{name}` is {value} from the next frame on", text)
+
+    def field(self, name: str, on: bool) -> Outcome:
+        """Let a field hold scent, or next to none: what is laid stays below a millionth and is gone a step later."""
+        off = {f"{name}.limit": "0.000001", f"{name}.keeps": "0 %/step"}
+        if name not in self.shot.plan.fields:
+            return _unknown(f"no program has a field `{name}`")
+        params = {key: value for key, value in self.choices.params.items() if key not in off}
+        text = "" if on else f"set: {{{', '.join(f'{key}: {value}' for key, value in off.items())}}}"
+        return self._with(replace(self.choices, params=params if on else {**params, **off}), self._stretch.off, text)
+
+    def layer(self, species: str, layer: str, on: bool) -> Outcome:
+        """Switch a layer of a species, by its text, off or on again. The text is its line, commented out."""
+        key, off = (species, layer), dict(self._stretch.off)
+        if on:
+            if off.pop(key, None) is None:
+                return _unknown(f"no layer of `{species}` that is off is `{layer}`")
+            return self._with(self.choices, off)
+        plan = self.shot.plan.species.get(species)
+        found = next((each for each in plan.layers if each.span.text == layer), None) if plan is not None else None
+        if found is None:
+            return _unknown(f"no layer of `{species}` is `{layer}`")
+        off[key] = Path(os.path.realpath(found.span.source.path))
+        return self._with(self.choices, off, f"# {layer}")
+
+    def restart(self) -> Outcome:
+        """Simulate the files as they are, with what was set by hand, from the first frame: a clean run, whose hashes are those of
+        `antdsl run` once the lines for what was set stand in the files."""
+        return self._begin(self.choices, self._stretch.off)
+
+    def _begin(self, choices: Choices, off: Off) -> Outcome:
+        shot, report, _ = self._opened(choices, off)
+        if shot is None or not report.ok:
+            return Outcome(report)
+        try:
+            self.world = bind(shot.plan, shot.setting, self.options)
+        except BindError as why:
+            return Outcome(why.report)
+        branches = self.timeline.branches
+        self.timeline = Timeline(self.timeline.every, self.timeline.budget)
+        self.timeline.branches = branches
+        self._stretch = Stretch(shot, self.frame, "from the first frame", self.world.origin, choices, off)
+        self.timeline.start(self._stretch, self.world)
+        self.edited = False
+        return Outcome(report, f"{len(self.world):,} agents from frame {self.frame}")
+
+    def _opened(self, choices: Choices, off: Off) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
+        """The shot of the files with these choices, and which layers are there no more."""
+        before = self.compiler.instead
+        self.compiler.instead, gone = texts_without(off)
+        shot, report = self.compiler.open(choices)
+        if shot is None or not report.ok:
+            self.compiler.instead = before
+        return shot, report, gone
+
+    def _with(self, choices: Choices, off: Off, text: str = "", *, unless_same: bool = False) -> Outcome:
+        """Go on with the files as they are and other choices."""
+        shot, report, gone = self._opened(choices, off)
+        if shot is None or not report.ok:
+            return Outcome(report)
+        if unless_same and shot.inputs == self.shot.inputs:
+            return Outcome(report, "nothing has changed")
+        world, taken, findings = self.compiler.take_over(self.world, shot)
+        report.extend(findings)
+        if world is None:
+            return Outcome(report)
+        line = " · ".join([taken_line(taken), *(f"layer `{layer}` is gone" for _, layer in gone)])
+        off = {key: path for key, path in off.items() if key not in gone}
+        self.world = world
+        self._stretch = Stretch(shot, world.frame, line, world.origin, choices, off)
+        self.timeline.start(self._stretch, world)
+        self.edited = True
+        return Outcome(report, line, text)
+
+    def _known(self, choices: Choices, off: Off) -> tuple[Choices, list[str]]:
+        """The choices less the values that the files as they are have no use for, with words about those."""
+        shot, report, _ = self._opened(replace(choices, params={}), off)
+        if shot is None or not report.ok:
+            return choices, []
+        fits = {name: value for name, value in choices.params.items() if _quantity(shot, name, value)[0] is not None}
+        dropped = [f"`{name}: {value}` fits no more" for name, value in choices.params.items() if name not in fits]
+        return replace(choices, params=fits), dropped
+
+
+def _quantity(shot: Shot, name: str, value: str) -> tuple[Quantity | None, Report]:
+    """A value for a param or a setting of a field, or None and what is wrong with it."""
+    report = Report()
+    try:
+        quantity = parse_quantity(value)
+    except BadQuantity as why:
+        report.error("wrong-value", f"`{name}: {value}`: `{value}` {why}", None, f"write a number and a unit: `{name}: 50 mm`")
+        return None, report
+    if name not in shot.program.params and name not in settable(shot.program):
+        report.error("unknown-thing", f"no program has a param `{name}`", None)
+        return None, report
+    check_param(shot.scene, shot.program, report, name, quantity)
+    return (quantity if report.ok else None), report
+
+
+def _unknown(message: str) -> Outcome:
+    report = Report()
+    report.error("unknown-thing", message, None)
+    return Outcome(report)

@@ -1,0 +1,174 @@
+"""What was simulated so far: stretches of time, each of one program, with checkpoints to go back to and light frames to show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.pipeline import Choices, Shot
+from antdsl.runtime import Population, World, checkpoint
+
+Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Light:
+    """Agents of one species at one frame: ids int64[n], places float32[n,3] in the world's own count, states int32[n] by
+    machine."""
+
+    ids: NDArray[np.int64]
+    position: NDArray[np.float32]
+    states: dict[str, NDArray[np.int32]]
+
+    @property
+    def nbytes(self) -> int:
+        return self.ids.nbytes + self.position.nbytes + sum(array.nbytes for array in self.states.values())
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A param's value from a frame on, as written and in base units."""
+
+    frame: int
+    name: str
+    text: str
+    value: float
+
+
+@dataclass(slots=True, eq=False)
+class Stretch:
+    """Frames from `first` on that one shot made; `line` says how it came about, `choices` and `off` what was set by hand then:
+    `off` has layers by species and text, with the file that each stands in. `changes` are params set on the way."""
+
+    shot: Shot
+    first: int
+    line: str
+    origin: NDArray[np.float64]
+    choices: Choices
+    off: Mapping[tuple[str, str], Path] = field(default_factory=dict)
+    checkpoints: dict[int, Arrays] = field(default_factory=dict)
+    changes: list[Change] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Branch:
+    """What was simulated before it was done otherwise from frame `first` on: its curves, to be seen beside the new ones."""
+
+    first: int
+    line: str
+    curves: dict[int, dict[str, float]]
+
+
+class Timeline:
+    """Stretches in order of time. A checkpoint each `every` frames; `budget` bytes in all, above which light frames go first,
+    the oldest ones, then every other checkpoint but the first of a stretch, then whole stretches, the oldest ones."""
+
+    def __init__(self, every: int, budget: int) -> None:
+        self.every, self.budget = every, budget
+        self.stretches: list[Stretch] = []
+        self.branches: list[Branch] = []
+        self.curves: dict[int, dict[str, float]] = {}
+        self.light: dict[int, dict[str, Light]] = {}
+        self._bytes = 0
+
+    @property
+    def head(self) -> int:
+        """The last frame that was simulated."""
+        return max(self.curves, default=self.stretches[-1].first if self.stretches else 0)
+
+    def at(self, frame: int) -> Stretch:
+        """The stretch that a frame belongs to: where two meet, the later one."""
+        return next(stretch for stretch in reversed(self.stretches) if stretch.first <= frame)
+
+    def after(self, stretch: Stretch) -> Stretch | None:
+        number = self.stretches.index(stretch) + 1
+        return self.stretches[number] if number < len(self.stretches) else None
+
+    def start(self, stretch: Stretch, world: World) -> None:
+        """Go on with another stretch from its first frame; what was there from that frame on becomes a branch."""
+        self.cut(stretch.first, stretch.line)
+        for each in [each for each in self.stretches if each.first == stretch.first]:
+            self._drop(each)
+        self.stretches.append(stretch)
+        self.note(stretch, world)
+
+    def cut(self, frame: int, line: str) -> None:
+        """Forget what comes after a frame but for its curves."""
+        old = {each: values for each, values in self.curves.items() if each > frame}
+        if old:
+            self.branches.append(Branch(frame, line, old))
+        for each_stretch in [each for each in self.stretches if each.first > frame]:
+            self._drop(each_stretch)
+        for stretch in self.stretches:
+            stretch.changes = [change for change in stretch.changes if change.frame <= frame]
+            for each in [each for each in stretch.checkpoints if each > frame]:
+                self._bytes -= _size(stretch.checkpoints.pop(each))
+        for each in old:
+            del self.curves[each]
+            self._bytes -= sum(light.nbytes for light in self.light.pop(each, {}).values())
+
+    def note(self, stretch: Stretch, world: World) -> None:
+        """Keep what a world is like at its frame: once for a frame, however often it is gone through again."""
+        frame = world.frame
+        fresh = frame not in self.curves or frame == stretch.first
+        if fresh:
+            self.curves[frame] = measured(world)
+        if (frame == stretch.first and frame not in stretch.checkpoints) or (fresh and frame % self.every == 0):
+            self._bytes -= _size(stretch.checkpoints.get(frame, {}))
+            stretch.checkpoints[frame] = checkpoint(world)
+            self._bytes += _size(stretch.checkpoints[frame])
+        if fresh:
+            self._bytes -= sum(light.nbytes for light in self.light.get(frame, {}).values())
+            self.light[frame] = {name: _light(population) for name, population in world.populations.items()}
+            self._bytes += sum(light.nbytes for light in self.light[frame].values())
+        self._keep_to_budget(stretch)
+
+    def _drop(self, stretch: Stretch) -> None:
+        self.stretches.remove(stretch)
+        self._bytes -= sum(_size(arrays) for arrays in stretch.checkpoints.values())
+
+    def _keep_to_budget(self, current: Stretch) -> None:
+        for frame in sorted(self.light):
+            if self._bytes <= self.budget:
+                return
+            self._bytes -= sum(light.nbytes for light in self.light.pop(frame).values())
+        for stretch in self.stretches:
+            rest = [frame for frame in sorted(stretch.checkpoints) if frame != stretch.first]
+            for frame in rest[::2]:
+                if self._bytes <= self.budget:
+                    return
+                self._bytes -= _size(stretch.checkpoints.pop(frame))
+        while self._bytes > self.budget and self.stretches[0] is not current:
+            self._drop(self.stretches[0])
+
+
+def measured(world: World) -> dict[str, float]:
+    """Counts of agents by species and by state, and totals of items, by the names that specs have for them."""
+    found: dict[str, float] = {}
+    for name, population in world.populations.items():
+        found[name] = len(population)
+        for machine in population.plan.machines:
+            counts = np.bincount(population.now[f"{machine.name}.state"], minlength=len(machine.states))
+            found |= {f"{name}.{machine.name}.{state}": int(n) for state, n in zip(machine.states, counts, strict=True)}
+    for name, items in world.items.items():
+        found |= {f"{name}.{attribute}": float(amounts.sum()) for attribute, amounts in items.amounts.items()}
+    return found
+
+
+def _light(population: Population) -> Light:
+    states = {machine.name: population.now[f"{machine.name}.state"].copy() for machine in population.plan.machines}
+    return Light(population.ids.copy(), population.position.astype(np.float32), states)
+
+
+def _size(arrays: Arrays) -> int:
+    return sum(array.nbytes for array in arrays.values())
+
+
+def nearest_checkpoint(stretch: Stretch, frame: int) -> int:
+    """The last frame with a checkpoint, at or before one of the stretch."""
+    return max(each for each in stretch.checkpoints if each <= frame)

@@ -1,0 +1,90 @@
+"""Notices when files get other contents: by asking for them again and again, so that it works on every disk and for every way in
+which editors save. A file counts once it has stopped changing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from threading import Event
+from time import monotonic
+
+_QUIET = 0.03  # seconds that a file has to stay as it is
+_ABSENT = 0.3  # the same for one that is not there or empty: half of a save by most editors
+_AGAIN = 1.0  # seconds after which small files are read though nothing tells of a change: clocks of disks can be coarse
+_SMALL = 1 << 20
+_BLOCK = 1 << 20
+
+Stamp = tuple[int, int, int] | None
+
+
+@dataclass(slots=True)
+class _File:
+    stamp: Stamp
+    contents: bytes | None  # a hash; None for a file that is not there
+    since: float | None = None  # when it was found other than before; None: nothing is up
+    read: float = 0.0
+
+
+class Watch:
+    """Files, by what `paths` gives each time: an edit may bring in others. `clock` counts seconds."""
+
+    def __init__(self, paths: Callable[[], Iterable[Path]], *, clock: Callable[[], float] = monotonic) -> None:
+        self._paths, self._clock = paths, clock
+        self._files: dict[Path, _File] = {}
+        self.look()
+
+    def look(self) -> tuple[Path, ...]:
+        """Files that have other contents than when they were last told of, or first seen, and have come to rest."""
+        now, paths = self._clock(), list(dict.fromkeys(self._paths()))
+        changed = [path for path in paths if path in self._files and self._changed(path, self._files[path], now)]
+        for path in paths:
+            if path not in self._files:
+                self._files[path] = _File(_stamp(path), _contents(path), read=now)
+        for path in set(self._files) - set(paths):
+            del self._files[path]
+        return tuple(changed)
+
+    def changes(self, stop: Event, every: float = 0.02) -> Iterator[tuple[Path, ...]]:
+        """Wait for changes until somebody sets `stop`."""
+        while not stop.wait(every):
+            changed = self.look()
+            if changed:
+                yield changed
+
+    def _changed(self, path: Path, known: _File, now: float) -> bool:
+        stamp = _stamp(path)
+        if stamp != known.stamp:
+            known.stamp, known.since = stamp, now
+        elif known.since is None and stamp is not None and stamp[1] <= _SMALL and now - known.read >= _AGAIN:
+            known.since = now
+        if known.since is None or now - known.since < (_ABSENT if stamp is None or stamp[1] == 0 else _QUIET):
+            return False
+        contents = _contents(path)
+        if _stamp(path) != stamp:  # written to while it was read
+            known.since = now
+            return False
+        known.since, known.read = None, now
+        other, known.contents = contents != known.contents, contents
+        return other
+
+
+def _stamp(path: Path) -> Stamp:
+    try:
+        status = os.stat(path)
+    except (OSError, ValueError):
+        return None
+    return status.st_mtime_ns, status.st_size, status.st_ino
+
+
+def _contents(path: Path) -> bytes | None:
+    hashed = sha256()
+    try:
+        with open(path, "rb") as file:
+            while block := file.read(_BLOCK):
+                hashed.update(block)
+    except (OSError, ValueError):
+        return None
+    return hashed.digest()
