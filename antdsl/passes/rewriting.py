@@ -56,13 +56,14 @@ def rebuilt(plan: Plan, make: Make | None = None, watched: dict[Node, Node] | No
 
 
 def _numbered(plan: Plan, beside: dict[Node, Node]) -> Plan:
-    """Folding leaves nodes that nobody needs any more: make the list anew without them."""
-    builder = Builder()
+    """Folding leaves nodes that nobody needs any more: make the list anew without them. No two of them are alike, as a Builder
+    has just made them all."""
     new: dict[Node, Node] = {}
-    for node in needed([*roots(plan), *beside.values()]):
-        new[node] = builder.intern(node.op, tuple(new[a] for a in node.args), node.attrs, node.kind, node.span)
+    for number, node in enumerate(needed([*roots(plan), *beside.values()])):
+        args = tuple(new[a] for a in node.args)
+        new[node] = Node(node.op, args, node.attrs, node.kind, node.rate, node.span, number)
     beside.update((node, new[now]) for node, now in beside.items())
-    return replace(_carried(plan, new), nodes=tuple(builder.nodes))
+    return replace(_carried(plan, new), nodes=tuple(new.values()))
 
 
 def _carried(plan: Plan, new: dict[Node, Node]) -> Plan:

@@ -55,7 +55,11 @@ def result_rate(op: str, args: tuple[Node, ...]) -> Rate:
     """The greatest rate of the parts; a reduction is back at the agent's."""
     if op.startswith("reduce."):
         return Rate.AGENT
-    return max([OPS[op].rate, *(a.rate for a in args)])
+    rate = OPS[op].rate
+    for arg in args:
+        if arg.rate > rate:
+            rate = arg.rate
+    return rate
 
 
 class Builder:
@@ -78,7 +82,7 @@ class Builder:
 
     def intern(self, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...], kind: Kind, span: Span | None = None) -> Node:
         """The node as asked for, made only if there is none like it."""
-        key = (op, tuple(a.number for a in args), repr(attrs), kind)
+        key = (op, tuple([a.number for a in args]), repr(attrs) if attrs else "", kind)
         node = self._known.get(key)
         if node is None:
             node = Node(op, args, attrs, kind, result_rate(op, args), span or self.span, len(self.nodes))

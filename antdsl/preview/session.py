@@ -198,7 +198,7 @@ class Session:
         if shot is None or not report.ok:
             return Outcome(report)
         try:
-            self.world = bind(shot.plan, shot.setting, self.options)
+            self.world = bind(shot.plan, shot.setting, self.options, built=self.compiler.built)
         except BindError as why:
             return Outcome(why.report)
         branches = self.timeline.branches

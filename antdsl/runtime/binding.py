@@ -34,11 +34,12 @@ class BindError(ValueError):
         self.report = report
 
 
-def bind(plan: ir.Plan, setting: Setting, options: Options | None = None) -> World:
-    """The world at `setting.first_frame`, everybody born and nobody moved. `plan` has been optimised and verified.
+def bind(plan: ir.Plan, setting: Setting, options: Options | None = None, *, built: Built | None = None) -> World:
+    """The world at `setting.first_frame`, everybody born and nobody moved. `plan` has been optimised and verified. `built` keeps
+    what is made of meshes for other worlds.
 
     Raises BindError with a report when plan and setting do not go together."""
-    world = unpeopled(plan, setting, options)
+    world = unpeopled(plan, setting, options, built=built)
     with np.errstate(all="ignore"):
         populate(world)
     return world
@@ -52,8 +53,7 @@ def unpeopled(
     built: Built | None = None,
     origin: NDArray[np.float64] | None = None,
 ) -> World:
-    """As `bind`, with nobody in it yet. `built` keeps what is made of meshes from one world to the next; `origin` is one that
-    positions are counted from already."""
+    """As `bind`, with nobody in it yet. `origin` is one that positions are counted from already."""
     options, built = options or Options(), built or Built()
     origin = _origin(setting) if origin is None else origin
     up = np.asarray(setting.up, np.float64)

@@ -29,11 +29,17 @@ def _species(kept: Kept, of: str) -> list[str]:
         parts.append(f"{kept.moved:,} {_agents(kept.moved)} moved with the ground" + (f" of `{kept.species}`" if of else ""))
     parts += _listed([of + name for name in kept.new], "is new", "are new")
     parts += _listed([of + name for name in kept.other], "is another type, begun anew", "are other types, begun anew")
-    parts += _listed([of + name for name in kept.rewritten], "is as written now", "are as written now")
+    parts += _listed([of + name for name in _written(kept.rewritten)], "is as written now", "are as written now")
     parts += _listed([of + name for name in kept.gone], "is gone", "are gone")
     if kept.forgotten:
         parts.append(f"{kept.forgotten} {'memory' if kept.forgotten == 1 else 'memories'} forgotten")
     return parts
+
+
+def _written(names: list[str]) -> list[str]:
+    """Less those that follow from others, and are seldom written: strength from speed, radius from size."""
+    follow = {"max_force": {"mass", "max_speed", "response"}, "radius": {"size"}}
+    return [name for name in names if not follow.get(name, set()) & set(names)]
 
 
 def _plain(state: str) -> str:

@@ -1,0 +1,227 @@
+"""A scene with its history: going back gives the same bits, edits begin branches, and a clean run is what a fresh run gives."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from antdsl.pipeline import open_scene, simulate
+from antdsl.preview import Session
+from antdsl.runtime import state_hash
+
+FORAGING = Path(__file__).parents[1] / "examples" / "foraging"
+
+
+@pytest.fixture
+def shot(tmp_path: Path) -> Path:
+    """A copy of the foraging ants, forty of them."""
+    folder = tmp_path / "foraging"
+    shutil.copytree(FORAGING, folder)
+    scene = folder / "scene.yaml"
+    scene.write_text(scene.read_text().replace("count: 500", "count: 40"))
+    return scene
+
+
+def opened(scene: Path, **how: int) -> Session:
+    session, report = Session.open(scene, **how)
+    assert session is not None, [d.message for d in report.errors]
+    return session
+
+
+def go(session: Session, frames: int, hashes: dict[int, str] | None = None) -> dict[int, str]:
+    """Step, and note the hash of each frame."""
+    hashes = {} if hashes is None else hashes
+    hashes[session.frame] = session.hash
+    for _ in range(frames):
+        session.step()
+        hashes[session.frame] = session.hash
+    return hashes
+
+
+def edit(scene: Path, old: str, new: str) -> None:
+    program = scene.with_name("forager.ant")
+    text = program.read_text()
+    assert old in text
+    program.write_text(text.replace(old, new))
+
+
+def fresh(scene: Path, session: Session) -> str:
+    """The hash of the session's frame in a run of the files and choices as they are."""
+    shot, report = open_scene(scene, session.choices)
+    assert shot is not None, [d.message for d in report.errors]
+    return next(state_hash(world) for world in simulate(shot) if world.frame == session.frame)
+
+
+def test_every_frame_can_be_gone_back_to(shot: Path) -> None:
+    session = opened(shot, every=7)
+    hashes = go(session, 20)
+    for frame in (3, 20, 8, 1, 21, 14):
+        session.seek(frame)
+        assert (session.frame, session.hash) == (frame, hashes[frame])
+    assert not session.edited
+    with pytest.raises(ValueError, match="frame 22 is not among those kept, 1 to 21"):
+        session.seek(22)
+    session.seek(5)
+    session.step()
+    assert session.hash == hashes[6]
+    assert session.head == 21
+
+
+def test_going_back_crosses_edits(shot: Path) -> None:
+    session = opened(shot, every=5)
+    before = go(session, 12)
+    edit(shot, "30 mm/s", "45 mm/s")
+    outcome = session.reload()
+    assert outcome.line == "kept 40 agents · `max_speed` is as written now"
+    after = go(session, 10)
+    for frame in (22, 4, 13, 12, 17, 2):
+        session.seek(frame)
+        assert session.hash == (after if frame >= 13 else before)[frame]
+    for frame in range(3, 20):  # and played through
+        session.step()
+        assert session.hash == (after if frame >= 13 else before)[frame]
+
+
+def test_an_edit_at_an_earlier_frame_begins_a_branch(shot: Path) -> None:
+    session = opened(shot, every=5)
+    go(session, 15)
+    curves = dict(session.timeline.curves)
+    session.seek(9)
+    edit(shot, "30 mm/s", "45 mm/s")
+    assert session.reload().ok
+    assert (session.frame, session.head, session.edited) == (9, 9, True)
+    [branch] = session.timeline.branches
+    assert branch.first == 9
+    assert branch.curves == {frame: values for frame, values in curves.items() if frame > 9}
+    assert session.timeline.curves[9]["forager"] == 40
+
+
+def test_an_error_changes_nothing(shot: Path) -> None:
+    session = opened(shot)
+    go(session, 5)
+    edit(shot, "steer arrive(meal)", "steer arive(meal)")
+    world, state = session.world, session.hash
+    outcome = session.reload()
+    assert not outcome.ok
+    [error] = outcome.report.errors
+    assert error.span is not None and error.span.text == "arive"
+    assert session.world is world
+    assert session.hash == state
+    edit(shot, "arive(meal)", "arrive(meal)")
+    assert session.reload().line == "nothing has changed"
+
+
+def test_a_param_changes_at_a_frame_and_is_replayed_there(shot: Path) -> None:
+    session = opened(shot, every=6)
+    plain = go(session, 20)
+    session.seek(8)
+    world = session.world
+    outcome = session.set("forager.swing", "120 deg")
+    assert outcome.text == "set: {forager.swing: 120 deg}"
+    assert session.world is world  # nothing was compiled, nobody was moved
+    changed = go(session, 12)
+    assert changed[8] == plain[8]
+    assert changed[20] != plain[20]
+    for frame in (20, 7, 9, 13):
+        session.seek(frame)
+        assert session.hash == (plain if frame <= 8 else changed)[frame]
+    session.seek(7)
+    assert "forager.swing" not in session.choices.params
+    session.seek(20)
+    assert session.choices.params["forager.swing"] == "120 deg"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "code"),
+    [
+        ("forager.swing", "900 deg", "out-of-range"),
+        ("forager.swing", "3 mm", "wrong-unit"),
+        ("forager.swnig", "3 deg", "unknown-thing"),
+        ("forager.swing", "much", "wrong-value"),
+        ("trail.half_life", "0 s", "out-of-range"),
+    ],
+)
+def test_what_cannot_be_set_is_refused(shot: Path, name: str, value: str, code: str) -> None:
+    session = opened(shot)
+    outcome = session.set(name, value)
+    assert [d.code for d in outcome.report.errors] == [code]
+    assert not session.edited
+
+
+def test_a_clean_run_is_what_a_fresh_run_gives(shot: Path) -> None:
+    session = opened(shot)
+    go(session, 6)
+    edit(shot, "30 mm/s", "45 mm/s")
+    session.reload()
+    session.set("forager.swing", "120 deg")
+    session.set("trail.half_life", "3 s")
+    go(session, 4)
+    assert session.edited
+    assert session.hash != fresh(shot, session)
+    session.restart()
+    assert not session.edited
+    go(session, 9)
+    assert session.hash == fresh(shot, session)
+
+
+def test_the_text_that_is_told_does_the_same_for_good(shot: Path) -> None:
+    session = opened(shot)
+    layer = "separate(radius: 1.2 * size, fov: 260 deg)"
+    assert session.layer("forager", layer, False).text == f"# {layer}"
+    assert len(session.shot.plan.species["forager"].layers) == 3
+    told = session.field("trail", False).text
+    assert told == "set: {trail.limit: 0.000001, trail.keeps: 0 %/step}"
+    session.restart()
+    go(session, 12)
+    assert session.world.fields["trail"].values.max() <= 1e-6
+    edit(shot, layer, f"# {layer}")
+    shot.write_text(shot.read_text() + told + "\n")
+    written = opened(shot)
+    go(written, 12)
+    assert written.hash == session.hash
+    edit(shot, f"# {layer}", layer)
+    session.field("trail", True)
+    assert session.layer("forager", layer, True).ok
+    assert len(session.shot.plan.species["forager"].layers) == 4
+
+
+def test_what_was_set_by_hand_goes_with_the_param_it_was_for(shot: Path) -> None:
+    session = opened(shot)
+    session.set("forager.track", "0.01 /s")
+    session.set("forager.swing", "120 deg")
+    program = shot.with_name("forager.ant")
+    program.write_text(program.read_text().replace("swing", "stray").replace("(stray: ", "(swing: "))
+    outcome = session.reload()
+    assert outcome.ok, [d.message for d in outcome.report.errors]
+    assert outcome.line.endswith("`forager.swing: 120 deg` fits no more")
+    assert session.choices.params == {"forager.track": "0.01 /s"}
+
+
+def test_memory_is_kept_to_and_the_oldest_goes_first(shot: Path) -> None:
+    session = opened(shot, every=4, budget=150_000)
+    hashes = go(session, 60)
+    timeline = session.timeline
+    assert timeline._bytes <= 150_000 + max(sum(a.nbytes for a in c.values()) for c in timeline.stretches[0].checkpoints.values())
+    assert session.shown(1) is None
+    assert len(timeline.curves) == 61
+    session.seek(30)
+    assert session.hash == hashes[30]
+
+
+def test_light_frames_show_agents_without_simulating(shot: Path) -> None:
+    session = opened(shot)
+    go(session, 5)
+    shown = session.shown(3)
+    assert shown is not None
+    session.seek(3)
+    assert (shown["forager"].position == session.world.populations["forager"].position.astype("f4")).all()
+    assert session.shown(99) is None
+
+
+def test_files_that_a_scene_is_made_of_are_known(shot: Path) -> None:
+    session = opened(shot)
+    names = {path.name for path in session.compiler.files()}
+    assert {"scene.yaml", "forager.ant", "terrain.ply", "boulder.ply", "stones.ply", "steering.ant"} <= names
+    assert "many.yaml" not in names
