@@ -8,7 +8,7 @@ import pytest
 from explained import cached, differences, explanations, facts, shot_of
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
-SHORT = {"foraging": 20, "flocking": 30, "moods": 40, "alarm": 60, "tunnel": 20}
+SHORT = {"foraging": 10, "flocking": 14, "moods": 20, "alarm": 54, "tunnel": 10}
 LONG = {"foraging": 400, "flocking": 120, "moods": 200, "alarm": 150, "tunnel": 240, "worth": 200, "flow": 240, "anthill": 120}
 
 

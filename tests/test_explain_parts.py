@@ -115,6 +115,41 @@ def test_all_kinds_of_changes_agree_with_the_run(cache: Cache, monkeypatch: pyte
     assert sum(any(fact.pending.values()) for fact in found) > 20
 
 
+MOODS = """
+  machine mood {
+    start fine
+    state fine teal { when chance 100 %/s -> cross { tense = 1 } }
+    state cross red { when after 0.3 s -> fine { tense = 0 } }
+  }
+"""
+
+
+@pytest.mark.parametrize("mode", ["sum", "first"])
+def test_other_ways_to_blend_and_two_machines_agree_with_the_run(
+    mode: str, cache: Cache, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for file in cache.folder.parent.parent.glob("*.*"):
+        shutil.copy(file, tmp_path)
+    start, end = BUG.index("  start go"), BUG.index("  layers {")
+    walk = "  machine walk {\n" + BUG[start:end] + "  }\n"
+    text = (
+        BUG[:start]
+        + "  tense = 0\n"
+        + walk
+        + MOODS
+        + BUG[end:].replace("layers {", f"layers {mode} {{\n wander() when tense > 0")
+    )
+    (tmp_path / "bug.ant").write_text(text)
+    made = cached(tmp_path / "scene.yaml", 30, tmp_path / "out" / "scene")
+    shot = shot_of(tmp_path / "scene.yaml", 30)
+    found = facts(shot, 60, monkeypatch, seed=2)
+    both = list(explanations(made, tmp_path / "scene.yaml", found))
+    assert not [(fact, differ) for fact, told in both if (differ := differences(shot, fact, told))]
+    assert {told.mode for fact, told in both if fact.species == "bug"} == {mode}
+    assert {machine.machine for _, told in both for machine in told.machines} == {"walk", "mood", "main"}
+    assert any(told.machines[1].changed for fact, told in both if fact.species == "bug")
+
+
 def test_watching_changes_nothing(cache: Cache, told: list[Explanation]) -> None:
     """All bugs traced in every step: the hashes are those that the run without any watcher has written."""
     hashes = cache.hashes()
@@ -220,6 +255,21 @@ def test_a_life_is_told_from_birth_to_death(cache: Cache) -> None:
     end = explain(cache, 0, died, species="fly")
     assert end.notes == (f"it died in this step: frame {died} is without it",) and "die" in end.did
     assert json.loads(json.dumps(as_json(end), allow_nan=False))["velocity"][1] is None
+
+
+def test_a_seed_and_values_given_to_the_run_are_known_from_the_cache(copy: Cache) -> None:
+    scene = copy.folder.parent.parent / "scene.yaml"
+    made = cached(scene, 45, copy.folder.parent / "other", seed=11, params={"bug.brave": "400 %/s"})
+    assert made.hashes()[40] != copy.hashes()[40]
+    resting = next(
+        looked
+        for k in range(12)
+        for looked in explain(made, k, 22, species="bug").machines[0].looked
+        if "chance brave" in looked.place.text and looked.condition is not None
+    )
+    bar = next(part.value for part in resting.condition.parts if part.role == "bar")
+    brave = next(part for part in resting.condition.parts if part.text == "brave")
+    assert bar == pytest.approx(1 - math.exp(-4 / 24), rel=1e-5) and (brave.value, brave.unit) == (pytest.approx(400), "%/s")
 
 
 def refused(cache: Cache, *words: object) -> ExplainError:
