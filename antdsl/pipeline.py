@@ -141,7 +141,12 @@ def _with_params(setting: Setting, scene: Scene, program: Program, changes: Iter
 
 
 def _read_scene(
-    path: Path, choices: Choices, strict: bool = False, parsed: Parsed | None = None, data: bytes | None = None
+    path: Path,
+    choices: Choices,
+    strict: bool = False,
+    parsed: Parsed | None = None,
+    data: bytes | None = None,
+    texts: Mapping[Path, bytes] | None = None,
 ) -> tuple[Scene | None, Program | None, Loaded, Report]:
     """The scene, the programs of its crowd checked together, and how they match."""
     from antdsl.scene import load
@@ -152,7 +157,7 @@ def _read_scene(
     if data is None:
         scene, report = load(path, choices.grants)
     else:
-        scene, report = load_text(data, str(path), Roots(path.resolve().parent, dict(choices.grants)))
+        scene, report = load_text(data, str(path), Roots(path.resolve().parent, dict(choices.grants)), texts)
     loaded = Loaded(path.resolve().parent, parsed={} if parsed is None else parsed)
     if scene is None:
         return None, None, loaded, report
@@ -219,9 +224,12 @@ def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
         yield world
 
 
-def check_scene_text(path: Path, data: bytes, *, parsed: Parsed | None = None) -> tuple[Scene | None, Program | None, Report]:
-    """A scene as an editor holds it, with its programs: all of `check_path` but what the meshes themselves would tell."""
-    scene, program, _, report = _read_scene(path, Choices(), parsed=parsed, data=data)
+def check_scene_text(
+    path: Path, texts: Mapping[Path, bytes], *, parsed: Parsed | None = None
+) -> tuple[Scene | None, Program | None, Report]:
+    """A scene as an editor holds it, with its programs: all of `check_path` but what the meshes themselves would tell. `texts`
+    are the scenes that go before what is on disk: this one, and those that it extends."""
+    scene, program, _, report = _read_scene(path, Choices(), parsed=parsed, data=texts[path], texts=texts)
     return scene, program, report
 
 

@@ -57,6 +57,10 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
         ("mm/s", 0, ["a speed"]),
         ("steer wander", 0, ["what the animal wants in this state", "steer seek(meal)"]),
         ("turn_p99", 0, ["how the crowd moves"]),
+        ("on ground, boulder", 0, ["where it lies"]),
+        ("from meal", 0, ["from whom it is taken"]),
+        ("total(food", 0, ["the sum over all"]),
+        ("state  # whatever", 0, ["what the states of the animal steer"]),
     ],
 )
 async def test_hover_tells_what_a_word_is(client, word: str, nth: int, wanted: list[str]) -> None:

@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+
+from antdsl.lsp.navigation import rename
+from antdsl.lsp.workspace import Workspace
 
 
 def test_the_extra_is_named_when_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -21,6 +28,82 @@ def test_starting_imports_nothing_heavy() -> None:
 
     code = "import sys, antdsl.lsp.server; print([m for m in ('open3d', 'scipy', 'numba', 'trimesh') if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+
+
+def test_units_are_worth_what_they_are_shown_in(tmp_path: Path) -> None:
+    from antdsl.lsp.describe import describe
+
+    workspace = Workspace()
+    document = workspace.put(tmp_path / "a.ant", "ant 1\n")
+    for unit, worth in (("turn", "1 turn = 360 deg"), ("rad", "1 rad = 57.2958 deg"), ("min", "1 min = 60 s"), ("cm", "= 10 mm")):
+        assert worth in (describe(workspace, document, ("unit", unit)) or ""), unit
+
+
+PROGRAM = """ant 1
+use steering
+world { surface ground; items nest { load = 0 } }
+behaviour hold(rate: number) -> push { heading * rate }
+species bug {
+  param pace = 0.5 in 0 .. 1
+  state s { steer seek(nearest(nest)) }
+  layers { hold(pace); separate(radius: size); state }
+}
+"""
+BASE = """antdsl: 1
+units: mm
+world:
+  ground: {mesh: ground.ply}
+  nest: {home: {at: [0, 0, 0], on: ground}}
+crowd:
+  - {species: bug, from: bug.ant, count: 5, place: {on: ground, around: home, radius: 9 mm}}
+"""
+CHILD = """antdsl: 1
+extends: base.yaml
+crowd:
+  - {species: bug, from: bug.ant, count: 9, place: {on: ground, around: home, radius: 9 mm}}
+layers: {bug: [separate, "hold(pace)", state]}
+"""
+
+
+@pytest.mark.parametrize(
+    "asked, name",
+    [
+        *(("bug.ant", name) for name in ("ground", "nest", "pace", "hold", "bug")),
+        *(("base.yaml", name) for name in ("ground", "nest", "home", "bug")),
+        *(("child.yaml", name) for name in ("ground", "home", "hold", "pace", "bug")),
+    ],
+)
+def test_a_rename_reaches_scenes_that_extend_each_other(tmp_path: Path, asked: str, name: str) -> None:
+    workspace = Workspace([tmp_path])
+    for file, text in (("bug.ant", PROGRAM), ("base.yaml", BASE), ("child.yaml", CHILD), ("ground.ply", "")):
+        (tmp_path / file).write_text(text, encoding="utf-8")
+    document = workspace.document(tmp_path / asked)
+    assert document is not None
+    offset = document.text.text.index(name)
+    texts: dict[Path, str] = {}
+    for each in sorted(rename(workspace, document, offset, "other"), key=lambda found: -found.document.start(found.span)):
+        path, text = each.document.path, texts.get(each.document.path, each.document.text.text)
+        texts[path] = text[: each.document.start(each.span)] + "other" + text[each.document.end(each.span) :]
+    for path, text in texts.items():
+        workspace.put(path, text)  # open in the editor, and not saved
+        assert not re.search(rf"\b{name}\b(?!\.)", text), text
+    for file in ("bug.ant", "base.yaml", "child.yaml"):
+        assert [d.message for d in workspace.complaints(tmp_path / file) if d.severity == "error"] == []
+
+
+def test_an_exit_without_a_shutdown_is_told_by_the_exit_code() -> None:
+    pytest.importorskip("pygls", reason="the language server needs the extra [lsp]")
+
+    def ended(*methods: str) -> int:
+        texts = []
+        for number, method in enumerate(("initialize", *methods)):
+            asked = {"params": {"processId": None, "rootUri": None, "capabilities": {}}} if not number else {}
+            said = json.dumps({"jsonrpc": "2.0", "method": method, **asked, **({} if method == "exit" else {"id": number})})
+            texts.append(f"Content-Length: {len(said)}\r\n\r\n{said}")
+        command = [sys.executable, "-m", "antdsl", "lsp"]
+        return subprocess.run(command, input="".join(texts).encode(), capture_output=True, timeout=60).returncode
+
+    assert (ended("shutdown", "exit"), ended("exit")) == (0, 1)
 
 
 def test_paths_and_uris_lead_to_each_other(tmp_path: Path) -> None:

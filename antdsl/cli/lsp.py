@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from antdsl.cli.exits import Exit, Stop
+
 
 def lsp() -> None:
     """Answer an editor over standard input and output (language server protocol). Needs the extra [lsp]."""
@@ -11,4 +13,5 @@ def lsp() -> None:
     demand(ready())
     from antdsl.lsp.server import start
 
-    start()
+    if not start():
+        raise Stop(Exit.FINDINGS)  # as the protocol has it: an exit without a shutdown

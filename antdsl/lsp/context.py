@@ -47,6 +47,11 @@ class Context:
         return None
 
 
+def begins_line(text: str, start: int) -> bool:
+    """Whether the word at `start` is the first of its statement; in a state's line `interrupt` goes before."""
+    return context_at(text, start).line.strip() in ("", "interrupt")
+
+
 def context_at(text: str, offset: int) -> Context:
     """The context of an offset. Whatever the text, an answer."""
     blocks: list[Block] = []

@@ -7,7 +7,7 @@ from typing import Any
 
 from antdsl.lsp.names import Key, declaration
 from antdsl.lsp.navigation import declared
-from antdsl.lsp.words import FORM_HELP, KINDS, SETTINGS, STATE_WORD_HELP, WORD_HELP
+from antdsl.lsp.words import FORM_HELP, INNER_HELP, KINDS, SETTINGS, STATE_WORD_HELP, WHOLE_HELP, WORD_HELP
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.expected import MOTION
 from antdsl.program.kinds import Kind, Type
@@ -232,6 +232,8 @@ def _builtin(workspace: Workspace, document: Document, key: Key) -> str | None:
     said = [markdown("\n".join(builtin_form(key[1], row) for row in rows), rows[0].help)] if rows else []
     if key[1] in REDUCERS:
         said.append(markdown(f"{key[1]}(n in SET: …)", REDUCERS[key[1]]))
+    if key[1] in WHOLE_HELP:
+        said.append(markdown(f"{key[1]}(…)", WHOLE_HELP[key[1]]))
     return "\n\n".join(said) or None
 
 
@@ -258,7 +260,9 @@ def _unit(workspace: Workspace, document: Document, key: Key) -> str | None:
     if known is None:
         return None
     base = unit_of(known.dim)
-    worth = f"1 {key[1]} = {known.factor:.6g} {base}".strip() if key[1] != base and not known.u and not known.step else ""
+    whole = measure(base)
+    factor = known.factor / whole.factor if whole is not None else known.factor  # angles are in radians behind `deg`
+    worth = f"1 {key[1]} = {factor:.6g} {base}".strip() if key[1] != base and not known.u and not known.step else ""
     return markdown(key[1], dimension_words(known.dim), worth)
 
 
@@ -276,8 +280,11 @@ def _said(table: dict[str, str], what: str) -> Callable[[Workspace, Document, Ke
     return rule
 
 
-def keyword(word: str) -> str | None:
-    """A word of the language that begins a line."""
+def keyword(word: str, begins: bool) -> str | None:
+    """A word of the language. What begins a line says something else than what stands inside one: `on spawn { … }`, `field
+    trail on ground`."""
+    if not begins:
+        return markdown(word, INNER_HELP[word]) if word in INNER_HELP else None
     if word not in FORM_HELP:
         return None
     form = FORMS.get(word, "when touching(meal) take 1 load from meal -> carry" if word == "take" else word)
@@ -294,10 +301,15 @@ def _type_word(workspace: Workspace, document: Document, key: Key) -> str | None
     return markdown(key[1], f"a type: numbers in `{unit}`" if unit else "a type")
 
 
+def _steered(workspace: Workspace, document: Document, key: Key) -> str | None:
+    return markdown("state", "what the states of the animal steer")
+
+
 _RULES: dict[str, Callable[[Workspace, Document, Key], str | None]] = {
     "own": _own, "thing": _thing, "attribute": _attribute, "field": _field, "species": _species, "state": _state,
     "behaviour": _behaviour, "inner": _inner, "let": _let, "machine": _machine, "event": _event, "element": _element,
-    "given": _given, "builtin": _builtin, "builtin-argument": _builtin_argument, "word": _word, "unit": _unit,
+    "given": _given, "builtin": _builtin, "builtin-argument": _builtin_argument, "word": _word, "steered": _steered,
+    "unit": _unit,
     "setting": _said(SETTINGS, "setting of a field"), "kind": _said(KINDS, "kind of thing of the world"), "type": _type_word,
     "item-given": _typed_word(ITEM_GIVEN, "every item has it"), "hit-given": _typed_word(HIT_GIVEN, "what a ray met has it"),
     "motion": _typed_word(MOTION, "how the crowd moves"),

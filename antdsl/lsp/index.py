@@ -167,7 +167,10 @@ class Walk(Uses):
 
     def layers(self, node: nodes.Layers, place: Place) -> None:
         for layer in node.layers:
-            self.expression(layer.push, place)
+            if isinstance(layer.push, nodes.NameRef) and layer.push.name.text == "state":
+                self.say(layer.push.span, ("steered", "state"))
+            else:
+                self.expression(layer.push, place)
             if layer.condition is not None:
                 self.expression(layer.condition, place)
 

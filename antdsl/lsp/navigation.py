@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from antdsl import limits
@@ -24,7 +24,10 @@ GIVEN_BY_AUTHOR = frozenset(
 )  # fmt: skip
 _NAME = re.compile(r"[a-z][a-z_0-9]*")
 _TAKEN = frozenset({*RUN_NAMES, *SENSED_NAMES, *RESERVED, *STATE_WORDS, "self", "true", "false", "it"})
-_UNKNOWN = {"?": ("thing", "field", "species"), "?behaviour": ("behaviour",), "?member": ("own", "attribute")}
+_UNKNOWN = {
+    "?": ("thing", "field", "species"), "?behaviour": ("behaviour",), "?member": ("own", "attribute"),
+    "?scene": ("thing", "scene-item"), "?layer": ("own", "thing", "field", "species", "behaviour", "inner"),
+}  # fmt: skip
 
 
 class Refused(Exception):
@@ -67,7 +70,7 @@ def _meant(document: Document, key: Key) -> Iterator[Key]:
         yield key
         return
     for each in document.names.declared:
-        if each[0] in kinds and each[-1] == key[-1]:
+        if each[0] in kinds and each[-1] == key[-1] and not (key[0] == "?layer" and each[0] == "own" and each[1] != key[1]):
             yield each
 
 
@@ -86,8 +89,8 @@ def definition(workspace: Workspace, document: Document, offset: int) -> list[Fo
                 return [Found(other, Span(_source(other), 0, 0))]
         elif key[0] == "element":
             return [Found(document, key[1].span)]
-        elif key[0] == "scene-item":
-            return [Found(document, document.scene.items[key[2]])]
+        elif key[0] in ("scene-item", "?scene") and (items := list(_items(workspace, document, key[-1]))):
+            return items[:1]
         else:
             place = declared(workspace, document, key)
             if place is not None:
@@ -95,6 +98,14 @@ def definition(workspace: Workspace, document: Document, offset: int) -> list[Fo
         if found and occurrence.span != document.at(offset)[0].span:
             break
     return list(found.values())
+
+
+def _items(workspace: Workspace, document: Document, name: str) -> Iterator[Found]:
+    """Where scenes give a name to an item: this one, and those that it extends or that extend it."""
+    for path in workspace.extending(document.path):
+        other = workspace.document(path)
+        if other is not None and name in other.scene.items:
+            yield Found(other, other.scene.items[name])
 
 
 def _files(workspace: Workspace, key: Key) -> Iterator[Document]:
@@ -114,7 +125,7 @@ def _source(document: Document):  # type: ignore[no-untyped-def]
 
 def references(workspace: Workspace, document: Document, offset: int, declaration: bool = True) -> list[Found]:
     """All places where the same thing is named, in all files that belong together."""
-    keys = {each.key for each in _same_place(document, offset)}
+    keys = {meant(workspace, document, each.key) for each in _same_place(document, offset)}
     found: dict[tuple[Path, int], Found] = {}
     for other, occurrence in _all(workspace, document, keys):
         if declaration or not occurrence.declares:
@@ -124,14 +135,26 @@ def references(workspace: Workspace, document: Document, offset: int, declaratio
     )
 
 
+def meant(workspace: Workspace, document: Document, key: Key) -> Key:
+    """What a name stands for that this file alone does not tell: an item of the scene behind it, or what a program declares."""
+    if key[0] not in _UNKNOWN:
+        return key
+    if key[0] == "?scene" and any(_items(workspace, document, key[1])):
+        return ("scene-item", key[1])
+    found = declared(workspace, document, key)
+    return found[1].key if found is not None else key
+
+
 def _same_place(document: Document, offset: int) -> list[Occurrence]:
     found = document.at(offset)
     return [each for each in found if each.span == found[0].span]
 
 
 def _all(workspace: Workspace, document: Document, keys: set[Key]) -> Iterator[tuple[Document, Occurrence]]:
-    if any(key[0] in ("element", "scene-item") for key in keys):
+    if any(key[0] == "element" for key in keys):
         paths = [document.path]
+    elif any(key[0] == "scene-item" for key in keys):
+        paths = workspace.extending(document.path)
     else:
         paths = workspace.family(document.path)
         paths += [Path(key[1]) for key in keys if key[0] in ("behaviour", "inner") and Path(key[1]) not in paths]
@@ -140,7 +163,9 @@ def _all(workspace: Workspace, document: Document, keys: set[Key]) -> Iterator[t
         other = workspace.document(path)
         for occurrence in other.occurrences if other is not None else ():
             key = occurrence.key
-            if key in keys or (key[0] in _UNKNOWN and key[-1] in known and known[key[-1]][0] in _UNKNOWN[key[0]]):
+            asked = known.get(key[-1]) if key[0] in _UNKNOWN else None
+            elsewhere = key[0] == "?layer" and asked is not None and asked[0] == "own" and asked[1] != key[1]
+            if key in keys or (asked is not None and asked[0] in _UNKNOWN[key[0]] and not elsewhere):
                 assert other is not None
                 yield other, occurrence
 
@@ -148,11 +173,12 @@ def _all(workspace: Workspace, document: Document, keys: set[Key]) -> Iterator[t
 # --- rename ----------------------------------------------------------------------------------------------------------
 
 
-def renamable(document: Document, offset: int) -> Occurrence:
+def renamable(workspace: Workspace, document: Document, offset: int) -> Occurrence:
     """The name at an offset that may be given another one; Refused when there is none."""
     found = occurrence_at(document, offset)
     if found is None:
         raise Refused("there is no name here")
+    found = replace(found, key=meant(workspace, document, found.key))
     word = found.span.text.strip('"')
     if found.key[0] not in GIVEN_BY_AUTHOR or (found.key[0] == "event" and found.key[1] in ("spawn", "collision")):
         raise Refused(f"`{word}` is a word of the language, or nobody declares it")
@@ -161,13 +187,13 @@ def renamable(document: Document, offset: int) -> Occurrence:
 
 def rename(workspace: Workspace, document: Document, offset: int, new: str) -> list[Found]:
     """All places that a new name must be written to. What `take` and `give` bind by one name goes together."""
-    first = renamable(document, offset)
+    first = renamable(workspace, document, offset)
     if not _NAME.fullmatch(new) or len(new) > limits.NAME_CHARACTERS:
         raise Refused(f"`{new[:80]}` is no name: small letters, digits and `_`, beginning with a letter")
     called = first.key[0] == "behaviour" and (new in BUILTINS or new in REDUCERS)
     if new in _TAKEN or new in keywords() or called or _given(first.key, new):
         raise Refused(f"`{new}` is a word of the language")
-    keys = _bound_together(workspace, document, {each.key for each in _same_place(document, offset)})
+    keys = _bound_together(workspace, document, {meant(workspace, document, each.key) for each in _same_place(document, offset)})
     places = {(other.path, other.start(each.span)): (other, each) for other, each in _all(workspace, document, keys)}
     for key in keys:
         place = declared(workspace, document, key)

@@ -16,6 +16,8 @@ from antdsl.source import Source, Span
 from antdsl.syntax.words import FIELD_SETTINGS
 
 _WORD = re.compile(r"[a-z][a-z_0-9]*")
+# Keys whose values name a thing or an item, perhaps one that the scene behind this one has.
+_NAMING = frozenset(("on", "around", "toward", "away", "border", "solved", "density"))
 
 
 @dataclass(slots=True)
@@ -67,21 +69,21 @@ def _world(index: SceneIndex, node: Node) -> None:
         for word, place, inner in _mapping(value):
             if isinstance(inner, MappingNode) and word not in ("keys", "maps", "each"):
                 index.items[word] = place
-                index.say(place, ("scene-item", str(index.path), word), True)
+                index.say(place, ("scene-item", word), True)
                 _item(index, thing, inner, things)
             elif word == "each":
                 _attributes(index, thing, inner)
             elif word in ("mesh", "usd", "curve", "painted"):
                 _file(index, inner)
             else:
-                _named(index, inner, things)
+                _named(index, word, inner, things)
 
 
 def _item(index: SceneIndex, thing: str, node: Node, things: set[str]) -> None:
     _attributes(index, thing, node)
     for word, _, inner in _mapping(node):
         if word == "on":
-            _named(index, inner, things)
+            _named(index, word, inner, things)
 
 
 def _attributes(index: SceneIndex, thing: str, node: Node) -> None:
@@ -91,13 +93,15 @@ def _attributes(index: SceneIndex, thing: str, node: Node) -> None:
             index.say(span, ("attribute", thing, word))
 
 
-def _named(index: SceneIndex, node: Node, things: set[str]) -> None:
-    """A value that may be the name of a thing of the world, or of an item."""
+def _named(index: SceneIndex, key: str, node: Node, things: set[str]) -> None:
+    """A value that may be the name of a thing of the world, or of an item; `?scene` where the scene behind this one must say."""
     if isinstance(node, ScalarNode):
         if node.text in things:
             index.say(node.span, ("thing", node.text))
         elif node.text in index.items:
-            index.say(node.span, ("scene-item", str(index.path), node.text))
+            index.say(node.span, ("scene-item", node.text))
+        elif key in _NAMING and _WORD.fullmatch(node.text) and not node.quoted:
+            index.say(node.span, ("?scene", node.text))
 
 
 def _crowd(index: SceneIndex, node: Node) -> None:
@@ -114,7 +118,7 @@ def _crowd(index: SceneIndex, node: Node) -> None:
                     if key == "points":
                         _file(index, inner)
                     elif key in ("on", "around", "density"):
-                        _named(index, inner, things)
+                        _named(index, key, inner, things)
 
 
 def _set(index: SceneIndex, node: Node) -> None:
@@ -134,7 +138,7 @@ def _fields(index: SceneIndex, node: Node) -> None:
         index.say(span, ("field", name))
         for key, _, inner in _mapping(value):
             if key == "around":
-                _named(index, inner, set())
+                _named(index, key, inner, set())
 
 
 def _layers(index: SceneIndex, node: Node) -> None:
@@ -142,9 +146,13 @@ def _layers(index: SceneIndex, node: Node) -> None:
     for species, span, value in _mapping(node):
         index.say(span, ("species", species))
         for item in value.items if isinstance(value, SequenceNode) else ():
-            word = _WORD.match(item.text) if isinstance(item, ScalarNode) and not item.quoted else None
-            if word is not None and word[0] != "state":
-                index.say(Span(item.span.source, item.span.start, item.span.start + word.end()), ("?behaviour", word[0]))
+            if not isinstance(item, ScalarNode) or item.text.strip() == "state":
+                continue
+            begin = item.span.start + item.quoted
+            plain = item.span.source.text[begin : begin + len(item.text)] == item.text  # no `\\` in it
+            for number, word in enumerate(_WORD.finditer(item.text) if plain else ()):
+                place = Span(item.span.source, begin + word.start(), begin + word.end())
+                index.say(place, ("?layer", species, word[0]) if number else ("?behaviour", word[0]))
 
 
 def _extends(index: SceneIndex, node: Node) -> None:

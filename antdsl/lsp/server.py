@@ -16,10 +16,11 @@ from antdsl import __version__
 from antdsl.lsp import protocol, tokens
 from antdsl.lsp.actions import actions
 from antdsl.lsp.completion import complete
+from antdsl.lsp.context import begins_line
 from antdsl.lsp.describe import describe, keyword
 from antdsl.lsp.formatting import formatted
 from antdsl.lsp.hints import hints
-from antdsl.lsp.navigation import Found, Refused, definition, references, renamable, rename
+from antdsl.lsp.navigation import Found, Refused, definition, meant, references, renamable, rename
 from antdsl.lsp.outline import folds, symbols
 from antdsl.lsp.scene_help import complete_scene
 from antdsl.lsp.text import path_of, uri_of
@@ -37,6 +38,8 @@ class Server(LanguageServer):
         super().__init__("antdsl", __version__)
         self.files = Workspace()
         self.uris: dict[Path, str] = {}
+        self.left_early = False  # the editor ended without a shutdown
+        self.asked_to_end = False
         self.waiting: set[Path] = set()  # documents whose complaints are to be told once there is nothing else to read
 
     def path(self, uri: str) -> Path:
@@ -89,6 +92,16 @@ class Server(LanguageServer):
 
 
 server = Server()
+
+
+@server.feature(lsp.SHUTDOWN)
+def _shutdown(ls: Server, *params: object) -> None:
+    ls.asked_to_end = True
+
+
+@server.feature(lsp.EXIT)
+def _exit(ls: Server, *params: object) -> None:
+    ls.left_early = not ls.asked_to_end
 
 
 # --- documents -------------------------------------------------------------------------------------------------------
@@ -175,11 +188,15 @@ def _at(ls: Server, params: Any, answer: Callable[[Document, int], T]) -> T | No
 def _hover(ls: Server, params: lsp.HoverParams) -> lsp.Hover | None:
     def answer(document: Document, offset: int) -> lsp.Hover | None:
         names = document.at(offset)
-        said = {text: each.span for each in names if (text := describe(ls.files, document, each.key)) is not None}
+        said = {
+            text: each.span
+            for each in names
+            if (text := describe(ls.files, document, meant(ls.files, document, each.key))) is not None
+        }
         if not said:
             start, end = document.word(offset)
             word = document.text.text[start:end]
-            text = keyword(word) if document.is_program else SCENE_HELP.get(word)
+            text = keyword(word, begins_line(document.text.text, start)) if document.is_program else SCENE_HELP.get(word)
             return lsp.Hover(_markdown(text), protocol.range_of(document.text.range(start, end))) if text else None
         return lsp.Hover(_markdown("\n\n---\n\n".join(said)), protocol.range_of(document.range(next(iter(said.values())))))
 
@@ -226,7 +243,7 @@ def _highlight(ls: Server, params: lsp.DocumentHighlightParams) -> list[lsp.Docu
 def _prepare(ls: Server, params: lsp.PrepareRenameParams) -> lsp.Range | None:
     def answer(document: Document, offset: int) -> lsp.Range:
         try:
-            return protocol.range_of(document.range(renamable(document, offset).span))
+            return protocol.range_of(document.range(renamable(ls.files, document, offset).span))
         except Refused as why:
             raise JsonRpcInvalidParams(str(why)) from None
 
@@ -307,9 +324,10 @@ def _format(ls: Server, params: lsp.DocumentFormattingParams) -> list[lsp.TextEd
     return protocol.text_edits(document, edits) if document is not None and edits is not None else None
 
 
-def start() -> None:
-    """Talk with an editor over standard input and output until it says goodbye."""
+def start() -> bool:
+    """Talk with an editor over standard input and output until it says goodbye; False if it left without asking to shut down."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")  # to standard error
     with os.fdopen(os.dup(0), "rb") as reader, os.fdopen(os.dup(1), "wb") as writer:
         os.dup2(2, 1)  # nothing that a library prints can get between the messages
         server.start_io(reader, writer)
+    return not server.left_early

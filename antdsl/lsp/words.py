@@ -88,6 +88,46 @@ FORM_HELP = {
     "ant": "the edition of the language",
     "play": "plays a clip; not yet",
 }
+# Words inside a line; some of them begin lines too and mean something else there.
+INNER_HELP = {
+    "on": "where it lies, or which scene it is asked of",
+    "in": "the range that a param stays in, or the set that is gone through",
+    "from": "from whom it is taken, or where something begins",
+    "to": "to whom it is given, or where something ends",
+    "when": "this layer counts only for those for whom this holds",
+    "until": "what ends it",
+    "each": "a value about each of another species",
+    "strongest": "how many of these values are kept, the greatest",
+    "take": "gets an amount from an item, as part of the condition",
+    "all": "as much as there is",
+    "after": "so long in this state",
+    "held": "it must have been so without a break for that long",
+    "chance": "happens at that rate, whatever the frames a second; a share where it is asked once",
+    "for": "the shortest time in this state, or what a value is about",
+    "choose": "one of several states, by weight",
+    "any": "out of every state",
+    "except": "but not out of these",
+    "relax": "goes back of itself",
+    "over": "how long that takes, until a third is left",
+    "then": "what follows: the next value, or that of `if`",
+    "if": "one of two values",
+    "else": "the value where the condition does not hold",
+    "is": "`x is none`: there is no such thing",
+    "none": "no item, no agent",
+    "of": "of which items or species",
+    "no": "there is none",
+    "not": "the opposite",
+    "and": "both; of shades the lesser",
+    "or": "one at least; of shades the greater",
+    "as": "the name by which a file is called here",
+    "within": "before that time is over",
+    "eventually": "in that frame or a later one",
+}
+# What is asked of all in a spec.
+WHOLE_HELP = {
+    "total": "the sum over all items, agents or cells",
+    "share": "for which part of them it holds, from 0 to 1",
+}
 # Keys of a scene.
 SCENE_HELP = {
     "antdsl": "the edition of the scene format, `1`",

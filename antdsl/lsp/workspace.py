@@ -236,8 +236,9 @@ class Workspace:
         return Checked(program, None, report)
 
     def _check_scene(self, document: Document) -> Checked:
-        data = document.text.text.encode("utf-8", "surrogatepass")
-        scene, program, report = check_scene_text(document.path, data, parsed=self.parsed(document.path))
+        texts = {each.path: each.text.text.encode("utf-8", "surrogatepass") for each in (document, *self.open.values())}
+        texts = {path: data for path, data in texts.items() if path.suffix != PROGRAM}
+        scene, program, report = check_scene_text(document.path, texts, parsed=self.parsed(document.path))
         return Checked(program, scene, report)
 
     def complaints(self, path: Path) -> list[Diagnostic]:
@@ -282,6 +283,13 @@ class Workspace:
                     found |= linked
                     grown = True
         return sorted(found)
+
+    def extending(self, path: Path) -> list[Path]:
+        """A scene, those that it extends, and all that extend one of these."""
+        behind = {each: {p for p in self.linked(each) if p.suffix != PROGRAM} for each in self.files() if each.suffix != PROGRAM}
+        mine = behind.get(path, {p for p in self.linked(path) if p.suffix != PROGRAM})
+        others = {each for each, linked in behind.items() if linked & mine} | mine
+        return [path, *sorted(others - {path})]
 
     def scenes_of(self, path: Path) -> list[Path]:
         """Open scenes that use a program, or extend a scene."""

@@ -206,7 +206,7 @@ class _Reader:
                 if count > limits.YAML_NODES:
                     raise self.refuse("too-large", f"the scene has more than {limits.YAML_NODES:,} values", self.span(event))
             if isinstance(event, yaml.ScalarEvent):
-                done = ScalarNode(event.value, event.style is not None, self.span(event))
+                done = ScalarNode(event.value, bool(event.style), self.span(event))
             elif isinstance(event, yaml.CollectionStartEvent):
                 stack.append(_Open(self.offset(event.start_mark), isinstance(event, yaml.MappingStartEvent)))
                 if len(stack) > limits.YAML_DEPTH:

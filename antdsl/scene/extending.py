@@ -3,6 +3,9 @@ place in the file where it was written."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
 from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.scene.document import MappingNode, Node, ScalarNode, decode, read_document
@@ -13,14 +16,17 @@ KEY = "extends"
 _OWN = frozenset((KEY, "antdsl"))  # said by each file for itself
 
 
-def extended(document: MappingNode, name: str, roots: Roots, report: Report) -> MappingNode | None:
+def extended(
+    document: MappingNode, name: str, roots: Roots, report: Report, texts: Mapping[Path, bytes] | None = None
+) -> MappingNode | None:
     """The tree with everything that comes from the scenes behind it, nearest first; None with errors in the report.
 
-    A scene is looked for beside the one that names it, so that the paths of both mean the same."""
+    A scene is looked for beside the one that names it, so that the paths of both mean the same. `texts` go before what is on
+    disk: scenes that are open in an editor."""
     seen = [name.replace("\\", "/").rsplit("/", 1)[-1]]
     behind = document
     while (node := behind.entries.get(KEY)) is not None:
-        other = _read(node, name, seen, roots, report)
+        other = _read(node, name, seen, roots, report, texts or {})
         if other is None:
             return None
         document, behind = _over(document, other, _OWN), other
@@ -31,7 +37,9 @@ def extended(document: MappingNode, name: str, roots: Roots, report: Report) -> 
     )
 
 
-def _read(node: Node, name: str, seen: list[str], roots: Roots, report: Report) -> MappingNode | None:
+def _read(
+    node: Node, name: str, seen: list[str], roots: Roots, report: Report, texts: Mapping[Path, bytes]
+) -> MappingNode | None:
     text = node.text.strip() if isinstance(node, ScalarNode) else ""
     if not text:
         report.error("wrong-value", "the name of a scene is wanted here", node.span, f"write `{KEY}: base.yaml`")
@@ -50,7 +58,8 @@ def _read(node: Node, name: str, seen: list[str], roots: Roots, report: Report) 
         return None
     seen.append(text)
     try:
-        data = roots.read(text, limits.SCENE_BYTES)
+        held = texts.get(roots.path(text))
+        data = roots.read(text, limits.SCENE_BYTES) if held is None else held
     except PathRefused as refused:
         report.error(refused.code, str(refused), node.span, refused.help)
         return None

@@ -67,15 +67,15 @@ def load(path: Path, grants: Mapping[str, Path] | None = None) -> tuple[Scene | 
     return load_text(data, str(path), Roots(path.resolve().parent, dict(grants or {})))
 
 
-def load_text(data: bytes, name: str, roots: Roots) -> tuple[Scene | None, Report]:
-    """As `load`, from the bytes of a file."""
+def load_text(data: bytes, name: str, roots: Roots, texts: Mapping[Path, bytes] | None = None) -> tuple[Scene | None, Report]:
+    """As `load`, from the bytes of a file; `texts` go before the files of scenes that it extends."""
     source, report = decode(data, name)
     if not report.ok:
         return None, report
     document, report = read_document(source)
     if document is None:
         return None, report
-    document = extended(document, name, roots, report)
+    document = extended(document, name, roots, report, texts)
     if document is None:
         return None, report
     from pydantic import ValidationError
