@@ -140,3 +140,14 @@ def test_large_folders_are_not_searched_at_every_question(tmp_path: Path, monkey
     first.unlink()
     files.search_again()
     assert files.files() == [second.resolve()]
+
+
+def test_every_line_of_a_spec_is_looked_into(tmp_path: Path) -> None:
+    lines = """when state == s for 1 s: pace > 0
+never: state == s held 1 s * pace
+when any(n in neighbours(size): n.pace > 0) eventually: true"""
+    text = f'{PROGRAM}spec "a" on "base.yaml" {{\nagainst "child.yaml"\neach bug {{\n{lines}\n}}\n}}\n'
+    document = Workspace().put(tmp_path / "bug.ant", text)
+    found = [each.key for each in document.occurrences if document.start(each.span) > len(PROGRAM)]
+    assert found.count(("state", "bug", "main", "s")) == 2 and found.count(("own", "bug", "pace")) == 3
+    assert [key[1] for key in found if key[0] == "file"] == [str(tmp_path / "base.yaml"), str(tmp_path / "child.yaml")]

@@ -94,11 +94,14 @@ class Walk(Uses):
 
     def spec(self, item: nodes.Spec) -> None:
         if item.scene is not None:
-            self.say(item.scene.span, ("file", str(self.names.path.parent.joinpath(item.scene.text).resolve())))
+            self.scene_file(item.scene)
         named = [name for name, table in self.names.species.items() if table.node is not None]
         place = Place(named[0] if len(named) == 1 else None, spec=True)
         for line in item.lines:
             self.spec_line(line, place)
+
+    def scene_file(self, scene: nodes.Text) -> None:
+        self.say(scene.span, ("file", str(self.names.path.parent.joinpath(scene.text).resolve())))
 
     def spec_line(self, line: nodes.SpecLine, place: Place) -> None:
         if line.kind == "each" and isinstance(line.target, nodes.NameRef):
@@ -107,7 +110,9 @@ class Walk(Uses):
             place = replace(place, species=name.text)
         elif line.kind == "set" and isinstance(line.target, nodes.Member):
             self.setting(line.target)
-        for part in (line.time, line.condition):
+        elif line.kind == "against" and isinstance(line.target, nodes.Text):
+            self.scene_file(line.target)
+        for part in (line.since, line.time, line.condition, line.held):
             if part is not None:
                 self.expression(part, place)
         for inner in line.lines:
