@@ -22,7 +22,8 @@ _KINDS: dict[str, tuple[str, int]] = {
     "builtin-argument": ("parameter", 4), "own": ("property", 0), "attribute": ("property", 0), "given": ("property", 4),
     "item-given": ("property", 4), "hit-given": ("property", 4), "let": ("variable", 2), "word": ("variable", 4),
     "steered": ("variable", 4), "setting": ("property", 4), "kind": ("keyword", 0), "type": ("type", 4),
-    "alias": ("namespace", 0), "library": ("namespace", 4), "event": ("event", 0), "motion": ("property", 4), "colour": ("variable", 4),
+    "alias": ("namespace", 0), "library": ("namespace", 4), "event": ("event", 0), "motion": ("property", 4),
+    "colour": ("variable", 4),
 }  # fmt: skip
 _UNIT = rf"(?:{'|'.join(UNIT_NAMES)})(?:\^[0-9]+)?(?![A-Za-z_])"
 _PIECE = re.compile(
