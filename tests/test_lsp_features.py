@@ -132,6 +132,8 @@ async def test_completion_knows_where_it_is(client, line: str, wanted: str, unwa
         ('  state rest "Lies down" ', "  start search\n", "amber blue", "search"),
         ("behaviour calm(way: ", "use steering\n", "push length place", "seek"),
         ("  on ", "  start search\n", "spawn collision", "smell"),
+        ("  set ", "  for 20 s\n", "forager.smell forager.reward trail.half_life", "smell load forager.load trail.cell"),
+        ("  goal = none of ", "  start search\n", "food nest forager", "smell stones seek"),
     ],
 )
 async def test_completion_knows_the_block(client, line: str, after: str, wanted: str, unwanted: str) -> None:

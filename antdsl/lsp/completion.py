@@ -12,6 +12,7 @@ from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.colours import COLOURS
 from antdsl.program.expected import MOTION
 from antdsl.program.vocabulary import GIVEN, TYPE_WORDS
+from antdsl.syntax import nodes
 from antdsl.syntax.words import FORMS, LINE_WORDS, UNIT_NAMES
 
 
@@ -186,6 +187,29 @@ def _motion(request: Request) -> Iterator[Item]:
         yield Item(name, "property", type)
 
 
+def _changed(request: Request) -> Iterator[Item]:
+    """What a spec may set: params and settings of fields, with the value that they have."""
+    for table in request.names.species.values():
+        for name, member in table.own.items():
+            if isinstance(member, nodes.ParamDecl):
+                yield _with_value(f"{table.name}.{name}", member.declaration.value, member.declaration.help)
+    for field, node in request.names.fields.items():
+        for setting in node.settings:
+            if setting.name.text not in ("cell", "combine"):
+                yield _with_value(f"{field}.{setting.name.text}", setting.value, node.help)
+
+
+def _with_value(name: str, value: nodes.Expr, help: nodes.Text | None) -> Item:
+    text = " ".join(value.span.text.split())
+    return Item(name, "property", text, help.text if help is not None else "", f"{name} = {text}")
+
+
+def _some(request: Request) -> Iterator[Item]:
+    """Of what there may be none: an item or an animal."""
+    yield from things("items")(request)
+    yield from species(request)
+
+
 _AFTER: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
     (r"->[ \t]*$", _targets),
     (r"^start[ \t]+$", _states),
@@ -203,6 +227,8 @@ _AFTER: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
     (r"\b(take|give)[ \t]+(all|[^ \t]+([ \t]+[a-z%/]+)?)[ \t]+$", _amounts),
     (r"\bfrom[ \t]+$", _takes_from),
     (r"\bmotion\.$", _motion),
+    (r"\bnone[ \t]+of[ \t]+$", _some),
+    (r"(^|\{[ \t]*)set[ \t]+$", _changed),
 )
 
 

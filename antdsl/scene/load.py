@@ -104,7 +104,8 @@ def _complain(report: Report, document: MappingNode, error: Any) -> None:
         whole = f"`{walked[-1]}`" if walked and isinstance(walked[-1], str) else "the scene" if not walked else "this line"
         if not walked:
             span = Span(span.source, span.start, min(span.start + 1, span.end))
-        report.error("missing-key", f"{whole} has no `{path[-1]}`", span, f"add `{path[-1]}: …`")
+        value = _USUAL.get(path[-1], "…")
+        report.error("missing-key", f"{whole} has no `{path[-1]}`", span, f"add `{path[-1]}: {value}`")
         return
     bad_key = bool(path) and path[-1] == "[key]"
     span, _ = find(document, path[:-1] if bad_key else path, key=bad_key)
@@ -115,6 +116,8 @@ def _complain(report: Report, document: MappingNode, error: Any) -> None:
         report.error("wrong-value", _words(kind, error), span)
 
 
+# What may be written for keys that are wanted.
+_USUAL = {"antdsl": "1", "count": "100", "species": "NAME", "from": "FILE.ant", "at": "[0, 0, 0]", "mesh": "FILE.ply"}
 _SHAPES = {
     "tuple_type": "a list is wanted here",
     "dict_type": "a mapping is wanted here",
