@@ -137,6 +137,7 @@ CODES: dict[str, str] = {
     "duplicate-key": "a key of the scene is given twice, or two differ by case only",
     "empty-scene": "the scene says nothing",
     "far-away": "a mesh lies so far from the origin that positions become coarse",
+    "inside-out": "an obstacle's faces look inward, so that it keeps agents in and not out",
     "mirrored": "a mesh is scaled by a number below zero",
     "missing-key": "a part of the scene lacks a key that it must have",
     "missing-thing": "the program declares a thing of the world, or a layer, that the scene leaves out",

@@ -19,7 +19,7 @@ from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Const, Expr, Op, ParamRef, Program
 from antdsl.program.vocabulary import LENGTH
 from antdsl.scene import setting as stage_of
-from antdsl.scene.closed import grained, open_edges
+from antdsl.scene.closed import check_closed, check_sides
 from antdsl.scene.document import Key
 from antdsl.scene.flows import check_densities, stage_flows
 from antdsl.scene.laying import items_of
@@ -95,6 +95,8 @@ def stage(
     model = scene.model
     surfaces = _meshes(staging, "surface")
     obstacles = _meshes(staging, "obstacle")
+    for name, mesh in obstacles.items():
+        check_sides(staging, name, mesh)
     solids = _solids(staging)
     if staging.report.ok:
         _check_cells(staging, {**surfaces, **{name: solid.mesh for name, solid in solids.items()}})
@@ -277,18 +279,8 @@ def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
         )
         found[name] = stage_of.SolidData(mesh, edge)
         if staging.report.ok:
-            _check_closed(staging, name, value, found[name])
+            check_closed(staging, name, "mesh" if isinstance(value, MeshThing) else "prim", found[name])
     return found
-
-
-def _check_closed(staging: Staging, name: str, value: MeshThing | UsdThing, solid: stage_of.SolidData) -> None:
-    corners = solid.mesh.vertices[solid.mesh.faces]
-    loose, _ = open_edges(grained((corners - corners.min(axis=(0, 1))) / solid.voxel)[0])
-    if loose:
-        edges = "1 edge borders" if loose == 1 else f"{loose:,} edges border"
-        words = f"the mesh of the solid `{name}` is not closed: {edges} on nothing"
-        place = staging.scene.span("world", name, "mesh" if isinstance(value, MeshThing) else "prim")
-        staging.report.error("bad-mesh", words, place, "close its holes, so that it has an inside")
 
 
 def _check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
