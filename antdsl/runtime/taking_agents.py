@@ -12,7 +12,8 @@ from antdsl.plan import ir
 from antdsl.runtime.birth_values import birth_values, params_at_birth
 from antdsl.runtime.births import come_alive
 from antdsl.runtime.effects import Effects
-from antdsl.runtime.taking_ground import stand, turn
+from antdsl.runtime.taking_ground import TOLD, stand, turn
+from antdsl.runtime.tall import length
 from antdsl.runtime.world import Population, World, add_rows, stored_registers
 
 Rows = NDArray[np.intp]
@@ -52,7 +53,7 @@ def take_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Kept, 
     _items(old, world, after.plan, values)
     _put(after, values)
     turn(world, after, moved[rows])
-    kept.moved = int(np.count_nonzero(moved[rows]))
+    kept.moved = int(np.count_nonzero(length(after.position - before.position[rows]) > TOLD))
     return kept, values | {register: after.now[register].copy() for register in _ALWAYS}
 
 
@@ -148,13 +149,6 @@ def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDA
             values[f"{machine.name}.{part}"] = np.where(lost | (other < 0), state, other).astype(now.dtype)
         time = values[f"{machine.name}.time_in_state"]
         values[f"{machine.name}.time_in_state"] = np.where(lost, 0, time).astype(time.dtype)
-    for name, register in after.registers.items():
-        if name in values and register.holds and register.holds[0] == "state":
-            which = str(register.holds[-1]).removeprefix(f"{after.name}.")
-            new = next((m for m in after.machines if m.name == which), None)
-            if new is not None and which in machines:
-                number = _renumbered(machines[which], new)[values[name]]
-                values[name] = np.where(number < 0, new.start, number).astype(values[name].dtype)
 
 
 def _renumbered(before: ir.MachinePlan, after: ir.MachinePlan) -> NDArray[np.int64]:

@@ -13,7 +13,8 @@ from antdsl.runtime.reuse import digest
 from antdsl.runtime.tall import length, level
 from antdsl.runtime.world import AXES, Population, World
 
-_HAIR = 1e-6  # mm: who is put so near to where it was has not been moved
+_HAIR = 1e-6  # mm: who is put so near to where it was stays there to the last bit
+TOLD = 0.05  # mm: less is the rounding of the nearest place, and not worth a word
 
 
 def same_solid(old: World, world: World, name: str) -> bool:
