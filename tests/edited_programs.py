@@ -256,7 +256,7 @@ def remark(project: Project, rng: random.Random) -> None:
 
 EDITS = (
     rename_state, remove_state, add_state, reorder_states, other_start, toggle_memory, add_attribute, remove_attribute,
-    rename_attribute, other_attribute, other_attribute, rename_species, add_or_remove_species, other_count, other_items,
+    rename_attribute, *4 * (other_attribute,), rename_species, add_or_remove_species, other_count, other_items,
     other_cell, other_ground, remark,
 )  # fmt: skip
 

@@ -67,6 +67,9 @@ def check_kept(old: Project, new: Project, before: dict[str, Herd], world: World
             known = then.values.get(attribute, np.zeros(len(then.ids), np.float32))[rows]
             assert np.array_equal(now.values[attribute][:first], kept_value(was, species, attribute, known)), attribute
             assert (now.values[attribute][first:] == species.attributes[attribute].value).all()
+        for register in (r for r in now.values if r.endswith(".held")):
+            known = then.values.get(register, np.zeros(len(then.ids), np.float32))[rows]
+            assert np.array_equal(now.values[register][:first], known)
         for state, strolls in species.states.items():
             assert bool(now.memories[state]) == strolls
             for register, array in now.memories[state].items():

@@ -162,6 +162,31 @@ def test_a_value_of_another_dimension_begins_anew(scene: Path) -> None:
     assert taken_line(what) == "kept 20 agents · `load` is another type, begun anew"
 
 
+COUNTING = """
+behaviour counted() -> number {
+  "How often it was asked."
+  keep times = 5 then times + 1
+  times
+}
+species ant {"""
+
+
+def test_a_memory_goes_on_by_its_identity_and_begins_anew_as_another_type(scene: Path) -> None:
+    program = PROGRAM.replace("species ant {", COUNTING).replace("load += 1 /s", "load = counted()")
+    program = program.replace("target = nearest(food)", "load = counted()").replace("after 0.2 s -> rest", "after 60 s -> rest")
+    scene.with_name("life.ant").write_text(program)
+    world = started(scene, 3)
+    now, what = taken(world, scene, life="    way    = =>     # in another line\n    way    =")
+    step(now)
+    assert (now.populations["ant"].now["load"] == 8).all()
+    assert taken_line(what) == "kept 20 agents"
+    scene.with_name("life.ant").write_text(program.replace("5 then times + 1\n  times", "5 s then times + 1 s\n  times / 1 s"))
+    now, what = taken(world, scene)
+    assert taken_line(what) == "kept 20 agents · 2 memories forgotten"
+    step(now)
+    assert (now.populations["ant"].now["load"] == 5).all()
+
+
 def test_items_that_agents_hold_are_known_by_name(scene: Path) -> None:
     world = started(scene)
     names = world.items["food"].names

@@ -195,8 +195,8 @@ def _shuffle(world: World, population: Population) -> None:
 
 def _stand(world: World, population: Population, rows: NDArray[np.intp]) -> None:
     """Up from the ground, and a heading drawn around it; at rest."""
-    side = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
-    up = vec.columns(world.ground.upright(population.footing, side)[rows], np.float32)
+    wanted = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
+    up = vec.columns(world.ground.upright(population.footing, wanted)[rows], np.float32)
     angle = _draw(world, population.name, 0, population.ids[rows], "heading") * _TURN
     side = vec.across(up)
     ahead = vec.cross(up, side)
