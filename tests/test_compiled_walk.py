@@ -141,10 +141,10 @@ def test_clearances_are_below_the_distance_to_other_pieces(name: str) -> None:
         clear = parts.of(face, b1, b2)
         a, b, c = (corners[face, k] for k in range(3))
         place = a + b1[:, None] * (b - a) + b2[:, None] * (c - a)
-        for piece in range(int(ground._table.patch.max()) + 1):
-            other = corners[(ground._table.patch != piece) & (ground._table.patch >= 0)]
+        for piece in range(ground._table.pieces):
+            other = corners[(ground._table.piece != piece) & (ground._table.piece >= 0)]
             scene = RayScene(other.reshape(-1, 3), np.arange(3 * len(other), dtype=np.int32).reshape(-1, 3))
-            own = ground._table.patch[face] == piece
+            own = ground._table.piece[face] == piece
             distance = scene.closest(place[own])[3]
             assert (clear[own] <= distance + 1e-9).all()
         assert (clear > 0).any()
@@ -302,7 +302,7 @@ def test_lists_hold_every_triangle_that_is_near() -> None:
     parts = ground._clearances.within(3.0)
     kept = ground._listing.within(parts, 4.0, 0.02, 0.6, 0.1)
     assert kept.body >= 4.0 and ground._listing.within(parts, 4.5, 0.02, 0.6, 0.1) is kept
-    corners, piece, link = ground._vertices[ground._faces], ground._table.patch, ground._table.link
+    corners, piece, link = ground._vertices[ground._faces], ground._table.piece, ground._table.link
     rng = np.random.default_rng(14)
     weights = rng.dirichlet((0.5, 0.5, 0.5), 200)
     for lists, reach in ((kept.ahead, 0.02 * 4 + 0.1), (kept.beyond, 0.6 * 4)):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torture_long import from_file, long_walk
 from torture_walks import BODY, STEP, Seen, above, crowd, depth, inside, parts, shapes, wander, winding
 
-from antdsl.runtime.senses import topology
+from antdsl.runtime.senses import self_cuts
 from antdsl.runtime.senses.ground import Ground
 from antdsl.runtime.senses.rays import RayScene
 
@@ -194,26 +194,27 @@ def test_nobody_goes_through_a_wall_or_round_the_border_of_a_sheet(name: str) ->
 
 
 def test_a_hose_through_itself_is_gone_through_where_its_cuts_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(topology, "patches", lambda corners, weld, piece, grain: piece)
+    monkeypatch.setattr(self_cuts, "_pierces", lambda start, end, triangle, grain: np.zeros(len(start), bool))
     assert long_walk("eight", SHAPES.eight(), N, STEPS // 2).through > 10
 
 
-def test_faces_that_cut_each_other_are_of_different_patches_and_no_others_are() -> None:
+def test_faces_that_cut_each_other_are_known_and_no_others_are() -> None:
     for name, shape in SHAPES.SHAPES.items():
-        table = Ground({name: shape()}).triangles[3]
-        assert (table.patch != table.piece).any() == (name == "eight"), name
+        assert Ground({name: shape()}).triangles[3].cuts.cut.any() == (name == "eight"), name
     mesh = SHAPES.eight()
     table = Ground({"eight": mesh}).triangles[3]
     corners, crossings = mesh[0][mesh[1]], 0
     near = np.flatnonzero(np.linalg.norm(corners.mean(axis=1) - [0.0, 12.0, 0.0], axis=1) < 16.0)
     for f in near:
         scene = RayScene(corners[f], np.arange(3, dtype=np.int32)[None])
+        known = table.cuts.of(np.array([f]))[1]
+        assert all(f in table.cuts.of(np.array([g]))[1] for g in known)
         for k in range(3):
             edge = corners[near][:, [k, (k + 1) % 3]]
             hit, part, _, _ = scene.cast_within(edge[:, 0], edge[:, 1] - edge[:, 0])
             through = near[hit[(part > 0.01) & (part < 0.99)]]
             through = through[[not np.isin(table.weld[f], table.weld[g]).any() for g in through]]
-            assert (table.patch[through] != table.patch[f]).all(), (f, through)
+            assert np.isin(through, known).all(), (f, through)
             crossings += len(through)
     assert crossings > 50
 

@@ -73,10 +73,12 @@ class Listing:
 
     def _ahead(self, parts: Parts, reach: float) -> Lists:
         asking = np.flatnonzero(parts.count)
-        patch = self._table.patch
+        piece = self._table.piece
         one, other = self._pairs(asking, self._corners[asking], reach)
-        apart = patch[asking[one]] != patch[other]
-        return self._lists(asking if one.size else asking[:0], one[apart], other[apart])
+        apart = piece[asking[one]] != piece[other]
+        lists = self._lists(asking if one.size else asking[:0], one[apart], other[apart])
+        lists.count[self._table.cuts.cut] = -1  # who walks there always asks what cuts it
+        return lists
 
     def _beyond(self, reach: float) -> Lists:
         half = np.flatnonzero((self._table.link == NO_LINK).any(axis=0) & np.repeat(self._table.live, 3))

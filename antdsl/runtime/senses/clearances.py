@@ -47,14 +47,14 @@ class Parts:
 class Clearances:
     """Lower bounds of the distance to the nearest other piece: a coarse grid of pieces says for which faces to measure it.
 
-    `corners` float64[m,3,3] of faces, their `patch` int32[m] (-1 for none; from `pieces` on each is one face, in touch with
-    others), the lowest corner `low`, and the `noise` (mm) of what is measured.
+    `corners` float64[m,3,3] of faces, their `piece` int32[m] (-1 for none), which are `cut` by others of their piece (these count
+    as another piece, in touch with all), the lowest corner `low`, and the `noise` (mm) of what is measured.
     """
 
-    def __init__(self, corners: Floats, patch: NDArray[np.int32], pieces: int, low: Floats, noise: float) -> None:
+    def __init__(self, corners: Floats, piece: NDArray[np.int32], cut: NDArray[np.bool_], low: Floats, noise: float) -> None:
         self.noise = noise
-        self._alone = patch >= pieces
-        piece = np.minimum(patch, pieces).astype(np.int32)
+        self._cut = cut
+        piece = np.where(cut, piece.max(initial=-1) + 1, piece).astype(np.int32)
         self._piece = piece
         self._corners = corners
         self._parts: Parts | None = None
@@ -82,7 +82,7 @@ class Clearances:
 
     def _measured(self, reach: float) -> Parts:
         m = len(self._piece)
-        near = np.flatnonzero(self._near(reach) | self._alone) if self._several else np.empty(0, np.int64)
+        near = np.flatnonzero(self._near(reach) | self._cut) if self._several else np.empty(0, np.int64)
         count, first = np.zeros(m, np.int32), np.zeros(m, np.int64)
         if not near.size:
             return Parts(reach, first, count, np.empty(0))
@@ -96,7 +96,7 @@ class Clearances:
                 if piece >= 0:
                     own = self._piece[near] == piece
                     least[own] = self._apart(near[own], near[~own & (self._piece[near] >= 0)], n, reach)
-        least[self._alone[near]] = 0.0
+        least[self._cut[near]] = 0.0
         return Parts(reach, first, count, least.ravel())
 
     def _apart(self, own: Index, others: Index, n: int, reach: float) -> Floats:

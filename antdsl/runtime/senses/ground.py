@@ -115,7 +115,7 @@ class Ground:
         self._side = facing(self._table.normal.T)
         self._scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         self._clearances = Clearances(
-            self._vertices[self._faces], self._table.patch, self._table.pieces, self.low, self.extent * NOISE
+            self._vertices[self._faces], self._table.piece, self._table.cuts.cut, self.low, self.extent * NOISE
         )
         # Twenty times the rounding of float32, which counts from the middle where that is far away; lists mind five times that.
         rounding = 2e-6 * (self.extent + min(float(np.abs([self.low, self.high]).max()), FAR))

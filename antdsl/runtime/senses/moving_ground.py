@@ -162,10 +162,11 @@ class _Clearances:
         self._fixed = np.flatnonzero(~self._loose)
         corners = ground._vertices[ground._faces[self._fixed]]
         low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
-        self._still = Clearances(corners, ground._table.patch[self._fixed], ground._table.pieces, low, self.noise)
-        patches = {name: int((np.unique(ground._table.patch[rows]) >= 0).sum()) for name, rows in ground._rows.items()}
+        piece, cut = ground._table.piece, ground._table.cuts.cut
+        self._still = Clearances(corners, piece[self._fixed], cut[self._fixed], low, self.noise)
+        several = {name: cut[rows].any() or (np.unique(piece[rows]) >= 0).sum() > 1 for name, rows in ground._rows.items()}
         self._low, self._high = _boxes(ground._vertices, ground._faces)
-        self._several = [name for k, name in enumerate(ground.names) if ground._moves[k] and patches[name] > 1]
+        self._several = [name for k, name in enumerate(ground.names) if ground._moves[k] and several[name]]
         self._parts: Parts | None = None
 
     def forget(self) -> None:

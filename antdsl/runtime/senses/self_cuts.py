@@ -1,10 +1,10 @@
-"""Where a mesh cuts through itself: found once, so that only there rays look out for what is of one's own piece.
-
-There each face is a patch of its own; all others have the number of their piece."""
+"""Where a mesh cuts through itself: the pairs of faces that do are found once; who walks on one of them crosses it where the
+other one cuts it and nowhere else, which is worked out exactly."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,28 +17,42 @@ Index = NDArray[np.int64]
 
 _PAIRS = 2_000_000  # of faces in one cell, looked at together
 _CELL = 2.0  # mean sizes of faces: width of a cell
-_FOLDED = 0.5  # cosine between the normals of faces that share a corner, above which they are not folded over each other
-_RINGS = 2  # of faces around those that are cut that look out as well: an agent's eye is ahead of its feet
 _MOST_CELLS = 1 << 20  # along an axis
 
 
-def patches(corners: Floats, weld: Ints, piece: Ints, grain: float) -> Ints:
-    """Patch int32[m] of each face, -1 for those without a piece: corners float64[m,3,3] whose places are numbered by `weld`
-    (m, 3). What goes less than `grain` (mm) through a face touches it and does not cut it."""
-    one, two = _cuts(corners, weld, piece, grain)
-    patch = piece.copy()
-    if one.size:
-        alone = np.zeros(len(piece), bool)
-        alone[one] = alone[two] = True
-        for _ in range(_RINGS):
-            near = np.zeros(int(weld.max()) + 1, bool)
-            near[weld[alone].ravel()] = True
-            alone = near[weld].any(axis=1) & (piece >= 0)
-        patch[alone] = int(piece.max()) + 1 + np.arange(int(alone.sum()))
-    return patch
+@dataclass(frozen=True, slots=True, eq=False)
+class Cuts:
+    """Face f is cut by the faces `other[first[f]:first[f + 1]]` of its own piece, and cuts these."""
+
+    first: Index
+    other: Index
+
+    @property
+    def cut(self) -> NDArray[np.bool_]:
+        """Which faces are cut."""
+        return np.diff(self.first) > 0
+
+    def of(self, face: Index) -> tuple[Index, Index]:
+        """All faces that cut some faces: which of those asked each cuts, and its number."""
+        count = np.diff(self.first).take(face)
+        which = np.repeat(np.arange(face.size), count)
+        step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
+        return which, self.other.take(np.repeat(self.first.take(face), count) + step)
 
 
-def _cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
+def cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> Cuts:
+    """Of faces with corners float64[m,3,3] whose places are numbered by `weld` (m, 3), of the pieces int32[m] (-1 for none). What
+    goes less than `grain` (mm) through a face touches it and does not cut it."""
+    flat = weld.ravel()
+    one_place = np.zeros((int(flat.max(initial=-1)) + 1, 3))
+    one_place[flat[::-1]] = corners.reshape(-1, 3)[::-1]  # corners that are nearly at one place do not cut what they belong to
+    one, two = _pairs(one_place[weld], weld, piece, grain)
+    face, other = np.concatenate([one, two]), np.concatenate([two, one])
+    order = np.lexsort((other, face))
+    return Cuts(np.concatenate([[0], np.cumsum(np.bincount(face, minlength=len(piece)))]), other[order])
+
+
+def _pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
     """Pairs of faces of one piece, one of which has an edge that goes through the other."""
     found = [np.empty((2, 0), np.int64)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -49,11 +63,9 @@ def _cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index
         for j in range(3):
             for k in range(3):
                 shared += weld[one, j] == weld[two, k]
-        # Who share an edge fold along it and cannot cut each other. Who share a corner can where they are folded over there.
+        # Who share an edge fold along it and cannot cut each other. Who share a corner can.
         apart &= shared < 2
-        one, two, shared = one[apart], two[apart], shared[apart]
-        folded = np.flatnonzero((shared == 0) | ((normal[one] * normal[two]).sum(axis=1) < _FOLDED))
-        one, two = one[folded], two[folded]
+        one, two = one[apart], two[apart]
         for _ in range(2):  # each has corners on both sides of the other
             height = ((corners[one] - corners[two, :1]) * normal[two][:, None]).sum(axis=2)
             across = (height.min(axis=1) < -grain) & (height.max(axis=1) > grain)

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from antdsl.runtime.senses.clearances import Parts
 from antdsl.runtime.senses.topology import Topology
-from antdsl.runtime.senses.walk import Landing, Walkers, dot
+from antdsl.runtime.senses.walk import Landing, Walkers, dot, in_frame
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Cast = Callable[[Floats, Floats, int], tuple[Floats, Index]]
+Met = tuple[Index, Floats, Floats, Floats]  # face (-1 for none), place, way that led there (3, k), mm gone
 Weights = Callable[[Index, Floats], tuple[Floats, Floats]]
 
 LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
@@ -24,6 +25,8 @@ NOISE = 1e-4  # of the extent of a ground: float32 rays err by less
 SKIP = 0.01  # of that noise: how far beyond the own surface, where that hides others, a ray goes on
 SHY = 0.1  # of what rays err: how near to a wall no way ends
 AGAIN = 4  # times that it goes on
+TOUCH = 1e-5  # of that noise: how near feet are to what cuts their face when they are on it
+STEEP = 1e-6  # square of the sine of the angle of a cut, below which feet are not moved further off it
 
 
 class Around:
@@ -59,13 +62,70 @@ class Around:
         return clear <= length + np.fmax(LIFT * self._body[rows], self._noise) + self._noise
 
     def ahead(self, walkers: Walkers, rows: Index, length: Floats) -> Landing:
-        """Another piece of surface within the way, seen from just above the ground, below a low ceiling from half its
-        height; or at the way's end between that eye and the ground."""
-        t = self._table
+        """What stands in the way: what cuts the own face, or another piece that is nearer."""
         asked = np.flatnonzero(self.near(walkers, rows, length))
         if not asked.size:
             return Landing(asked, asked, *np.empty((4, 0)))
         rows, length = rows.take(asked), length.take(asked)
+        face, hit, towards, gone = self._cut(walkers, rows, length)
+        if self._table.pieces > 1:
+            other, there, down, before = self._other(walkers, rows, gone)
+            met = np.flatnonzero(other >= 0)
+            face[met], gone[met] = other[met], before[met]
+            hit[:, met], towards[:, met] = there[:, met], down[:, met]
+        who = np.flatnonzero((face >= 0) & (length > 0))
+        if not who.size:
+            return Landing(who, who, *np.empty((4, 0)))
+        return self._landing(asked[who], face[who], hit[:, who], towards[:, who], gone[who])
+
+    def _cut(self, walkers: Walkers, rows: Index, length: Floats) -> Met:
+        """The first face of the own piece that cuts the own face across the way: from there the way goes on upon it.
+
+        No eye looks for it, for at a cut every height above the feet is in another room somewhere. Feet keep off what cuts their
+        face by more than a touch on the side they are on, which is a thousand times what float64 rounds: so they are always on
+        one side of it.
+        """
+        t, touch = self._table, TOUCH * self._noise
+        place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
+        face, gone, hit = np.full(rows.size, -1, np.int64), length.copy(), place + way * length
+        which, other = t.cuts.of(walkers.face.take(rows))
+        if not which.size:
+            return face, hit, way, gone
+        normal, step = t.normal.take(other, axis=1), way.take(which, axis=1)
+        begins = dot(normal, place.take(which, axis=1) - t.corner.take(other, axis=1))
+        ends = begins + dot(normal, step) * length.take(which)
+        through = (begins * ends <= 0) | ((np.abs(ends) <= touch) & (np.abs(ends) < np.abs(begins)))
+        through &= np.abs(begins) > touch
+        which, other, begins, ends, step, normal = (v[..., through] for v in (which, other, begins, ends, step, normal))
+        apart = begins - ends
+        before = np.clip(begins / np.where(apart != 0, apart, 1.0), 0.0, 1.0) * length.take(which)
+        there = place.take(which, axis=1) + step * before
+        inside = self._inside(other, there, 4 * touch)
+        which, other, before, there, normal = (v[..., inside] for v in (which, other, before, there, normal))
+        order = np.lexsort((other, before, which))
+        first = order[np.unique(which[order], return_index=True)[1]]
+        which = which[first]
+        # Off what was left, or which side of it feet are on could not be told in the next step.
+        before_up, normal = up.take(which, axis=1), normal[:, first]
+        steep = before_up - dot(before_up, normal) * normal
+        off = steep * (2 * touch / np.maximum(dot(steep, steep), STEEP))
+        face[which], gone[which], hit[:, which] = other[first], before[first], there[:, first] + off
+        return face, hit, way, gone
+
+    def _inside(self, face: Index, place: Floats, touch: float) -> NDArray[np.bool_]:
+        """Whether places in the planes of faces are in these, or no more than about `touch` mm beside them."""
+        t = self._table
+        c, s = in_frame(t, face, place - t.corner.take(face, axis=1))
+        rate1, rate2, shear = t.rate1.take(face), t.rate2.take(face), t.shear.take(face)
+        b1, b2 = c * rate1 - s * shear, s * rate2
+        over = touch * (np.abs(rate1) + np.abs(rate2) + np.abs(shear))
+        found: NDArray[np.bool_] = (b1 >= -over) & (b2 >= -over) & (b1 + b2 <= 1 + over)
+        return found
+
+    def _other(self, walkers: Walkers, rows: Index, length: Floats) -> Met:
+        """Another piece of surface within the way, seen from just above the ground, below a low ceiling from half its
+        height; or at the way's end between that eye and the ground."""
+        t = self._table
         place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
         lift = np.fmax(LIFT * self._body.take(rows), self._noise)
         own = walkers.face.take(rows)
@@ -90,13 +150,10 @@ class Around:
             between, down = still[found], down[:, found]
             hit[:, between] += down * part[found]
             towards[:, between] = down
-        who = np.flatnonzero((face >= 0) & (length > 0))
-        if not who.size:
-            return Landing(who, who, *np.empty((4, 0)))
-        return self._landing(asked[who], face[who], hit[:, who], towards[:, who], gone[who])
+        return face, hit, towards, gone
 
     def _others(self, origin: Floats, step: Floats, own: Index) -> tuple[Floats, Index]:
-        """Where rays hit the first face that is not of the patch of their `own`: that one, at an edge or in a hollow, hides none.
+        """Where rays hit the first face that is not of the piece of their `own`: that one, at an edge or in a hollow, hides none.
 
         Rays find faces in float32, a hair before and after their way too; where these are is told in float64. So a way that
         begins where another ended, a thousandth of a hair from a wall, meets it, and one that leads off that wall does not. Nor
@@ -114,33 +171,23 @@ class Around:
             if not rows.size:
                 break
             at = begin.take(rows) + met * rest
-            exact, off, short = self._crossing(origin.take(rows, axis=1), step.take(rows, axis=1), there, at)
-            found = self._other(own.take(rows), there, off) & (exact >= 0) & ((exact <= 1) | (short <= SHY * self._rounding))
+            exact, short = self._crossing(origin.take(rows, axis=1), step.take(rows, axis=1), there, at)
+            found = self._table.piece.take(own.take(rows)) != self._table.piece.take(there)
+            found &= (exact >= 0) & ((exact <= 1) | (short <= SHY * self._rounding))
             part[rows[found]], face[rows[found]] = np.minimum(exact[found], 1.0), there[found]
             rows, at = rows[~found], at[~found]
             begin[rows] = at + SKIP * self._noise / np.maximum(length.take(rows), 1e-300)
             rows = rows[begin.take(rows) < 1.0 + hair.take(rows)]
         return part, face
 
-    def _other(self, own: Index, there: Index, off: Floats) -> NDArray[np.bool_]:
-        """Whether faces are of another patch. The neighbour across an edge, where patches end within a piece, is not so for those
-        who stand on that edge."""
-        t = self._table
-        other: NDArray[np.bool_] = t.patch.take(own) != t.patch.take(there)
-        same = np.flatnonzero(other & (off <= SHY * self._rounding) & (t.piece.take(own) == t.piece.take(there)))
-        if same.size:
-            one, two = t.weld.take(own[same], axis=0), t.weld.take(there[same], axis=0)
-            other[same] = (one[:, :, None] == two[:, None, :]).sum(axis=(1, 2)) < 2
-        return other
-
-    def _crossing(self, origin: Floats, step: Floats, face: Index, at: Floats) -> tuple[Floats, Floats, Floats]:
+    def _crossing(self, origin: Floats, step: Floats, face: Index, at: Floats) -> tuple[Floats, Floats]:
         """After what part of their step rays cross the planes of faces that they meet after about `at` of it, and how far from
-        these they begin and end."""
+        these they end."""
         normal = self._table.normal.take(face, axis=1)
         towards = dot(normal, step)
         apart = dot(normal, self._table.corner.take(face, axis=1) - origin)
         part = np.where(towards != 0, apart / np.where(towards != 0, towards, 1.0), at)
-        return part, np.abs(apart), np.abs(apart - towards)
+        return part, np.abs(apart - towards)
 
     def beyond(self, walkers: Walkers, rows: Index) -> Landing:
         """Past an open border: what a ray down just beyond it meets, else what a ray back from below it meets. The other side of

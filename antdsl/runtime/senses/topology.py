@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime.senses.self_cuts import patches
+from antdsl.runtime.senses.self_cuts import Cuts, cuts
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 _WELD = 1e-6  # of the extent: corners nearer than this are one corner
-_THROUGH = 1e-6  # of the extent: what goes less far through a face only touches it
+_THROUGH = 1e-9  # of the extent: what goes less far through a face only touches it
 _NO_WIDTH = 1e12  # weights gained by a mm across a face that has none
 _FLAT = 1e-7  # height over longest edge below which a triangle is a line
 _CREASE = np.cos(np.radians(45.0))  # faces meeting more sharply than this are not smoothed into each other
@@ -49,7 +49,7 @@ class Topology:
     link: Ints
     piece: Ints
     pieces: int
-    patch: Ints  # the piece; around where a piece cuts itself each face is one of its own, numbered from `pieces` on
+    cuts: Cuts  # which faces of a piece cut each other
     way: Ints  # (2, m): which sides of faces, 0 that of the normal, can be walked to from each other across edges
     forked: bool  # whether any edge leads on differently on its two sides, being of more than two faces
     smooth: Floats  # (9, m): unit normal at corner 0, 1, 2
@@ -67,14 +67,13 @@ def build(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
     live = _live(weld, _length(np.cross(b - a, c - a)), (b - a, c - a, c - b))
     link = _links(vertices, faces, weld, live)
     piece, pieces = _pieces(link, live)
-    patch = patches(vertices[faces], weld, piece, extent * _THROUGH)
     forked = bool((link[0] != link[1]).any())
     return Topology(
         live=live,
         link=link,
         piece=piece,
         pieces=pieces,
-        patch=patch,
+        cuts=cuts(vertices[faces], weld, piece, extent * _THROUGH),
         way=_ways(link, live),
         forked=forked,
         weld=weld,
