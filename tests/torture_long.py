@@ -24,6 +24,7 @@ SHAPES = shapes()
 SHEETS = ("pot", "moebius", "rag", "ground")
 TALL = 150.0  # mm: as long as a mesh from a file is made
 EVERY = 25  # steps between two looks at who is in what
+FINE = 1e-9  # mm: nearer to feet than any wall that they have not gone through, and more than float64 rounds
 Asked = Callable[[Ground, MoveResult], NDArray[np.bool_]]
 
 
@@ -49,38 +50,40 @@ class Rooms:
 
 @dataclass(slots=True)
 class Walls:
-    """Who has gone through a wall: who is in another room than at first at two looks one after the other, for a place at a
-    sharp edge may be told wrong once. At the end winding numbers, which are exact, say who was right."""
+    """Who has gone through a wall: who is in another room than at first. The parity of rays, told from a hair above the feet, says
+    who may be; winding numbers, told from so near above the feet that no wall comes between, say who is. In a wedge that is
+    narrower than a hair the hair is in the next room."""
 
     rooms: Rooms
     began: NDArray[np.int64]
-    parity: NDArray[np.bool_]
-    doubtful: NDArray[np.bool_]
     through: set[int] = field(default_factory=set)
 
     @staticmethod
-    def of(closed: list[Mesh], places: NDArray[np.float64]) -> Walls:
+    def of(closed: list[Mesh], ground: Ground, at: MoveResult) -> Walls:
         rooms = Rooms(closed)
-        began = rooms.winding(places)
-        return Walls(rooms, began, began % 2 == 1, np.zeros(began.shape[1], bool))
+        return Walls(rooms, rooms.winding(above(ground, at, FINE)))
 
-    def look(self, places: NDArray[np.float64]) -> None:
-        wrong = (self.rooms.parity(places) != self.parity).any(axis=0)
-        self.through |= set(np.flatnonzero(wrong & self.doubtful).tolist())
-        self.doubtful = wrong
+    def look(self, ground: Ground, at: MoveResult) -> None:
+        parity = self.rooms.parity(above(ground, at))
+        self._ask(ground, at, np.flatnonzero((parity != (self.began % 2 == 1)).any(axis=0)))
 
-    def end(self, places: NDArray[np.float64]) -> None:
-        self.through |= set(np.flatnonzero((self.rooms.winding(places) != self.began).any(axis=0)).tolist())
+    def end(self, ground: Ground, at: MoveResult) -> None:
+        self._ask(ground, at, np.arange(len(at.up)))
+
+    def _ask(self, ground: Ground, at: MoveResult, rows: NDArray[np.int64]) -> None:
+        if rows.size:
+            now = self.rooms.winding(above(ground, at.take(rows), FINE))
+            self.through |= set(rows[(now != self.began[:, rows]).any(axis=0)].tolist())
 
 
 def begun(ground: Ground, mesh: Mesh, closed: list[Mesh], n: int, rng: np.random.Generator) -> MoveResult:
     """A crowd. Where stones are sunk in each other nobody begins in the sunken part of one; nor where feet are in another room
-    than the eye above them."""
+    than the eye above them, that looks out for the other stones."""
     begin = crowd(ground, [mesh], n if len(closed) < 2 else 3 * n, rng)
     if len(closed) > 1:
         free = ~np.any([np.abs(winding(each, above(ground, begin))) > 0.5 for each in closed], axis=0)
         begin = begin.take(np.flatnonzero(free)[:n])
-    for each in closed:
+    for each in closed if len(closed) > 1 else []:
         feet, eye = (np.round(winding(each, above(ground, begin, high))) for high in (HAIR, LIFT * BODY))
         begin = begin.take(np.flatnonzero(feet == eye))
     return begin
@@ -116,7 +119,7 @@ def long_walk(name: str, mesh: Mesh, n: int, steps: int, by_rays: bool = False) 
     closed = solid(name, mesh)
     begin = begun(Ground({name: mesh}), mesh, closed, n, rng)
     n = len(begin.up)
-    walls = Walls.of(closed, above(ground, begin)) if closed else None
+    walls = Walls.of(closed, ground, begin) if closed else None
     at, sides = begin, side(ground, begin)
     through, missed, seconds = np.zeros(n, bool), np.zeros(n, bool), []
     steady = wander(ground, begin, steps, rng)
@@ -127,11 +130,11 @@ def long_walk(name: str, mesh: Mesh, n: int, steps: int, by_rays: bool = False) 
         seen.look(ground, [mesh], before, at)
         missed |= at.blocked if by_rays else at.lost
         if walls is not None and k % EVERY == EVERY - 1:
-            walls.look(above(ground, at))
+            walls.look(ground, at)
         if name in ("pot", "rag", "ground"):  # sheets of one winding: who comes to the other side went through, or round
             through |= side(ground, at) != sides
     if walls is not None:
-        walls.end(above(ground, at))
+        walls.end(ground, at)
         through[list(walls.through)] = True
     return Walked(seen, n, int(through.sum()), int(missed.sum()), seconds)
 

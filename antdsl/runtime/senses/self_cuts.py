@@ -17,6 +17,7 @@ Index = NDArray[np.int64]
 
 _PAIRS = 2_000_000  # of faces in one cell, looked at together
 _CELL = 2.0  # mean sizes of faces: width of a cell
+_COPLANAR = 1 - 1e-12  # cosine between the normals of faces that cannot cut each other
 _MOST_CELLS = 1 << 20  # along an axis
 
 
@@ -42,7 +43,7 @@ class Cuts:
 
 def cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> Cuts:
     """Of faces with corners float64[m,3,3] whose places are numbered by `weld` (m, 3), of the pieces int32[m] (-1 for none). What
-    goes less than `grain` (mm) through a face touches it and does not cut it."""
+    comes nearer to a face than `grain` (mm) touches it, and what touches it counts."""
     flat = weld.ravel()
     one_place = np.zeros((int(flat.max(initial=-1)) + 1, 3))
     one_place[flat[::-1]] = corners.reshape(-1, 3)[::-1]  # corners that are nearly at one place do not cut what they belong to
@@ -53,27 +54,30 @@ def cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> Cuts:
 
 
 def _pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
-    """Pairs of faces of one piece, one of which has an edge that goes through the other."""
+    """Pairs of faces of one piece, one of which has an edge that goes through the other, or ends or lies on it."""
     found = [np.empty((2, 0), np.int64)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.sqrt((normal * normal).sum(axis=1)), 1e-300)[:, None]
     for one, two in _near(corners, np.flatnonzero(piece >= 0)):
-        apart = piece[one] == piece[two]
-        shared = np.zeros(one.size, np.int8)
-        for j in range(3):
-            for k in range(3):
-                shared += weld[one, j] == weld[two, k]
+        own = piece[one] == piece[two]
+        one, two = one[own], two[own]
+        same = weld[one][:, :, None] == weld[two][:, None, :]
         # Who share an edge fold along it and cannot cut each other. Who share a corner can.
-        apart &= shared < 2
-        one, two = one[apart], two[apart]
-        for _ in range(2):  # each has corners on both sides of the other
+        apart = (same.sum(axis=(1, 2)) < 2) & (np.abs((normal[one] * normal[two]).sum(axis=1)) < _COPLANAR)
+        one, two, same = one[apart], two[apart], same[apart]
+        shared = [same.any(axis=2), same.any(axis=1)]
+        for _ in range(2):  # each has other corners on both sides of the other, or on it
             height = ((corners[one] - corners[two, :1]) * normal[two][:, None]).sum(axis=2)
-            across = (height.min(axis=1) < -grain) & (height.max(axis=1) > grain)
-            one, two = two[across], one[across]
+            low = np.where(shared[0], np.inf, height).min(axis=1)
+            high = np.where(shared[0], -np.inf, height).max(axis=1)
+            across = (low <= grain) & (high >= -grain)
+            one, two, shared = two[across], one[across], [v[across] for v in shared[::-1]]
         cuts = np.zeros(one.size, bool)
-        for f, g in ((one, two), (two, one)):
+        for f, g, meets in ((one, two, shared[0]), (two, one, shared[1])):
             for k in range(3):
-                cuts |= _pierces(corners[f, k], corners[f, (k + 1) % 3], corners[g], grain)
+                free = np.flatnonzero(~(meets[:, k] | meets[:, (k + 1) % 3] | cuts))
+                ends = corners[f[free], k], corners[f[free], (k + 1) % 3]
+                cuts[free] = _pierces(*ends, corners[g[free]], grain)
         found.append(np.stack([one[cuts], two[cuts]]))
     pairs = np.unique(np.concatenate(found, axis=1), axis=1)
     return pairs[0], pairs[1]
@@ -113,21 +117,22 @@ def _near(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
 
 
 def _pierces(start: Floats, end: Floats, triangle: Floats, grain: float) -> NDArray[np.bool_]:
-    """Whether edges go through triangles, more than `grain` on both sides of the plane and inside its edges (Möller, Trumbore,
-    Fast, Minimum Storage Ray/Triangle Intersection, 1997, p. 22-24)."""
+    """Whether edges go through triangles or touch them, but for `grain` mm (Möller, Trumbore, Fast, Minimum Storage Ray/Triangle
+    Intersection, 1997, p. 22-24). Of an edge in the plane of a triangle only the start is asked about: its end is another's start,
+    and where it goes across an edge of the triangle that one touches it."""
     a, e1, e2 = triangle[:, 0], triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
     normal = np.cross(e1, e2)
     size = np.sqrt((normal * normal).sum(axis=1))
-    above, below = (((v - a) * normal).sum(axis=1) for v in (start, end))
-    across = (above * below < 0) & (np.minimum(np.abs(above), np.abs(below)) > grain * size)
+    above, below = (((v - a) * normal).sum(axis=1) / size for v in (start, end))
     result = np.zeros(len(start), bool)
-    rows = np.flatnonzero(across)
-    if not rows.size:
-        return result
-    part = above[rows] / (above[rows] - below[rows])
+    rows = np.flatnonzero((above * below < 0) | (np.minimum(np.abs(above), np.abs(below)) <= grain))
+    above, below = above[rows], below[rows]
+    level = np.abs(above) <= grain
+    part = np.where(level, 0.0, np.clip(above / np.where(level, 1.0, above - below), 0.0, 1.0))
     place = start[rows] + part[:, None] * (end[rows] - start[rows]) - a[rows]
-    square = size[rows] ** 2
-    b1 = (np.cross(place, e2[rows]) * normal[rows]).sum(axis=1) / square
-    b2 = (np.cross(e1[rows], place) * normal[rows]).sum(axis=1) / square
-    result[rows] = (b1 >= 0) & (b2 >= 0) & (b1 + b2 <= 1)
+    e1, e2, normal, square = e1[rows], e2[rows], normal[rows], size[rows] ** 2
+    b1 = (np.cross(place, e2) * normal).sum(axis=1) / square
+    b2 = (np.cross(e1, place) * normal).sum(axis=1) / square
+    over = grain * np.sqrt(np.maximum((e1 * e1).sum(axis=1), (e2 * e2).sum(axis=1))) / size[rows]
+    result[rows] = (b1 >= -over) & (b2 >= -over) & (b1 + b2 <= 1 + 2 * over)
     return result

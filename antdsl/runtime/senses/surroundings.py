@@ -95,7 +95,7 @@ class Around:
         begins = dot(normal, place.take(which, axis=1) - t.corner.take(other, axis=1))
         ends = begins + dot(normal, step) * length.take(which)
         through = (begins * ends <= 0) | ((np.abs(ends) <= touch) & (np.abs(ends) < np.abs(begins)))
-        through &= np.abs(begins) > touch
+        through &= (np.abs(begins) > touch) & self._rises(other, place.take(which, axis=1), up.take(which, axis=1))
         which, other, begins, ends, step, normal = (v[..., through] for v in (which, other, begins, ends, step, normal))
         apart = begins - ends
         before = np.clip(begins / np.where(apart != 0, apart, 1.0), 0.0, 1.0) * length.take(which)
@@ -111,6 +111,14 @@ class Around:
         off = steep * (2 * touch / np.maximum(dot(steep, steep), STEEP))
         face[which], gone[which], hit[:, which] = other[first], before[first], there[:, first] + off
         return face, hit, way, gone
+
+    def _rises(self, face: Index, place: Floats, up: Floats) -> NDArray[np.bool_]:
+        """Whether faces go up from the plane in which feet are: else they are under the sheet that is walked on."""
+        t = self._table
+        height = dot(up, t.corner.take(face, axis=1) - place)
+        ends = (dot(up, edge.take(face, axis=1)) for edge in (t.edge1, t.edge2))
+        risen: NDArray[np.bool_] = height + np.fmax(np.fmax(*ends), 0.0) > TOUCH * self._noise
+        return risen
 
     def _inside(self, face: Index, place: Floats, touch: float) -> NDArray[np.bool_]:
         """Whether places in the planes of faces are in these, or no more than about `touch` mm beside them."""

@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 _WELD = 1e-6  # of the extent: corners nearer than this are one corner
-_THROUGH = 1e-9  # of the extent: what goes less far through a face only touches it
+_THROUGH = 1e-9  # of the extent: what comes nearer to a face touches it
 _NO_WIDTH = 1e12  # weights gained by a mm across a face that has none
 _FLAT = 1e-7  # height over longest edge below which a triangle is a line
 _CREASE = np.cos(np.radians(45.0))  # faces meeting more sharply than this are not smoothed into each other
