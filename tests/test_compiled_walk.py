@@ -14,6 +14,7 @@ from antdsl.runtime.senses.ground import Footing, Ground, MoveResult
 from antdsl.runtime.senses.moving_ground import MovingGround
 from antdsl.runtime.senses.rays import RayScene
 from tests.meshes import ball, box, grid, terrain
+from torture_walks import shapes
 
 UP = np.array([0.0, 1.0, 0.0])
 N = 500
@@ -45,6 +46,7 @@ GROUNDS = {
     "flipped, doubled and flat faces": rumpled,
     "a wall on a floor": forked,
     "loose sheets": sheets,
+    "a hose through itself": lambda: {"eight": shapes().eight(), "floor": grid(60, 9)},
     "boulders": lambda: {"hills": terrain(100, 30), "a": ball(14, (8, 4, 3), 9), "b": box((-30, -20, -30), (-18, 15, -14))},
     "tiles and a fan of slivers": lambda: {
         "left": grid(30, 6),

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from meshes import Mesh
 from numpy.typing import NDArray
-from torture_long import from_file, long_walk
+from torture_long import FINE, from_file, long_walk
 from torture_walks import BODY, STEP, Seen, above, crowd, depth, inside, parts, shapes, wander, winding
 
 from antdsl.runtime.senses import self_cuts
-from antdsl.runtime.senses.ground import Ground
+from antdsl.runtime.senses.ground import Ground, MoveResult
+from antdsl.runtime.senses.moving_ground import MovingGround
 from antdsl.runtime.senses.rays import RayScene
 
 SHAPES = shapes()
@@ -191,6 +192,81 @@ def held(name: str, mesh: Mesh, n: int, steps: int) -> None:
 @pytest.mark.parametrize("name", ["eight", "bottle", "broken", "rag"])
 def test_nobody_goes_through_a_wall_or_round_the_border_of_a_sheet(name: str) -> None:
     held(name, SHAPES.SHAPES[name](), 2 * N, STEPS)
+
+
+NOTCHES = {  # outlines across a block, whose roof is folded down between (10, 10) and where it goes up again
+    "through the floor": [[10, 10], [10, -6], [9.6, 10]],
+    "sharp, just through the floor": [[10, 10], [10, -0.3], [9.9, 10]],
+    "with corners in the plane of the floor": [[10, 10], [10, 0], [9.8, -3], [9.6, 10]],
+    "upon the floor": [[10, 10], [10, 0], [9.9, 10]],
+    "out through a wall and the floor": [[10, 10], [-4, 5], [-4, -2], [9, -2], [9.5, 10]],
+}
+
+
+def notched(outline: list[list[float]]) -> Mesh:
+    """A block 12 mm long with such a notch and pointed ends: edges of its walls go through edges of its floor and of each other."""
+    corners = np.array([[0, 0], [20, 0], [20, 10], *outline, [0, 10]], float)
+    k, rings = len(corners), (0, 4, 8, 12)
+    vertices = [[x, y, z] for z in rings for x, y in corners] + [[5, 5, -4], [5, 5, 16]]
+    faces, last = [], (len(rings) - 1) * k
+    for i in range(k):
+        j = (i + 1) % k
+        for r in range(0, last, k):
+            faces += [[r + i, r + j, r + k + j], [r + i, r + k + j, r + k + i]]
+        faces += [[last + k, j, i], [last + k + 1, last + i, last + j]]
+    return np.array(vertices), np.array(faces, np.int32)
+
+
+@pytest.mark.parametrize("name", NOTCHES)
+def test_no_wall_is_gone_through_where_sheets_that_cut_each_other_share_corners_and_edges(name: str) -> None:
+    mesh = notched(NOTCHES[name])
+    assert Ground({"block": mesh}).triangles[3].cuts.cut.any()
+    held(name, mesh, 2 * N, STEPS)
+
+
+def test_a_notch_is_gone_through_where_its_cuts_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(self_cuts, "_pierces", lambda start, end, triangle, grain: np.zeros(len(start), bool))
+    for outline in NOTCHES.values():
+        if outline[1][1] < -1:
+            assert long_walk("block", notched(outline), N, STEPS).through > 10
+
+
+def test_who_comes_to_a_cut_goes_on_upon_what_cuts() -> None:
+    ground = Ground({"block": notched(NOTCHES["through the floor"])})
+    start = np.array([[14.0, 0.0, 6.0], [14.0, 0.0, 6.0]])
+    footing, up = ground.nearest(start)[0], np.array([[0.0, 1, 0], [0.0, -1, 0]])  # in the block, and below it
+    at = ground.move(footing, np.tile([-6.0, 0, 0], (2, 1)), np.tile([-1.0, 0, 0], (2, 1)), up, BODY)
+    assert np.allclose(at.position, [[10, 2, 6], [10, -2, 6]], atol=1e-5)
+    assert np.allclose(at.direction, [[0, 1, 0], [0, -1, 0]]) and np.allclose(at.heading, at.direction, atol=0.02)  # smoothed
+    assert np.allclose(at.travelled, 6.0) and not at.blocked.any()
+
+
+def test_cuts_of_a_mesh_that_moves_are_not_gone_through() -> None:
+    mesh, rng = notched(NOTCHES["through the floor"]), np.random.default_rng(12)
+    moving = MovingGround({"block": mesh}, ["block"])
+    at = crowd(moving, [mesh], N, rng)
+    began = np.round(winding(mesh, above(moving, at, FINE)))
+    for k in range(STEPS // 2):
+        turn, shift = 0.05 * k, np.array([0.3 * k, 0.0, -0.2 * k])
+        spin = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+        before = moving.axes(at.footing)
+        moving.pose({"block": mesh[0] @ spin.T + shift})
+        heading, up = (
+            sum(axis * (was * v.T).sum(axis=0) for axis, was in zip(moving.axes(at.footing), before, strict=True)).T
+            for v in (at.heading, at.up)
+        )
+        heading = heading + np.cross(up, heading) * rng.normal(0, 0.3, (len(up), 1))
+        at = moving.move(at.footing, heading * STEP, heading, up, BODY)
+    moving.pose({"block": mesh[0]})
+    there = Ground({"block": mesh})
+    side = np.where(side_of(moving, at, spin) < 0, -1.0, 1.0)
+    places = there.position(at.footing) + there.normal(at.footing) * (side * FINE)[:, None]
+    assert np.array_equal(np.round(winding(mesh, places)), began)
+
+
+def side_of(ground: Ground, at: MoveResult, spin: Floats) -> Floats:
+    """On which side of their faces agents are, who were there when the mesh was turned by `spin`."""
+    return (ground.normal(at.footing) @ spin.T * at.up).sum(axis=1)
 
 
 def test_a_hose_through_itself_is_gone_through_where_its_cuts_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:

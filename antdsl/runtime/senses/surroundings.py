@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.senses.clearances import Parts
-from antdsl.runtime.senses.topology import Topology
+from antdsl.runtime.senses.topology import NO_LINK, Topology
 from antdsl.runtime.senses.walk import Landing, Walkers, dot, in_frame
 
 Floats = NDArray[np.float64]
@@ -26,7 +26,9 @@ SKIP = 0.01  # of that noise: how far beyond the own surface, where that hides o
 SHY = 0.1  # of what rays err: how near to a wall no way ends
 AGAIN = 4  # times that it goes on
 TOUCH = 1e-5  # of that noise: how near feet are to what cuts their face when they are on it
+OFF = 16.0  # touches that they are put off the face they left: beyond all that is taken for its border
 STEEP = 1e-6  # square of the sine of the angle of a cut, below which feet are not moved further off it
+LEANING = 1e3  # way along a face for each mm up, above which it is as good as lying
 
 
 class Around:
@@ -97,20 +99,38 @@ class Around:
         through = (begins * ends <= 0) | ((np.abs(ends) <= touch) & (np.abs(ends) < np.abs(begins)))
         through &= (np.abs(begins) > touch) & self._rises(other, place.take(which, axis=1), up.take(which, axis=1))
         which, other, begins, ends, step, normal = (v[..., through] for v in (which, other, begins, ends, step, normal))
-        apart = begins - ends
-        before = np.clip(begins / np.where(apart != 0, apart, 1.0), 0.0, 1.0) * length.take(which)
+        before = np.clip(begins / np.where(begins != ends, begins - ends, 1.0), 0.0, 1.0) * length.take(which)
         there = place.take(which, axis=1) + step * before
-        inside = self._inside(other, there, 4 * touch)
-        which, other, before, there, normal = (v[..., inside] for v in (which, other, before, there, normal))
-        order = np.lexsort((other, before, which))
+        inside = self._inside(other, there, 4 * touch) & self._leads_through(walkers, rows.take(which), other, begins, there)
+        which, other, before, there, normal, step = (v[..., inside] for v in (which, other, before, there, normal, step))
+        # Off what was left, or which side of it feet are on could not be told in the next step; and so upon what is first there.
+        risen, towards = up.take(which, axis=1), dot(normal, step)
+        leans = -dot(risen, normal) / np.where(towards != 0, towards, 1.0)
+        order = np.lexsort((other, before + OFF * touch * np.clip(leans, -LEANING, LEANING), which))
         first = order[np.unique(which[order], return_index=True)[1]]
-        which = which[first]
-        # Off what was left, or which side of it feet are on could not be told in the next step.
-        before_up, normal = up.take(which, axis=1), normal[:, first]
-        steep = before_up - dot(before_up, normal) * normal
-        off = steep * (2 * touch / np.maximum(dot(steep, steep), STEEP))
-        face[which], gone[which], hit[:, which] = other[first], before[first], there[:, first] + off
+        which, other, risen, normal, there = which[first], other[first], risen[:, first], normal[:, first], there[:, first]
+        steep = risen - dot(risen, normal) * normal
+        off = steep * (OFF * touch / np.maximum(dot(steep, steep), STEEP))
+        face[which], gone[which], hit[:, which] = other, before[first], there + off
+        tight = which[self._tight(other, walkers.face.take(rows[which]), there, off)]
+        face[tight], gone[tight], hit[:, tight] = walkers.face.take(rows[tight]), 0.0, place[:, tight]
+        way[:, tight] = -up[:, tight]
         return face, hit, way, gone
+
+    def _tight(self, face: Index, own: Index, place: Floats, off: Floats) -> NDArray[np.bool_]:
+        """Where three sheets meet: whether feet put upon a face at a place, and `off` from their own face, would be through a third
+        one or touch it. They stay where they are, then."""
+        t, touch = self._table, TOUCH * self._noise
+        found = np.zeros(face.size, bool)
+        which, third = t.cuts.of(face)
+        which, third = (v[third != own.take(which)] for v in (which, third))
+        normal = t.normal.take(third, axis=1)
+        begins = dot(normal, place.take(which, axis=1) - t.corner.take(third, axis=1))
+        ends = begins + dot(normal, off.take(which, axis=1))
+        met = ((begins * ends < 0) & (np.abs(begins) > touch)) | (np.abs(ends) <= touch)
+        met &= self._inside(third, place.take(which, axis=1), 2 * OFF * touch)
+        found[which[met]] = True
+        return found
 
     def _rises(self, face: Index, place: Floats, up: Floats) -> NDArray[np.bool_]:
         """Whether faces go up from the plane in which feet are: else they are under the sheet that is walked on."""
@@ -119,6 +139,30 @@ class Around:
         ends = (dot(up, edge.take(face, axis=1)) for edge in (t.edge1, t.edge2))
         risen: NDArray[np.bool_] = height + np.fmax(np.fmax(*ends), 0.0) > TOUCH * self._noise
         return risen
+
+    def _leads_through(self, walkers: Walkers, rows: Index, other: Index, begins: Floats, there: Floats) -> NDArray[np.bool_]:
+        """Whether the way of `rows`, that comes to the plane of `other` faces from heights `begins` at `there`, goes on behind it,
+        or ends. Where the own face only touches the other one, it may be folded back there into a wedge that has no room."""
+        t = self._table
+        sign, own = np.where(begins < 0, -1.0, 1.0), walkers.face.take(rows)
+        on = np.ones(rows.size, bool)
+        touching = np.flatnonzero(self._lowest(own, other, sign) >= -TOUCH * self._noise)
+        if touching.size:
+            own, other, sign = own[touching], other[touching], sign[touching]
+            b1, b2 = self._weights(own, there[:, touching])
+            edge = np.argmin([1.0 - b1 - b2, b1, b2], axis=0)
+            link = t.link[np.where(walkers.side.take(rows[touching]) < 0, 1, 0), 3 * own + edge]
+            beyond = np.where(link == NO_LINK, own, link >> 3)
+            on[touching] = (link == NO_LINK) | (self._lowest(beyond, other, sign) < -TOUCH * self._noise)
+        return on
+
+    def _lowest(self, face: Index, other: Index, sign: Floats) -> Floats:
+        """Height of the lowest corner of faces over the planes of others, whose upper side is that of their normal by `sign`."""
+        t = self._table
+        up = t.normal.take(other, axis=1) * sign
+        first = dot(up, t.corner.take(face, axis=1) - t.corner.take(other, axis=1))
+        one, two = (dot(up, edge.take(face, axis=1)) for edge in (t.edge1, t.edge2))
+        return first + np.minimum(np.minimum(one, two), 0.0)
 
     def _inside(self, face: Index, place: Floats, touch: float) -> NDArray[np.bool_]:
         """Whether places in the planes of faces are in these, or no more than about `touch` mm beside them."""
