@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from torture_walks import shapes
 
 from antdsl.runtime import compiled, moving
 from antdsl.runtime.senses import clearances
@@ -14,7 +15,6 @@ from antdsl.runtime.senses.ground import Footing, Ground, MoveResult
 from antdsl.runtime.senses.moving_ground import MovingGround
 from antdsl.runtime.senses.rays import RayScene
 from tests.meshes import ball, box, grid, terrain
-from torture_walks import shapes
 
 UP = np.array([0.0, 1.0, 0.0])
 N = 500

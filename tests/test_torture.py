@@ -204,7 +204,7 @@ NOTCHES = {  # outlines across a block, whose roof is folded down between (10, 1
 
 
 def notched(outline: list[list[float]]) -> Mesh:
-    """A block 12 mm long with such a notch and pointed ends: edges of its walls go through edges of its floor and of each other."""
+    """A block 12 mm long with such a notch and pointed ends: edges of walls go through edges of the floor and of each other."""
     corners = np.array([[0, 0], [20, 0], [20, 10], *outline, [0, 10]], float)
     k, rings = len(corners), (0, 4, 8, 12)
     vertices = [[x, y, z] for z in rings for x, y in corners] + [[5, 5, -4], [5, 5, 16]]

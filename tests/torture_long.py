@@ -50,7 +50,7 @@ class Rooms:
 
 @dataclass(slots=True)
 class Walls:
-    """Who has gone through a wall: who is in another room than at first. The parity of rays, told from a hair above the feet, says
+    """Who has gone through a wall: who is in another room than at first. The parity of rays, from a hair above the feet, says
     who may be; winding numbers, told from so near above the feet that no wall comes between, say who is. In a wedge that is
     narrower than a hair the hair is in the next room."""
 

@@ -118,8 +118,8 @@ def _near(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
 
 def _pierces(start: Floats, end: Floats, triangle: Floats, grain: float) -> NDArray[np.bool_]:
     """Whether edges go through triangles or touch them, but for `grain` mm (Möller, Trumbore, Fast, Minimum Storage Ray/Triangle
-    Intersection, 1997, p. 22-24). Of an edge in the plane of a triangle only the start is asked about: its end is another's start,
-    and where it goes across an edge of the triangle that one touches it."""
+    Intersection, 1997, p. 22-24). Of an edge in the plane of a triangle only the start is asked about: its end is another's
+    start, and where it goes across an edge of the triangle that one touches it."""
     a, e1, e2 = triangle[:, 0], triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
     normal = np.cross(e1, e2)
     size = np.sqrt((normal * normal).sum(axis=1))

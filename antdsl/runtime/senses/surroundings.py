@@ -118,8 +118,8 @@ class Around:
         return face, hit, way, gone
 
     def _tight(self, face: Index, own: Index, place: Floats, off: Floats) -> NDArray[np.bool_]:
-        """Where three sheets meet: whether feet put upon a face at a place, and `off` from their own face, would be through a third
-        one or touch it. They stay where they are, then."""
+        """Where three sheets meet: whether feet put upon a face at a place, and `off` from their own face, would be through a
+        third one or touch it. They stay where they are, then."""
         t, touch = self._table, TOUCH * self._noise
         found = np.zeros(face.size, bool)
         which, third = t.cuts.of(face)
@@ -141,8 +141,8 @@ class Around:
         return risen
 
     def _leads_through(self, walkers: Walkers, rows: Index, other: Index, begins: Floats, there: Floats) -> NDArray[np.bool_]:
-        """Whether the way of `rows`, that comes to the plane of `other` faces from heights `begins` at `there`, goes on behind it,
-        or ends. Where the own face only touches the other one, it may be folded back there into a wedge that has no room."""
+        """Whether the way of `rows`, that comes to the plane of `other` faces from heights `begins` at `there`, goes on behind
+        it, or ends. Where the own face only touches the other one, it may be folded back there into a wedge that has no room."""
         t = self._table
         sign, own = np.where(begins < 0, -1.0, 1.0), walkers.face.take(rows)
         on = np.ones(rows.size, bool)
