@@ -148,6 +148,7 @@ def test_attributes_of_ply_files_turn_with_their_mesh(folder: Path, text: bool) 
     ("old", "new", "code", "words"),
     [
         ("{tangent: way, ", "{tangnt: way, ", "wrong-value", "did you mean `tangent`?"),
+        (DRIFT, "{slope: 2}", "wrong-value", "no key says what this thing of the world is | add one of `mesh`"),
         ("{tangent: way, ", "{tangent: wy, ", "unknown-thing", "did you mean `way`?"),
         ("{tangent: way, ", "{tangent: nest, ", "unknown-thing", "no curve is named `nest`"),
         ("{tangent: way, ", "{toward: hom, ", "unknown-thing", "did you mean `home`?"),

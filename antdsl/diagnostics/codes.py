@@ -147,7 +147,7 @@ CODES: dict[str, str] = {
     "no-such-prim": "a USD file has no prim at a path, or nothing of the wanted kind at and below it",
     "not-a-file": "a path leads to a folder, a pipe or a device",
     "odd-scale": "a surface is hardly larger than those who walk on it, or very much larger; or voxels are too coarse for them",
-    "off-surface": "an item is to lie on a surface, and the surface is not below or above it",
+    "off-surface": "an item or a crowd is to lie on a surface, and the surface is not below or above it",
     "out-of-range": "a value lies outside the range that it may have",
     "root-not-granted": "a path begins with a root that the person who runs the scene has not granted",
     "scene-syntax": "the text of the scene is not YAML as a scene may have it",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -68,6 +68,24 @@ def _laid(
             return None
         place[tall] = height
     return riding(mesh, moves, three(track[0])) if moves is not None and not thing.keys else track
+
+
+def check_crowds(staging: Staging, crowds: Sequence[stage_of.CrowdData], grounds: Mapping[str, stage_of.MeshData]) -> None:
+    """Warn of a crowd that is to begin in a disc which no surface lies below or above: it would stand at the nearest border."""
+    flat = [0, 2] if staging.scene.model.up == "y" else [0, 1]
+    for crowd in crowds:
+        around, radius = crowd.place.around, crowd.place.radius
+        if around is None or radius is None or not crowd.count:
+            continue
+        names = [name for name in crowd.place.on or tuple(grounds) if name in grounds]
+        low, high = (np.array([getattr(grounds[name].vertices, end)(axis=0)[flat] for name in names]) for end in ("min", "max"))
+        middle = np.array(around)[flat]
+        if len(names) and not ((low <= middle + radius) & (high >= middle - radius)).all(axis=1).any():
+            words = f"there is no surface where `{crowd.species}` is to begin, so it begins at the nearest"
+            path = ("crowd", crowd.group, "place")
+            staging.report.warning(
+                "off-surface", words, staging.scene.span(*path), "move it with `around`, or check the `units` of the mesh"
+            )
 
 
 def _usd_items(staging: Staging, name: str, value: UsdThing, declared: set[str]) -> Laid | None:

@@ -228,6 +228,8 @@ def _items(value: Any) -> Any:
         near = None if isinstance(inner, dict) else nearest_name(str(word), HEADS)
         if near:
             raise refuse(f"`{word}` says of no thing of the world what it is", f"did you mean `{near}`?")
+    if value and not any(isinstance(inner, dict) for inner in value.values()):
+        raise refuse("no key says what this thing of the world is", "add one of " + ", ".join(f"`{word}`" for word in HEADS))
     return value
 
 

@@ -22,7 +22,7 @@ from antdsl.scene import setting as stage_of
 from antdsl.scene.closed import check_closed, check_sides
 from antdsl.scene.document import Key
 from antdsl.scene.flows import check_densities, stage_flows
-from antdsl.scene.laying import items_of
+from antdsl.scene.laying import check_crowds, items_of
 from antdsl.scene.load import Scene
 from antdsl.scene.matching import const_base
 from antdsl.scene.meshes import MeshError, RawMesh, placed, read_mesh, within_reach
@@ -113,6 +113,7 @@ def stage(
         for number, line in enumerate(model.crowd)
     )
     check_densities(staging, maps)
+    check_crowds(staging, crowds, {**surfaces, **{name: solid.mesh for name, solid in solids.items()}})
     camera = usd_camera(staging, model.camera) if isinstance(model.camera, UsdCamera) else None
     starts = {
         name: stage_of.FieldStart(
