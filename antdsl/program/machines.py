@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-from antdsl.diagnostics import Label
+from antdsl.diagnostics import Fix, Label
 from antdsl.program import model
 from antdsl.program.colours import COLOURS, default_rgb, rgb
 from antdsl.program.folding import constant_behind
 from antdsl.program.memo import part
 from antdsl.program.model import Binding, Expr
 from antdsl.program.operators import condition, wanted
-from antdsl.program.scope import NUMBER, TIME, Keys, MachineNames, Scope, did_you_mean, duplicate, listed
+from antdsl.program.scope import NUMBER, TIME, Keys, MachineNames, Scope, bad, did_you_mean, duplicate, listed
 from antdsl.program.statements import ACTION, BODY, statements, take
 from antdsl.program.states import unknown_state
 from antdsl.program.wording import quoted
@@ -167,9 +167,9 @@ def _applies(node: nodes.Change, change: model.Transition, state: str, index: in
 def _change(scope: Scope, names: MachineNames, node: nodes.Change, path: str) -> model.Transition | None:
     key = scope.keys.next(_target_word(node.target), "->")
     scope = scope.inside(keys=Keys(key))
-    after = _duration(scope, node.after, "`after`")
+    after = _after(scope, node.after)
     test = condition(scope, node.condition, "`when`") if node.condition is not None else None
-    held = _duration(scope, node.held, "`held`")
+    held = _held(scope, node.held)
     claim = take(scope, node.take) if node.take is not None else None
     choices = _choices(scope, names, node.target)
     target = _target(scope, names, node.target)
@@ -179,6 +179,35 @@ def _change(scope: Scope, names: MachineNames, node: nodes.Change, path: str) ->
     return model.Transition(
         key, node.interrupt, test, after, held, claim, target, node.target.previous, choices, actions, node.span
     )
+
+
+def _after(scope: Scope, node: nodes.Expr | None) -> Expr | None:
+    """`after T` stands alone. In `after 1 s and meal` the time is taken for a part of the condition."""
+    time = _first(node)
+    if node is None or time is None or time is node:
+        return _duration(scope, node, "`after`")
+    source, text = time.span.source, f"time_in_state >= {time.span.text}"
+    span = Span(source, source.text.rindex("after", 0, time.span.start), time.span.end)
+    message = f"`{' '.join(span.text.split())}` cannot be joined with a condition"
+    scope.report.error("wrong-kind", message, span, f"write `{text}` for it", fix=Fix(span, text))
+    return bad(node.span)
+
+
+def _held(scope: Scope, node: nodes.Expr | None) -> Expr | None:
+    """`held T` ends a condition. In `meal held 1 s and scent > 1` it stands in the middle."""
+    time = _first(node)
+    if node is None or time is None or time is node:
+        return _duration(scope, node, "`held`")
+    message = f"`held {' '.join(time.span.text.split())}` stands in the middle of a condition"
+    scope.report.error("wrong-kind", message, time.span, "write it at the end: the whole condition is held that long")
+    return bad(node.span)
+
+
+def _first(node: nodes.Expr | None) -> nodes.Expr | None:
+    """What comes first in a chain of `and` and `or`."""
+    while isinstance(node, nodes.Binary) and node.op in ("and", "or"):
+        node = node.left
+    return node
 
 
 def _target_word(target: nodes.Target) -> str:

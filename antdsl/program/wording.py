@@ -123,6 +123,8 @@ def _advice(node: nodes.Expr, actual: Type, wanted: Type) -> str:
     text = " ".join(node.span.text.split())
     short = text if len(text) <= 30 else "…"
     if wanted.kind is Kind.BOOL and actual.kind is Kind.NUMBER:
+        if isinstance(node, (nodes.Number, nodes.Quantity)):
+            return "a number alone asks nothing: compare something with it"
         if isinstance(node, nodes.Binary) and node.op in ("and", "or"):
             short = f"({short})"
         return f"compare it with something: `{short} > {with_unit(0.5 if actual.dim == Dim() else 1, actual.dim)}`"

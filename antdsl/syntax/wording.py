@@ -122,18 +122,9 @@ _COMPARISONS = {"==", "!=", "<", ">", "<=", ">=", "is"}
 def complain(surprise: Surprise) -> Diagnostic:
     """The complaint about a line that cannot be read; the first kind of mistake that fits."""
     for kind in (
-        _quoted_library,
-        _misspelt,
-        _misplaced,
-        _comma,
-        _no_line,
-        _label,
-        _unit,
-        _equals,
-        _compared_twice,
-        _second_line,
-        _unfinished,
-    ):
+        _quoted_library, _after_inside, _misspelt, _misplaced, _comma, _no_line, _label, _unit, _equals, _compared_twice,
+        _second_line, _unfinished,
+    ):  # fmt: skip
         found = kind(surprise)
         if found is not None:
             return found
@@ -153,6 +144,18 @@ def complain(surprise: Surprise) -> Diagnostic:
     elif _forgets_arrow(surprise):
         help, fix = f"write `-> {surprise.found}`", _before(surprise, "-> ")
     return Diagnostic("unexpected-text", f"{message}, expected {_wanted(surprise)}", surprise.span, help=help, fix=fix)
+
+
+def _after_inside(surprise: Surprise) -> Diagnostic | None:
+    """`when meal and after 1 s`: only the whole condition may be `after`."""
+    if surprise.before != "after" or surprise.earlier not in ("and", "or") or surprise.found_kind != "number":
+        return None
+    source = surprise.span.source
+    start = source.text.rindex("after", 0, surprise.span.start)
+    span, text = Span(source, start, start + len("after")), "time_in_state >="
+    message = f"`after {surprise.found}` cannot be joined with a condition"
+    help = f"write `{text} {surprise.found}` for it"
+    return Diagnostic("unexpected-text", message, span, help=help, fix=Fix(span, text))
 
 
 def _quoted_library(surprise: Surprise) -> Diagnostic | None:
