@@ -210,6 +210,24 @@ def test_agents_go_with_a_ground_whose_vertices_move(scene: Path) -> None:
     step(now)
 
 
+def test_meshes_that_are_the_same_are_worked_out_once_and_others_forgotten(scene: Path) -> None:
+    built, shot = Built(), opened(scene)
+    world = bind(shot.plan, shot.setting, built=built)
+    built.forget()
+    now, _ = take_over(world, shot.plan, shot.setting, built)
+    assert now.ground is world.ground
+    assert now.fields["trail"].cells is world.fields["trail"].cells
+    save_ground(scene.parent, lift=40.0)
+    shot = opened(scene)
+    other, _ = take_over(now, shot.plan, shot.setting, built)
+    assert other.ground is not now.ground
+    built.forget()
+    shot_before = world.setting
+    assert take_over(other, shot.plan, shot.setting, built)[0].ground is other.ground
+    built.forget()
+    assert take_over(other, shot.plan, shot_before, built)[0].ground is not world.ground
+
+
 def test_agents_come_to_the_nearest_place_of_a_ground_of_other_faces(scene: Path) -> None:
     world = started(scene)
     before = world.populations["ant"].position.copy()

@@ -42,9 +42,11 @@ class Compiler:
         """The world of a shot that goes on from where another stands; None and complaints when it cannot be made."""
         with _without_pauses():
             try:
-                return *take_over(world, shot.plan, shot.setting, self.built), Report()
+                made, taken = take_over(world, shot.plan, shot.setting, self.built)
             except BindError as why:
                 return None, Taken(), why.report
+        self.built.forget()
+        return made, taken, Report()
 
     def files(self) -> list[Path]:
         """All files that the scene was last made of, and those that it was tried with since."""
