@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from antdsl.plan import ir
 from antdsl.runtime import carrying, randomness
 from antdsl.runtime.clearances import clearance, may_touch
-from antdsl.runtime.world import AXES, DTYPES, Population, World
+from antdsl.runtime.world import AXES, Population, World
 
 Value = Any
 Rows = Any  # a slice, or an array of rows
@@ -208,7 +208,3 @@ SENSES: Mapping[str, Callable[..., Value]] = {
     "flow.value": _flow_value,
     "map.value": _map_value,
 }
-
-
-def zero_of(kind: ir.Kind) -> Value:
-    return DTYPES[kind](0)
