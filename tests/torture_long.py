@@ -24,7 +24,7 @@ SHAPES = shapes()
 SHEETS = ("pot", "moebius", "rag", "ground")
 TALL = 150.0  # mm: as long as a mesh from a file is made
 EVERY = 25  # steps between two looks at who is in what
-FINE = 1e-9  # mm: nearer to feet than any wall that they have not gone through, and more than float64 rounds
+FINE = 1e-9  # mm: nearer to feet than any wall that they have not gone through, and more than float64 rounds; rays need a hair
 Asked = Callable[[Ground, MoveResult], NDArray[np.bool_]]
 
 
@@ -56,12 +56,13 @@ class Walls:
 
     rooms: Rooms
     began: NDArray[np.int64]
+    near: float  # mm above the feet
     through: set[int] = field(default_factory=set)
 
     @staticmethod
-    def of(closed: list[Mesh], ground: Ground, at: MoveResult) -> Walls:
+    def of(closed: list[Mesh], ground: Ground, at: MoveResult, near: float) -> Walls:
         rooms = Rooms(closed)
-        return Walls(rooms, rooms.winding(above(ground, at, FINE)))
+        return Walls(rooms, rooms.winding(above(ground, at, near)), near)
 
     def look(self, ground: Ground, at: MoveResult) -> None:
         parity = self.rooms.parity(above(ground, at))
@@ -72,7 +73,7 @@ class Walls:
 
     def _ask(self, ground: Ground, at: MoveResult, rows: NDArray[np.int64]) -> None:
         if rows.size:
-            now = self.rooms.winding(above(ground, at.take(rows), FINE))
+            now = self.rooms.winding(above(ground, at.take(rows), self.near))
             self.through |= set(rows[(now != self.began[:, rows]).any(axis=0)].tolist())
 
 
@@ -119,7 +120,7 @@ def long_walk(name: str, mesh: Mesh, n: int, steps: int, by_rays: bool = False) 
     closed = solid(name, mesh)
     begin = begun(Ground({name: mesh}), mesh, closed, n, rng)
     n = len(begin.up)
-    walls = Walls.of(closed, ground, begin) if closed else None
+    walls = Walls.of(closed, ground, begin, HAIR if by_rays else FINE) if closed else None
     at, sides = begin, side(ground, begin)
     through, missed, seconds = np.zeros(n, bool), np.zeros(n, bool), []
     steady = wander(ground, begin, steps, rng)
