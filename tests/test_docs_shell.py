@@ -25,8 +25,9 @@ SHORTER = {
     "sweep": ["--seeds", "1", "--frames", "1..2", "--no-plots"],
     "render": ["--width", "96", "--height", "54"],
 }
-# The first two commands set up environments: `.ci/run` runs them. The study's specs are runs of 5,000 frames: `test_foraging_study.py`
-# runs them cut down. What asks a registry or an editor cannot be run everywhere; that the extension packs is tested where node is.
+# The first two commands set up environments: `.ci/run` runs them. The study's specs are runs of 5,000 frames:
+# `test_foraging_study.py` runs them cut down. What asks a registry or an editor cannot be run everywhere; that the
+# extension packs is tested where node is.
 ELSEWHERE = re.compile(
     r"python3 -m antdsl\.bootstrap (example|test)|antdsl test forager\.ant"
     r"|pip install .*|pre-commit install .*|npm install|npm run package|code --install-extension .*"
