@@ -125,6 +125,11 @@ def test_nine_mistakes_are_nine_complaints() -> None:
         assert text in helps
 
 
+def test_a_let_that_a_state_declares_twice_is_told() -> None:
+    found = told(MINIMAL.format("  state s { let a = 1; let a = 2; steer heading * a }"))
+    assert [d.code for d in found.errors] == ["duplicate-name"]
+
+
 def test_a_fix_can_be_put_in_place() -> None:
     text = MINIMAL.format("  max_speed 30\n  state s { steer wander() }")
     fix = told(text).errors[0].fix

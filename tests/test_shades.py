@@ -60,13 +60,16 @@ def test_rules_are_the_weighted_mean_of_their_outputs(rules: list[tuple[float, f
 
 def test_rules_drive_changes_chances_and_pushes() -> None:
     """One who stands in the light has fled from it; the share of those who did goes by the rules' number as a rate."""
-    text = NEAR + """fuzzy fright { near -> 1; not near -> 0 }
+    text = (
+        NEAR
+        + """fuzzy fright { near -> 1; not near -> 0 }
 response 1 step
 max_speed 10 mm/s
 on spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s) }
 start calm
 state calm { steer flee(nearest(food)) * fright * 0.25; when fright > 0.7 held 0.2 s -> gone; when chance fright * 2 /s -> gone }
 state gone { when false -> calm }"""
+    )
     ring = [(40 * np.cos(k), 40 * np.sin(k)) for k in range(200)]  # half in the light
     flee = "behaviour flee(target: place) -> push { direction(target, to: self) }\n"
     seen = play(f"{flee}species a {{ {text} }}", crowd(at=[(24, 0), (90, 0), *ring]), steps=3,

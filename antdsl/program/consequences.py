@@ -33,12 +33,13 @@ class _Doubt:
     beside_missing: dict[str, set[int]] = field(default_factory=dict)  # words beside a missing name, and their lines
 
     def beside(self, found: Diagnostic) -> None:
-        """A complaint about a missing name: the words beside it are used, and a missing state may lead to any other."""
+        """A complaint about a missing name: the words beside it are used, and a missing state may be any other,
+        unless one was meant: then the checks have gone on with that one."""
         assert found.span is not None
         line = found.span.source.line_column(found.span.start)[0]
         for word in _WORDS.findall(found.span.source.line_text(line).partition("#")[0]):
             self.beside_missing.setdefault(word, set()).add(line)
-        if found.code == "unknown-state":
+        if found.code == "unknown-state" and not (found.help or "").startswith("did you mean"):
             self.missing.add("unreachable-state")
 
 

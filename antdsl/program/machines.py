@@ -62,7 +62,7 @@ def _start(scope: Scope, names: MachineNames, members: Sequence[object], span: S
     if starts:
         index = names.states.get(starts[0].state.text)
         if index is None:
-            unknown_state(scope, starts[0].state, names.key.partition(".")[0], list(names.states))
+            index = names.states.get(unknown_state(scope, starts[0].state, names.key.partition(".")[0], list(names.states)) or "")
         return index or 0
     if len(names.states) > 1:
         scope.report.error(
@@ -183,7 +183,7 @@ def _change(scope: Scope, names: MachineNames, node: nodes.Change, path: str) ->
 
 def _after(scope: Scope, node: nodes.Expr | None) -> Expr | None:
     """`after T` stands alone. In `after 1 s and meal` the time is taken for a part of the condition."""
-    time = _first(node)
+    time = _leftmost(node)
     if node is None or time is None or time is node:
         return _duration(scope, node, "`after`")
     source, text = time.span.source, f"time_in_state >= {time.span.text}"
@@ -195,7 +195,7 @@ def _after(scope: Scope, node: nodes.Expr | None) -> Expr | None:
 
 def _held(scope: Scope, node: nodes.Expr | None) -> Expr | None:
     """`held T` ends a condition. In `meal held 1 s and scent > 1` it stands in the middle."""
-    time = _first(node)
+    time = _leftmost(node)
     if node is None or time is None or time is node:
         return _duration(scope, node, "`held`")
     message = f"`held {' '.join(time.span.text.split())}` stands in the middle of a condition"
@@ -203,7 +203,7 @@ def _held(scope: Scope, node: nodes.Expr | None) -> Expr | None:
     return bad(node.span)
 
 
-def _first(node: nodes.Expr | None) -> nodes.Expr | None:
+def _leftmost(node: nodes.Expr | None) -> nodes.Expr | None:
     """What comes first in a chain of `and` and `or`."""
     while isinstance(node, nodes.Binary) and node.op in ("and", "or"):
         node = node.left
@@ -221,7 +221,8 @@ def _target(scope: Scope, names: MachineNames, target: nodes.Target) -> int | No
         return None
     index = names.states.get(target.name.text)
     if index is None:
-        unknown_state(scope, target.name, names.key.partition(".")[0], list(names.states))
+        meant = unknown_state(scope, target.name, names.key.partition(".")[0], list(names.states))
+        index = names.states.get(meant or "")
     return index
 
 
@@ -239,8 +240,9 @@ def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[t
             )
         index = names.states.get(choice.target.text)
         if index is None:
-            unknown_state(scope, choice.target, names.key.partition(".")[0], list(names.states))
-        else:
+            meant = unknown_state(scope, choice.target, names.key.partition(".")[0], list(names.states))
+            index = names.states.get(meant or "")
+        if index is not None:
             made.append((index, weight))
     weights = [constant_behind(weight) for _, weight in made]
     if made and all(w is not None and w.number == 0 for w in weights):

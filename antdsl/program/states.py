@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Attribute, Expr, Kind, Rate, StateConst, Thing, Type
 from antdsl.program.scope import TIME, MachineNames, Scope, bad, did_you_mean, listed, told_before
 from antdsl.source import Span
@@ -77,8 +78,11 @@ def state_named(scope: Scope, asked: Expr, node: nodes.Expr) -> tuple[Expr, Expr
     return asked, bad(node.span)
 
 
-def unknown_state(scope: Scope, name: nodes.Name, species: str, known: list[str]) -> None:
+def unknown_state(scope: Scope, name: nodes.Name, species: str, known: list[str]) -> str | None:
+    """Complain about a name that no state has. Gives the state that was probably meant, to go on with."""
+    meant = nearest_name(name.text, known)
     if told_before(scope, f"state of {species}", name.text):
-        return
+        return meant
     advice = did_you_mean(name.text, known, f"`{species}` has the states {listed(known)}" if known else None)
     scope.report.error("unknown-state", f"no state `{name.text}` in species `{species}`", name.span, advice)
+    return meant
