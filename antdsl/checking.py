@@ -20,6 +20,7 @@ from antdsl.source import Source
 
 # So few files are checked sooner than a process begins.
 WORTH_SHARING = 12
+MOST_GROUPS = 256  # that a byte can name; what is beyond is checked in the end
 
 
 @dataclass(slots=True)
@@ -43,23 +44,37 @@ def check_all(files: Sequence[Path], choices: Choices, *, strict: bool = False, 
     result = Checked()
     groups = _groups(files)
     cores = _cores()
-    if programs or choices.grants or len(files) < WORTH_SHARING or len(groups) < 2 or cores < 2:
+    if programs or choices.grants or len(files) < WORTH_SHARING or len(groups) < 3 or cores < 2:
         _check(files, choices, strict, CheckedOnce(), result, programs)
+        result.sources.sort(key=lambda source: source.path)
         return result
     # The first is checked before the others are shared out: all that is imported and the library are then there once.
     parsed = CheckedOnce()
     _check(groups[0], choices, strict, parsed, result)
     gc.freeze()  # so that no process copies what it has not changed, only to look for garbage in it
-    shares = _shares(groups[1:], cores)
-    helpers = [_begin(share, choices, strict, parsed) for share in shares[1:]]
-    _check(shares[0], choices, strict, parsed, result)
-    for share, (process, pipe) in zip(shares[1:], helpers, strict=True):
-        found = _end(process, pipe)
-        if found is None:  # it was ended from outside: what it was to do is done here
-            _check(share, choices, strict, parsed, result)
-        else:
-            result.add(found)
+    # Whoever is ready takes the next group, the heaviest first: one byte of a pipe is the right to one group.
+    groups = groups[:0:-1][:MOST_GROUPS]
+    mine, theirs = os.pipe()
+    os.write(theirs, bytes(range(len(groups))))
+    os.close(theirs)
+    helpers = [_begin(groups, mine, choices, strict, parsed) for _ in range(min(cores, len(groups)) - 1)]
+    _take(groups, mine, choices, strict, parsed, result)
+    os.close(mine)
+    for process, pipe in helpers:
+        result.add(_end(process, pipe))
+    # Here is what was left over, or was taken by a process that was ended from outside.
+    for file in files:
+        if file not in result.reports:
+            _check([file], choices, strict, parsed, result)
+    result.sources.sort(key=lambda source: source.path)
     return result
+
+
+def _take(
+    groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce, result: Checked
+) -> None:
+    while claim := os.read(claims, 1):
+        _check(groups[claim[0]], choices, strict, parsed, result)
 
 
 def _check(
@@ -95,17 +110,6 @@ def _weight(files: Iterable[Path]) -> int:
     return weight
 
 
-def _shares(groups: list[list[Path]], cores: int) -> list[list[Path]]:
-    """At most one share a core, about equally heavy; the heaviest groups are dealt out first."""
-    shares: list[list[Path]] = [[] for _ in range(min(cores, len(groups)))]
-    weights = [0] * len(shares)
-    for group in reversed(groups):
-        least = weights.index(min(weights))
-        shares[least] += group
-        weights[least] += _weight(group)
-    return shares
-
-
 def _cores() -> int:
     """How many processes may be forked: one where forking is not safe (macOS, threads of a ray library)."""
     if sys.platform != "linux" or "open3d" in sys.modules:
@@ -114,29 +118,30 @@ def _cores() -> int:
 
 
 def _begin(
-    files: list[Path], choices: Choices, strict: bool, parsed: CheckedOnce
+    groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce
 ) -> tuple[multiprocessing.process.BaseProcess, Connection]:
     context = multiprocessing.get_context("fork")
     ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(theirs, files, choices, strict, parsed), daemon=True)
+    process = context.Process(target=_work, args=(theirs, groups, claims, choices, strict, parsed), daemon=True)
     process.start()
     theirs.close()
     return process, ours
 
 
-def _work(pipe: Connection, files: list[Path], choices: Choices, strict: bool, parsed: CheckedOnce) -> None:
+def _work(
+    pipe: Connection, groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce
+) -> None:
     found = Checked()
-    _check(files, choices, strict, parsed, found)
+    _take(groups, claims, choices, strict, parsed, found)
     pipe.send(found)
     pipe.close()
 
 
-def _end(process: multiprocessing.process.BaseProcess, pipe: Connection) -> Checked | None:
-    """What a process found; None if it ended without a word."""
-    try:
-        found: Checked | None = pipe.recv()
-    except EOFError:
-        found = None
+def _end(process: multiprocessing.process.BaseProcess, pipe: Connection) -> Checked:
+    """What a process found; nothing if it ended without a word."""
+    found = Checked()
+    with suppress(EOFError):
+        found = pipe.recv()
     pipe.close()
     process.join()
     return found
