@@ -20,6 +20,7 @@ from antdsl.source import Source
 
 # So few files are checked sooner than a process begins.
 WORTH_SHARING = 12
+MOST_PROCESSES = 8
 MOST_GROUPS = 256  # that a byte can name; what is beyond is checked in the end
 
 
@@ -39,17 +40,26 @@ class Checked:
         self.sources += [source for source in other.sources if source.path not in known]
 
 
-def check_all(files: Sequence[Path], choices: Choices, *, strict: bool = False, programs: bool = False) -> Checked:
-    """Check each file as `check_path` does. With `programs` they are given too, which takes one process."""
+def check_all(
+    files: Sequence[Path], choices: Choices, *, strict: bool = False, cores: int = 1, programs: bool = False
+) -> Checked:
+    """Check each file as `check_path` does, on so many cores. With `programs` they are given too, which takes one process."""
     result = Checked()
     groups = _groups(files)
-    cores = _cores()
-    if programs or choices.grants or len(files) < WORTH_SHARING or len(groups) < 3 or cores < 2:
-        _check(files, choices, strict, CheckedOnce(), result, programs)
-        result.sources.sort(key=lambda source: source.path)
-        return result
-    # The first is checked before the others are shared out: all that is imported and the library are then there once.
     parsed = CheckedOnce()
+    if programs or choices.grants or len(files) < WORTH_SHARING or len(groups) < 3 or cores < 2 or not _may_fork():
+        _check(files, choices, strict, parsed, result, programs)
+    else:
+        _share(groups, choices, strict, min(cores, MOST_PROCESSES), parsed, result)
+    # Here is what was left over, or was taken by a process that was ended from outside.
+    _check([file for file in files if file not in result.reports], choices, strict, parsed, result)
+    result.add(Checked(sources=sources(files, parsed)))
+    result.sources.sort(key=lambda source: source.path)
+    return result
+
+
+def _share(groups: list[list[Path]], choices: Choices, strict: bool, cores: int, parsed: CheckedOnce, result: Checked) -> None:
+    # The first is checked before the others are shared out: all that is imported and the library are then there once.
     _check(groups[0], choices, strict, parsed, result)
     gc.freeze()  # so that no process copies what it has not changed, only to look for garbage in it
     # Whoever is ready takes the next group, the heaviest first: one byte of a pipe is the right to one group.
@@ -62,12 +72,6 @@ def check_all(files: Sequence[Path], choices: Choices, *, strict: bool = False, 
     os.close(mine)
     for process, pipe in helpers:
         result.add(_end(process, pipe))
-    # Here is what was left over, or was taken by a process that was ended from outside.
-    for file in files:
-        if file not in result.reports:
-            _check([file], choices, strict, parsed, result)
-    result.sources.sort(key=lambda source: source.path)
-    return result
 
 
 def _take(
@@ -80,12 +84,10 @@ def _take(
 def _check(
     files: Iterable[Path], choices: Choices, strict: bool, parsed: CheckedOnce, result: Checked, programs: bool = False
 ) -> None:
-    files = list(files)
     for file in files:
         program, result.reports[file] = check_path(file, choices, strict=strict, parsed=parsed)
         if programs and program is not None:
             result.programs[file] = program
-    result.add(Checked(sources=sources(files, parsed)))
 
 
 def _groups(files: Sequence[Path]) -> list[list[Path]]:
@@ -110,11 +112,9 @@ def _weight(files: Iterable[Path]) -> int:
     return weight
 
 
-def _cores() -> int:
-    """How many processes may be forked: one where forking is not safe (macOS, threads of a ray library)."""
-    if sys.platform != "linux" or "open3d" in sys.modules:
-        return 1
-    return min(len(os.sched_getaffinity(0)), 8)
+def _may_fork() -> bool:
+    """Not on macOS, and not beside the threads of a ray library."""
+    return sys.platform == "linux" and "open3d" not in sys.modules
 
 
 def _begin(
@@ -133,6 +133,7 @@ def _work(
 ) -> None:
     found = Checked()
     _take(groups, claims, choices, strict, parsed, found)
+    found.sources = sources((), parsed)  # scenes are read once, by who asked
     pipe.send(found)
     pipe.close()
 

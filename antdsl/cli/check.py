@@ -48,11 +48,12 @@ def check(
     from antdsl.checking import check_all
     from antdsl.cli.arguments import grants
     from antdsl.cli.reports import show, verdict
+    from antdsl.cli.run import cores
     from antdsl.diagnostics.ignoring import judged
     from antdsl.pipeline import Choices, find_files
 
     files, report = find_files(paths)
-    checked = check_all(files, Choices(grants(root)), strict=strict, programs=params or cost)
+    checked = check_all(files, Choices(grants(root)), strict=strict, cores=cores(), programs=params or cost)
     for file in files:
         report.extend(checked.reports[file])
     report = judged(report, checked.sources, strict=strict)
