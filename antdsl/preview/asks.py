@@ -1,0 +1,146 @@
+"""What a page may ask of a preview: one model an `op`, and nothing else. Nothing here can write a file or name a path."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, TypeAdapter
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=200)]
+Words = Annotated[str, StringConstraints(min_length=1, max_length=2000)]
+Frame = Annotated[int, Field(ge=-(2**53), le=2**53)]  # what a page's numbers hold
+Agent = Annotated[int, Field(ge=0, le=2**53)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class Play(_Model):
+    op: Literal["play"]
+
+
+class Pause(_Model):
+    op: Literal["pause"]
+
+
+class Step(_Model):
+    op: Literal["step"]
+    count: int = Field(1, ge=1, le=1000)
+
+
+class Speed(_Model):
+    """How fast the clock goes: 1 is the scene's own, 0 as fast as it will."""
+
+    op: Literal["speed"]
+    times: float = Field(ge=0, le=64)
+
+
+class Seek(_Model):
+    """Be at a frame. Not `exact`: show what is remembered of it and simulate nothing, as while a slider is dragged."""
+
+    op: Literal["seek"]
+    frame: Frame
+    exact: bool
+
+
+class Set(_Model):
+    op: Literal["set"]
+    name: Name
+    value: Words
+
+
+class Layer(_Model):
+    """Switch a layer of a species, by its text."""
+
+    op: Literal["layer"]
+    species: Name
+    layer: Words
+    on: bool
+
+
+class Field_(_Model):
+    op: Literal["field"]
+    name: Name
+    on: bool
+
+
+class Reload(_Model):
+    op: Literal["reload"]
+
+
+class Restart(_Model):
+    op: Literal["restart"]
+
+
+class Column(_Model):
+    species: Name
+    name: Name
+
+
+class Who(_Model):
+    species: Name
+    agent: Agent
+
+
+class Look(_Model):
+    """What a page shows beyond the agents themselves: all of it each time."""
+
+    op: Literal["look"]
+    columns: tuple[Column, ...] = Field((), max_length=64)
+    fields: tuple[Name, ...] = Field((), max_length=64)
+    flows: tuple[Name, ...] = Field((), max_length=64)
+    solids: bool = True
+    follow: Who | None = None
+
+
+class Explain(_Model):
+    op: Literal["explain"]
+    species: Name
+    agent: Agent
+    frame: Frame
+
+
+class StateBreak(_Model):
+    kind: Literal["state"]
+    species: Name
+    machine: Name
+    state: Name
+
+
+class ConditionBreak(_Model):
+    """`text`: a condition in the language of specs."""
+
+    kind: Literal["condition"]
+    text: Words
+
+
+class SpecBreak(_Model):
+    kind: Literal["spec"]
+    spec: Name
+
+
+class FaultBreak(_Model):
+    kind: Literal["fault"]
+
+
+Break = Annotated[StateBreak | ConditionBreak | SpecBreak | FaultBreak, Field(discriminator="kind")]
+
+
+class Breaks(_Model):
+    """All breakpoints: those of before are gone."""
+
+    op: Literal["breaks"]
+    breaks: tuple[Break, ...] = Field((), max_length=64)
+
+
+class Profile(_Model):
+    op: Literal["profile"]
+    on: bool
+
+
+Ask = Annotated[
+    Play | Pause | Step | Speed | Seek | Set | Layer | Field_ | Reload | Restart | Look | Explain | Breaks | Profile,
+    Field(discriminator="op"),
+]
+ASK: TypeAdapter[Ask] = TypeAdapter(Ask)

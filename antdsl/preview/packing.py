@@ -1,0 +1,57 @@
+"""Arrays as one binary message: `ant1`, the header's length, the header as JSON, the arrays, each at a multiple of 8 bytes."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAGIC = b"ant1"
+_TYPES = frozenset(("f4", "i4", "u4", "u1", "i1", "u2", "i2"))
+
+
+def pack(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
+    """A packet of a slot. Arrays of 1, 2 or 4 bytes an element; the header says of each its name, type, count and offset.
+    TypeError for arrays of other types."""
+    listed: list[tuple[str, str, int, int]] = []
+    little = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    types = {name: f"{array.dtype.kind}{array.dtype.itemsize}" for name, array in little.items()}
+    for name, kind in types.items():
+        if kind not in _TYPES:
+            raise TypeError(f"`{name}` is {little[name].dtype}, which no packet has")
+
+    def text(start: int) -> tuple[bytes, int]:
+        """The header for arrays that begin at `start`, and where they end."""
+        listed.clear()
+        at = start
+        for name, array in little.items():
+            listed.append((name, types[name], array.size, at))
+            at += -(-array.nbytes // 8) * 8
+        return json.dumps({**header, "slot": slot, "arrays": listed}, separators=(",", ":"), allow_nan=False).encode(), at
+
+    start = 64
+    while True:  # the header tells offsets, whose digits make it longer
+        said, end = text(start)
+        if 8 + len(said) <= start:
+            break
+        start = -(-(8 + len(said)) // 8) * 8
+    packet = bytearray(end)
+    packet[:8] = MAGIC + struct.pack("<I", len(said))
+    packet[8 : 8 + len(said)] = said
+    for (_, _, _, offset), array in zip(listed, little.values(), strict=True):
+        packet[offset : offset + array.nbytes] = array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes()
+    return bytes(packet)
+
+
+def unpack(packet: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Header and flat arrays of a packet. ValueError for anything else."""
+    if packet[:4] != MAGIC or len(packet) < 8:
+        raise ValueError("not a packet")
+    (length,) = struct.unpack("<I", packet[4:8])
+    header = json.loads(packet[8 : 8 + length])
+    arrays = {name: np.frombuffer(packet, f"<{kind}", count, offset) for name, kind, count, offset in header["arrays"]}
+    return header, arrays

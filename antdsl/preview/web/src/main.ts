@@ -1,0 +1,38 @@
+// The page: one connection, one store, and the parts that show it. A new part is one file and one line here.
+
+import { Connection } from "./connection";
+import { Store } from "./store";
+import { bar } from "./panels/bar";
+import { side } from "./panels/side";
+import { text } from "./panels/text";
+import { time } from "./panels/time";
+import { view } from "./view/view";
+
+export type Part = (store: Store, place: HTMLElement) => void;
+
+const PARTS: [string, Part][] = [
+  ["bar", bar],
+  ["text", text],
+  ["view", view],
+  ["side", side],
+  ["time", time],
+];
+
+function token(): string {
+  const given = location.hash.slice(1);
+  if (given) {
+    sessionStorage.setItem("token", given); // a reload of this tab still has it; the address no longer shows it
+    history.replaceState(null, "", location.pathname);
+  }
+  return given || (sessionStorage.getItem("token") ?? "");
+}
+
+const connection = new Connection(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`, token());
+const store = new Store(connection);
+for (const [id, part] of PARTS) part(store, document.getElementById(id) as HTMLElement);
+const stale = document.getElementById("stale") as HTMLElement;
+connection.onState((open, words) => {
+  stale.hidden = open;
+  stale.textContent = words;
+});
+connection.open();

@@ -1,0 +1,336 @@
+// What goes over the wire. Text messages are JSON with an `op`; binary ones are a header and arrays, see `unpack`.
+// The Python side is antdsl/preview/serving/messages.py (what a page may ask) and antdsl/preview/viewing (what it is shown).
+// Places are in mm of the world, less its origin; turns are unit vectors; colours are display values 0..1.
+
+export type Triple = [number, number, number];
+
+// --- what a page asks ----------------------------------------------------------------------------------------------
+
+export type Break =
+  | { kind: "state"; species: string; machine: string; state: string }
+  | { kind: "condition"; text: string } // in the language of specs, such as `count(forager in carry) > 10`
+  | { kind: "spec"; spec: string }
+  | { kind: "fault" };
+
+export type Ask =
+  | { op: "play" }
+  | { op: "pause" }
+  | { op: "step"; count?: number }
+  | { op: "speed"; times: number } // 1: as fast as the scene's clock; 0: as fast as it goes
+  | { op: "seek"; frame: number; exact: boolean } // not exact: show what is remembered of it, simulate nothing
+  | { op: "set"; name: string; value: string }
+  | { op: "layer"; species: string; layer: string; on: boolean }
+  | { op: "field"; name: string; on: boolean }
+  | { op: "reload" }
+  | { op: "restart" } // simulate it again from the first frame: a run that nobody edited on the way
+  | {
+      op: "look"; // what this page shows, all of it each time
+      columns: { species: string; name: string }[];
+      fields: string[];
+      flows: string[];
+      solids: boolean;
+      follow: { species: string; agent: number } | null; // whose feelers are felt in each frame
+    }
+  | { op: "explain"; species: string; agent: number; frame: number }
+  | { op: "breaks"; breaks: Break[] }
+  | { op: "profile"; on: boolean };
+
+// --- what a page is told -------------------------------------------------------------------------------------------
+
+export interface Hello {
+  op: "hello";
+  version: string;
+  build: string; // of the page that the server has: another one than this page's means to load it again
+  scene: string;
+}
+
+export interface Attribute {
+  name: string;
+  unit: string; // as authors write it; empty for a plain number
+}
+
+export interface Machine {
+  name: string;
+  states: string[];
+  colours: Triple[];
+}
+
+export interface LayerInfo {
+  text: string;
+  file: string;
+  line: number;
+  on: boolean;
+}
+
+export interface Species {
+  name: string;
+  body: string; // its mesh comes as `body:NAME`
+  attributes: Attribute[]; // numbers that agents can be coloured by
+  machines: Machine[];
+  layers: LayerInfo[];
+  feelers: { count: number; spread: number; reach: number; per_length: number }[]; // radians, mm, body lengths
+}
+
+export interface Param {
+  name: string; // qualified: forager.smell
+  value: string; // as written now: `50 mm`
+  number: number; // in `unit`
+  unit: string;
+  low: number | null;
+  high: number | null;
+  help: string;
+  file: string;
+  line: number;
+  written: string; // the value that the files have
+}
+
+export interface ChartBox {
+  key: string;
+  kind: "state" | "start" | "any" | "previous" | "choice";
+  name: string;
+  label: string;
+  colour: Triple;
+  details: string;
+  centre: [number, number];
+  width: number;
+  height: number;
+}
+
+export interface ChartArrow {
+  source: string;
+  target: string;
+  lines: string[];
+  interrupt: boolean;
+  details: string;
+  points: [number, number][];
+  words: { centre: [number, number]; width: number; height: number } | null;
+}
+
+export interface Chart {
+  species: string;
+  machine: string;
+  title: string;
+  width: number;
+  height: number;
+  boxes: ChartBox[];
+  arrows: ChartArrow[];
+}
+
+export interface Scene {
+  op: "scene";
+  name: string;
+  fps: number;
+  unit_mm: number;
+  up: Triple;
+  low: Triple; // of all ground and agents
+  high: Triple;
+  species: Species[];
+  params: Param[];
+  fields: { name: string; unit: string; colour: Triple; on: boolean; full: number }[];
+  flows: string[];
+  curves: string[];
+  solids: string[];
+  items: { name: string; kind: string; names: string[]; amounts: Attribute[] }[];
+  specs: string[];
+  charts: Chart[];
+  charts_need: string; // why there are no charts: what to install; empty where there are
+}
+
+export interface Status {
+  op: "status";
+  frame: number;
+  first: number; // of what can be gone back to
+  head: number; // the last one simulated
+  playing: boolean;
+  speed: number;
+  rate: number; // frames simulated in a second, lately
+  edited: boolean; // changed while it ran: not what a fresh run gives
+  fault: string | null;
+  paused_by: string | null; // the breakpoint that did it, in words
+  hash: string | null; // of the whole state, while it stands still
+  agents: number;
+  light: boolean; // what is shown is remembered, not simulated again: seek exactly to look closer
+}
+
+export interface Problem {
+  code: string;
+  severity: "error" | "warning";
+  message: string;
+  help: string;
+  file: string | null;
+  start: number; // offsets in UTF-16 units, as CodeMirror counts
+  end: number;
+  line: number;
+  column: number;
+}
+
+export interface Problems {
+  op: "problems";
+  problems: Problem[]; // of the files as they are; the last good program runs on while there are errors
+}
+
+export interface Texts {
+  op: "texts";
+  texts: { file: string; text: string; kind: "ant" | "yaml" | "library" }[];
+}
+
+export interface Outcome {
+  op: "outcome";
+  of: string; // the op that it answers, or `saved`
+  ok: boolean;
+  line: string; // what was kept, moved and reset
+  text: string; // what to write into a file to have the same for good
+  file: string; // where it would stand; empty where nothing is to be written
+  problems: Problem[];
+}
+
+export interface Curves {
+  op: "curves";
+  reset: boolean; // what one has is to be forgotten from `frames[0]` on, or altogether when there are none
+  frames: number[];
+  values: Record<string, (number | null)[]>; // by name, as specs call them: `forager.state.carry`; specs: `spec: NAME`, 1 or 0
+  branches: { first: number; line: string; frames: number[]; values: Record<string, (number | null)[]> }[] | null;
+}
+
+export interface Profile {
+  op: "profile";
+  frames: number;
+  total: number; // ms a frame
+  phases: { name: string; ms: number }[];
+  layers: { species: string; text: string; file: string; line: number; ms: number }[];
+  lines: { file: string; line: number; text: string; ms: number }[];
+}
+
+export interface Explained {
+  op: "explained";
+  species: string;
+  agent: number;
+  frame: number;
+  explanation: Explanation | null;
+  told: string; // the same in words, as `antdsl explain` prints it
+  message: string; // why there is none
+  place: Triple | null; // where it stood as the step began
+  neighbours: Triple[]; // where those stood that it looked at
+}
+
+export interface Refused {
+  op: "refused";
+  of: string;
+  message: string;
+  help: string;
+}
+
+export type Told = Hello | Scene | Status | Problems | Texts | Outcome | Curves | Profile | Explained | Refused;
+
+// --- the explanation, as `antdsl explain --json` prints it ---------------------------------------------------------
+
+export interface Place {
+  text: string;
+  file: string;
+  line: number;
+}
+
+export interface Part {
+  text: string;
+  value: number | boolean | string | null | Triple;
+  unit: string;
+  shown: string;
+  role: string; // draw, bar, joined, or empty
+  parts: Part[];
+}
+
+export interface Looked {
+  place: Place;
+  kind: string;
+  target: string;
+  condition: Part | null;
+  held: boolean;
+  timers: { what: string; has: number; needs: number; unit: string; holds: boolean }[];
+  take: Part | null;
+  fires: boolean;
+  wins: boolean;
+}
+
+export interface Explanation {
+  scene: string;
+  species: string;
+  agent: number;
+  frame: number;
+  hash: string;
+  checkpoint: number;
+  mode: string;
+  strip: { state: string; first: number; last: number }[];
+  alive: [number, number] | null;
+  notes: string[];
+  machines: {
+    machine: string;
+    before: string;
+    after: string;
+    since: number;
+    looked: Looked[];
+    changed: boolean;
+    claim: { items: string; item: string; attribute: string; amount: number; draw: number; won: boolean; place: Place } | null;
+    choice: { draw: number; bars: [string, number][]; chosen: string } | null;
+  }[];
+  handlers: Place[];
+  steers: { text: string; push: Triple; length: number }[];
+  layers: {
+    place: Place;
+    state: string;
+    condition: Part | null;
+    left: number;
+    push: Triple | null;
+    length: number;
+    given: Triple;
+    share: number;
+    cut: number;
+  }[];
+  push: Triple;
+  velocity: [Triple, Triple | null];
+  acceleration: Triple | null;
+  seen: { asked: string; of: string; count: number; nearest: { name: string; distance: number; about: string }[] }[];
+  fields: [string, number][];
+  senses: { kind: string; name: string; text: string; shown: string; values: unknown[] }[];
+  draws: { site: string; text: string; value: number }[];
+  did: string[];
+  changes: { name: string; shown: [string, string]; unit: string; memory: boolean }[];
+}
+
+// --- arrays --------------------------------------------------------------------------------------------------------
+
+// A binary message: 4 bytes `ant1`, uint32 length of the header, the header as JSON, then the arrays, each at a multiple of
+// 8 bytes from the message's start. Little-endian throughout. A packet replaces the one before of the same `slot`.
+//
+// slot            arrays
+// frame           NAME/id i32[n] NAME/position f32[n,3] NAME/heading i8[n,3] NAME/up i8[n,3] NAME/size f32[n] NAME/speed f32[n]
+//                 NAME/born i32[n] NAME/state/MACHINE u8[n] NAME/column/ATTRIBUTE f32[n];
+//                 item/NAME/position f32[m,3] item/NAME/size f32[m] item/NAME/amount/ATTRIBUTE f32[m];
+//                 feelers f32[k,2,3] feelers/hit u8[k] (of who is followed); rows by id. header: frame, light
+// mesh:NAME       position f32[n,3] face u32[m,3]; header: role `ground`, `obstacle`
+// body:NAME       poses f32[p,n,3] normal f32[n,3] face u32[m,3] tint f32[n]; header: stride. Length 1 along +x, up +y
+// item:KIND:NAME  position f32[n,3] face u32[m,3] colour f32[n,3]: an item's mesh, radius 1, up +y; header: items (name), index
+// field:NAME      position f32[n,3] face u32[m,3] on first showing (fieldmesh:NAME), then field:NAME value u8[n] with header full
+// flow:NAME       from f32[n,3] way f32[n,3]
+// curve:NAME      point f32[n,3]; header: closed
+// solid:NAME:N    position f32[n,3] normal f32[n,3] face u32[m,3]; an empty one takes a piece away
+export interface Packet {
+  slot: string;
+  header: Record<string, unknown> & { slot: string; frame?: number; light?: boolean };
+  arrays: Map<string, NumberArray>;
+}
+
+export type NumberArray = Float32Array | Int32Array | Uint32Array | Uint8Array | Int8Array | Uint16Array | Int16Array;
+
+const TYPES = { f4: Float32Array, i4: Int32Array, u4: Uint32Array, u1: Uint8Array, i1: Int8Array, u2: Uint16Array, i2: Int16Array };
+
+export function unpack(data: ArrayBuffer): Packet {
+  const view = new DataView(data);
+  if (data.byteLength < 8 || view.getUint32(0) !== 0x616e7431) throw new Error("not a packet");
+  const length = view.getUint32(4, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 8, length)));
+  const arrays = new Map<string, NumberArray>();
+  for (const [name, type, count, offset] of header.arrays as [string, keyof typeof TYPES, number, number][]) {
+    arrays.set(name, new TYPES[type](data, offset, count));
+  }
+  return { slot: header.slot, header, arrays };
+}

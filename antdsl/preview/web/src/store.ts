@@ -1,0 +1,71 @@
+// What the parts of the page share: what is selected and looked at. Each part reads it, sets it, and hears of changes.
+
+import type { Connection } from "./connection";
+import type { Curves, Explained, Problems, Scene, Status, Texts } from "./protocol";
+
+export interface Agent {
+  species: string;
+  id: number;
+}
+
+export interface Shared {
+  scene: Scene | null;
+  status: Status | null;
+  texts: Texts | null;
+  problems: Problems | null;
+  curves: Curves | null;
+  selected: Agent[]; // one of them explains itself, more are marked
+  explained: Explained | null;
+  camera: "orbit" | "follow" | "ride";
+  colour: string; // `state`, `state/MACHINE`, `speed`, or an attribute's name
+  fields: string[]; // shown on the ground
+  flows: string[];
+  trails: boolean;
+  feelers: boolean;
+  neighbours: boolean;
+  curvesShown: boolean;
+  goto: { file: string; line: number } | null; // a place in the text to be shown
+}
+
+type Key = keyof Shared;
+
+export class Store {
+  readonly now: Shared = {
+    scene: null,
+    status: null,
+    texts: null,
+    problems: null,
+    curves: null,
+    selected: [],
+    explained: null,
+    camera: "orbit",
+    colour: "state",
+    fields: [],
+    flows: [],
+    trails: false,
+    feelers: true,
+    neighbours: true,
+    curvesShown: true,
+    goto: null,
+  };
+  private readonly listeners = new Map<Key, (() => void)[]>();
+
+  constructor(readonly connection: Connection) {
+    connection.on("scene", (scene) => this.set("scene", scene));
+    connection.on("status", (status) => this.set("status", status));
+    connection.on("texts", (texts) => this.set("texts", texts));
+    connection.on("problems", (problems) => this.set("problems", problems));
+    connection.on("explained", (explained) => this.set("explained", explained));
+  }
+
+  set<K extends Key>(key: K, value: Shared[K]): void {
+    this.now[key] = value;
+    for (const listener of this.listeners.get(key) ?? []) listener();
+  }
+
+  on(keys: Key | Key[], listener: () => void): void {
+    for (const key of Array.isArray(keys) ? keys : [keys]) {
+      this.listeners.set(key, [...(this.listeners.get(key) ?? []), listener]);
+    }
+  }
+}
