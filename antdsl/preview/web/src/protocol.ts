@@ -147,6 +147,7 @@ export interface Status {
   edited: boolean; // changed while it ran: not what a fresh run gives
   fault: string | null;
   paused_by: string | null; // the breakpoint that did it, in words
+  paused_agents: { species: string; agents: number[] } | null; // whom it was about, by id; the first few
   hash: string | null; // of the whole state, while it stands still
   agents: number;
   light: boolean; // what is shown is remembered, not simulated again: seek exactly to look closer
@@ -213,6 +214,19 @@ export interface Explained {
   neighbours: Triple[]; // where those stood that it looked at
 }
 
+export interface Specs {
+  op: "specs"; // whenever one of them changes; their curves are `spec: NAME`
+  specs: {
+    name: string;
+    holds: boolean | null; // so far; null: it is not judged here
+    since: number | null; // the frame from which on it is judged: the first one, or that of the last edit
+    frame: number | null; // where it failed
+    message: string; // how it failed, or why it is not judged
+    species: string; // whom a failure is about; empty where it is about the whole
+    agents: number[];
+  }[];
+}
+
 export interface Refused {
   op: "refused";
   of: string;
@@ -220,7 +234,7 @@ export interface Refused {
   help: string;
 }
 
-export type Told = Hello | Scene | Status | Problems | Texts | Outcome | Curves | Profile | Explained | Refused;
+export type Told = Hello | Scene | Status | Problems | Texts | Outcome | Curves | Specs | Profile | Explained | Refused;
 
 // --- the explanation, as `antdsl explain --json` prints it ---------------------------------------------------------
 
@@ -259,7 +273,7 @@ export interface Explanation {
   hash: string;
   checkpoint: number;
   mode: string;
-  strip: { state: string; first: number; last: number }[];
+  strip: { machine: string; state: string; first: number; last: number }[]; // machine after machine, each in order of time
   alive: [number, number] | null;
   notes: string[];
   machines: {
