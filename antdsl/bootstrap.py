@@ -18,6 +18,9 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # What Open3D loads from the system, and the Debian package that brings it.
 SYSTEM_LIBRARIES = {"libEGL.so.1": "libegl1", "libGL.so.1": "libgl1", "libusb-1.0.so.0": "libusb-1.0-0"}
+# What the tests of the preview's page look for, by name of the command; the Debian package is called like the first.
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+INSTALL = "apt-get install -y --no-install-recommends"
 
 
 def missing_packages() -> list[str]:
@@ -38,19 +41,47 @@ def install_system_packages() -> None:
     packages = missing_packages()
     if not packages:
         return
-    words = "apt-get install -y --no-install-recommends " + " ".join(packages)
-    prefix: list[str] | None = None
-    if shutil.which("apt-get"):
-        if os.geteuid() == 0:
-            prefix = []
-        elif shutil.which("sudo"):
-            prefix = ["sudo"]
-    if prefix is None:
-        sys.exit(f"Open3D needs system libraries that are missing here; on Debian or Ubuntu, run as root:\n  {words}")
+    if not installable():
+        words = " ".join(packages)
+        sys.exit(f"Open3D needs system libraries that are missing here; on Debian or Ubuntu, run as root:\n  {INSTALL} {words}")
+    install(packages)
+
+
+def install_browser() -> None:
+    """Install Chromium for the tests of the preview's page, on Debian, where this user may. Elsewhere those tests are skipped."""
+    if any(shutil.which(name) for name in BROWSERS):
+        return
+    words = "no Chromium is here: the tests of the preview's page will be skipped; on Debian, run as root:"
+    words += f"\n  {INSTALL} {BROWSERS[0]}"
+    if not installable() or not debian():
+        print(words, flush=True)
+        return
+    try:
+        install([BROWSERS[0]])
+    except subprocess.CalledProcessError:
+        print(words, flush=True)
+
+
+def debian() -> bool:
+    """Whether this is Debian itself: packages of that name elsewhere only point at another way to install."""
+    try:
+        return "ID=debian" in Path("/etc/os-release").read_text(encoding="utf-8").split()
+    except OSError:
+        return False
+
+
+def installable() -> bool:
+    """Whether this user may install Debian packages."""
+    return bool(shutil.which("apt-get")) and (os.geteuid() == 0 or bool(shutil.which("sudo")))
+
+
+def install(packages: list[str]) -> None:
+    """Install Debian packages. Raises CalledProcessError when that does not work."""
     print(f"installing system packages: {' '.join(packages)}", flush=True)
+    prefix = [] if os.geteuid() == 0 else ["sudo"]
     env = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
     subprocess.run([*prefix, "apt-get", "update", "-qq"], check=True, env=env)
-    subprocess.run([*prefix, *words.split()], check=True, env=env, stdout=subprocess.DEVNULL)
+    subprocess.run([*prefix, *INSTALL.split(), *packages], check=True, env=env, stdout=subprocess.DEVNULL)
 
 
 def ensure_environment(folder: Path, requirements: list[str]) -> Path:
@@ -105,6 +136,8 @@ def main() -> int:
         parser.error(f"unknown: {' '.join(rest)}")
     try:
         install_system_packages()
+        if arguments.job == "test":
+            install_browser()
         python = ensure_environment(arguments.env.resolve(), arguments.require)
     except subprocess.CalledProcessError as failed:
         words = " ".join(map(str, failed.cmd))

@@ -1,0 +1,47 @@
+"""A Chromium for tests of the preview's page: found on this machine, driven without a screen, drawing in software."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import pytest
+
+from antdsl.bootstrap import BROWSERS
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+# Where this says `required`, as CI does, tests that need a browser fail where none is found instead of being skipped.
+WANTED = "ANTDSL_BROWSER"
+_FLAGS = (
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-dev-shm-usage",
+    "--force-color-profile=srgb",
+)
+
+
+def found() -> str | None:
+    """The path of a Chromium, or None."""
+    return next((path for name in BROWSERS if (path := shutil.which(name))), None)
+
+
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """A browser. The test that asks for it is skipped where there is none, or fails where one is required."""
+    path = found()
+    if path is None:
+        (pytest.fail if os.environ.get(WANTED) == "required" else pytest.skip)("no Chromium is on this machine")
+    sync_api = pytest.importorskip("playwright.sync_api")
+    flags = [*_FLAGS, *(["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else [])]
+    with sync_api.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, args=flags)
+        try:
+            yield browser
+        finally:
+            browser.close()
