@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from antdsl.explain import Explanation, Replay, accounts, open_shot
+from antdsl.explain import CacheHistory, Explanation, Replay, accounts, open_shot
 from antdsl.outputs.cache import Cache, open_cache
 from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import Choices, Shot, open_scene
@@ -109,7 +109,7 @@ def _fact(world: World, picks: random.Random, drawn: list[tuple[str, str, int, A
 
 
 def explanations(cache: Cache, scene: Path, found: list[Fact]) -> Iterator[tuple[Fact, Explanation]]:
-    replay = Replay(cache, open_shot(cache, scene))
+    replay = Replay(CacheHistory.of(cache, open_shot(cache, scene)))
     for frame in sorted({fact.frame for fact in found}):
         mine = [fact for fact in found if fact.frame == frame]
         for fact, told in zip(mine, accounts(replay, frame, [(f.species, f.agent) for f in mine]), strict=True):

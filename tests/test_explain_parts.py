@@ -13,7 +13,7 @@ import pytest
 from explained import cached, differences, explanations, facts, shot_of
 
 from antdsl.cli import _run as run_in_process
-from antdsl.explain import ExplainError, Explanation, Replay, accounts, as_json, explain, open_shot, tell
+from antdsl.explain import CacheHistory, ExplainError, Explanation, Replay, accounts, as_json, explain, open_shot, tell
 from antdsl.outputs.cache import Cache, open_cache
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -101,7 +101,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Cache:
 @pytest.fixture(scope="module")
 def told(cache: Cache) -> list[Explanation]:
     """Every bug in every step."""
-    replay = Replay(cache, open_shot(cache))
+    replay = Replay(CacheHistory.of(cache, open_shot(cache)))
     found = [each for frame in range(2, LAST + 1) for each in accounts(replay, frame, [("bug", k) for k in range(12)])]
     return [each for each in found if each is not None]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,23 +18,49 @@ from antdsl.explain.tracing import Trace
 from antdsl.explain.values import place, triple
 from antdsl.runtime.world import AXES, Population, World
 
+PLACES = 256  # of each set
+
+
+@dataclass(frozen=True, slots=True)
+class Account:
+    """An explanation with places, in mm and less the world's origin: of the agent as the step began, and of those others and
+    items that it looked at, the nearest of each set first."""
+
+    explanation: Explanation
+    place: Triple
+    neighbours: tuple[Triple, ...]
+
 
 def accounts(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[Explanation | None]:
     """What each agent (species, id) did in the step to a frame, without its strip; None for who did not live when it began, or
     was set aside after a fault. ExplainError when the step cannot be done again."""
+    return [None if each is None else each.explanation for each in placed_accounts(replay, frame, agents)]
 
-    def look(world: World, population: Population, trace: Trace) -> tuple[Trace, Explanation]:
-        return trace, _account(replay, frame, world, population, trace)
+
+def placed_accounts(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[Account | None]:
+    """As `accounts`, with the places."""
+
+    def look(world: World, population: Population, trace: Trace) -> tuple[Trace, Account]:
+        return trace, Account(_account(replay, frame, world, population, trace), *_places(trace))
 
     done = replay.step(frame, agents, look)
-    found: list[Explanation | None] = []
+    found: list[Account | None] = []
     for each in done.seen:
         if each is None:
             found.append(None)
             continue
-        trace, told = each
-        found.append(replace(_ended(replay, done.after, trace, told), hash=done.hash, checkpoint=done.checkpoint))
+        trace, made = each
+        told = _ended(replay, done.after, trace, made.explanation)
+        found.append(replace(made, explanation=replace(told, hash=done.hash, checkpoint=done.checkpoint)))
     return found
+
+
+def _places(trace: Trace) -> tuple[Triple, tuple[Triple, ...]]:
+    """Where the agent stood, and where those did that it looked at, each once."""
+    own = triple(trace.before[f"position.{axis}"] for axis in AXES)
+    near = [member for members in trace.sets.values() for member in sorted(members, key=lambda m: float(m[4]))[:PLACES]]
+    found = (triple(own[k] + float(member[1 + k]) for k in range(3)) for member in near)
+    return own, tuple(dict.fromkeys(found))
 
 
 def _account(replay: Replay, frame: int, world: World, population: Population, trace: Trace) -> Explanation:
@@ -42,6 +68,7 @@ def _account(replay: Replay, frame: int, world: World, population: Population, t
     program = replay.shot.program.species[population.name]
     notes = replay.notes[population.name]
     machines = tuple(machine_step(world, population, machine, notes, trace) for machine in population.plan.machines)
+    fps = world.setting.fps
     velocity = triple(trace.before[f"velocity.{axis}"] for axis in AXES)
     handlers = tuple(
         place(handler.span)
@@ -53,7 +80,7 @@ def _account(replay: Replay, frame: int, world: World, population: Population, t
         species=population.name,
         agent=int(population.ids[trace.row]),
         frame=frame,
-        fps=replay.cache.manifest.fps,
+        fps=f"{fps.numerator}/{fps.denominator}",
         hash="",
         checkpoint=0,
         mode=program.layers.mode,

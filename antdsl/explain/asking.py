@@ -8,6 +8,7 @@ from pathlib import Path
 
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.explain.account import accounts
+from antdsl.explain.history import CacheHistory
 from antdsl.explain.model import Explanation, Stretch
 from antdsl.explain.opening import ExplainError, open_shot
 from antdsl.explain.replaying import Replay
@@ -33,7 +34,7 @@ def explain(
     _frame(cache, frame)
     stretches, alive = strip(cache, name, agent)
     _alive(cache, name, agent, frame, stretches, alive)
-    replay = Replay(cache, open_shot(cache, scene, grants), threads)
+    replay = Replay(CacheHistory.of(cache, open_shot(cache, scene, grants), threads))
     found = accounts(replay, frame, [(name, agent)])[0]
     if found is None:
         raise _absent(replay, name, agent, frame)

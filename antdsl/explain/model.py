@@ -174,8 +174,9 @@ class Changed:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A state over frames, both included."""
+    """A state of a machine over frames, both included."""
 
+    machine: str
     state: str
     first: int
     last: int
@@ -184,7 +185,8 @@ class Stretch:
 @dataclass(frozen=True, slots=True)
 class Explanation:
     """All about one agent in the step that led to `frame`. `push` is without unit and at most 1 long; velocities are mm/s,
-    `acceleration` mm/s². `hash`: of the whole state at `frame`, the same as the cache has for it."""
+    `acceleration` mm/s². `hash`: of the whole state at `frame`, the same as the cache has for it. `strip`: machine after machine,
+    each in order of time; a cache keeps the states of the first machine alone."""
 
     scene: str
     species: str

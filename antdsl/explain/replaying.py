@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from antdsl import plan
-from antdsl.explain.opening import ExplainError
+from antdsl.explain.history import History
 from antdsl.explain.tracing import Trace, of_notes, traced
-from antdsl.outputs.cache import Cache
-from antdsl.outputs.cache_writer import read_checkpoint
 from antdsl.passes.hoist import hoist
-from antdsl.pipeline import Shot
 from antdsl.plan.ir import Node, Plan
 from antdsl.plan.noting import Notes
-from antdsl.runtime import CheckpointError, Options, Population, World, bind, restore, state_hash, step
+from antdsl.runtime import FaultStop, Population, World, state_hash, step
 from antdsl.runtime.phases import PHASES
 from antdsl.scene.matching import layer_order
 
@@ -41,14 +39,12 @@ class Step(Generic[T]):
 
 
 class Replay:
-    """The run of a cache, to be done again from where one asks. Frames asked for in order are stepped through once.
+    """A run, to be done again from where one asks. Frames asked for in order are stepped through once.
 
-    Raises ExplainError where a checkpoint is missing or a state differs from the one that the cache has a hash of."""
+    Raises ExplainError where a checkpoint is missing or a state differs from the one that the run is known to have had."""
 
-    def __init__(self, cache: Cache, shot: Shot, threads: int = 1) -> None:
-        self.cache, self.shot = cache, shot
-        self._options = Options(threads=threads, on_fault="quarantine")
-        self._hashes = cache.hashes()
+    def __init__(self, history: History) -> None:
+        self.history, self.shot = history, history.shot
         self._world: World | None = None
         self._checkpoint = 0
         self.notes: dict[str, Notes] = {}
@@ -69,7 +65,9 @@ class Replay:
         if world is None or not self._checkpoint <= world.frame <= frame - 1 or self._nearer(world.frame, frame):
             world = self._restored(frame - 1)
         while world.frame < frame - 1:
-            step(world)
+            self.history.before_step(world)
+            with suppress(FaultStop):  # it went on after the fault as well
+                step(world)
         self._same(world)
         self._world = world
         return world
@@ -78,11 +76,14 @@ class Replay:
         """The step to a frame, with agents by species and id. `look` sees each one's trace while others, items and fields are
         still as they were when the step began."""
         world = self.begin(frame)
+        self.history.before_step(world)
+        self._world = None  # until the step is whole
         seen: tuple[T | None, ...] = ()
         for name, phase in PHASES:
             if name == _TRACED_BEFORE:
                 seen = tuple(self._look(world, species, agent, look) for species, agent in agents)
             phase(world)
+        self._world = world
         return Step(seen, world, self._same(world), self._checkpoint)
 
     def _look(self, world: World, species: str, agent: int, look: Look[T]) -> T | None:
@@ -95,35 +96,21 @@ class Replay:
         )
 
     def _nearer(self, here: int, frame: int) -> bool:
-        return any(here < point < frame for point in self.cache.checkpoints())
+        return any(here < point < frame for point in self.history.points())
 
     def _restored(self, frame: int) -> World:
         """A world at the last good checkpoint that is not after a frame."""
-        points = [point for point in self.cache.checkpoints() if point <= frame]
-        for point in reversed(points):
-            arrays = read_checkpoint(self.cache, point)
-            if arrays is None:
-                continue
-            world = bind(self.shot.plan, self.shot.setting, self._options)
-            try:
-                restore(world, arrays)
-            except CheckpointError:
-                continue
-            if state_hash(world) == self._hashes.get(point):
+        for point in reversed([point for point in self.history.points() if point <= frame]):
+            world = self.history.world(point)
+            if world is not None:
                 self._checkpoint = point
                 return world
-        what = "no good checkpoint" if points else "no checkpoint"
-        raise ExplainError(
-            f"`{self.cache.folder}` has {what} up to frame {frame}", "run the scene again: each run writes checkpoints"
-        )
+        raise self.history.missing(frame)
 
     def _same(self, world: World) -> str:
-        """The hash of the state, which is the one that the cache has."""
+        """The hash of the state, which is the one that is known."""
         found = state_hash(world)
-        if found != self._hashes.get(world.frame, found):
+        if self.history.hash(world.frame) not in (None, found):
             self._world = None
-            raise ExplainError(
-                f"frame {world.frame} comes out otherwise than `{self.cache.folder}` has it",
-                "it was written by another version, or by `antdsl test` with a spec's own settings: run the scene again",
-            )
+            raise self.history.differs(world.frame)
         return found

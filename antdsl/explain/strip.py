@@ -1,6 +1,8 @@
-"""An agent's states over time, from the frames that a cache has."""
+"""An agent's states over time, from frames that keep them."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
 
 from antdsl.explain.model import Stretch
 from antdsl.outputs.cache import Cache
@@ -9,24 +11,33 @@ _NAMES = frozenset(("id", "state", "species"))
 
 
 def strip(cache: Cache, species: str, agent: int) -> tuple[tuple[Stretch, ...], tuple[int, int] | None]:
-    """Its states, one stretch after the other, and the first and last frame in which it lives; None where no frame has it.
+    """Its states of the first machine, one stretch after the other, and the first and last frame in which it lives; None where
+    no frame has it.
 
     Where the cache keeps no states each stretch has an empty state. CacheError when a frame is damaged."""
     names = [entry.name for entry in cache.manifest.species]
     number = names.index(species)
-    machines = cache.manifest.species[number].machines
-    states = [state.name for state in machines[0].states] if machines else []
+    machine = next(iter(cache.manifest.species[number].machines), None)
+    states = [state.name for state in machine.states] if machine is not None else []
+    known = ((frame, _state(cache, frame, number, agent)) for frame in cache.frames())
+    seen = ((frame, _named(states, state)) for frame, state in known if state is not None)
+    found = stretches("" if machine is None else machine.name, seen)
+    return found, (found[0].first, found[-1].last) if found else None
+
+
+def stretches(machine: str, seen: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
+    """Frames in order, with the state in each, put together where they are next to each other and the state is the same."""
     found: list[Stretch] = []
-    for frame in cache.frames():
-        state = _state(cache, frame, number, agent)
-        if state is None:
-            continue
-        name = states[state] if 0 <= state < len(states) else ""
-        if found and found[-1].state == name and found[-1].last == frame - 1:
-            found[-1] = Stretch(name, found[-1].first, frame)
+    for frame, state in seen:
+        if found and found[-1].state == state and found[-1].last == frame - 1:
+            found[-1] = Stretch(machine, state, found[-1].first, frame)
         else:
-            found.append(Stretch(name, frame, frame))
-    return tuple(found), (found[0].first, found[-1].last) if found else None
+            found.append(Stretch(machine, state, frame, frame))
+    return tuple(found)
+
+
+def _named(states: Sequence[str], state: int) -> str:
+    return states[state] if 0 <= state < len(states) else ""
 
 
 def _state(cache: Cache, frame: int, species: int, agent: int) -> int | None:

@@ -25,7 +25,10 @@ def _lines(e: Explanation) -> Iterator[str]:
     yield from (f"note: {note}" for note in e.notes)
     if e.strip:
         yield ""
-        yield from _strip(e.strip, e.frame)
+        yield "its states"
+        for name in dict.fromkeys(each.machine for each in e.strip):
+            mine = tuple(each for each in e.strip if each.machine == name)
+            yield from _strip(mine, e.frame, f"{name}: " if len(mine) < len(e.strip) else "")
     for machine in e.machines:
         yield ""
         yield from _machine(machine)
@@ -44,7 +47,7 @@ def _where(place: Place) -> str:
     return f"{PurePath(place.file).name}:{place.line}"
 
 
-def _strip(strip: tuple[Stretch, ...], frame: int) -> Iterator[str]:
+def _strip(strip: tuple[Stretch, ...], frame: int, name: str) -> Iterator[str]:
     """States over frames, the one of this frame in brackets."""
     at = next((k for k, s in enumerate(strip) if s.first <= frame <= s.last), len(strip) - 1)
     first = max(0, min(at - _STRETCHES // 2, len(strip) - _STRETCHES))
@@ -55,8 +58,7 @@ def _strip(strip: tuple[Stretch, ...], frame: int) -> Iterator[str]:
         frames = f"{stretch.first}..{stretch.last}" if stretch.first != stretch.last else f"{stretch.first}"
         words.append(f"[{name} {frames}]" if k == at else f"{name} {frames}")
     before, after = "… > " if first else "", " > …" if first + _STRETCHES < len(strip) else ""
-    yield "its states"
-    yield f"  {before}{' > '.join(words)}{after}"
+    yield f"  {name}{before}{' > '.join(words)}{after}"
     gaps = [f"{a.last + 1}..{b.first - 1}" for a, b in pairwise(part) if b.first > a.last + 1]
     if gaps:
         yield f"  not in the cache: {', '.join(gaps)}"
