@@ -1,7 +1,7 @@
 """Why did this agent do that: its step is done again from a checkpoint, with an eye on it. Data first, telling apart."""
 
 from antdsl.explain.account import Account, accounts, placed_accounts
-from antdsl.explain.asking import explain
+from antdsl.explain.asking import absent, explain
 from antdsl.explain.history import CacheHistory, History
 from antdsl.explain.model import Explanation, as_json
 from antdsl.explain.opening import ExplainError, open_shot
@@ -16,6 +16,7 @@ __all__ = [
     "Explanation",
     "History",
     "Replay",
+    "absent",
     "accounts",
     "as_json",
     "explain",

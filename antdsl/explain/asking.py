@@ -37,7 +37,7 @@ def explain(
     replay = Replay(CacheHistory.of(cache, open_shot(cache, scene, grants), threads))
     found = accounts(replay, frame, [(name, agent)])[0]
     if found is None:
-        raise _absent(replay, name, agent, frame)
+        raise absent(replay, name, agent, frame)
     return replace(found, strip=stretches, alive=alive)
 
 
@@ -100,7 +100,7 @@ def _whom(cache: Cache, species: str, agent: int, frame: int) -> str:
     return f"did you mean {near}? {there}" if near else there
 
 
-def _absent(replay: Replay, species: str, agent: int, frame: int) -> ExplainError:
+def absent(replay: Replay, species: str, agent: int, frame: int) -> ExplainError:
     """Why nobody was traced: the agent did not live, or was set aside."""
     world = replay.begin(frame)
     population = world.populations[species]

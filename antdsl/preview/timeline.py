@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.pipeline import Choices, Shot
-from antdsl.runtime import Population, World, checkpoint
+from antdsl.runtime import Built, Options, Population, World, checkpoint, restore, set_param
+from antdsl.runtime.binding import unpeopled
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -53,6 +54,18 @@ class Stretch:
     off: Mapping[tuple[str, str], Path] = field(default_factory=dict)
     checkpoints: dict[int, Arrays] = field(default_factory=dict)
     changes: list[Change] = field(default_factory=list)
+
+    def world(self, arrays: Arrays, options: Options, built: Built) -> World:
+        """A world of its own, as a checkpoint has it."""
+        world = unpeopled(self.shot.plan, self.shot.setting, options, built=built, origin=self.origin)
+        restore(world, arrays)
+        return world
+
+    def before_step(self, world: World) -> None:
+        """Give a world the params that were set at its frame."""
+        for change in self.changes:
+            if change.frame == world.frame:
+                set_param(world, change.name, change.value)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

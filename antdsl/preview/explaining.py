@@ -1,0 +1,152 @@
+"""Why an agent did what it did, in a session under way: its step is done again in a world of its own, from the nearest
+checkpoint of the stretch of time that it belongs to. The session's own world is not touched."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.explain import Account, ExplainError, Replay, absent, as_json, placed_accounts, stretches, tell
+from antdsl.explain.model import Stretch as StateStretch
+from antdsl.pipeline import Shot
+from antdsl.preview.session import Session
+from antdsl.preview.timeline import Arrays, Change, Stretch
+from antdsl.runtime import World, checkpoint
+
+_KEPT = 2  # stretches whose replays are kept: before and after an edit
+
+
+@dataclass(slots=True, eq=False)
+class StretchHistory:
+    """A stretch of a session's time. `near`: a checkpoint more, at the frame that was last begun from."""
+
+    session: Session
+    stretch: Stretch
+    near: dict[int, Arrays] = field(default_factory=dict)
+
+    @property
+    def shot(self) -> Shot:
+        return self.stretch.shot
+
+    def points(self) -> Sequence[int]:
+        return sorted({*self.stretch.checkpoints, *self.near})
+
+    def world(self, point: int) -> World | None:
+        arrays = self.near[point] if point in self.near else self.stretch.checkpoints[point]
+        return self.stretch.world(arrays, self.session.options, self.session.compiler.built)
+
+    def hash(self, frame: int) -> str | None:
+        """Known of where the session stands, but where a param was set there that only the next step hears of."""
+        here = self.session.timeline.at(frame) is self.stretch and self.session.frame == frame
+        return self.session.hash if here and all(change.frame != frame for change in self.stretch.changes) else None
+
+    def before_step(self, world: World) -> None:
+        self.stretch.before_step(world)
+
+    def missing(self, frame: int) -> ExplainError:
+        return ExplainError(f"what led to frame {frame} is not kept any more", f"there is {self.session.first} to here")
+
+    def differs(self, frame: int) -> ExplainError:
+        return ExplainError(f"frame {frame} comes out otherwise than it was", "this is a bug in antdsl: please report it")
+
+
+class Explainer:
+    """Explains agents of one session. What was worked out for a stretch of time is kept, so that the next one is quick."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self._replays: list[tuple[Stretch, tuple[Change, ...], Replay]] = []
+
+    def explain(self, agents: Sequence[tuple[str, int]], frame: int) -> list[Account | None]:
+        """What agents (species, id) did in the step to a frame, with their states over time; None for who did nothing in it.
+        ExplainError where that cannot be told."""
+        replay = self._replay(frame)
+        for species, _ in agents:
+            _known(species, replay.shot)
+        history = replay.history
+        assert isinstance(history, StretchHistory)
+        if frame - 1 not in history.near:  # whoever asks about one agent soon asks about another
+            history.near = {frame - 1: checkpoint(replay.begin(frame))}
+        return [
+            None if found is None else replace(found, explanation=self._with_strip(found))
+            for found in placed_accounts(replay, frame, agents)
+        ]
+
+    def message(self, species: str, agent: int, frame: int, named: Callable[[str], str] = str) -> dict[str, Any]:
+        """What a page is told that asks for one agent. `named`: what files are called there."""
+        found, why = None, ""
+        try:
+            [found] = self.explain([(species, agent)], frame)
+            if found is None:
+                why = _words(absent(self._replay(frame), species, agent, frame))
+        except ExplainError as error:
+            why = _words(error)
+        about = {"op": "explained", "species": species, "agent": agent, "frame": frame, "message": why}
+        if found is None:
+            return about | {"explanation": None, "told": "", "place": None, "neighbours": []}
+        return about | {
+            "explanation": _renamed(as_json(found.explanation), named),
+            "told": tell(found.explanation),
+            "place": list(found.place),
+            "neighbours": [list(place) for place in found.neighbours],
+        }
+
+    def _replay(self, frame: int) -> Replay:
+        """What can do the step to a frame again: that of the stretch in which the step began."""
+        first, head = self.session.first, self.session.head
+        if frame == first:
+            raise ExplainError(f"frame {frame} is the first: no step led to it", f"ask at frame {frame + 1}, or later")
+        if not first < frame <= head:
+            raise ExplainError(f"frame {frame} was not simulated, or is forgotten", f"there is {first + 1} to {head} to explain")
+        stretch = self.session.timeline.at(frame - 1)
+        key = tuple(stretch.changes)
+        self._replays = [kept for kept in self._replays if kept[0] in self.session.timeline.stretches]
+        for known, changes, replay in self._replays:
+            if known is stretch and changes == key:
+                return replay
+        replay = Replay(StretchHistory(self.session, stretch))
+        self._replays = [kept for kept in self._replays if kept[0] is not stretch][1 - _KEPT :]
+        self._replays.append((stretch, key, replay))
+        return replay
+
+    def _with_strip(self, found: Account) -> Any:
+        told = found.explanation
+        strip = tuple(self._strip(told.species, told.agent))
+        alive = (min(each.first for each in strip), max(each.last for each in strip)) if strip else None
+        return replace(told, strip=strip, alive=alive)
+
+    def _strip(self, species: str, agent: int) -> Iterator[StateStretch]:
+        """Its states in all frames that are remembered, machine after machine."""
+        seen: dict[str, list[tuple[int, str]]] = {}
+        for frame, light in sorted(self.session.timeline.light.items()):
+            if species not in light:
+                continue
+            rows = np.flatnonzero(light[species].ids == agent)
+            plan = self.session.timeline.at(frame).shot.plan.species[species]
+            for machine in plan.machines if len(rows) else ():
+                state = machine.states[int(light[species].states[machine.name][rows[0]])]
+                seen.setdefault(machine.name, []).append((frame, state))
+        for name, frames in seen.items():
+            yield from stretches(name, frames)
+
+
+def _known(species: str, shot: Shot) -> None:
+    if species not in shot.plan.species:
+        near = nearest_name(species, shot.plan.species)
+        listed = ", ".join(f"`{name}`" for name in shot.plan.species)
+        raise ExplainError(f"no species `{species}`", f"did you mean `{near}`?" if near else f"there is {listed}")
+
+
+def _words(error: ExplainError) -> str:
+    return f"{error}: {error.help}" if error.help else str(error)
+
+
+def _renamed(value: Any, named: Callable[[str], str]) -> Any:
+    """The same with other names for files."""
+    if isinstance(value, dict):
+        return {key: named(each) if key == "file" else _renamed(each, named) for key, each in value.items()}
+    return [_renamed(each, named) for each in value] if isinstance(value, list) else value
