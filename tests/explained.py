@@ -70,7 +70,7 @@ def facts(shot: Shot, pairs: int, monkeypatch: pytest.MonkeyPatch, seed: int) ->
         for name, phase in PHASES:
             if name == "effects":
                 for _ in range(wanted.count(number)):
-                    here.append(_fact(world, picks, drawn))
+                    here.append(fact_of(world, picks, drawn))
             phase(world)
         value = state_hash(world) if here else ""
         for fact in here:
@@ -83,7 +83,7 @@ def facts(shot: Shot, pairs: int, monkeypatch: pytest.MonkeyPatch, seed: int) ->
     return found
 
 
-def _fact(world: World, picks: random.Random, drawn: list[tuple[str, str, int, Any, Any]]) -> Fact:
+def fact_of(world: World, picks: random.Random, drawn: list[tuple[str, str, int, Any, Any]]) -> Fact:
     population = picks.choice([p for p in world.populations.values() if len(p)])
     machines = population.plan.machines
     pending = {m.name: population.now.get(f"~{m.name}.pending") for m in machines}

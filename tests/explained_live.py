@@ -1,0 +1,75 @@
+"""A session whose every step is written down as it happens, while it is edited, to hold explanations against."""
+
+from __future__ import annotations
+
+import random
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from explained import Fact, differences, fact_of
+
+from antdsl.preview import Session
+from antdsl.preview.explaining import Explainer
+from antdsl.runtime import World, randomness, stepping
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+
+
+def session_of(name: str, folder: Path, **how: Any) -> Session:
+    """A session on a copy of an example, so that it can be edited."""
+    shutil.copytree(EXAMPLES / name, folder / name)
+    session, report = Session.open(folder / name / "scene.yaml", **how)
+    assert session is not None, report.sorted()
+    return session
+
+
+class Notes:
+    """Writes down what random agents do in each step of a session, half of them such as change their state."""
+
+    def __init__(self, session: Session, monkeypatch: pytest.MonkeyPatch, seed: int, each: int) -> None:
+        self.session, self.each, self.facts = session, each, list[Fact]()
+        self._picks, self._drawn, self._here = random.Random(seed), list[Any](), list[Fact]()
+        words = randomness.words
+
+        def noted(seed: int, frame: int, species: str, site: str, block: int, ids: Any) -> Any:
+            found = words(seed, frame, species, site, block, ids)
+            self._drawn.append((species, site, block, np.array(ids), found))
+            return found
+
+        monkeypatch.setattr(randomness, "words", noted)
+        at = [name for name, _ in stepping.PHASES].index("effects")
+        phases = (*stepping.PHASES[:at], ("noted", self._note), *stepping.PHASES[at:])
+        monkeypatch.setattr(stepping, "PHASES", phases)
+
+    def _note(self, world: World) -> None:
+        if world is self.session.world:  # and not one in which something is explained
+            self._here += [fact_of(world, self._picks, self._drawn) for _ in range(self.each)]
+
+    def go(self, frames: int) -> None:
+        """Step, and write down what happens; what was written of these frames before is forgotten."""
+        for _ in range(frames):
+            self._drawn.clear()
+            self._here.clear()
+            self.facts = [fact for fact in self.facts if fact.frame <= self.session.frame]
+            self.session.step()
+            for fact in self._here:
+                population = self.session.world.populations[fact.species]
+                row = int(population.rows_of(np.array([fact.agent]))[0])
+                after = None if row < 0 else tuple(population.now[f"velocity.{axis}"][row] for axis in "xyz")
+                self.facts.append(replace(fact, after=after, hash=self.session.hash))
+
+    def explained_otherwise(self, count: int) -> dict[tuple[str, int, int], list[str]]:
+        """In what explanations of so many facts, picked at random, differ from them."""
+        explainer, wrong = Explainer(self.session), {}
+        for fact in self._picks.sample(self.facts, count):
+            [told] = explainer.explain([(fact.species, fact.agent)], fact.frame)
+            assert told is not None
+            shot = self.session.timeline.at(fact.frame - 1).shot
+            differ = differences(shot, fact, told.explanation)
+            if differ:
+                wrong[fact.species, fact.agent, fact.frame] = differ
+        return wrong
