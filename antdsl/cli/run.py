@@ -47,6 +47,9 @@ def run(
         None, "--shuffle-rows", metavar="N", min=0, help="Put agents into rows in another order. Changes no result."
     ),
     on_fault: OnFault = typer.Option(OnFault.stop, "--on-fault", help="What follows when an agent gets a number that is none."),
+    profile: bool = typer.Option(
+        False, "--profile", help="Tell at the end what the time went to: phases, layers, lines. Changes no result."
+    ),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
     """Simulate a scene and write a cache."""
@@ -70,7 +73,15 @@ def run(
     )
     folder = out if out is not None else scene.resolve().parent / "out" / scene.stem
     recording = _begin(shot, folder, options, choices, resume, force)
+    if profile:
+        from antdsl.runtime.profiling import Meter
+
+        recording.meter = Meter(None)
     _go(recording, quiet, _again(scene, out))
+    if recording.meter is not None:
+        from antdsl.cli.profile_table import show
+
+        show(recording.meter.profile(), lines=options.backend == "numpy")
     if summary is not None:
         from antdsl.outputs.summary import write_summary
 

@@ -19,6 +19,7 @@ from antdsl.outputs.solid_pieces import PieceMaker
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, restore, state_hash, step
+from antdsl.runtime.profiling import Meter
 from antdsl.scene.model import Camera, millimetres
 from antdsl.scene.setting import CameraData
 
@@ -42,6 +43,7 @@ class Recording:
     behind: dict[str, float] = field(default_factory=dict)  # of who writes, while the next frames are simulated
     writer_memory: int = 0  # the most that the process that writes has used besides what it shares, in bytes; 0 for a thread
     started: float = field(default_factory=time.perf_counter)
+    meter: Meter | None = None  # measures the steps after the first
 
     @property
     def complete(self) -> bool:
@@ -151,7 +153,12 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
 def _advance(recording: Recording, what: str) -> None:
     """One step, its time counted as `what`; that of the very first, which also loads kernels and makes tables, apart."""
     began = time.perf_counter()
+    meter = recording.meter if what == "step" and "first_step" in recording.seconds else None
+    if meter is not None:
+        meter.begin(recording.world)
     step(recording.world)
+    if meter is not None:
+        meter.end(recording.world)
     if "first_step" in recording.seconds:
         recording.spend(what, began)
         recording.steps += what == "step"

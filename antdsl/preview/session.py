@@ -18,6 +18,7 @@ from antdsl.preview.layers import Off, texts_without
 from antdsl.preview.timeline import Change, Light, Stretch, Timeline, nearest_checkpoint
 from antdsl.runtime import BindError, FaultStop, Options, World, bind, restore, set_param, state_hash, step, taken_line
 from antdsl.runtime.binding import unpeopled
+from antdsl.runtime.profiling import Meter
 from antdsl.scene.adjusting import settable
 from antdsl.scene.matching import check_param
 from antdsl.scene.quantities import BadQuantity, Quantity, parse_quantity
@@ -47,6 +48,7 @@ class Session:
         self.playing = False
         self.edited = False  # something was changed while it ran: not what a fresh run gives
         self.fault: str | None = None  # of the last step
+        self.meter: Meter | None = None  # measures each step while there is one; see `measure`
         self._stretch: Stretch
 
     @classmethod
@@ -122,10 +124,20 @@ class Session:
         for change in self._stretch.changes:
             if change.frame == self.frame:
                 set_param(self.world, change.name, change.value)
+        if self.meter is not None:
+            self.meter.begin(self.world)
         try:
             step(self.world)
         except FaultStop as stop:
             self.fault, self.playing = str(stop), False
+        if self.meter is not None:
+            self.meter.end(self.world)
+
+    def measure(self, on: bool) -> None:
+        """Measure what each step spends its time on, in `meter`, or no longer. Changes no result."""
+        if self.meter is not None:
+            self.meter.stop()
+        self.meter = Meter() if on else None
 
     def _restore(self, stretch: Stretch, frame: int) -> None:
         """Be in a stretch as it was at a checkpoint, in a world that nothing was dug in yet."""

@@ -14,21 +14,25 @@ from antdsl.plan import ir
 from antdsl.runtime.elementwise import UFUNCS
 from antdsl.runtime.reading import early_loads, kept_senses, reach, statement_nodes, walk, written
 from antdsl.runtime.world import DTYPES
+from antdsl.source import Span
 
 Slots = list[Any]
 Run = Callable[[Slots], None]
-WORLD, POPULATION, EFFECTS, BUFFERS, LAZY, PAIRS, NEARBY, FIRST_SLOT = 0, 1, 2, 3, 4, 5, 6, 7
+WORLD, POPULATION, EFFECTS, BUFFERS, LAZY, PAIRS, NEARBY, SPENT, FIRST_SLOT = 0, 1, 2, 3, 4, 5, 6, 7, 8
 
 
 @dataclass(slots=True, eq=False)
 class Instruction:
-    """`make(out, inputs, buffer)` gives the call. `dtype`: of the buffer it may write to (None: it makes its own array)."""
+    """`make(out, inputs, buffer)` gives the call. `dtype`: of the buffer it may write to (None: it makes its own array).
+    `span` is the text that it works out, `layer` the number of the layer that it does so for first (-1: none)."""
 
     make: Callable[[int, tuple[int, ...], int | None], Run]
     out: int
     inputs: tuple[int, ...]
     dtype: Any
     scope: Scope
+    span: Span | None
+    layer: int
     alias: bool = False  # the result may be its first input itself
     inner: Scope | None = None
     result: int = -1  # slot of the inner scope that is read after it
@@ -79,6 +83,8 @@ class BlockCompiler:
         self.changing: set[str] = set()  # registers that the block stores
         self.sets = sets  # of the species: in how many regions a set is asked about
         self.everybody: set[str] = set()  # species that somebody is asked about as a whole
+        self._layers = tuple(layer.span for layer in species.layers) if block == "blend" else ()
+        self._layer = -1
 
     def place(self, statement: ir.Statement) -> int:
         """Place of a statement in the text of the species."""
@@ -91,6 +97,21 @@ class BlockCompiler:
     def _scope(self, parent: Scope | None) -> Scope:
         return Scope(parent, self.slot(), self.slot(), self.slot())
 
+    def _emit(
+        self,
+        scope: Scope,
+        make: Any,
+        out: int,
+        inputs: tuple[int, ...],
+        span: Span | None,
+        dtype: Any = None,
+        *,
+        alias: bool = False,
+        inner: Scope | None = None,
+        result: int = -1,
+    ) -> None:
+        scope.code.append(Instruction(make, out, inputs, dtype, scope, span, self._layer, alias, inner, result))
+
     def compile(self, block: ir.Block) -> None:
         self.early = early_loads(block)
         self.changing.update(name for _, each in walk(block) if (name := written(each)) is not None)
@@ -100,21 +121,33 @@ class BlockCompiler:
     # --- statements ----------------------------------------------------------------------------------------------------
 
     def _block(self, scope: Scope, block: ir.Block, path: tuple[int, ...]) -> None:
-        for k, statement in enumerate(block.statements):
+        for k, (statement, layer) in enumerate(zip(block.statements, self._layers_of(block), strict=True)):
+            self._layer = layer
             for node in self.early.get((*path, k), ()):
                 self.value(scope, node)
             inputs = tuple(self.value(scope, node) for node in statement_nodes(statement))
             if isinstance(statement, ir.If):
                 inner = self._scope(scope)
                 self._block(inner, statement.then, (*path, k))
+                self._layer = layer
                 if inner.code:
-                    self._emit_inner(scope, inner, inputs[0])
+                    self._emit(scope, self.calls.region(scope, inner), -1, (inputs[0],), statement.span, inner=inner)
                 continue
-            make = self.statement(statement, self, scope)
-            scope.code.append(Instruction(make, -1, inputs, None, scope))
+            self._emit(scope, self.statement(statement, self, scope), -1, inputs, statement.span)
 
-    def _emit_inner(self, scope: Scope, inner: Scope, condition: int) -> None:
-        scope.code.append(Instruction(self.calls.region(scope, inner), -1, (condition,), None, scope, inner=inner))
+    def _layers_of(self, block: ir.Block) -> list[int]:
+        """The layer in whose line each statement stands. What a behaviour remembers stands in another file, and is written before
+        the push of the layer that called it."""
+        if not self._layers:
+            return [-1] * len(block.statements)
+        found, current = [], self._layer
+        for statement in reversed(block.statements):
+            span = statement.span
+            for number, layer in enumerate(self._layers):
+                if span is not None and span.source is layer.source and layer.start <= span.start < layer.end:
+                    current = number
+            found.append(current)
+        return found[::-1]
 
     # --- values --------------------------------------------------------------------------------------------------------
 
@@ -164,7 +197,7 @@ class BlockCompiler:
             assert inner.parent is not None
             inner.known[node] = slot = self.slot()
             make = self.calls.gather(inner, node.kind is ir.Kind.TUPLE)
-            inner.code.append(Instruction(make, slot, (inner.parent.known[node],), None, inner, alias=True))
+            self._emit(inner, make, slot, (inner.parent.known[node],), node.span, alias=True)
         return scope.known[node]
 
     def _plain(self, scope: Scope, node: ir.Node) -> None:
@@ -175,7 +208,7 @@ class BlockCompiler:
             inputs = tuple(self._known(scope, a) for a in node.args)
             make = self.calls.elementwise(node) or self.calls.leaf(node, self, scope)
         slot = self.slot()
-        scope.code.append(Instruction(make, slot, inputs, DTYPES[node.kind] if node.op in UFUNCS else None, scope))
+        self._emit(scope, make, slot, inputs, node.span, DTYPES[node.kind] if node.op in UFUNCS else None)
         scope.known[node] = slot
 
     def _keep(self, scope: Scope, node: ir.Node) -> None:
@@ -183,9 +216,8 @@ class BlockCompiler:
         inner = self._scope(scope)
         result = self.value(inner, node, afresh=True)
         slot = scope.known[node] = self.slot()
-        scope.code.append(
-            Instruction(self.calls.keep(node, scope, inner, result), slot, (), None, scope, inner=inner, result=result)
-        )
+        make = self.calls.keep(node, scope, inner, result)
+        self._emit(scope, make, slot, (), node.span, inner=inner, result=result)
 
     # --- sets ----------------------------------------------------------------------------------------------------------
 
@@ -206,7 +238,7 @@ class BlockCompiler:
             pairs = scope.pairs[node] = PairScope(self.slot())
             if self.name != "born" and all(part.op != "load" for part in reach((node,))):
                 self.sets[node] = self.sets.get(node, 0) + 1
-            scope.code.append(Instruction(self.calls.pairs(node, self, scope), pairs.slot, inputs, None, scope))
+            self._emit(scope, self.calls.pairs(node, self, scope), pairs.slot, inputs, node.span)
         return scope.pairs[node]
 
     def _in_pairs(self, scope: Scope, pairs: PairScope, node: ir.Node) -> int:
@@ -216,7 +248,7 @@ class BlockCompiler:
         if node in pairs.known:
             return pairs.known[node]
         slot = pairs.known[node] = self.slot()
-        scope.code.append(Instruction(self.calls.spread, slot, (self._known(scope, node), pairs.slot), None, scope))
+        self._emit(scope, self.calls.spread, slot, (self._known(scope, node), pairs.slot), node.span)
         return slot
 
     def _pair_value(self, scope: Scope, pairs: PairScope, node: ir.Node) -> None:
@@ -228,7 +260,7 @@ class BlockCompiler:
             if node.args:
                 inputs += tuple(self._in_pairs(scope, pairs, a) for a in node.args)
         slot = pairs.known[node] = self.slot()
-        scope.code.append(Instruction(make, slot, inputs, None, scope))
+        self._emit(scope, make, slot, inputs, node.span)
 
 
 # --- buffers ---------------------------------------------------------------------------------------------------------

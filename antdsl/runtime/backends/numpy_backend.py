@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,18 @@ from numpy.typing import NDArray
 
 from antdsl.plan import ir
 from antdsl.runtime.backends import numpy_calls
-from antdsl.runtime.backends.compile import BUFFERS, EFFECTS, LAZY, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler
+from antdsl.runtime.backends.compile import (
+    BUFFERS,
+    EFFECTS,
+    LAZY,
+    NEARBY,
+    PAIRS,
+    POPULATION,
+    SPENT,
+    WORLD,
+    BlockCompiler,
+)
+from antdsl.runtime.backends.metering import Metered
 from antdsl.runtime.backends.numpy_statements import statement
 from antdsl.runtime.effects import Effects
 from antdsl.runtime.elementwise import ELEMENTWISE
@@ -43,6 +55,15 @@ class NumpyBackend:
         self._pairs: dict[str, dict[tuple[ir.Node, int], Any]] = {}
         self._buffers: list[dict[Any, list[NDArray[Any]]]] = []
         self._pool: ThreadPoolExecutor | None = None
+        self.metered: dict[tuple[str, str], Metered] = {}  # by species and block, while somebody measures
+
+    def measure(self, on: bool) -> None:
+        """Time each call from the next step on, or no longer. No call gives another result by it."""
+        if on == bool(self.metered):
+            return
+        for each in self.metered.values():
+            each.end()
+        self.metered = {key: Metered(compiler) for key, compiler in self._blocks.items()} if on else {}
 
     def begin(self, world: World) -> None:
         """Values of the step, and nothing sensed yet."""
@@ -64,19 +85,24 @@ class NumpyBackend:
             self._values[population.name] = uniform_values(world, self._uniforms[population.name])
         chunks = self._chunks(world, population, compiler, rows)
         threads = min(world.options.threads, len(chunks))
+        metered = self.metered.get((population.name, block))
+        spent = [None if metered is None else metered.lane() for _ in chunks]
+        began = perf_counter()
         effects = [Effects() for _ in chunks]
         if threads <= 1:
-            for chunk, into in zip(chunks, effects, strict=True):
-                self._chunk(world, population, compiler, chunk, into, 0, True)
+            for chunk, into, times in zip(chunks, effects, spent, strict=True):
+                self._chunk(world, population, compiler, chunk, into, times, 0, True)
         else:
             self._pool = self._pool or ThreadPoolExecutor(world.options.threads)
             lanes = [range(k, len(chunks), threads) for k in range(threads)]
 
             def lane(number: int) -> None:
                 for k in lanes[number]:
-                    self._chunk(world, population, compiler, chunks[k], effects[k], number, False)
+                    self._chunk(world, population, compiler, chunks[k], effects[k], spent[k], number, False)
 
             list(self._pool.map(lane, range(threads)))
+        if metered is not None:
+            metered.take([times for times in spent if times is not None], perf_counter() - began)
         for each in effects:
             population.effects.take(each)
 
@@ -97,11 +123,13 @@ class NumpyBackend:
         compiler: BlockCompiler,
         rows: Any,
         effects: Effects,
+        spent: list[float] | None,
         lane: int,
         alone: bool,
     ) -> None:
         v: list[Any] = [None] * compiler.slots
         v[WORLD], v[POPULATION], v[EFFECTS], v[LAZY] = world, population, effects, self._kept.get(population.name)
+        v[SPENT] = spent
         v[PAIRS] = {} if compiler.name == "born" else self._pairs[population.name]
         v[NEARBY] = NearbySets(world.options.threads if alone else 1)
         values = self._values[population.name]

@@ -1,0 +1,65 @@
+"""Times the calls of a compiled block: each by itself, without what it runs inside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from time import perf_counter
+
+from antdsl.runtime.backends.compile import SPENT, BlockCompiler, Instruction, Run, Scope, Slots
+
+
+class Metered:
+    """A block whose calls are timed until `end`. `seconds` has a number for each of `instructions`: of a thread's time, cut down
+    where threads go side by side, so that all of them together are no more than what passed."""
+
+    def __init__(self, compiler: BlockCompiler) -> None:
+        self.instructions: list[Instruction] = []
+        self.seconds: list[float] = []
+        self._plain: list[tuple[Scope, list[Run]]] = []
+        for scope in _scopes(compiler.root):
+            first = len(self.instructions)
+            self.instructions += scope.code
+            self._plain.append((scope, scope.calls))
+            scope.calls = [_timed(call, first + k) for k, call in enumerate(scope.calls)]
+        self.forget()
+
+    def forget(self) -> None:
+        """Count from nothing again."""
+        self.seconds = [0.0] * len(self.instructions)
+
+    def lane(self) -> list[float]:
+        """Where one chunk counts; the last number is the time of all calls within the one under way."""
+        return [0.0] * (len(self.instructions) + 1)
+
+    def take(self, lanes: list[list[float]], passed: float) -> None:
+        """Add what the chunks counted in a run of the block that took `passed` seconds."""
+        share = min(1.0, passed / max(sum(lane[-1] for lane in lanes), 1e-12))
+        for lane in lanes:
+            for k, seconds in enumerate(lane[:-1]):
+                self.seconds[k] += seconds * share
+
+    def end(self) -> None:
+        """The block's own calls again."""
+        for scope, calls in self._plain:
+            scope.calls = calls
+
+
+def _scopes(root: Scope) -> Iterator[Scope]:
+    pending = [root]
+    while pending:
+        scope = pending.pop()
+        yield scope
+        pending += [each.inner for each in scope.code if each.inner is not None]
+
+
+def _timed(call: Run, number: int) -> Run:
+    def run(v: Slots) -> None:
+        spent = v[SPENT]
+        around, spent[-1] = spent[-1], 0.0
+        began = perf_counter()
+        call(v)
+        took = perf_counter() - began
+        spent[number] += took - spent[-1]
+        spent[-1] = around + took
+
+    return run

@@ -1,0 +1,169 @@
+"""What a run spends its time on: phases, the layers of each species, lines of the programs. Off unless somebody holds a Meter,
+and no result changes by it."""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from time import monotonic
+
+from antdsl.plan.ir import LayerPlan, Plan
+from antdsl.runtime.backends import NumpyBackend
+from antdsl.runtime.backends.compile import Instruction
+from antdsl.runtime.backends.metering import Metered
+from antdsl.runtime.world import World
+from antdsl.source import Span
+
+Key = tuple[str, str]  # species and block
+_COMMENT = re.compile(r'("[^"]*")|#.*')
+
+
+@dataclass(frozen=True, slots=True)
+class LayerTime:
+    """A layer with all that was worked out for it, whatever file that stands in."""
+
+    species: str
+    span: Span
+    ms: float
+
+
+@dataclass(frozen=True, slots=True)
+class LineTime:
+    """A line with what stands in it; what it calls counts for its own lines. `text` is without indent and comment."""
+
+    file: str
+    line: int
+    text: str
+    ms: float
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Milliseconds a frame, over `frames` frames. `lines` have the dearest first. They add up to less than the phases, as what is
+    done for all agents at once (grids of neighbours, settling claims, moving) is of no line."""
+
+    frames: int = 0
+    total: float = 0.0
+    phases: dict[str, float] = field(default_factory=dict)
+    layers: tuple[LayerTime, ...] = ()
+    lines: tuple[LineTime, ...] = ()
+
+
+@dataclass(slots=True)
+class _Measured:
+    """Seconds of so many steps: by phase, and for each call of each block."""
+
+    steps: int
+    at: float
+    phases: dict[str, float]
+    calls: dict[Key, list[float]]
+
+    def add(self, other: _Measured) -> None:
+        self.steps += other.steps
+        self.at = other.at
+        for name, seconds in other.phases.items():
+            self.phases[name] = self.phases.get(name, 0.0) + seconds
+        for key, times in other.calls.items():
+            known = self.calls.get(key)
+            self.calls[key] = times if known is None else [a + b for a, b in zip(known, times, strict=True)]
+
+
+class Meter:
+    """Averages over the frames of the last `seconds`, or over all of them (None). Call `begin` before a step and `end` after it;
+    the world may be another each time, and what was measured of another program is forgotten."""
+
+    def __init__(self, seconds: float | None = 1.0, *, clock: Callable[[], float] = monotonic) -> None:
+        self._seconds, self._clock = seconds, clock
+        self._measured: deque[_Measured] = deque()
+        self._plan: Plan | None = None
+        self._instructions: dict[Key, list[Instruction]] = {}
+        self._world: World | None = None
+        self._before: dict[str, float] = {}
+
+    def begin(self, world: World) -> None:
+        """Measure the step that comes."""
+        if world is not self._world:
+            self.stop()
+            self._world = world
+            if isinstance(world.backend, NumpyBackend):
+                world.backend.measure(True)
+        if world.plan is not self._plan:
+            self._plan = world.plan
+            self._measured.clear()
+            self._instructions = {key: metered.instructions for key, metered in _metered(world).items()}
+        self._before = dict(world.timings)
+        for metered in _metered(world).values():
+            metered.forget()
+
+    def end(self, world: World) -> None:
+        """Take in the step that was made."""
+        if world is not self._world:
+            return
+        phases = {name: seconds - self._before.get(name, 0.0) for name, seconds in world.timings.items()}
+        calls = {key: metered.seconds for key, metered in _metered(world).items()}
+        now = _Measured(1, self._clock(), phases, calls)
+        if self._seconds is None and self._measured:
+            self._measured[0].add(now)
+            return
+        self._measured.append(now)
+        while self._seconds is not None and self._measured[0].at < now.at - self._seconds:
+            self._measured.popleft()
+
+    def stop(self) -> None:
+        """Measure no more; what was measured stays."""
+        if self._world is not None and isinstance(self._world.backend, NumpyBackend):
+            self._world.backend.measure(False)
+        self._world = None
+
+    def profile(self) -> Profile:
+        """What was measured; nothing before the first step."""
+        if not self._measured or self._plan is None:
+            return Profile()
+        whole = _Measured(0, 0.0, {}, {})
+        for each in self._measured:
+            whole.add(each)
+        to_ms = 1000 / whole.steps
+        phases = {name: seconds * to_ms for name, seconds in whole.phases.items()}
+        lines = sorted(_lines(self._spent(whole), to_ms), key=lambda each: (-each.ms, each.file, each.line))
+        return Profile(whole.steps, sum(phases.values()), phases, self._layers(self._plan, whole, to_ms), tuple(lines))
+
+    def _spent(self, whole: _Measured) -> Iterator[tuple[Instruction, float]]:
+        for key, times in whole.calls.items():
+            yield from zip(self._instructions[key], times, strict=True)
+
+    def _layers(self, plan: Plan, whole: _Measured, to_ms: float) -> tuple[LayerTime, ...]:
+        """All layers in their order, also those that nobody came to."""
+        found: list[LayerTime] = []
+        for name, species in plan.species.items():
+            spent = [0.0] * len(species.layers)
+            times = whole.calls.get((name, "blend"), [])
+            for instruction, seconds in zip(self._instructions.get((name, "blend"), []), times, strict=True):
+                if instruction.layer >= 0:
+                    spent[instruction.layer] += seconds
+            found += [_layer(name, layer, seconds * to_ms) for layer, seconds in zip(species.layers, spent, strict=True)]
+        return tuple(found)
+
+
+def _metered(world: World) -> dict[Key, Metered]:
+    return world.backend.metered if isinstance(world.backend, NumpyBackend) else {}
+
+
+def _layer(species: str, layer: LayerPlan, ms: float) -> LayerTime:
+    return LayerTime(species, layer.span, ms)
+
+
+def _lines(spent: Iterator[tuple[Instruction, float]], to_ms: float) -> list[LineTime]:
+    """The calls by the line in which their text begins. A file is known by its name: parts of it are read more than once."""
+    found: dict[tuple[str, int], float] = {}
+    texts: dict[tuple[str, int], str] = {}
+    for instruction, seconds in spent:
+        span = instruction.span
+        if span is None or not seconds:
+            continue
+        place = (span.source.path, span.source.line_column(span.start)[0])
+        found[place] = found.get(place, 0.0) + seconds
+        if place not in texts:
+            texts[place] = _COMMENT.sub(r"\1", span.source.line_text(place[1])).strip()
+    return [LineTime(file, line, texts[file, line], seconds * to_ms) for (file, line), seconds in found.items()]
