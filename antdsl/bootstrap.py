@@ -12,23 +12,26 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 
 # What Open3D loads from the system, and the Debian package that brings it.
 SYSTEM_LIBRARIES = {"libEGL.so.1": "libegl1", "libGL.so.1": "libgl1", "libusb-1.0.so.0": "libusb-1.0-0"}
-# What the tests of the preview's page look for, by name of the command; the Debian package is called like the first.
+# What drives the tests of the preview's page loads this from the system.
+DRIVER_LIBRARIES = {"libatomic.so.1": "libatomic1"}
+# Browsers that those tests can use, by name of the command; the Debian package is called like the first.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 INSTALL = "apt-get install -y --no-install-recommends"
 
 
-def missing_packages() -> list[str]:
+def missing_packages(libraries: Mapping[str, str]) -> list[str]:
     """Debian packages whose shared library cannot be loaded here (Linux only)."""
     if not sys.platform.startswith("linux"):
         return []
     missing = []
-    for library, package in SYSTEM_LIBRARIES.items():
+    for library, package in libraries.items():
         try:
             ctypes.CDLL(library)
         except OSError:
@@ -38,7 +41,7 @@ def missing_packages() -> list[str]:
 
 def install_system_packages() -> None:
     """Install what Open3D needs from the system, where this user may; else say which command does it, and stop."""
-    packages = missing_packages()
+    packages = missing_packages(SYSTEM_LIBRARIES)
     if not packages:
         return
     if not installable():
@@ -49,15 +52,18 @@ def install_system_packages() -> None:
 
 def install_browser() -> None:
     """Install Chromium for the tests of the preview's page, on Debian, where this user may. Elsewhere those tests are skipped."""
-    if any(shutil.which(name) for name in BROWSERS):
+    packages = missing_packages(DRIVER_LIBRARIES)
+    if not any(shutil.which(name) for name in BROWSERS):
+        packages.insert(0, BROWSERS[0])
+    if not packages:
         return
-    words = "no Chromium is here: the tests of the preview's page will be skipped; on Debian, run as root:"
-    words += f"\n  {INSTALL} {BROWSERS[0]}"
+    words = "the tests of the preview's page will be skipped, as something is missing; on Debian, run as root:"
+    words += f"\n  {INSTALL} {' '.join(packages)}"
     if not installable() or not debian():
         print(words, flush=True)
         return
     try:
-        install([BROWSERS[0]])
+        install(packages)
     except subprocess.CalledProcessError:
         print(words, flush=True)
 

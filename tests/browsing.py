@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from antdsl.bootstrap import BROWSERS
+from antdsl.bootstrap import BROWSERS, DRIVER_LIBRARIES, missing_packages
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -34,9 +34,10 @@ def found() -> str | None:
 @contextmanager
 def chromium() -> Iterator[Browser]:
     """A browser. The test that asks for it is skipped where there is none, or fails where one is required."""
-    path = found()
-    if path is None:
-        (pytest.fail if os.environ.get(WANTED) == "required" else pytest.skip)("no Chromium is on this machine")
+    path, lacking = found(), missing_packages(DRIVER_LIBRARIES)
+    if path is None or lacking:
+        no = pytest.fail if os.environ.get(WANTED) == "required" else pytest.skip
+        no(f"this machine has no {' '.join(lacking) or 'Chromium'}")
     sync_api = pytest.importorskip("playwright.sync_api")
     flags = [*_FLAGS, *(["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else [])]
     with sync_api.sync_playwright() as driver:
