@@ -47,9 +47,9 @@ def _python(problems: list[str]) -> None:
 
 
 def _system_libraries(problems: list[str]) -> None:
-    from antdsl.bootstrap import missing_packages
+    from antdsl.bootstrap import SYSTEM_LIBRARIES, missing_packages
 
-    missing = missing_packages()
+    missing = missing_packages(SYSTEM_LIBRARIES)
     _tell("system libraries", not missing, ", ".join(missing) if missing else "libegl1 libgl1 libusb-1.0-0 or their like")
     if missing:
         problems.append(f"as root: apt-get install -y {' '.join(missing)}")
