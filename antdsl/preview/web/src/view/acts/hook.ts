@@ -1,0 +1,63 @@
+// `window.antdsl`: plain numbers of what is seen, for tests in a browser and for the curious. It reads, and changes nothing.
+
+import { onScreen } from "../picking";
+import type { Sight } from "../sight";
+import { tally } from "./legend";
+
+export interface Hook {
+  readonly frame: number; // shown, or on its way to be
+  readonly light: boolean;
+  readonly agents: number;
+  readonly pictures: number; // drawn so far
+  readonly still: boolean; // what is seen is the frame, not the way to it
+  counts(): Record<string, number>; // agents by `species.machine.state`
+  screen(species: string, id: number): [number, number] | null; // CSS px in the view
+  ids(species: string): number[];
+  position(species: string, id: number): [number, number, number] | null;
+}
+
+declare global {
+  interface Window {
+    antdsl?: Hook;
+  }
+}
+
+export function hook(sight: Sight): void {
+  const { herds, stage } = sight;
+  window.antdsl = {
+    get frame() {
+      return herds.frame;
+    },
+    get light() {
+      return herds.light;
+    },
+    get agents() {
+      return herds.count;
+    },
+    get pictures() {
+      return stage.pictures;
+    },
+    get still() {
+      return herds.t >= 1;
+    },
+    counts() {
+      const found: [string, number][] = [];
+      for (const [name, herd] of herds.byName) {
+        for (const machine of herd.species.machines) {
+          tally(herd, machine).forEach((count, k) => found.push([`${name}.${machine.name}.${machine.states[k]}`, count]));
+        }
+      }
+      return Object.fromEntries(found);
+    },
+    screen: (species, id) => onScreen(sight, { species, id }),
+    ids: (species) => Array.from(herds.byName.get(species)?.ids ?? []),
+    position(species, id) {
+      const herd = herds.byName.get(species);
+      const row = herd?.row(id) ?? -1;
+      if (!herd || row < 0) return null;
+      const at = { x: 0, y: 0, z: 0 };
+      herd.place(row, herds.t, at);
+      return [at.x, at.y, at.z];
+    },
+  };
+}

@@ -1,0 +1,13 @@
+// What the view does besides drawing packets. A new act is one file and one entry here.
+
+import type { Act } from "../sight";
+import { feelers } from "./feelers";
+import { forces } from "./forces";
+import { hook } from "./hook";
+import { keys } from "./keys";
+import { legend } from "./legend";
+import { marks } from "./marks";
+import { pointer } from "./pointer";
+import { trails } from "./trails";
+
+export const ACTS: Act[] = [marks, trails, feelers, forces, legend, pointer, keys, hook];

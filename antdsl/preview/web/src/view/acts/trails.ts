@@ -1,0 +1,104 @@
+// Where agents have been lately: those who are selected, or all of them when they are few.
+
+import * as THREE from "three";
+import type { NumberArray } from "../../protocol";
+import type { Herd } from "../herd";
+import type { Sight } from "../sight";
+import { Strokes } from "../strokes";
+
+const LONG = 96; // frames
+const FEW = 300; // agents who all leave one when nobody is selected
+const MOST = 60; // selected ones who leave one
+
+interface Past {
+  frame: number;
+  ids: NumberArray;
+  place: Float32Array;
+}
+
+export function trails(sight: Sight): void {
+  const { stage, store, herds } = sight;
+  const past = new Map<string, Past[]>();
+  const strokes = new Strokes(stage, { order: 6 });
+  const colour = new THREE.Color();
+
+  function remember(): void {
+    for (const [name, herd] of herds.byName) {
+      const kept = past.get(name) ?? [];
+      while (kept.length && (kept.at(-1) as Past).frame >= herds.frame) kept.pop(); // gone back: what came later is not yet
+      if (kept.length && herds.frame - (kept.at(-1) as Past).frame > 48) kept.length = 0;
+      const place = herd.column("position");
+      if (place) kept.push({ frame: herds.frame, ids: herd.ids, place: Float32Array.from(place) });
+      if (kept.length > LONG) kept.shift();
+      past.set(name, kept);
+    }
+  }
+
+  function draw(): void {
+    strokes.clear();
+    const { trails, selected } = store.now;
+    if (trails) {
+      for (const [name, herd] of herds.byName) {
+        const kept = past.get(name) ?? [];
+        const ids = selected.filter((agent) => agent.species === name).slice(-MOST);
+        if (ids.length) for (const agent of ids) trail(kept, agent.id, herd, 2.2, true);
+        else if (selected.length === 0 && herds.count <= FEW) for (const id of herd.ids) trail(kept, id, herd, 1.2, false);
+      }
+    }
+    if (strokes.count || strokes.object.visible) strokes.done();
+  }
+
+  function trail(kept: Past[], id: number, herd: Herd, wide: number, marked: boolean): void {
+    const row = herd.row(id);
+    if (row < 0) return;
+    if (marked) colour.copy(stage.palette.mark);
+    else colour.setRGB(part(herd, row, 0), part(herd, row, 1), part(herd, row, 2), THREE.SRGBColorSpace);
+    let before: Past | null = null;
+    let at = -1;
+    kept.forEach((now, number) => {
+      const here = rowOf(now, id, row);
+      if (before && at >= 0 && here >= 0 && near(before.place, at, now.place, here, herd.size(row))) {
+        const age = number / kept.length;
+        strokes.add(before.place, 3 * at, now.place, 3 * here, wide * age, wide * age, colour, 0.75 * age);
+      }
+      before = now;
+      at = here;
+    });
+  }
+
+  herds.onFrame(() => {
+    remember();
+    draw();
+  });
+  herds.onPeople(() => past.clear());
+  store.on(["trails", "selected"], draw);
+}
+
+function part(herd: Herd, row: number, axis: number): number {
+  return (herd.rows.tone[4 * row + axis] as number) / 255;
+}
+
+/** Mostly the row is the same in all frames: nobody came or went. */
+function rowOf(past: Past, id: number, guess: number): number {
+  if (past.ids[guess] === id) return guess;
+  let low = 0;
+  let high = past.ids.length - 1;
+  while (low <= high) {
+    const middle = (low + high) >> 1;
+    const found = past.ids[middle] as number;
+    if (found === id) return middle;
+    if (found < id) low = middle + 1;
+    else high = middle - 1;
+  }
+  return -1;
+}
+
+/** Whether one can have walked from the one to the other: who is put elsewhere leaves no line through the air. */
+function near(a: Float32Array, i: number, b: Float32Array, k: number, size: number): boolean {
+  const far = Math.hypot(
+    (a[3 * i] as number) - (b[3 * k] as number),
+    (a[3 * i + 1] as number) - (b[3 * k + 1] as number),
+    (a[3 * i + 2] as number) - (b[3 * k + 2] as number),
+  );
+  return far < 40 * size;
+}

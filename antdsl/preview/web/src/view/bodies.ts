@@ -1,0 +1,219 @@
+// Bodies: one call to draw for each species. Poses of the walk lie in a texture; turning and the way between two frames is done
+// where it is drawn. Below each body lies a soft shadow, so that it stands on its ground.
+
+import * as THREE from "three";
+import type { NumberArray, Packet } from "../protocol";
+import { bodyMaterial, shadowMaterial, square, standing } from "./bodyshaders";
+import type { Herd, Rows } from "./herd";
+import type { Herds } from "./herds";
+import { speck } from "./speck";
+import type { Stage } from "./stage";
+
+const FINE = 26; // px that a body is long on the screen from which on it is drawn in full
+const CLOSE = { software: 250, hardware: 6000 }; // agents at most, to be drawn in full
+const CROWD = { software: 3000, hardware: 120_000 }; // agents from which on each is a speck
+
+type Level = "fine" | "low" | "speck";
+
+export interface Shape {
+  poses: Float32Array; // k × n × 3
+  count: number;
+  normal: Float32Array;
+  face: Uint32Array;
+  tint: Float32Array;
+}
+
+export class Bodies {
+  private readonly shapes = new Map<string, Map<Level, Shape>>();
+  private readonly drawn = new Map<string, Drawn>();
+
+  constructor(
+    private readonly stage: Stage,
+    private readonly herds: Herds,
+  ) {
+    herds.onPeople(() => this.people());
+    herds.onFrame(() => this.refresh());
+    stage.add(() => this.place());
+  }
+
+  /** `body:NAME`, or `body:NAME:fine` for close-ups. */
+  take(packet: Packet): void {
+    const [, name = "", fine] = packet.slot.split(":");
+    const shape = shapeOf(packet);
+    const levels = this.shapes.get(name) ?? new Map<Level, Shape>();
+    levels.set(fine ? "fine" : "low", shape);
+    if (!fine) levels.set("speck", speck(shape));
+    this.shapes.set(name, levels);
+    this.herds.walk(name, Number(packet.header.stride) || 1);
+    for (const each of this.drawn.values()) each.forget();
+    this.stage.wake();
+  }
+
+  /** Colours were changed: hand them over again. */
+  recolour(): void {
+    for (const each of this.drawn.values()) each.recolour();
+    this.stage.wake();
+  }
+
+  private people(): void {
+    for (const each of this.drawn.values()) each.dispose();
+    this.drawn.clear();
+    for (const [name, herd] of this.herds.byName) this.drawn.set(name, new Drawn(this.stage, herd));
+  }
+
+  private refresh(): void {
+    for (const each of this.drawn.values()) each.refresh();
+  }
+
+  /** Choose how fine each species is drawn, by how large it is seen where one looks. */
+  private place(): boolean {
+    const kind = this.stage.software || this.stage.slow ? "software" : "hardware";
+    const crowd = this.herds.count;
+    for (const each of this.drawn.values()) {
+      const levels = this.shapes.get(each.herd.species.body);
+      if (!levels) continue;
+      let level: Level = crowd > CROWD[kind] ? "speck" : "low";
+      if (crowd <= CLOSE[kind] && each.pixels() > FINE && levels.has("fine")) level = "fine";
+      const shape = levels.get(level);
+      if (shape) each.show(shape, this.herds.t, level !== "speck");
+    }
+    return false;
+  }
+}
+
+/** One species as it is drawn. */
+class Drawn {
+  private readonly uniforms: Record<string, THREE.IUniform>;
+  private readonly body: THREE.Mesh;
+  private readonly shadow: THREE.Mesh;
+  private shape: Shape | null = null;
+  private version = -1;
+  private instanced = new Map<string, THREE.InstancedBufferAttribute>();
+
+  constructor(
+    private readonly stage: Stage,
+    readonly herd: Herd,
+  ) {
+    this.uniforms = standing(stage);
+    this.body = new THREE.Mesh(new THREE.InstancedBufferGeometry(), bodyMaterial(this.uniforms));
+    this.shadow = new THREE.Mesh(new THREE.InstancedBufferGeometry(), shadowMaterial(this.uniforms));
+    this.shadow.renderOrder = 2;
+    for (const mesh of [this.body, this.shadow]) {
+      mesh.frustumCulled = false;
+      mesh.visible = false;
+      stage.scene.add(mesh);
+    }
+  }
+
+  /** CSS px that a body is long, of the agent in the middle of the herd's first rows; enough to choose by. */
+  pixels(): number {
+    if (this.herd.count === 0) return 0;
+    let nearest = Number.POSITIVE_INFINITY;
+    const jump = Math.max(1, this.herd.count >> 8);
+    for (let row = 0; row < this.herd.count; row += jump) {
+      this.herd.place(row, 1, POINT);
+      nearest = Math.min(nearest, POINT.distanceToSquared(this.stage.camera.position));
+    }
+    return (this.herd.size(0) * this.stage.focal) / Math.max(Math.sqrt(nearest), 1e-9);
+  }
+
+  forget(): void {
+    this.shape = null;
+  }
+
+  refresh(): void {
+    const count = this.herd.count;
+    for (const [, attribute] of this.instanced) changed(attribute, count);
+    for (const mesh of [this.body, this.shadow]) (mesh.geometry as THREE.InstancedBufferGeometry).instanceCount = count;
+  }
+
+  recolour(): void {
+    const tone = this.instanced.get("tone");
+    if (tone) changed(tone, this.herd.count);
+  }
+
+  show(shape: Shape, t: number, shadow: boolean): void {
+    if (shape !== this.shape || this.version !== this.herd.rows.version) this.build(shape);
+    this.uniforms.t!.value = t;
+    this.uniforms.focal!.value = this.stage.focal;
+    this.body.visible = this.herd.count > 0;
+    this.shadow.visible = shadow && this.herd.count > 0;
+  }
+
+  dispose(): void {
+    for (const mesh of [this.body, this.shadow]) {
+      this.stage.scene.remove(mesh);
+      mesh.geometry.dispose();
+      (mesh.material as THREE.Material).dispose();
+    }
+    (this.uniforms.poses!.value as THREE.Texture | null)?.dispose();
+  }
+
+  private build(shape: Shape): void {
+    this.instanced = rowAttributes(this.herd.rows);
+    const body = new THREE.InstancedBufferGeometry();
+    body.setAttribute("position", new THREE.BufferAttribute(shape.poses.subarray(0, shape.normal.length), 3));
+    body.setAttribute("normal", new THREE.BufferAttribute(shape.normal, 3));
+    body.setAttribute("tint", new THREE.BufferAttribute(shape.tint, 1));
+    body.setIndex(new THREE.BufferAttribute(shape.face, 1));
+    const shadow = square();
+    for (const [mesh, geometry] of [[this.body, body], [this.shadow, shadow]] as const) {
+      for (const [name, attribute] of this.instanced) geometry.setAttribute(name, attribute);
+      geometry.instanceCount = this.herd.count;
+      mesh.geometry.dispose();
+      mesh.geometry = geometry;
+    }
+    if (shape !== this.shape) {
+      (this.uniforms.poses!.value as THREE.Texture | null)?.dispose();
+      this.uniforms.poses!.value = texture(shape);
+      this.uniforms.moments!.value = shape.count;
+    }
+    this.shape = shape;
+    this.version = this.herd.rows.version;
+    this.refresh();
+  }
+}
+
+const POINT = new THREE.Vector3();
+
+/** The arrays of rows as attributes of instances, under the names that the shaders have for them. */
+export function rowAttributes(rows: Rows): Map<string, THREE.InstancedBufferAttribute> {
+  const made = new Map<string, THREE.InstancedBufferAttribute>();
+  for (const name of ["placeA", "placeB", "gait"] as const) made.set(name, new THREE.InstancedBufferAttribute(rows[name], 3));
+  for (const name of ["headA", "headB", "upA", "upB"] as const) {
+    made.set(name, new THREE.InstancedBufferAttribute(rows[name], 4, true));
+  }
+  made.set("tone", new THREE.InstancedBufferAttribute(rows.tone, 4, true));
+  for (const attribute of made.values()) attribute.setUsage(THREE.DynamicDrawUsage);
+  return made;
+}
+
+export function changed(attribute: THREE.BufferAttribute, count: number): void {
+  attribute.clearUpdateRanges();
+  attribute.addUpdateRange(0, count * attribute.itemSize);
+  attribute.needsUpdate = true;
+}
+
+function shapeOf(packet: Packet): Shape {
+  const take = (name: string) => packet.arrays.get(name) as NumberArray;
+  const normal = take("normal") as Float32Array;
+  const poses = take("poses") as Float32Array;
+  return {
+    poses,
+    count: poses.length / normal.length,
+    normal,
+    face: Uint32Array.from(take("face")),
+    tint: take("tint") as Float32Array,
+  };
+}
+
+function texture(shape: Shape): THREE.DataTexture {
+  const vertices = shape.normal.length / 3;
+  const texels = new Float32Array(vertices * shape.count * 4);
+  for (let k = 0; k < vertices * shape.count; k++) {
+    for (let axis = 0; axis < 3; axis++) texels[4 * k + axis] = shape.poses[3 * k + axis] as number;
+  }
+  const made = new THREE.DataTexture(texels, vertices, shape.count, THREE.RGBAFormat, THREE.FloatType);
+  made.needsUpdate = true;
+  return made;
+}

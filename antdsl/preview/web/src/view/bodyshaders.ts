@@ -1,0 +1,164 @@
+// How bodies, their shadows and the rings around selected ones are drawn. All stand by the same rows: see `Rows`.
+
+import * as THREE from "three";
+import type { Stage } from "./stage";
+
+/** Where a row stands: `here`, the turn `turned` (ahead, up, aside), and `long`, its body's length, never less than a few px. */
+const STAND = /* glsl */ `
+attribute vec3 placeA;
+attribute vec3 placeB;
+attribute vec4 headA;
+attribute vec4 headB;
+attribute vec4 upA;
+attribute vec4 upB;
+attribute vec3 gait;
+attribute vec4 tone;
+uniform float t;
+uniform float focal;
+uniform float least;
+vec3 here;
+mat3 turned;
+float bodyLength;
+void stand() {
+  here = mix(placeA, placeB, t);
+  vec3 up = mix(upA.xyz, upB.xyz, t);
+  up = dot(up, up) > 1e-6 ? normalize(up) : vec3(0.0, 1.0, 0.0);
+  vec3 ahead = mix(headA.xyz, headB.xyz, t);
+  ahead -= up * dot(ahead, up);
+  if (dot(ahead, ahead) < 1e-6) ahead = cross(up, abs(up.x) < 0.9 ? vec3(1.0, 0.0, 0.0) : vec3(0.0, 0.0, 1.0));
+  ahead = normalize(ahead);
+  turned = mat3(ahead, up, cross(ahead, up));
+  float depth = max(-(modelViewMatrix * vec4(here, 1.0)).z, 1e-6);
+  bodyLength = max(gait.z, least * depth / focal);
+}`;
+
+const BODY_VERTEX = /* glsl */ `
+attribute float tint;
+uniform highp sampler2D poses;
+uniform float moments;
+varying vec3 vNormal;
+varying vec3 vTone;
+varying vec3 vToward;
+varying float vTint;
+${STAND}
+void main() {
+  stand();
+  float at = fract(mix(gait.x, gait.y, t)) * moments;
+  float first = min(floor(at), moments - 1.0);
+  float next = mod(first + 1.0, moments);
+  vec3 a = texelFetch(poses, ivec2(gl_VertexID, int(first)), 0).xyz;
+  vec3 b = texelFetch(poses, ivec2(gl_VertexID, int(next)), 0).xyz;
+  vec3 world = here + turned * (mix(a, b, at - first) * bodyLength);
+  vNormal = turned * normal;
+  vTone = tone.rgb;
+  vTint = tint;
+  vToward = cameraPosition - world;
+  gl_Position = projectionMatrix * modelViewMatrix * vec4(world, 1.0);
+}`;
+
+const BODY_FRAGMENT = /* glsl */ `
+uniform vec3 sun;
+uniform vec3 worldUp;
+uniform vec3 limb;
+varying vec3 vNormal;
+varying vec3 vTone;
+varying vec3 vToward;
+varying float vTint;
+void main() {
+  vec3 n = normalize(vNormal);
+  vec3 toward = normalize(vToward);
+  if (dot(n, toward) < 0.0) n = -n;
+  vec3 colour = mix(limb, pow(vTone, vec3(2.2)), clamp(vTint * 1.1, 0.0, 1.0));
+  float above = 0.5 + 0.5 * dot(n, worldUp);
+  float lit = max(dot(n, sun), 0.0);
+  vec3 shade = colour * (0.34 + 0.38 * above + 0.52 * lit);
+  float gloss = pow(max(dot(reflect(-sun, n), toward), 0.0), 24.0);
+  gl_FragColor = vec4(shade + 0.16 * gloss * vTint, 1.0);
+  #include <colorspace_fragment>
+}`;
+
+const SHADOW_VERTEX = /* glsl */ `
+varying vec2 vAt;
+${STAND}
+void main() {
+  stand();
+  vAt = position.xy;
+  vec3 flat_ = vec3(position.x * 0.72, 0.03, position.y * 0.46) * bodyLength;
+  gl_Position = projectionMatrix * modelViewMatrix * vec4(here + turned * flat_, 1.0);
+  gl_Position.z -= 1e-4 * gl_Position.w;
+}`;
+
+const SHADOW_FRAGMENT = /* glsl */ `
+varying vec2 vAt;
+void main() {
+  float part = 1.0 - smoothstep(0.1, 1.0, length(vAt));
+  gl_FragColor = vec4(0.0, 0.0, 0.0, 0.5 * part);
+}`;
+
+const RING_VERTEX = /* glsl */ `
+varying vec2 vAt;
+varying float vWide;
+varying vec3 vTone;
+${STAND}
+void main() {
+  stand();
+  float depth = max(-(modelViewMatrix * vec4(here, 1.0)).z, 1e-6);
+  float radius = max(bodyLength * 0.95, 9.0 * depth / focal);
+  vAt = position.xy;
+  vWide = clamp(2.2 * depth / focal / radius, 0.05, 0.5);
+  vTone = tone.rgb;
+  vec3 flat_ = vec3(position.x, 0.08, position.y) * radius * (1.0 + vWide);
+  vAt *= 1.0 + vWide;
+  gl_Position = projectionMatrix * modelViewMatrix * vec4(here + turned * flat_, 1.0);
+  gl_Position.z -= 2e-4 * gl_Position.w;
+}`;
+
+const RING_FRAGMENT = /* glsl */ `
+uniform float fade;
+varying vec2 vAt;
+varying float vWide;
+varying vec3 vTone;
+void main() {
+  float off = abs(length(vAt) - 1.0 + 0.5 * vWide);
+  float part = 1.0 - smoothstep(0.35 * vWide, 0.75 * vWide, off);
+  if (part < 0.02) discard;
+  gl_FragColor = vec4(pow(vTone, vec3(2.2)), part * fade);
+  #include <colorspace_fragment>
+}`;
+
+export function standing(stage: Stage): Record<string, THREE.IUniform> {
+  return {
+    t: { value: 1 },
+    focal: { value: 1 },
+    least: { value: 6 },
+    poses: { value: null },
+    moments: { value: 1 },
+    sun: { value: stage.sun },
+    worldUp: { value: stage.up },
+    limb: { value: stage.palette.limb },
+  };
+}
+
+export function bodyMaterial(uniforms: Record<string, THREE.IUniform>): THREE.ShaderMaterial {
+  return new THREE.ShaderMaterial({ vertexShader: BODY_VERTEX, fragmentShader: BODY_FRAGMENT, uniforms, side: THREE.DoubleSide });
+}
+
+export function shadowMaterial(uniforms: Record<string, THREE.IUniform>): THREE.ShaderMaterial {
+  const seen = { transparent: true, depthWrite: false, side: THREE.DoubleSide };
+  return new THREE.ShaderMaterial({ vertexShader: SHADOW_VERTEX, fragmentShader: SHADOW_FRAGMENT, uniforms, ...seen });
+}
+
+/** Rings, drawn twice: in full, and `through` what hides them, faintly. */
+export function ringMaterial(uniforms: Record<string, THREE.IUniform>, through: boolean): THREE.ShaderMaterial {
+  const seen = { transparent: true, depthWrite: false, depthTest: !through, side: THREE.DoubleSide };
+  const own = { ...uniforms, fade: { value: through ? 0.35 : 1 } };
+  return new THREE.ShaderMaterial({ vertexShader: RING_VERTEX, fragmentShader: RING_FRAGMENT, uniforms: own, ...seen });
+}
+
+/** A square from -1 to 1, to be laid flat below a body. */
+export function square(): THREE.InstancedBufferGeometry {
+  const made = new THREE.InstancedBufferGeometry();
+  made.setAttribute("position", new THREE.BufferAttribute(new Float32Array([-1, -1, 0, 1, -1, 0, 1, 1, 0, -1, 1, 0]), 3));
+  made.setIndex([0, 1, 2, 0, 2, 3]);
+  return made;
+}

@@ -1,0 +1,30 @@
+// Keeps the agents' colours: with each frame, and when another way to colour them is chosen. The legend reads it.
+
+import type { Herds } from "./herds";
+import { type Range, paint, ranged } from "./colours";
+import type { Sight } from "./sight";
+
+export class Colouring {
+  range: Range | null = null;
+  private way = "";
+  private readonly listeners: (() => void)[] = [];
+
+  constructor(private readonly sight: Sight) {
+    sight.herds.onFrame(() => this.refresh(sight.herds));
+    sight.store.on("colour", () => this.refresh(sight.herds));
+  }
+
+  onChange(listener: () => void): void {
+    this.listeners.push(listener);
+  }
+
+  private refresh(herds: Herds): void {
+    const { colour } = this.sight.store.now;
+    if (colour !== this.way) this.range = null;
+    this.way = colour;
+    this.range = colour.startsWith("state") ? null : ranged(herds.byName.values(), colour, this.range);
+    for (const herd of herds.byName.values()) paint(herd, colour, this.range);
+    this.sight.bodies.recolour();
+    for (const listener of this.listeners) listener();
+  }
+}

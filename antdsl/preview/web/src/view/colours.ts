@@ -1,0 +1,84 @@
+// What colour each agent has: by state, speed or any attribute. One entry for each way.
+
+import { type Attribute, type NumberArray, type Species, type Triple } from "../protocol";
+import type { Herd } from "./herd";
+import { RAMP } from "./palette";
+
+/** How numbers become colours now: the ends of the ramp, in `unit`. */
+export interface Range {
+  low: number;
+  high: number;
+  unit: string;
+}
+
+const PLAIN: Triple = [0.62, 0.6, 0.57];
+
+/** The machine whose states are shown, if colour goes by states. */
+export function machineOf(species: Species, colour: string) {
+  if (colour === "state") return species.machines[0];
+  return colour.startsWith("state/") ? species.machines.find((each) => each.name === colour.slice(6)) : undefined;
+}
+
+/** The numbers that colour goes by, or undefined where the species has none such. */
+export function numbersOf(herd: Herd, colour: string): { values: NumberArray; unit: string } | undefined {
+  if (colour === "speed") {
+    const values = herd.column("speed");
+    return values && { values, unit: "mm/s" };
+  }
+  const about: Attribute | undefined = herd.species.attributes.find((each) => each.name === colour);
+  const values = about && herd.column(`column/${colour}`);
+  return values && about && { values, unit: about.unit };
+}
+
+/** Give all rows their colours. `range` is where the ramp begins and ends. */
+export function paint(herd: Herd, colour: string, range: Range | null): void {
+  const { tone } = herd.rows;
+  const machine = machineOf(herd.species, colour);
+  const states = machine && herd.column(`state/${machine.name}`);
+  if (machine && states) {
+    const table = Uint8Array.from(machine.colours.flat(), (part) => Math.round(255 * part));
+    for (let row = 0; row < herd.count; row++) copy(tone, row, table, states[row] as number);
+    return;
+  }
+  const found = range && numbersOf(herd, colour);
+  if (found) {
+    const scale = 255 / (range.high - range.low || 1);
+    for (let row = 0; row < herd.count; row++) {
+      const part = ((found.values[row] as number) - range.low) * scale;
+      copy(tone, row, RAMP, part >= 0 ? Math.min(Math.round(part), 255) : 0);
+    }
+    return;
+  }
+  const plain = Uint8Array.from(PLAIN, (part) => Math.round(255 * part));
+  for (let row = 0; row < herd.count; row++) copy(tone, row, plain, 0);
+}
+
+function copy(tone: Uint8Array, row: number, table: Uint8Array, entry: number): void {
+  tone[4 * row] = table[3 * entry] as number;
+  tone[4 * row + 1] = table[3 * entry + 1] as number;
+  tone[4 * row + 2] = table[3 * entry + 2] as number;
+  tone[4 * row + 3] = 255;
+}
+
+/** The least and the most of what is shown, kept steady: wider at once, narrower only when most of it is empty. */
+export function ranged(herds: Iterable<Herd>, colour: string, before: Range | null): Range | null {
+  let low = Number.POSITIVE_INFINITY;
+  let high = Number.NEGATIVE_INFINITY;
+  let unit = "";
+  for (const herd of herds) {
+    const found = numbersOf(herd, colour);
+    if (!found) continue;
+    unit = found.unit;
+    for (let row = 0; row < herd.count; row++) {
+      const value = found.values[row] as number;
+      if (value < low) low = value;
+      if (value > high) high = value;
+    }
+  }
+  if (low > high) return before;
+  if (low > 0 && low < 0.5 * high) low = 0;
+  const fits = before && before.unit === unit && low >= before.low && high <= before.high;
+  if (fits && high - low > 0.35 * (before.high - before.low)) return before;
+  const step = 10 ** Math.floor(Math.log10(Math.max(high - low, 1e-9))) / 2;
+  return { low: Math.floor(low / step) * step, high: Math.ceil(high / step) * step || step, unit };
+}

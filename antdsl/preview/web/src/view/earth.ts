@@ -1,0 +1,52 @@
+// The stuff that ground, stones and dug solids are made of: matt, with a grain that gives the eye a measure and fades where it
+// would only flicker.
+
+import * as THREE from "three";
+import type { Stage } from "./stage";
+
+const GRAIN = /* glsl */ `
+float grainHash(vec3 p) {
+  p = fract(p * vec3(0.1031, 0.1030, 0.0973));
+  p += dot(p, p.yxz + 33.33);
+  return fract((p.x + p.y) * p.z);
+}
+float grainNoise(vec3 p) {
+  vec3 i = floor(p), f = fract(p);
+  f = f * f * (3.0 - 2.0 * f);
+  vec4 low = vec4(grainHash(i), grainHash(i + vec3(1, 0, 0)), grainHash(i + vec3(0, 1, 0)), grainHash(i + vec3(1, 1, 0)));
+  i.z += 1.0;
+  vec4 high = vec4(grainHash(i), grainHash(i + vec3(1, 0, 0)), grainHash(i + vec3(0, 1, 0)), grainHash(i + vec3(1, 1, 0)));
+  vec4 z = mix(low, high, f.z);
+  vec2 y = mix(z.xy, z.zw, f.y);
+  return mix(y.x, y.y, f.x);
+}
+float grain(vec3 p, float size) {
+  vec3 q = p / size;
+  float seen = 1.0 - smoothstep(0.25, 0.7, max(length(dFdx(q)), length(dFdy(q))));
+  return seen > 0.0 ? seen * (grainNoise(q) - 0.5) : 0.0;
+}`;
+
+export type Stuff = "ground" | "obstacle" | "earth";
+
+/** A material of the palette; it follows dark and light. `grains`: mm that a grain is wide. */
+export function earth(stage: Stage, stuff: Stuff, grains: { value: number }): THREE.MeshLambertMaterial {
+  const material = new THREE.MeshLambertMaterial({ side: THREE.DoubleSide });
+  const dress = () => material.color.copy(stage.palette[stuff]);
+  dress();
+  stage.palette.onChange(dress);
+  material.onBeforeCompile = (shader) => {
+    shader.uniforms.grains = grains;
+    shader.vertexShader = shader.vertexShader
+      .replace("#include <common>", "#include <common>\nvarying vec3 vPlace;")
+      .replace("#include <begin_vertex>", "#include <begin_vertex>\nvPlace = (modelMatrix * vec4(position, 1.0)).xyz;");
+    shader.fragmentShader = shader.fragmentShader
+      .replace("#include <common>", `#include <common>\nvarying vec3 vPlace;\nuniform float grains;${GRAIN}`)
+      .replace(
+        "#include <color_fragment>",
+        `#include <color_fragment>
+        float rough = 0.16 * grain(vPlace, grains) + 0.14 * grain(vPlace, grains * 6.3) + 0.12 * grain(vPlace, grains * 37.0);
+        diffuseColor.rgb *= 1.0 + rough;`,
+      );
+  };
+  return material;
+}

@@ -1,0 +1,221 @@
+// The camera: around a point, after an agent, or on its back.
+
+import * as THREE from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import type { Scene } from "../protocol";
+import type { Agent, Store } from "../store";
+import type { Herds } from "./herds";
+import type { Stage } from "./stage";
+
+const EASE = 160; // ms in which a rider's look has come most of the way
+const FROM = new THREE.Vector3(0.2, 0.72, 0.8); // where one looks from at first, with y up
+const AROUND = 0.22; // of what one looks at is left free around it
+
+export class Eye {
+  private controls: OrbitControls;
+  private seen = ""; // of which scene one has looked at all of it
+  private at = 0;
+  private placed = false;
+  private fresh = false; // nothing of this scene was looked at yet
+  private readonly look = new THREE.Vector3();
+  private readonly seat = new THREE.Vector3();
+  private readonly here = new THREE.Vector3();
+  private readonly head = new THREE.Vector3();
+  private readonly above = new THREE.Vector3();
+
+  constructor(
+    private readonly store: Store,
+    private readonly stage: Stage,
+    private readonly herds: Herds,
+  ) {
+    this.controls = this.control();
+    store.on("scene", () => this.scene(store.now.scene as Scene));
+    store.on(["camera", "selected"], () => this.mode());
+    herds.onFrame(() => this.begin());
+    stage.add((now) => this.move(now));
+  }
+
+  /** The agent that the camera keeps to: the last one selected, else the first there is. */
+  get follows(): Agent | null {
+    const last = this.store.now.selected.at(-1);
+    if (last && (this.herds.byName.get(last.species)?.row(last.id) ?? -1) >= 0) return last;
+    for (const [species, herd] of this.herds.byName) if (herd.count) return { species, id: herd.ids[0] as number };
+    return null;
+  }
+
+  /** See all there is. */
+  all(): void {
+    this.fit(this.stage.low, this.stage.high);
+  }
+
+  /** At first: see the agents and the things they have to do with, which may be a small part of the ground. */
+  private begin(): void {
+    if (!this.fresh || this.herds.count === 0) return;
+    this.fresh = false;
+    const box = new THREE.Box3();
+    for (const [name, place] of this.herds.packet?.arrays ?? []) {
+      if (!name.endsWith("/position")) continue;
+      for (let k = 0; k < place.length; k += 3) box.expandByPoint(this.here.fromArray(place, k));
+    }
+    box.expandByScalar(box.getSize(this.here).length() * AROUND);
+    box.intersect(new THREE.Box3(this.stage.low, this.stage.high));
+    if (box.isEmpty()) this.all();
+    else this.fit(box.min, box.max);
+  }
+
+  /** See all between two corners, from where the way up is up. */
+  private fit(low: THREE.Vector3, high: THREE.Vector3): void {
+    const { stage } = this;
+    const { camera } = stage;
+    const centre = low.clone().add(high).multiplyScalar(0.5);
+    const turn = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(0, 1, 0), stage.up);
+    const from = FROM.clone().normalize().applyQuaternion(turn);
+    camera.position.copy(centre).add(from);
+    camera.lookAt(centre);
+    const back = camera.quaternion.clone().invert();
+    const tan = Math.tan((camera.fov * Math.PI) / 360);
+    const corner = new THREE.Vector3();
+    let far = stage.extent * 0.01;
+    for (let k = 0; k < 8; k++) {
+      corner.set(k & 1 ? high.x : low.x, k & 2 ? high.y : low.y, k & 4 ? high.z : low.z).sub(centre).applyQuaternion(back);
+      far = Math.max(far, Math.abs(corner.y) / tan + corner.z, Math.abs(corner.x) / (tan * camera.aspect) + corner.z);
+    }
+    this.controls.target.copy(centre);
+    camera.position.copy(centre).addScaledVector(from, far * 1.02);
+    if (this.store.now.camera !== "orbit") this.store.set("camera", "orbit");
+    this.controls.update();
+    stage.wake();
+  }
+
+  /** Go near the agent that is followed. */
+  near(): void {
+    const agent = this.follows;
+    if (!agent || !this.find(agent)) return;
+    const herd = this.herds.byName.get(agent.species);
+    const size = herd?.size(herd.row(agent.id)) ?? 1;
+    const way = this.stage.camera.position.clone().sub(this.controls.target).normalize();
+    this.controls.target.copy(this.here);
+    this.stage.camera.position.copy(this.here).addScaledVector(way, size * 22);
+    this.controls.update();
+    this.stage.wake();
+  }
+
+  /** Turn around the point looked at, by radians across and up; `closer` is a factor of the distance. */
+  turn(across: number, up: number, closer = 1): void {
+    const { camera } = this.stage;
+    const off = camera.position.clone().sub(this.controls.target);
+    off.applyAxisAngle(this.stage.up, across);
+    const side = new THREE.Vector3().crossVectors(this.stage.up, off).normalize();
+    const angle = off.angleTo(this.stage.up);
+    off.applyAxisAngle(side, Math.min(Math.max(angle + up, 0.05), Math.PI - 0.05) - angle);
+    const far = Math.min(Math.max(off.length() * closer, this.controls.minDistance), this.controls.maxDistance);
+    camera.position.copy(this.controls.target).addScaledVector(off.normalize(), far);
+    this.controls.update();
+    this.stage.wake();
+  }
+
+  /** Leave the camera alone, or no longer. */
+  rest(still: boolean): void {
+    this.controls.enabled = !still && this.store.now.camera !== "ride";
+  }
+
+  private control(): OrbitControls {
+    const made = new OrbitControls(this.stage.camera, this.stage.canvas);
+    made.enableDamping = true;
+    made.dampingFactor = 0.12;
+    made.zoomToCursor = true;
+    made.addEventListener("change", () => this.stage.wake());
+    return made;
+  }
+
+  private scene(scene: Scene): void {
+    const { stage } = this;
+    const low = new THREE.Vector3(...scene.low);
+    const high = new THREE.Vector3(...scene.high);
+    const same = low.equals(stage.low) && high.equals(stage.high) && this.seen === scene.name;
+    stage.frame(low, high, new THREE.Vector3(...scene.up));
+    this.controls.dispose();
+    const target = this.controls.target.clone();
+    this.controls = this.control(); // takes the way up as it is made
+    this.controls.target.copy(target);
+    this.controls.minDistance = stage.extent * 5e-4;
+    this.controls.maxDistance = stage.extent * 4;
+    if (!same) {
+      this.seen = scene.name;
+      this.fresh = true;
+      this.all();
+    }
+    this.mode();
+  }
+
+  private mode(): void {
+    this.controls.enabled = this.store.now.camera !== "ride";
+    this.placed = false;
+    this.stage.wake();
+  }
+
+  private find(agent: Agent): boolean {
+    const herd = this.herds.byName.get(agent.species);
+    const row = herd?.row(agent.id) ?? -1;
+    if (!herd || row < 0) return false;
+    herd.place(row, this.herds.t, this.here);
+    herd.turn("head", row, this.herds.t, this.head);
+    herd.turn("up", row, this.herds.t, this.above);
+    return true;
+  }
+
+  private move(now: number): boolean {
+    const part = 1 - Math.exp(-Math.min(now - this.at, 200) / EASE);
+    this.at = now;
+    const mode = this.store.now.camera;
+    const agent = mode === "orbit" ? null : this.follows;
+    let moving = false;
+    if (agent && this.find(agent)) {
+      if (mode === "follow") this.follow();
+      else moving = this.ride(agent, part);
+    }
+    if (this.controls.enabled) moving = this.controls.update() || moving;
+    this.clip();
+    return moving;
+  }
+
+  private follow(): void {
+    if (!this.placed) {
+      this.placed = true;
+      const far = this.stage.camera.position.distanceTo(this.controls.target);
+      if (far > this.stage.extent * 0.5) this.near();
+    }
+    this.stage.camera.position.add(this.here).sub(this.controls.target);
+    this.controls.target.copy(this.here);
+  }
+
+  private ride(agent: Agent, part: number): boolean {
+    const herd = this.herds.byName.get(agent.species);
+    const size = herd?.size(herd.row(agent.id)) ?? 1;
+    this.seat.copy(this.here).addScaledVector(this.above, size * 1.15).addScaledVector(this.head, size * -1.9);
+    this.here.addScaledVector(this.head, size * 2.2).addScaledVector(this.above, size * 0.1);
+    const { camera } = this.stage;
+    const eased = this.placed ? part : 1;
+    this.placed = true;
+    const left = this.seat.distanceTo(camera.position);
+    camera.position.lerp(this.seat, eased);
+    this.look.lerp(this.here, eased);
+    camera.up.lerp(this.above, eased).normalize();
+    camera.lookAt(this.look);
+    camera.up.copy(this.stage.up);
+    this.controls.target.copy(this.look);
+    return left > size * 0.01;
+  }
+
+  /** The nearest and farthest that is drawn, by where one stands. */
+  private clip(): void {
+    const { stage } = this;
+    const { camera } = stage;
+    const far = camera.position.distanceTo(this.controls.target);
+    const near = Math.max(far * 0.02, stage.extent * 1e-5);
+    if (Math.abs(camera.near / near - 1) < 0.1) return;
+    camera.near = near;
+    camera.far = camera.position.length() + stage.extent * 3;
+    camera.updateProjectionMatrix();
+  }
+}

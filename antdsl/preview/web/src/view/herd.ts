@@ -1,0 +1,155 @@
+// The agents of one species as they are shown: where each was and is, row by row, for what draws between the two.
+
+import type { NumberArray, Packet, Species } from "../protocol";
+
+/** What is drawn of an agent: one row in each array. Places in mm, turns as signed bytes, gait in cycles of the walk. */
+export class Rows {
+  placeA = new Float32Array(0);
+  placeB = new Float32Array(0);
+  headA = new Int8Array(0);
+  headB = new Int8Array(0);
+  upA = new Int8Array(0);
+  upB = new Int8Array(0);
+  gait = new Float32Array(0); // from, to, size
+  tone = new Uint8Array(0); // display colour and a fourth
+  version = 0; // changes when the arrays are other ones
+
+  get capacity(): number {
+    return this.tone.length / 4;
+  }
+
+  /** Room for so many; what was there is gone. */
+  reserve(count: number): void {
+    if (count <= this.capacity) return;
+    const room = Math.ceil(count * 1.3) + 8;
+    for (const name of ["placeA", "placeB", "gait"] as const) this[name] = new Float32Array(room * 3);
+    for (const name of ["headA", "headB", "upA", "upB"] as const) this[name] = new Int8Array(room * 4);
+    this.tone = new Uint8Array(room * 4);
+    this.version++;
+  }
+
+  /** Take a row of another herd's. */
+  copy(row: number, from: Rows, other: number): void {
+    for (let axis = 0; axis < 3; axis++) {
+      for (const name of ["placeA", "placeB", "gait"] as const) this[name][3 * row + axis] = from[name][3 * other + axis] as number;
+      for (const name of ["headA", "headB", "upA", "upB"] as const) this[name][4 * row + axis] = from[name][4 * other + axis] as number;
+    }
+  }
+}
+
+export class Herd {
+  readonly rows = new Rows();
+  ids: NumberArray = new Int32Array(0);
+  arrays: Packet["arrays"] = new Map();
+  count = 0;
+  stride = 1; // body lengths walked in a cycle
+  private readonly was = new Rows(); // the rows before, while they are matched
+
+  constructor(readonly species: Species) {}
+
+  column(name: string): NumberArray | undefined {
+    return this.arrays.get(`${this.species.name}/${name}`);
+  }
+
+  /** Take a frame. Rows go on from where they are shown, `t` of the way, unless time leaps. */
+  take(packet: Packet, t: number, leap: boolean): void {
+    const name = this.species.name;
+    const ids = packet.arrays.get(`${name}/id`) ?? new Int32Array(0);
+    const count = ids.length;
+    const old = this.ids;
+    const known = leap ? 0 : this.count;
+    const { rows, was } = this;
+    if (known > 0) {
+      was.reserve(known);
+      for (const key of ["placeA", "placeB", "gait"] as const) was[key].set(rows[key].subarray(0, 3 * known));
+      for (const key of ["headA", "headB", "upA", "upB"] as const) was[key].set(rows[key].subarray(0, 4 * known));
+    }
+    rows.reserve(count);
+    this.arrays = packet.arrays;
+    this.ids = ids;
+    this.count = count;
+    const place = this.column("position") as NumberArray;
+    const head = this.column("heading");
+    const up = this.column("up");
+    const size = this.column("size");
+    for (let row = 0, other = 0; row < count; row++) {
+      const id = ids[row] as number;
+      while (other < known && (old[other] as number) < id) other++;
+      const before = other < known && old[other] === id ? other : -1;
+      this.stand(row, before, t, place, head, up, size ? (size[row] as number) : 1);
+    }
+  }
+
+  private stand(row: number, before: number, t: number, place: NumberArray, head: NumberArray | undefined,
+                up: NumberArray | undefined, size: number): void {
+    const { rows, was } = this;
+    let far = 0;
+    let leapt = before < 0;
+    for (let axis = 0; axis < 3 && !leapt; axis++) {
+      const a = was.placeA[3 * before + axis] as number;
+      const b = was.placeB[3 * before + axis] as number;
+      far += ((place[3 * row + axis] as number) - b) ** 2;
+      rows.placeA[3 * row + axis] = a + (b - a) * t;
+    }
+    far = Math.sqrt(far);
+    leapt ||= far > 40 * size; // born anew or thrown: nobody walks so far in a frame
+    for (let axis = 0; axis < 3; axis++) {
+      const k = 4 * row + axis;
+      const o = 4 * before + axis;
+      const here = place[3 * row + axis] as number;
+      rows.placeB[3 * row + axis] = here;
+      rows.headB[k] = head ? (head[3 * row + axis] as number) : axis === 0 ? 127 : 0;
+      rows.upB[k] = up ? (up[3 * row + axis] as number) : axis === 1 ? 127 : 0;
+      if (leapt) rows.placeA[3 * row + axis] = here;
+      rows.headA[k] = leapt ? (rows.headB[k] as number) : mixed(was.headA[o] as number, was.headB[o] as number, t);
+      rows.upA[k] = leapt ? (rows.upB[k] as number) : mixed(was.upA[o] as number, was.upB[o] as number, t);
+    }
+    const from = before < 0 ? (row * 0.618) % 1 : (was.gait[3 * before + 1] as number) % 1; // not all in step
+    const back = before < 0 || leapt ? 0 : ((was.gait[3 * before + 1] as number) - (was.gait[3 * before] as number)) * (1 - t);
+    const cycles = leapt ? 0 : Math.min(far / (size * this.stride), 0.45); // faster than the eye: legs would seem to go back
+    rows.gait[3 * row] = from - back;
+    rows.gait[3 * row + 1] = from + cycles;
+    rows.gait[3 * row + 2] = size;
+  }
+
+  /** The row of an agent, or -1: rows stand by id. */
+  row(id: number): number {
+    let low = 0;
+    let high = this.count - 1;
+    while (low <= high) {
+      const middle = (low + high) >> 1;
+      const found = this.ids[middle] as number;
+      if (found === id) return middle;
+      if (found < id) low = middle + 1;
+      else high = middle - 1;
+    }
+    return -1;
+  }
+
+  /** Where a row is shown. */
+  place(row: number, t: number, into: { x: number; y: number; z: number }): void {
+    const { placeA, placeB } = this.rows;
+    const k = 3 * row;
+    into.x = mixed(placeA[k] as number, placeB[k] as number, t);
+    into.y = mixed(placeA[k + 1] as number, placeB[k + 1] as number, t);
+    into.z = mixed(placeA[k + 2] as number, placeB[k + 2] as number, t);
+  }
+
+  /** A row's heading or up, about of length 1. */
+  turn(which: "head" | "up", row: number, t: number, into: { x: number; y: number; z: number }): void {
+    const a = which === "head" ? this.rows.headA : this.rows.upA;
+    const b = which === "head" ? this.rows.headB : this.rows.upB;
+    const k = 4 * row;
+    into.x = mixed(a[k] as number, b[k] as number, t) / 127;
+    into.y = mixed(a[k + 1] as number, b[k + 1] as number, t) / 127;
+    into.z = mixed(a[k + 2] as number, b[k + 2] as number, t) / 127;
+  }
+
+  size(row: number): number {
+    return this.rows.gait[3 * row + 2] as number;
+  }
+}
+
+function mixed(a: number, b: number, t: number): number {
+  return a + (b - a) * t;
+}

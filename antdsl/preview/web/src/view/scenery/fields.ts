@@ -1,0 +1,102 @@
+// `fieldmesh:NAME` and `field:NAME`: what is laid on the ground, as colour over it, the stronger the more there is.
+
+import * as THREE from "three";
+import type { Scenery, Sight } from "../sight";
+
+const VERTEX = /* glsl */ `
+attribute float value;
+varying float vValue;
+void main() {
+  vValue = value;
+  gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+  gl_Position.z -= 6e-5 * gl_Position.w;
+}`;
+
+// One hue to the middle, then lighter: faint traces are seen, and strong ones still differ.
+const FRAGMENT = /* glsl */ `
+uniform vec3 colour;
+uniform vec3 strong;
+varying float vValue;
+void main() {
+  float v = clamp(vValue, 0.0, 1.0);
+  if (v < 0.003) discard;
+  float seen = pow(v, 0.55);
+  gl_FragColor = vec4(mix(colour, strong, smoothstep(0.45, 1.0, seen)), 0.82 * seen);
+  #include <colorspace_fragment>
+}`;
+
+export function fields(sight: Sight): Scenery {
+  const { stage, store } = sight;
+  const shown = new Map<string, THREE.Mesh<THREE.BufferGeometry, THREE.ShaderMaterial>>();
+
+  function refresh(): void {
+    for (const [name, mesh] of shown) mesh.visible = store.now.fields.includes(name);
+    stage.wake();
+  }
+
+  function dress(): void {
+    for (const [name, mesh] of shown) {
+      const colour = store.now.scene?.fields.find((each) => each.name === name)?.colour ?? [0.9, 0.6, 0.2];
+      mesh.material.uniforms.colour!.value.setRGB(...colour, THREE.SRGBColorSpace);
+      const strong = mesh.material.uniforms.strong!.value.setRGB(...colour, THREE.SRGBColorSpace);
+      strong.lerp(stage.palette.ink, 0.55);
+    }
+    stage.wake();
+  }
+
+  stage.palette.onChange(dress);
+  store.on("fields", refresh);
+  store.on("scene", () => {
+    const names = new Set(store.now.scene?.fields.map((field) => field.name));
+    for (const [name, mesh] of shown) {
+      if (names.has(name)) continue;
+      stage.scene.remove(mesh);
+      mesh.geometry.dispose();
+      mesh.material.dispose();
+      shown.delete(name);
+    }
+    dress();
+    refresh();
+  });
+
+  function spread(name: string, position: Float32Array, face: Uint32Array): void {
+    let mesh = shown.get(name);
+    if (!mesh) {
+      const material = new THREE.ShaderMaterial({
+        vertexShader: VERTEX,
+        fragmentShader: FRAGMENT,
+        uniforms: { colour: { value: new THREE.Color() }, strong: { value: new THREE.Color() } },
+        transparent: true,
+        depthWrite: false,
+        side: THREE.DoubleSide,
+      });
+      mesh = new THREE.Mesh(new THREE.BufferGeometry(), material);
+      mesh.renderOrder = 1;
+      stage.scene.add(mesh);
+      shown.set(name, mesh);
+    }
+    mesh.geometry.dispose();
+    mesh.geometry = new THREE.BufferGeometry();
+    mesh.geometry.setAttribute("position", new THREE.BufferAttribute(position, 3));
+    mesh.geometry.setIndex(new THREE.BufferAttribute(face, 1));
+    const value = new THREE.BufferAttribute(new Uint8Array(position.length / 3), 1, true);
+    mesh.geometry.setAttribute("value", value.setUsage(THREE.DynamicDrawUsage));
+    dress();
+    refresh();
+  }
+
+  return {
+    slots: ["fieldmesh", "field"],
+    take(packet) {
+      const name = packet.slot.slice(packet.slot.indexOf(":") + 1);
+      const position = packet.arrays.get("position");
+      if (position) spread(name, position as Float32Array, Uint32Array.from(packet.arrays.get("face") ?? []));
+      const values = packet.arrays.get("value");
+      const attribute = shown.get(name)?.geometry.getAttribute("value") as THREE.BufferAttribute | undefined;
+      if (!values || !attribute || attribute.array.length !== values.length) return;
+      (attribute.array as Uint8Array).set(values);
+      attribute.needsUpdate = true;
+      stage.wake();
+    },
+  };
+}

@@ -1,0 +1,108 @@
+// `item:KIND:NAME`: things such as food and nests, with a label of what they hold. They shrink as they are eaten.
+
+import * as THREE from "three";
+import type { Packet } from "../../protocol";
+import { Labels } from "../labels";
+import type { Scenery, Sight } from "../sight";
+
+interface Item {
+  group: string; // its arrays are item/GROUP/… in frames
+  index: number;
+  name: string;
+  object: THREE.Object3D;
+}
+
+const UP = new THREE.Vector3(0, 1, 0);
+const LEAST = 0.25; // of its width: something that is nearly eaten is still seen
+
+export function items(sight: Sight): Scenery {
+  const { stage, herds, store } = sight;
+  const labels = new Labels(stage);
+  const shown = new Map<string, Item>();
+  const most = new Map<string, number>(); // of each amount that was ever seen
+
+  function away(slot: string): void {
+    const old = shown.get(slot);
+    if (!old) return;
+    stage.scene.remove(old.object);
+    if (old.object instanceof THREE.Mesh) {
+      old.object.geometry.dispose();
+      (old.object.material as THREE.Material).dispose();
+    }
+    labels.drop(slot);
+    shown.delete(slot);
+  }
+
+  function place(): void {
+    for (const [slot, item] of shown) set(slot, item);
+    if (shown.size) stage.relight();
+  }
+
+  function set(slot: string, item: Item): void {
+    const arrays = herds.packet?.arrays;
+    const position = arrays?.get(`item/${item.group}/position`);
+    if (!arrays || !position || position.length <= 3 * item.index) return;
+    const size = (arrays.get(`item/${item.group}/size`)?.[item.index] as number | undefined) ?? stage.extent / 100;
+    const k = 3 * item.index;
+    item.object.position.set(position[k] as number, position[k + 1] as number, position[k + 2] as number);
+    item.object.quaternion.setFromUnitVectors(UP, stage.up);
+    const [part, words] = amount(item);
+    item.object.scale.setScalar(size * (LEAST + (1 - LEAST) * Math.cbrt(part)));
+    labels.set(slot, item.name, words, item.object.position, stage.up, size * 1.6);
+  }
+
+  /** How much is left, as a part of the most there was, and in words. */
+  function amount(item: Item): [number, string] {
+    const about = store.now.scene?.items.find((each) => each.name === item.group)?.amounts ?? [];
+    let part = 1;
+    const words: string[] = [];
+    about.forEach((each, number) => {
+      const value = herds.packet?.arrays.get(`item/${item.group}/amount/${each.name}`)?.[item.index] as number | undefined;
+      if (value === undefined) return;
+      const key = `${item.group}/${item.index}/${each.name}`;
+      const top = Math.max(most.get(key) ?? 0, value);
+      most.set(key, top);
+      if (number === 0 && store.now.scene?.items.find((g) => g.name === item.group)?.kind !== "nest" && top > 0) part = value / top;
+      words.push(`${Number(value.toPrecision(4)).toLocaleString("en")} ${each.name}`);
+    });
+    return [part, words.join(" · ")];
+  }
+
+  herds.onFrame(place);
+  store.on("scene", () => {
+    const there = new Set(store.now.scene?.items.flatMap((group) => group.names.map((name) => `item:${group.name}:${name}`)));
+    for (const slot of [...shown.keys()]) if (!there.has(slot)) away(slot);
+    most.clear();
+  });
+
+  return {
+    slots: ["item"],
+    take(packet) {
+      away(packet.slot);
+      const item = made(packet);
+      stage.scene.add(item.object);
+      shown.set(packet.slot, item);
+      set(packet.slot, item);
+      stage.relight();
+    },
+  };
+}
+
+function made(packet: Packet): Item {
+  const [, kind = "", name = ""] = packet.slot.split(":");
+  const face = packet.arrays.get("face");
+  const group = String(packet.header.items ?? kind);
+  const index = Number(packet.header.index ?? 0);
+  if (!face?.length) return { group, index, name, object: new THREE.Object3D() }; // a place, not a thing
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(packet.arrays.get("position") as Float32Array, 3));
+  const display = packet.arrays.get("colour") as Float32Array;
+  const linear = Float32Array.from(display, (part) => (part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4));
+  geometry.setAttribute("color", new THREE.BufferAttribute(linear, 3));
+  geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from(face), 1));
+  geometry.computeVertexNormals();
+  const mesh = new THREE.Mesh(geometry, new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.55, side: THREE.DoubleSide }));
+  mesh.castShadow = mesh.receiveShadow = true;
+  mesh.userData.hides = true;
+  return { group, index, name, object: mesh };
+}

@@ -1,0 +1,25 @@
+// What the parts of the view share, and the two kinds of parts: such as draw packets of some slots, and such as act by themselves.
+
+import type { Packet } from "../protocol";
+import type { Store } from "../store";
+import type { Bodies } from "./bodies";
+import type { Eye } from "./eye";
+import type { Herds } from "./herds";
+import type { Stage } from "./stage";
+
+export interface Sight {
+  store: Store;
+  stage: Stage;
+  herds: Herds;
+  bodies: Bodies;
+  eye: Eye;
+}
+
+/** Draws what packets of a slot hold; `slot` is the part of the slot's name before the first colon. */
+export interface Scenery {
+  slots: string[];
+  take(packet: Packet): void;
+}
+
+export type MakeScenery = (sight: Sight) => Scenery;
+export type Act = (sight: Sight) => void;

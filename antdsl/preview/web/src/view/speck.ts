@@ -1,0 +1,30 @@
+// A body for crowds that a slow machine draws: eight faces, pointed in front, as long and wide as the body it stands for.
+
+import type { Shape } from "./bodies";
+
+const CORNERS = [
+  [1, 0, 0], [-1, 0.15, 0], [-0.35, 0, 1], [-0.35, 0, -1], [-0.3, 1, 0], [-0.3, -0.4, 0],
+] as const;
+const FACES = [0, 4, 2, 0, 3, 4, 1, 2, 4, 1, 4, 3, 0, 2, 5, 0, 5, 3, 1, 5, 2, 1, 3, 5];
+
+export function speck(of: Shape): Shape {
+  const low = [Infinity, Infinity, Infinity];
+  const high = [-Infinity, -Infinity, -Infinity];
+  for (let k = 0; k < of.normal.length; k++) {
+    const axis = k % 3;
+    if ((of.tint[Math.floor(k / 3)] as number) < 0.4) continue; // legs and the like make it no wider
+    low[axis] = Math.min(low[axis] as number, of.poses[k] as number);
+    high[axis] = Math.max(high[axis] as number, of.poses[k] as number);
+  }
+  const poses = new Float32Array(CORNERS.length * 3);
+  const normal = new Float32Array(CORNERS.length * 3);
+  CORNERS.forEach((corner, row) => {
+    corner.forEach((part, axis) => {
+      const middle = ((low[axis] as number) + (high[axis] as number)) / 2;
+      const half = ((high[axis] as number) - (low[axis] as number)) / 2;
+      poses[3 * row + axis] = middle + part * half * (axis === 2 ? 1.25 : 1);
+      normal[3 * row + axis] = part / Math.hypot(...corner);
+    });
+  });
+  return { poses, count: 1, normal, face: Uint32Array.from(FACES), tint: new Float32Array(CORNERS.length).fill(1) };
+}

@@ -1,0 +1,159 @@
+// The stage: canvas, camera, light and the loop. It draws only when something has changed, or while something moves.
+
+import * as THREE from "three";
+import { Palette } from "./palette";
+
+/** Called before each picture; true means that it goes on moving and another picture is wanted. */
+export type Task = (now: number) => boolean;
+
+const SLOW = 90; // ms between pictures from which on bodies are drawn with less detail
+const SUN = new THREE.Vector3(0.45, 0.8, 0.4);
+
+export class Stage {
+  readonly scene = new THREE.Scene();
+  readonly camera = new THREE.PerspectiveCamera(38, 1, 0.1, 1000);
+  readonly renderer: THREE.WebGLRenderer;
+  readonly palette: Palette;
+  readonly software: boolean;
+  readonly up = new THREE.Vector3(0, 1, 0);
+  readonly sun = new THREE.Vector3();
+  readonly low = new THREE.Vector3(-1, -1, -1);
+  readonly high = new THREE.Vector3(1, 1, 1);
+  width = 1;
+  height = 1;
+  pictures = 0;
+  slow = false; // pictures take long: draw less
+  private readonly sky = new THREE.HemisphereLight();
+  private readonly light = new THREE.DirectionalLight();
+  private readonly tasks: Task[] = [];
+  private readonly resized: (() => void)[] = [];
+  private asked = false;
+  private before = 0;
+  private pace = 16;
+
+  constructor(readonly place: HTMLElement) {
+    const canvas = document.createElement("canvas");
+    canvas.tabIndex = 0;
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
+    this.software = isSoftware(this.renderer);
+    this.renderer.setPixelRatio(this.software ? 1 : Math.min(devicePixelRatio, 2));
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.type = THREE.PCFShadowMap;
+    this.light.castShadow = true;
+    this.light.shadow.mapSize.set(2048, 2048);
+    this.light.shadow.autoUpdate = false; // nothing that throws a real shadow moves in most scenes
+    this.scene.add(this.sky, this.light, this.light.target);
+    place.append(canvas);
+    this.palette = new Palette(place);
+    this.palette.onChange(() => this.dress());
+    new ResizeObserver(() => this.resize()).observe(place);
+    document.addEventListener("visibilitychange", () => this.wake());
+    this.resize();
+    this.dress();
+  }
+
+  get canvas(): HTMLCanvasElement {
+    return this.renderer.domElement;
+  }
+
+  /** Length of the diagonal of everything. */
+  get extent(): number {
+    return Math.max(this.low.distanceTo(this.high), 1e-6);
+  }
+
+  /** CSS pixels that 1 mm is wide at a distance of 1 mm. */
+  get focal(): number {
+    return this.height / (2 * Math.tan((this.camera.fov * Math.PI) / 360));
+  }
+
+  add(task: Task): void {
+    this.tasks.push(task);
+  }
+
+  onResize(listener: () => void): void {
+    this.resized.push(listener);
+  }
+
+  /** Draw again, soon. */
+  wake(): void {
+    if (this.asked || document.hidden) return;
+    this.asked = true;
+    requestAnimationFrame((now) => this.draw(now));
+  }
+
+  /** Light everything between two corners. */
+  frame(low: THREE.Vector3Like, high: THREE.Vector3Like, up: THREE.Vector3Like): void {
+    this.low.copy(low);
+    this.high.copy(high);
+    this.up.copy(up).normalize();
+    this.camera.up.copy(this.up);
+    const turn = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(0, 1, 0), this.up);
+    this.sun.copy(SUN).normalize().applyQuaternion(turn);
+    const radius = this.extent / 2;
+    const centre = this.low.clone().add(this.high).multiplyScalar(0.5);
+    this.sky.position.copy(this.up);
+    this.light.target.position.copy(centre);
+    this.light.position.copy(centre).addScaledVector(this.sun, 2 * radius);
+    const eye = this.light.shadow.camera;
+    eye.left = eye.bottom = -radius;
+    eye.right = eye.top = radius;
+    eye.near = 0.5 * radius;
+    eye.far = 3.5 * radius;
+    eye.up.copy(Math.abs(this.up.z) > 0.9 ? new THREE.Vector3(1, 0, 0) : new THREE.Vector3(0, 0, 1));
+    eye.updateProjectionMatrix();
+    this.light.shadow.normalBias = radius / 400;
+    this.light.shadow.radius = 3;
+    this.relight();
+  }
+
+  /** Shadows are cast anew: something that throws one has come, gone or moved. */
+  relight(): void {
+    this.light.shadow.needsUpdate = true;
+    this.wake();
+  }
+
+  private draw(now: number): void {
+    this.asked = false;
+    const gap = now - this.before;
+    this.before = now;
+    if (gap < 1000) {
+      this.pace += (Math.max(gap, 1) - this.pace) * 0.15;
+      if (this.pace > SLOW) this.slow = true;
+    }
+    let moving = false;
+    for (const task of this.tasks) moving = task(now) || moving;
+    this.renderer.render(this.scene, this.camera);
+    this.pictures++;
+    if (moving) this.wake();
+    else this.before = Number.NEGATIVE_INFINITY; // a rest is no slow picture
+  }
+
+  private resize(): void {
+    this.width = Math.max(this.place.clientWidth, 1);
+    this.height = Math.max(this.place.clientHeight, 1);
+    this.renderer.setSize(this.width, this.height, false);
+    this.camera.aspect = this.width / this.height;
+    this.camera.updateProjectionMatrix();
+    for (const listener of this.resized) listener();
+    this.wake();
+  }
+
+  private dress(): void {
+    const { palette } = this;
+    this.scene.background = palette.backdrop;
+    this.sky.color.copy(palette.sky);
+    this.sky.groundColor.copy(palette.shade);
+    this.sky.intensity = palette.dark ? 2.3 : 2.5;
+    this.light.color.copy(palette.sunlight);
+    this.light.intensity = palette.dark ? 2.6 : 2.4;
+    this.light.shadow.intensity = palette.dark ? 0.75 : 0.55;
+    this.wake();
+  }
+}
+
+function isSoftware(renderer: THREE.WebGLRenderer): boolean {
+  const gl = renderer.getContext();
+  const info = gl.getExtension("WEBGL_debug_renderer_info");
+  const name = String(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
+}
