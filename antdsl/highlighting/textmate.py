@@ -11,8 +11,12 @@ from antdsl import resources
 from antdsl.highlighting.patterns import CLASSES, PATTERNS, Pattern
 
 SCOPE = "source.antdsl"
-# The second is the copy that is packed with the extension for VS Code.
-FILES = ("antdsl.tmLanguage.json", "vscode/syntaxes/antdsl.tmLanguage.json")
+# The second is the copy that is packed with the extension for VS Code, the third the one that the preview's page is built with.
+FILES = (
+    "antdsl.tmLanguage.json",
+    "vscode/syntaxes/antdsl.tmLanguage.json",
+    "../antdsl/preview/web/src/panels/text/antdsl.tmLanguage.json",
+)
 
 
 def scope(name: str) -> str:

@@ -1,5 +1,131 @@
+// The bar above: the scene, play and pace, where in time it is, what came of the last edit, and how the run stands.
+
 import type { Store } from "../store";
+import { button, el, say, shown } from "./dom";
+import { listenToKeys, move, toggle } from "./playing";
+import { nextTheme, startTheme, themeWords } from "./theme";
+
+const SPEEDS: [number, string][] = [
+  [0.1, "0.1 ×"],
+  [0.25, "¼ ×"],
+  [0.5, "½ ×"],
+  [1, "1 ×"],
+  [2, "2 ×"],
+  [4, "4 ×"],
+  [0, "as fast as it goes"],
+];
 
 export function bar(store: Store, place: HTMLElement): void {
-  store.on("scene", () => (place.textContent = store.now.scene?.name ?? ""));
+  startTheme();
+  listenToKeys(store);
+  place.append(title(store), controls(store), clock(store), outcome(store), marks(store), themeButton());
+}
+
+function title(store: Store): HTMLElement {
+  const name = el("h1", { class: "scene", test: "scene" });
+  store.on("scene", () => {
+    say(name, store.now.scene?.name ?? "");
+    document.title = `${store.now.scene?.name ?? "antdsl"} · antdsl preview`;
+  });
+  return name;
+}
+
+function controls(store: Store): HTMLElement {
+  const play = button("", () => toggle(store), { id: "play", test: "play", class: "play" });
+  const back = button("◂", () => move(store, -1), { test: "back", "aria-label": "one frame back", title: "one frame back (,)" });
+  const on = button("▸", () => move(store, 1), { test: "step", "aria-label": "one frame on", title: "one frame on (.)" });
+  const speed = el("select", { test: "speed", "aria-label": "pace", title: "pace: 1 × is the scene's own clock" });
+  for (const [times, words] of SPEEDS) speed.append(el("option", { value: times, text: words }));
+  speed.addEventListener("change", () => store.connection.ask({ op: "speed", times: Number(speed.value) }));
+  const show = () => {
+    const playing = store.now.status?.playing ?? false;
+    say(play, playing ? "❚❚ pause" : "▶ play");
+    play.title = playing ? "pause (space)" : "play (space)";
+    const times = String(store.now.status?.speed ?? 1);
+    if (document.activeElement !== speed && speed.value !== times) {
+      if (![...speed.options].some((option) => option.value === times)) speed.append(el("option", { value: times, text: `${times} ×` }));
+      speed.value = times;
+    }
+  };
+  store.on("status", show);
+  show();
+  return el("div", { class: "controls", role: "group", "aria-label": "Play" }, back, play, on, speed);
+}
+
+function clock(store: Store): HTMLElement {
+  const frame = el("span", { class: "frame", test: "frame" });
+  const seconds = el("span", { class: "quiet", test: "seconds" });
+  const rate = el("span", { class: "quiet", test: "rate", title: "frames simulated in a second, and how many agents there are" });
+  store.on(["status", "scene"], () => {
+    const status = store.now.status;
+    if (!status) return;
+    say(frame, `frame ${status.frame}`);
+    const fps = store.now.scene?.fps ?? 0;
+    say(seconds, fps ? `${(status.frame / fps).toFixed(2)} s` : "");
+    const agents = `${status.agents} agent${status.agents === 1 ? "" : "s"}`;
+    say(rate, status.playing ? `${shown(Math.round(status.rate))} frames/s · ${agents}` : agents);
+  });
+  return el("div", { class: "clock" }, frame, seconds, rate);
+}
+
+/** What came of the last edit: told aloud to those who do not see it. */
+function outcome(store: Store): HTMLElement {
+  const line = el("div", { class: "outcome", test: "outcome", role: "status", "aria-live": "polite" });
+  const tell = (words: string, kind: string) => {
+    line.className = `outcome ${kind}`;
+    line.title = words;
+    say(line, words);
+  };
+  store.connection.on("outcome", (message) => {
+    const first = message.problems[0];
+    const of = message.of === "saved" ? "saved: " : "";
+    if (message.ok) tell(`${of}${message.line}`, "good");
+    else tell(`${of}${message.line || first?.message || "that does not go"}${message.of === "saved" ? " — the last good program runs on" : ""}`, "bad");
+  });
+  store.connection.on("refused", (message) => tell([message.message, message.help].filter(Boolean).join(" — "), "bad"));
+  return line;
+}
+
+function marks(store: Store): HTMLElement {
+  const paused = el("span", { class: "chip warn", test: "paused-by", hidden: true, role: "status" });
+  const fault = el("span", { class: "chip bad", test: "fault", hidden: true, role: "alert" });
+  const again = button("simulate again", () => store.connection.ask({ op: "restart" }), {
+    test: "restart",
+    title: "simulate the files as they are from the first frame: a run that nobody edited on the way",
+  });
+  const edited = el("span", { class: "chip warn edited", test: "edited", hidden: true }, "edited on the way ", again);
+  edited.title = "edited on the way: not what a fresh run gives";
+  const hash = button("", () => void navigator.clipboard?.writeText(store.now.status?.hash ?? ""), { test: "hash", class: "chip mono", hidden: true });
+  const count = button("", () => store.now.problems?.problems[0] && goToFirst(store), { test: "errors", class: "chip bad", hidden: true });
+  store.on("status", () => {
+    const status = store.now.status;
+    edited.hidden = !status?.edited;
+    for (const [chip, words] of [[fault, status?.fault], [paused, status?.paused_by]] as const) {
+      chip.hidden = !words;
+      say(chip, words ?? "");
+      chip.title = words ?? "";
+    }
+    hash.hidden = !status?.hash;
+    say(hash, `# ${status?.hash?.slice(0, 8) ?? ""}`);
+    hash.title = `hash of the whole state at frame ${status?.frame}: ${status?.hash} — press to copy`;
+  });
+  store.on("problems", () => {
+    const errors = store.now.problems?.problems.filter((each) => each.severity === "error").length ?? 0;
+    count.hidden = errors === 0;
+    say(count, errors === 1 ? "1 error" : `${errors} errors`);
+  });
+  return el("div", { class: "marks" }, paused, fault, count, edited, hash);
+}
+
+function goToFirst(store: Store): void {
+  const first = store.now.problems?.problems.find((each) => each.severity === "error" && each.file !== null);
+  if (first?.file) store.set("goto", { file: first.file, line: first.line });
+}
+
+function themeButton(): HTMLElement {
+  const made = button("◐", () => {
+    nextTheme();
+    made.title = `colours: ${themeWords()}`;
+  }, { test: "theme", "aria-label": "dark or light", title: `colours: ${themeWords()}` });
+  return made;
 }

@@ -1,5 +1,52 @@
+// The panels at the side, one at a time. A new one is a file and a line of PANELS.
+
 import type { Store } from "../store";
+import { el } from "./dom";
+import { breaks } from "./side/breaks";
+import { look } from "./side/look";
+import { machine } from "./side/machine";
+import { profile } from "./side/profile";
+import { sliders } from "./side/sliders";
+import { why } from "./side/why";
+import { Tabs } from "./tabs";
+
+/** What a panel is shown with: `shown` says whether it is the one in front; `heard` is called as that changes. */
+export interface Shown {
+  shown: () => boolean;
+  heard: (listener: () => void) => void;
+  mark: (words: string) => void;
+}
+export type Panel = (store: Store, place: HTMLElement, shown: Shown) => void;
+
+const PANELS: [id: string, label: string, title: string, panel: Panel][] = [
+  ["why", "Why", "why the selected ant did what it did", why],
+  ["sliders", "Sliders", "numbers of the program, layers and fields", sliders],
+  ["view", "View", "what is shown of the ants, and how", look],
+  ["machine", "States", "the states, and who goes from one to the other", machine],
+  ["profile", "Cost", "where the time goes", profile],
+  ["breaks", "Stops", "what to stop at", breaks],
+];
 
 export function side(store: Store, place: HTMLElement): void {
-  store.on("scene", () => (place.textContent = store.now.scene?.name ?? ""));
+  const places = new Map<string, HTMLElement>();
+  const listeners: (() => void)[] = [];
+  const tabs = new Tabs("Panels", "side", (id) => `side-${id}`, (id) => {
+    for (const [name, panel] of places) panel.hidden = name !== id;
+    for (const listener of listeners) listener();
+  });
+  place.append(tabs.list);
+  tabs.renew(PANELS.map(([id, label, title]) => ({ id, label, title })));
+  for (const [id, , , panel] of PANELS) {
+    const own = el("div", { class: "panel", role: "tabpanel", id: `side-${id}`, "aria-labelledby": `side-tab-${id}`, tabindex: 0, test: `panel-${id}` });
+    places.set(id, own);
+    place.append(own);
+    own.hidden = id !== tabs.now;
+    panel(store, own, { shown: () => tabs.now === id, heard: (listener) => listeners.push(listener), mark: (words) => tabs.mark(id, words) });
+  }
+  let before = 0;
+  store.on("selected", () => {
+    // the first ant that one clicks on opens the panel that is about it; afterwards one stays where one is
+    if (before === 0 && store.now.selected.length === 1) tabs.choose("why");
+    before = store.now.selected.length;
+  });
 }

@@ -1,0 +1,131 @@
+// What the view shows: colours, fields, flows, marks about the selected ant, the camera. Asks the server for what that needs.
+
+import type { Ask } from "../../protocol";
+import type { Shared, Store } from "../../store";
+import { button, el, keyed, type Row, say } from "../dom";
+import type { Panel } from "../side";
+
+type Toggle = "trails" | "feelers" | "neighbours" | "curvesShown";
+const TOGGLES: [Toggle, string][] = [
+  ["trails", "trails"],
+  ["feelers", "feelers of the selected ant, and what they hit"],
+  ["neighbours", "neighbours that it looked at"],
+  ["curvesShown", "curves of the scene"],
+];
+const CAMERAS: [Shared["camera"], string, string][] = [
+  ["orbit", "free", "turn about with the pointer"],
+  ["follow", "follow", "stay with the selected ant"],
+  ["ride", "ride", "sit on the selected ant"],
+];
+
+export const look: Panel = (store, place) => {
+  place.append(colouring(store), camera(store), toggles(store), shownNames(store, "fields", "Fields on the ground"), shownNames(store, "flows", "Flows as arrows"));
+  askOnChange(store);
+};
+
+function colouring(store: Store): HTMLElement {
+  const select = el("select", { test: "colour", id: "colour" });
+  select.addEventListener("change", () => store.set("colour", select.value));
+  let options = "";
+  store.on(["scene", "colour"], () => {
+    const all = colours(store);
+    const now = all.map(([value, words]) => `${value}\u0000${words}`).join("\n");
+    if (now !== options) select.replaceChildren(...all.map(([value, words]) => el("option", { value, text: words })));
+    options = now;
+    select.value = store.now.colour;
+  });
+  return el("section", { class: "row" }, el("label", { for: "colour", text: "Colour by" }), select);
+}
+
+/** State, each machine where there are several, speed, and all attributes of all species, each name once. */
+function colours(store: Store): [string, string][] {
+  const species = store.now.scene?.species ?? [];
+  const machines = new Set(species.filter((each) => each.machines.length > 1).flatMap((each) => each.machines.map((machine) => machine.name)));
+  const attributes = new Map(species.flatMap((each) => each.attributes.map((attribute) => [attribute.name, attribute.unit] as const)));
+  attributes.delete("speed");
+  return [
+    ["state", "state"],
+    ...[...machines].map((name): [string, string] => [`state/${name}`, `state of ${name}`]),
+    ["speed", "speed (mm/s)"],
+    ...[...attributes].map(([name, unit]): [string, string] => [name, unit ? `${name} (${unit})` : name]),
+  ];
+}
+
+function camera(store: Store): HTMLElement {
+  const buttons = CAMERAS.map(([name, words, title]) => [name, button(words, () => store.set("camera", name), { title, test: `camera-${name}` })] as const);
+  const show = () => {
+    for (const [name, each] of buttons) {
+      each.setAttribute("aria-pressed", String(store.now.camera === name));
+      each.disabled = name !== "orbit" && store.now.selected.length === 0;
+    }
+  };
+  store.on(["camera", "selected"], show);
+  show();
+  return el("section", { class: "row" }, el("span", { text: "Camera" }), el("span", { class: "segments", role: "group", "aria-label": "Camera" }, ...buttons.map(([, each]) => each)));
+}
+
+function toggles(store: Store): HTMLElement {
+  const section = el("section", {}, el("h3", { text: "Shown" }));
+  for (const [key, words] of TOGGLES) {
+    const box = el("input", { type: "checkbox", test: `show-${key}` });
+    box.addEventListener("change", () => store.set(key, box.checked));
+    store.on(key, () => (box.checked = store.now[key]));
+    box.checked = store.now[key];
+    section.append(el("label", { class: "tick" }, box, words));
+  }
+  return section;
+}
+
+function shownNames(store: Store, key: "fields" | "flows", title: string): HTMLElement {
+  const list = el("div", { test: `view-${key}` });
+  const section = el("section", { hidden: true }, el("h3", { text: title }), list);
+  const rows = keyed<string>(list, (name) => name, () => nameRow(store, key));
+  store.on(["scene", key], () => {
+    const names = store.now.scene?.[key].map((each) => (typeof each === "string" ? each : each.name)) ?? [];
+    section.hidden = names.length === 0;
+    rows(names);
+  });
+  return section;
+}
+
+function nameRow(store: Store, key: "fields" | "flows"): Row<string> {
+  let now = "";
+  const box = el("input", { type: "checkbox" });
+  const words = el("span");
+  box.addEventListener("change", () => {
+    const others = store.now[key].filter((name) => name !== now);
+    store.set(key, box.checked ? [...others, now] : others);
+  });
+  return {
+    element: el("label", { class: "tick" }, box, words),
+    update: (name) => {
+      now = name;
+      box.dataset.test = `view-${key}-${name}`;
+      box.checked = store.now[key].includes(name);
+      say(words, name);
+    },
+  };
+}
+
+/** Tell the server what this page shows, all of it, whenever that is another thing; a server that comes back is told again. */
+function askOnChange(store: Store): void {
+  let last = "";
+  const ask = () => {
+    const { scene, colour, fields, flows, feelers, selected } = store.now;
+    const holders = scene?.species.filter((each) => each.attributes.some((attribute) => attribute.name === colour)) ?? [];
+    const one = selected[selected.length - 1];
+    const message: Ask = {
+      op: "look",
+      columns: colour === "state" || colour === "speed" || colour.startsWith("state/") ? [] : holders.map((each) => ({ species: each.name, name: colour })),
+      fields: fields.filter((name) => scene?.fields.some((field) => field.name === name)),
+      flows: flows.filter((name) => scene?.flows.includes(name)),
+      solids: true,
+      follow: feelers && one ? { species: one.species, agent: one.id } : null,
+    };
+    const now = JSON.stringify(message);
+    if (now === last || !scene) return;
+    last = now;
+    store.connection.ask(message, true);
+  };
+  store.on(["scene", "colour", "fields", "flows", "feelers", "selected"], ask);
+}

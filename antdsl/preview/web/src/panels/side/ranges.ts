@@ -1,0 +1,28 @@
+// From where to where a slider goes, and in what steps.
+
+import type { Param } from "../../protocol";
+
+/** The range of a param. Where the text gives none, or one end only, one that fits its value is offered, and said. */
+export function range(param: Param): { low: number; high: number; offered: string } {
+  const base = written(param);
+  const size = Math.max(Math.abs(base), Math.abs(param.number)) || 1;
+  const low = param.low ?? Math.min(0, -2 * size * Number(base < 0));
+  const high = param.high ?? Math.max(low, 0) + 2 * size;
+  if (param.low !== null && param.high !== null) return { low, high, offered: "" };
+  return { low, high, offered: `(The text gives no range: ${low} to ${high} ${param.unit}`.trimEnd() + " is offered.)" };
+}
+
+/** About two hundred steps, each 1, 2 or 5 of some decimal place. */
+export function stepOf(low: number, high: number): number {
+  const rough = (high - low) / 200;
+  if (!(rough > 0)) return 1;
+  const ten = 10 ** Math.floor(Math.log10(rough));
+  const step = ([1, 2, 5, 10].find((each) => each * ten >= rough * 0.999) ?? 10) * ten;
+  return Number(step.toPrecision(6));
+}
+
+/** The number that the files have, in the param's unit. */
+export function written(param: Param): number {
+  const found = Number.parseFloat(param.written);
+  return Number.isFinite(found) ? found : param.number;
+}

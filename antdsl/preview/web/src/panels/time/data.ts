@@ -1,0 +1,65 @@
+// The curves as they came: values by name and frame, and those of branches that were left.
+
+import type { Curves } from "../../protocol";
+
+export interface Series {
+  frames: number[];
+  values: Map<string, (number | null)[]>; // as long as `frames`
+}
+export interface Branch extends Series {
+  first: number;
+  line: string;
+}
+
+export class CurveData {
+  now: Series = { frames: [], values: new Map() };
+  branches: Branch[] = [];
+  changes = 0; // counts up with each change: who keeps something derived sees by it that it is old
+
+  take(curves: Curves): void {
+    this.changes++;
+    if (curves.reset) this.forget(curves.frames[0]);
+    if (curves.branches) this.branches = curves.branches.map((branch) => ({ ...branch, values: new Map(Object.entries(branch.values)) }));
+    const { frames, values } = this.now;
+    const start = frames.length;
+    for (const name of Object.keys(curves.values)) if (!values.has(name)) values.set(name, new Array<null>(start).fill(null));
+    curves.frames.forEach((frame, k) => {
+      const last = frames[frames.length - 1];
+      const at = last === undefined || frame > last ? frames.push(frame) - 1 : frames.indexOf(frame);
+      if (at < 0) return; // older than all that is kept
+      for (const [name, all] of values) all[at] = curves.values[name]?.[k] ?? (at < start ? (all[at] ?? null) : null);
+    });
+  }
+
+  get names(): string[] {
+    return [...this.now.values.keys()];
+  }
+
+  valueAt(name: string, frame: number): number | null {
+    const at = nearest(this.now.frames, frame);
+    return at < 0 || this.now.frames[at] !== frame ? null : (this.now.values.get(name)?.[at] ?? null);
+  }
+
+  private forget(from: number | undefined): void {
+    const { frames, values } = this.now;
+    const keep = from === undefined ? 0 : frames.findIndex((frame) => frame >= from);
+    if (keep < 0) return;
+    frames.length = keep;
+    for (const [name, all] of values) {
+      all.length = keep;
+      if (keep === 0) values.delete(name);
+    }
+  }
+}
+
+/** Where in sorted frames the last one stands that is not after `frame`; -1 where all are. */
+export function nearest(frames: readonly number[], frame: number): number {
+  let low = 0;
+  let high = frames.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if ((frames[middle] as number) <= frame) low = middle + 1;
+    else high = middle;
+  }
+  return low - 1;
+}

@@ -1,0 +1,40 @@
+// The names of the curves that are shown, with their values where one points, or now.
+
+import type { Store } from "../../store";
+import { el, keyed, painted, type Row, say, shown } from "../dom";
+import type { Chart } from "./chart";
+import { chosen } from "./chooser";
+import type { CurveData } from "./data";
+import type { Named } from "./naming";
+
+export function legend(store: Store, data: CurveData, chart: Chart): HTMLElement {
+  const list = el("ul", { class: "legend", test: "legend" });
+  const where = el("span", { class: "quiet at" });
+  const branch = el("span", { class: "quiet branches", test: "branches" });
+  const rows = keyed<[Named, number | null]>(list, ([each]) => each.name, row);
+  const show = painted(() => {
+    const frame = chart.hover ?? store.now.status?.frame ?? 0;
+    say(where, chart.hover === null ? "now" : `at frame ${frame}`);
+    rows(chosen.shown.map((each) => [each, data.valueAt(each.name, frame)]));
+    const last = data.branches[data.branches.length - 1];
+    say(branch, last ? `- - as it was before: ${last.line || "an edit"}, frame ${last.first}` : "");
+    branch.title = data.branches.map((each) => `from frame ${each.first}: ${each.line}`).join("\n");
+  });
+  chart.drawn = show;
+  return el("div", { class: "legend-box" }, where, list, branch);
+}
+
+function row(): Row<[Named, number | null]> {
+  const swatch = el("span", { class: "swatch" });
+  const words = el("span", { class: "words" });
+  const value = el("span", { class: "value" });
+  return {
+    element: el("li", {}, swatch, words, value),
+    update: ([each, now]) => {
+      swatch.style.background = each.colour;
+      say(words, each.words);
+      words.title = each.name;
+      say(value, now === null ? "–" : each.group === "specs" ? (now ? "holds" : "fails") : shown(now));
+    },
+  };
+}
