@@ -6,6 +6,7 @@ import { bar } from "./panels/bar";
 import { side } from "./panels/side";
 import { text } from "./panels/text";
 import { time } from "./panels/time";
+import "./panels/panels.css";
 import { view } from "./view/view";
 
 export type Part = (store: Store, place: HTMLElement) => void;

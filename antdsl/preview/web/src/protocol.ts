@@ -150,6 +150,7 @@ export interface Status {
   paused_agents: { species: string; agents: number[] } | null; // whom it was about, by id; the first few
   hash: string | null; // of the whole state, while it stands still
   agents: number;
+  transitions: Record<string, number>; // changes of state so far, by `SPECIES.FROM->TO`
   light: boolean; // what is shown is remembered, not simulated again: seek exactly to look closer
 }
 

@@ -4,7 +4,7 @@ type Child = Node | string | null | undefined | false;
 type Props = {
   class?: string;
   test?: string; // what tests find it by: data-test
-  text?: string;
+  text?: string | number;
   on?: { [K in keyof HTMLElementEventMap]?: (event: HTMLElementEventMap[K]) => void };
   [attribute: string]: unknown;
 };

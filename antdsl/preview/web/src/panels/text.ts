@@ -24,7 +24,10 @@ export function text(store: Store, place: HTMLElement): void {
   store.on("texts", () => {
     const texts = store.now.texts?.texts ?? [];
     editor.renew(texts);
+    const fresh = tabs.now === "";
     tabs.renew(texts.map(({ file, kind }) => ({ id: file, label: shortName(file), title: kind === "library" ? `${file} (library)` : file })));
+    const program = texts.find((each) => each.kind === "ant");
+    if (fresh && program) tabs.choose(program.file);
     showProblems(store, editor, tabs);
   });
   store.on("problems", () => {

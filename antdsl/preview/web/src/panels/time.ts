@@ -3,7 +3,7 @@
 import type { Store } from "../store";
 import { el, painted, say, throttled } from "./dom";
 import { seek } from "./playing";
-import { Chart, EDGE } from "./time/chart";
+import { Chart } from "./time/chart";
 import { CurveData } from "./time/data";
 import { chooser } from "./time/chooser";
 import { legend } from "./time/legend";
@@ -14,7 +14,6 @@ export function time(store: Store, place: HTMLElement): void {
   const data = new CurveData();
   const canvas = el("canvas", { class: "chart", test: "curves", role: "img", "aria-label": "Curves over time" });
   const slider = el("input", { type: "range", class: "scrub", test: "scrub", step: 1, min: 0, max: 0, "aria-label": "Frame", disabled: true });
-  slider.style.setProperty("--edge", `${EDGE}px`);
   const first = el("span", { class: "end" });
   const head = el("span", { class: "end" });
   const mode = el("span", { class: "mode", test: "light", role: "status" });

@@ -37,8 +37,9 @@ const TAGS = new Map(SHOWN.map(([scope]) => [scope, Tag.define()] as const));
 
 export const colours = HighlightStyle.define(SHOWN.map(([scope, color, more]) => ({ tag: TAGS.get(scope) as Tag, color, ...more })));
 
+/** The name of a scope's colour; without dots, which would mean something else there. */
 function family(scope: string): string {
-  return SHOWN.find(([start]) => scope.startsWith(start))?.[0] ?? "";
+  return (SHOWN.find(([start]) => scope.startsWith(start))?.[0] ?? "").replaceAll(".", "-");
 }
 
 const ANT: Pattern[] = (grammar.patterns as Rule[]).map((rule) => ({
@@ -57,7 +58,7 @@ const YAML: Pattern[] = (
     ["[A-Za-z_][\\w./-]*", [""]],
     ["[-{}\\[\\],:&*|>]", ["punctuation"]],
   ] as [string, string[]][]
-).map(([match, classes]) => ({ match: new RegExp(match, "dy"), classes }));
+).map(([match, classes]) => ({ match: new RegExp(match, "dy"), classes: classes.map(family) }));
 
 type Piece = [number, number, string];
 
@@ -86,7 +87,7 @@ function parser(name: string, patterns: Pattern[]): StreamParser<{ pieces: Piece
         }
       }
     },
-    tokenTable: Object.fromEntries(TAGS),
+    tokenTable: Object.fromEntries([...TAGS].map(([scope, tag]) => [family(scope), tag])),
   };
 }
 

@@ -5,9 +5,11 @@ import { foldGutter, foldKeymap, syntaxHighlighting } from "@codemirror/language
 import { highlightSelectionMatches, search, searchKeymap } from "@codemirror/search";
 import { EditorState, type StateEffect } from "@codemirror/state";
 import { EditorView, drawSelection, highlightActiveLine, keymap, lineNumbers } from "@codemirror/view";
-import type { Problem } from "../../protocol";
+import type { Problem, Texts } from "../../protocol";
 import { ant, colours, yaml } from "./colouring";
 import { complain, marks, pointOut, tellCosts } from "./marks";
+
+type Text = Texts["texts"][number];
 
 const MONO = "ui-monospace, SFMono-Regular, 'Cascadia Code', Menlo, Consolas, 'DejaVu Sans Mono', monospace";
 
@@ -41,7 +43,6 @@ const look = EditorView.theme({
   ".complaint.error": { borderLeftColor: "var(--bad)", backgroundColor: "color-mix(in srgb, var(--bad) 12%, transparent)" },
   ".complaint strong": { fontWeight: "600" },
   ".complaint span": { display: "block", color: "var(--quiet)" },
-  ".costs": { minWidth: "34px" },
   ".cost": {
     display: "block",
     padding: "0 4px",
@@ -51,7 +52,7 @@ const look = EditorView.theme({
   },
 });
 
-function fresh(name: string, text: string): EditorState {
+function fresh({ file: name, text, kind }: Text): EditorState {
   return EditorState.create({
     doc: text,
     extensions: [
@@ -63,7 +64,7 @@ function fresh(name: string, text: string): EditorState {
       highlightSelectionMatches(),
       search({ top: true }),
       syntaxHighlighting(colours),
-      name.endsWith(".ant") ? ant : yaml,
+      kind === "yaml" ? yaml : ant,
       keymap.of([...searchKeymap, ...foldKeymap, ...defaultKeymap]),
       EditorState.readOnly.of(true),
       EditorState.tabSize.of(2),
@@ -87,12 +88,13 @@ export class Editor {
   }
 
   /** The files there are now; one that changed keeps its place, as far as it was not edited there. */
-  renew(texts: readonly { file: string; text: string }[]): void {
+  renew(texts: readonly Text[]): void {
     for (const file of this.kept.keys()) if (!texts.some((each) => each.file === file)) this.kept.delete(file);
-    for (const { file, text } of texts) {
+    for (const each of texts) {
+      const { file, text } = each;
       const old = file === this.file ? this.view.state : this.kept.get(file)?.state;
       if (!old) {
-        this.kept.set(file, { state: fresh(file, text), scroll: null });
+        this.kept.set(file, { state: fresh(each), scroll: null });
         continue;
       }
       const change = difference(old.doc.toString(), text);

@@ -1,0 +1,140 @@
+// A chart as SVG, from places that the server laid out: states are buttons with their counts, arrows are as wide as the traffic.
+
+import type { Chart, ChartArrow, ChartBox } from "../../protocol";
+import { css, say, svg, shown } from "../dom";
+
+const HEAD = 7;
+
+export class ChartDrawing {
+  readonly element: SVGSVGElement;
+  private readonly boxes = new Map<string, { count: SVGTextElement; shape: SVGElement; group: SVGGElement; details: string }>();
+  private readonly arrows: { arrow: ChartArrow; line: SVGPolylineElement; words: SVGTextElement | null; rate: SVGTextElement; title: SVGTitleElement }[] = [];
+  private readonly names: Map<string, string>;
+
+  constructor(chart: Chart, chosen: (state: string) => void) {
+    this.names = new Map(chart.boxes.map((box) => [box.key, box.name]));
+    this.element = svg("svg", { viewBox: `-4 -4 ${chart.width + 8} ${chart.height + 8}`, class: "states", role: "group", "aria-label": chart.title });
+    for (const arrow of chart.arrows) this.element.append(this.arrow(arrow));
+    for (const box of chart.boxes) this.element.append(this.box(box, chosen));
+  }
+
+  counts(counts: ReadonlyMap<string, number>): void {
+    for (const [name, box] of this.boxes) {
+      const count = counts.get(name) ?? 0;
+      say(box.count, String(count));
+      box.group.setAttribute("aria-label", `${name}: ${count} agents`);
+      box.group.classList.toggle("empty", count === 0);
+    }
+  }
+
+  /** Rates by `from->to` or `from to`: names as the server counts them. */
+  flow(rates: ReadonlyMap<string, number>): void {
+    const most = Math.max(...rates.values(), 1);
+    for (const { arrow, line, rate, title } of this.arrows) {
+      const [from, to] = [this.names.get(arrow.source) ?? "", this.names.get(arrow.target) ?? ""];
+      const now = rates.get(`${from}->${to}`) ?? 0;
+      line.style.strokeWidth = String(1 + (now / most) * 4);
+      line.classList.toggle("busy", now > 0);
+      say(rate, now > 0 ? `${shown(Number(now.toPrecision(2)))}/s` : "");
+      say(title, [arrow.lines.join("\n"), arrow.details, now > 0 ? `${shown(now)} a second` : ""].filter(Boolean).join("\n"));
+    }
+  }
+
+  mark(state: string | null): void {
+    for (const [name, box] of this.boxes) box.group.classList.toggle("here", name === state);
+  }
+
+  private box(box: ChartBox, chosen: (state: string) => void): SVGElement {
+    const [x, y] = box.centre;
+    const group = svg("g", { class: `box ${box.kind}` });
+    const title = svg("title");
+    title.textContent = box.details || box.name;
+    group.append(title);
+    if (box.kind === "start") {
+      group.append(svg("circle", { cx: x, cy: y, r: Math.min(box.width, box.height) / 2 }));
+      return group;
+    }
+    const shape = svg("rect", { x: x - box.width / 2, y: y - box.height / 2, width: box.width, height: box.height, rx: box.kind === "state" ? 8 : 4 });
+    const label = svg("text", { x, y: box.kind === "state" ? y - 4 : y + 4, class: "label" });
+    label.textContent = box.label;
+    group.append(shape, label);
+    if (box.kind !== "state") return group;
+    shape.style.fill = css(box.colour);
+    label.style.fill = onTop(box.colour);
+    const count = svg("text", { x, y: y + 12, class: "number" });
+    count.style.fill = onTop(box.colour);
+    count.dataset.test = `count-${box.name}`;
+    group.append(count);
+    group.dataset.test = `state-${box.name}`;
+    group.setAttribute("role", "button");
+    group.setAttribute("tabindex", "0");
+    group.addEventListener("click", () => chosen(box.name));
+    group.addEventListener("keydown", (event) => {
+      if (event.key !== "Enter" && event.key !== " ") return;
+      event.preventDefault();
+      event.stopPropagation();
+      chosen(box.name);
+    });
+    this.boxes.set(box.name, { count, shape, group, details: box.details });
+    return group;
+  }
+
+  private arrow(arrow: ChartArrow): SVGElement {
+    const group = svg("g", { class: arrow.interrupt ? "arrow interrupt" : "arrow" });
+    const title = svg("title");
+    title.textContent = [arrow.lines.join("\n"), arrow.details].filter(Boolean).join("\n");
+    const line = svg("polyline", { points: shortened(arrow.points).map((point) => point.join(",")).join(" ") });
+    const wide = svg("polyline", { points: arrow.points.map((point) => point.join(",")).join(" "), class: "touch" });
+    group.append(title, wide, line, head(arrow.points));
+    const words = arrow.words;
+    const rate = svg("text", { class: "rate", x: 0, y: 0 });
+    const [x, y] = words ? words.centre : middle(arrow.points);
+    const height = words?.height ?? 0;
+    if (words) {
+      const text = svg("text", { class: "words" });
+      arrow.lines.forEach((each, k) => {
+        const row = svg("tspan", { x, y: y - height / 2 + ((k + 0.72) * height) / arrow.lines.length });
+        row.textContent = each;
+        text.append(row);
+      });
+      group.append(text);
+    }
+    rate.setAttribute("x", String(x));
+    rate.setAttribute("y", String(y + height / 2 + 11));
+    group.append(rate);
+    this.arrows.push({ arrow, line, words: null, rate, title });
+    return group;
+  }
+}
+
+type Point = [number, number];
+
+function head(points: Point[]): SVGElement {
+  const tip = points[points.length - 1] as Point;
+  const [ux, uy] = towards(points);
+  const at = (back: number, aside: number) => [tip[0] - ux * back - uy * aside, tip[1] - uy * back + ux * aside].join(",");
+  return svg("polygon", { points: `${tip.join(",")} ${at(HEAD + 2, HEAD / 2)} ${at(HEAD + 2, -HEAD / 2)}` });
+}
+
+/** The way without the length of its head, so that a wide line does not stand out beyond it. */
+function shortened(points: Point[]): Point[] {
+  const tip = points[points.length - 1] as Point;
+  const [ux, uy] = towards(points);
+  return [...points.slice(0, -1), [tip[0] - ux * HEAD, tip[1] - uy * HEAD]];
+}
+
+function towards(points: Point[]): Point {
+  const [from, tip] = points.slice(-2) as [Point, Point];
+  const length = Math.hypot(tip[0] - from[0], tip[1] - from[1]) || 1;
+  return [(tip[0] - from[0]) / length, (tip[1] - from[1]) / length];
+}
+
+function middle(points: Point[]): Point {
+  return points[points.length >> 1] as Point;
+}
+
+/** Black or white, whichever reads better on a colour: by relative luminance. */
+function onTop([r, g, b]: readonly [number, number, number]): string {
+  const linear = (v: number) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+  return 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b) > 0.18 ? "#101010" : "#ffffff";
+}

@@ -1,0 +1,45 @@
+// How many went from one state to another lately, from the counts of all changes that the server tells with the frame.
+
+import type { Chart } from "../../protocol";
+import type { Store } from "../../store";
+
+interface Sample {
+  frame: number;
+  counts: Record<string, number>;
+}
+
+export class Flow {
+  private readonly samples: Sample[] = [];
+
+  constructor(private readonly store: Store) {
+    store.on("status", () => this.take());
+    store.on("scene", () => (this.samples.length = 0));
+  }
+
+  /** Changes a second of the scene's time, by `from->to`, over about the last second; empty where it is not known. */
+  rates(chart: Chart): Map<string, number> {
+    const rates = new Map<string, number>();
+    const last = this.samples[this.samples.length - 1];
+    const first = this.samples[0];
+    const fps = this.store.now.scene?.fps ?? 0;
+    if (!last || !first || last === first || !fps) return rates;
+    const seconds = (last.frame - first.frame) / fps;
+    const before = `${chart.species}.`;
+    for (const [name, count] of Object.entries(last.counts)) {
+      const went = count - (first.counts[name] ?? 0);
+      if (went > 0 && name.startsWith(before)) rates.set(name.slice(before.length), went / seconds);
+    }
+    return rates;
+  }
+
+  private take(): void {
+    const status = this.store.now.status;
+    const fps = this.store.now.scene?.fps ?? 24;
+    if (!status?.transitions || status.light) return;
+    const last = this.samples[this.samples.length - 1];
+    if (last && last.frame === status.frame) return;
+    if (last && last.frame > status.frame) this.samples.length = 0; // gone back
+    this.samples.push({ frame: status.frame, counts: status.transitions });
+    while (this.samples.length > 2 && (this.samples[1] as Sample).frame <= status.frame - fps) this.samples.shift();
+  }
+}

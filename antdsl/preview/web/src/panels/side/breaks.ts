@@ -1,0 +1,133 @@
+// What to stop at: an agent comes into a state, a condition comes true, a spec fails, a value is at fault.
+
+import type { Break } from "../../protocol";
+import type { Store } from "../../store";
+import { button, el, keyed, type Row, say } from "../dom";
+import type { Panel } from "../side";
+
+export const breaks: Panel = (store, place, shown) => {
+  const all: Break[] = [];
+  const list = el("ul", { class: "breaks", test: "breaks" });
+  const fired = el("p", { class: "fired", test: "fired", hidden: true });
+  const refused = el("p", { class: "note bad-note", test: "break-refused", hidden: true, role: "alert" });
+  const none = el("p", { class: "note", text: "Nothing stops it. Add what to stop at; play goes on from there." });
+  const rows = keyed<Break>(list, (each) => JSON.stringify(each), () => row((gone) => change(all.filter((each) => JSON.stringify(each) !== JSON.stringify(gone)))));
+  const change = (now: Break[]) => {
+    refused.hidden = true;
+    all.splice(0, all.length, ...now);
+    store.connection.ask({ op: "breaks", breaks: [...all] }, true);
+    rows(all);
+    none.hidden = all.length > 0;
+    shown.mark(all.length ? String(all.length) : "");
+  };
+  const add = (made: Break) => {
+    if (!all.some((each) => JSON.stringify(each) === JSON.stringify(made))) change([...all, made]);
+  };
+  place.append(fired, list, none, refused, stateForm(store, add), conditionForm(add), specForm(store, add), faultForm(add));
+  store.on("status", () => {
+    const words = store.now.status?.paused_by ?? "";
+    fired.hidden = !words;
+    say(fired, words && `stopped: ${words}`);
+    selectPaused(store);
+  });
+  store.connection.on("refused", (message) => {
+    if (message.of !== "breaks") return;
+    refused.hidden = false;
+    say(refused, [message.message, message.help].filter(Boolean).join(" — "));
+  });
+};
+
+let told = ""; // the stop whose agents were selected: once, so that one may then select others
+
+function selectPaused(store: Store): void {
+  const status = store.now.status;
+  const about = status?.paused_agents;
+  const key = about && status ? `${status.frame} ${status.paused_by}` : "";
+  if (key && key !== told && about) store.set("selected", about.agents.map((id) => ({ species: about.species, id })));
+  told = key;
+}
+
+function words(each: Break): string {
+  switch (each.kind) {
+    case "state":
+      return `${each.species} enters ${each.state}${each.machine === "main" ? "" : ` (${each.machine})`}`;
+    case "condition":
+      return `when ${each.text}`;
+    case "spec":
+      return `spec "${each.spec}" fails`;
+    case "fault":
+      return "a value is at fault";
+  }
+}
+
+function row(remove: (gone: Break) => void): Row<Break> {
+  let now: Break | null = null;
+  const text = el("span");
+  const gone = button("✕", () => now && remove(now), { class: "small" });
+  return {
+    element: el("li", {}, el("span", { class: "dot" }), text, gone),
+    update: (each) => {
+      now = each;
+      say(text, words(each));
+      gone.setAttribute("aria-label", `no longer stop: ${words(each)}`);
+    },
+  };
+}
+
+function form(title: string, test: string, add: () => void, ...children: Node[]): HTMLFormElement {
+  const made = el("form", { class: "add", test }, el("h3", { text: title }), el("div", { class: "row" }, ...children, el("button", { type: "submit", text: "Add" })));
+  made.addEventListener("submit", (event) => {
+    event.preventDefault();
+    add();
+  });
+  return made;
+}
+
+function stateForm(store: Store, add: (made: Break) => void): HTMLElement {
+  const select = el("select", { "aria-label": "State", test: "break-state" });
+  let options: { words: string; made: Break }[] = [];
+  const made = form("An agent enters a state", "break-state-form", () => options[select.selectedIndex] && add((options[select.selectedIndex] as { made: Break }).made), select);
+  let seen = "";
+  store.on("scene", () => {
+    const species = store.now.scene?.species ?? [];
+    options = species.flatMap((each) =>
+      each.machines.flatMap((machine) =>
+        machine.states.map((state) => ({
+          words: [species.length > 1 && each.name, each.machines.length > 1 && machine.name, state].filter(Boolean).join(" · "),
+          made: { kind: "state" as const, species: each.name, machine: machine.name, state },
+        })),
+      ),
+    );
+    const now = JSON.stringify(options);
+    made.hidden = options.length === 0;
+    if (now === seen) return;
+    seen = now;
+    const before = select.value;
+    select.replaceChildren(...options.map((each) => el("option", { text: each.words })));
+    if (before) select.value = before;
+  });
+  return made;
+}
+
+function conditionForm(add: (made: Break) => void): HTMLElement {
+  const field = el("input", { type: "text", maxlength: 2000, spellcheck: "false", placeholder: "count(forager in carry) > 10", "aria-label": "Condition, as in a spec", test: "break-condition" });
+  return form("A condition becomes true", "break-condition-form", () => field.value.trim() && add({ kind: "condition", text: field.value.trim() }), field);
+}
+
+function specForm(store: Store, add: (made: Break) => void): HTMLElement {
+  const select = el("select", { "aria-label": "Spec", test: "break-spec" });
+  const made = form("A spec fails", "break-spec-form", () => select.value && add({ kind: "spec", spec: select.value }), select);
+  let seen = "";
+  store.on("scene", () => {
+    const specs = store.now.scene?.specs ?? [];
+    made.hidden = specs.length === 0;
+    const now = specs.join("\n");
+    if (now !== seen) select.replaceChildren(...specs.map((value) => el("option", { value, text: value })));
+    seen = now;
+  });
+  return made;
+}
+
+function faultForm(add: (made: Break) => void): HTMLElement {
+  return form("A value is at fault", "break-fault-form", () => add({ kind: "fault" }), el("span", { class: "quiet", text: "no number, or far away" }));
+}

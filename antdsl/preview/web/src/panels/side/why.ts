@@ -1,0 +1,87 @@
+// Why the selected agent did what it did: the step that led to the frame one is at, as the server explains it.
+
+import type { Explained } from "../../protocol";
+import type { Store } from "../../store";
+import { button, el, say } from "../dom";
+import type { Panel } from "../side";
+import { around } from "../why/around";
+import { decided } from "../why/decided";
+import { layers } from "../why/layers";
+import { strips } from "../why/strip";
+
+export const why: Panel = (store, place) => {
+  const hint = el("p", { class: "note", test: "why-hint", text: "Click an ant, and what it looked at, wished and drew in its last step stands here. Tab into the view and press n for the next ant." });
+  const title = el("h2", { test: "why-title", "aria-live": "polite" });
+  const copy = button("Copy as text", () => void navigator.clipboard?.writeText(store.now.explained?.told ?? ""), { class: "small" });
+  const again = button("Explain", () => ask(store), { class: "small", title: "explain the step to the frame one is at now", test: "explain" });
+  const head = el("div", { class: "why-head" }, title, again, copy);
+  const message = el("p", { class: "note bad-note", test: "why-message", hidden: true });
+  const body = el("div", { class: "why", test: "why" });
+  place.append(hint, head, message, body);
+  head.hidden = true;
+
+  const show = () => {
+    const one = store.now.selected[store.now.selected.length - 1];
+    const explained = store.now.explained;
+    const fits = one && explained && explained.species === one.species && explained.agent === one.id;
+    hint.hidden = Boolean(one);
+    head.hidden = !one;
+    if (!one || !fits) {
+      say(title, one ? `${one.species} ${one.id}` : "");
+      body.replaceChildren();
+      message.hidden = true;
+      return;
+    }
+    say(title, `${one.species} ${one.id}, the step to frame ${explained.frame}`);
+    message.hidden = !explained.message;
+    say(message, explained.message);
+    fill(store, body, explained);
+  };
+  store.on(["explained", "selected"], show);
+  keepAsking(store);
+  leadToText(store);
+};
+
+function fill(store: Store, body: HTMLElement, explained: Explained): void {
+  const { explanation } = explained;
+  const top = body.parentElement?.scrollTop ?? 0;
+  const open = new Set([...body.querySelectorAll("details[open]")].map((each) => (each as HTMLElement).dataset.name));
+  body.replaceChildren(...(explanation ? [...strips(store, explanation), ...decided(store, explanation), layers(store, explanation), ...around(store, explanation)] : []));
+  for (const details of body.querySelectorAll("details")) if (open.has(details.dataset.name)) details.open = true;
+  if (body.parentElement) body.parentElement.scrollTop = top;
+}
+
+function ask(store: Store): void {
+  const one = store.now.selected[store.now.selected.length - 1];
+  const status = store.now.status;
+  if (one && status) store.connection.ask({ op: "explain", species: one.species, agent: one.id, frame: status.frame });
+}
+
+/** Ask for whoever is selected, and again wherever one stands still; not while it plays or is dragged through. */
+function keepAsking(store: Store): void {
+  let asked = "";
+  const renew = (chosen: boolean) => {
+    const one = store.now.selected[store.now.selected.length - 1];
+    const status = store.now.status;
+    if (!one || !status) {
+      asked = "";
+      return;
+    }
+    if (!chosen && (status.playing || status.light)) return;
+    const key = [one.species, one.id, status.frame, status.hash].join(" ");
+    if (key === asked) return;
+    asked = key;
+    ask(store);
+  };
+  store.on("selected", () => renew(true));
+  store.on("status", () => renew(false));
+}
+
+/** The line of the change that was taken is pointed out in the text. */
+function leadToText(store: Store): void {
+  store.on("explained", () => {
+    const machines = store.now.explained?.explanation?.machines ?? [];
+    const won = machines.flatMap((each) => each.looked).find((each) => each.wins);
+    if (won) store.set("goto", { file: won.place.file, line: won.place.line });
+  });
+}
