@@ -5,7 +5,7 @@ Going back re-simulates from the nearest checkpoint, to the same bits; what is c
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -49,6 +49,7 @@ class Session:
         self.edited = False  # something was changed while it ran: not what a fresh run gives
         self.fault: str | None = None  # of the last step
         self.meter: Meter | None = None  # measures each step while there is one; see `measure`
+        self.on_world: Callable[[Session], None] | None = None  # called when `world` is another one than before
         self._stretch: Stretch
 
     @classmethod
@@ -60,10 +61,11 @@ class Session:
         *,
         every: int = 24,
         budget: int = limits.GIB // 4,
+        compiler: Compiler | None = None,
     ) -> tuple[Session | None, Report]:
         """A session at the scene's first simulated frame, or None and complaints. A checkpoint each `every` frames; `budget`
-        bytes of memory for all that is kept."""
-        made = cls(Compiler(scene), options or Options(), Timeline(every, budget))
+        bytes of memory for all that is kept. `compiler`: one that has tried this scene before."""
+        made = cls(compiler or Compiler(scene), options or Options(), Timeline(every, budget))
         report = made._begin(choices or Choices(), {}).report
         return (made if report.ok else None), report
 
@@ -72,6 +74,11 @@ class Session:
     @property
     def shot(self) -> Shot:
         return self._stretch.shot
+
+    @property
+    def off(self) -> Off:
+        """Layers that are off, by species and text, with the file that each stands in."""
+        return self._stretch.off
 
     @property
     def frame(self) -> int:
@@ -145,7 +152,12 @@ class Session:
         world = unpeopled(shot.plan, shot.setting, self.options, built=self.compiler.built, origin=stretch.origin)
         restore(world, stretch.checkpoints[frame])
         world.watchers = self.world.watchers
+        self._enter(world, stretch)
+
+    def _enter(self, world: World, stretch: Stretch) -> None:
         self._stretch, self.world = stretch, world
+        if self.on_world is not None:
+            self.on_world(self)
 
     # --- edits ---------------------------------------------------------------------------------------------------------
 
@@ -210,15 +222,16 @@ class Session:
         if shot is None or not report.ok:
             return Outcome(report)
         try:
-            self.world = bind(shot.plan, shot.setting, self.options, built=self.compiler.built)
+            world = bind(shot.plan, shot.setting, self.options, built=self.compiler.built)
         except BindError as why:
             return Outcome(why.report)
         branches = self.timeline.branches
         self.timeline = Timeline(self.timeline.every, self.timeline.budget)
         self.timeline.branches = branches
-        self._stretch = Stretch(shot, self.frame, "from the first frame", self.world.origin, choices, off)
-        self.timeline.start(self._stretch, self.world)
-        self.edited = False
+        stretch = Stretch(shot, world.frame, "from the first frame", world.origin, choices, off)
+        self.timeline.start(stretch, world)
+        self.edited, self.fault = False, None
+        self._enter(world, stretch)
         return Outcome(report, f"{len(self.world):,} agents from frame {self.frame}")
 
     def _opened(self, choices: Choices, off: Off) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
@@ -243,10 +256,10 @@ class Session:
             return Outcome(report)
         line = " · ".join([taken_line(taken), *(f"layer `{layer}` is gone" for _, layer in gone)])
         off = {key: path for key, path in off.items() if key not in gone}
-        self.world = world
-        self._stretch = Stretch(shot, world.frame, line, world.origin, choices, off)
-        self.timeline.start(self._stretch, world)
+        stretch = Stretch(shot, world.frame, line, world.origin, choices, off)
+        self.timeline.start(stretch, world)
         self.edited = True
+        self._enter(world, stretch)
         return Outcome(report, line, text)
 
     def _known(self, choices: Choices, off: Off) -> tuple[Choices, list[str]]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.pipeline import Choices, Shot
+from antdsl.preview.turns import turn
 from antdsl.runtime import Built, Options, Population, World, checkpoint, restore, set_param
 from antdsl.runtime.binding import unpeopled
 
@@ -19,16 +21,49 @@ Arrays = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Light:
-    """Agents of one species at one frame: ids int64[n], places float32[n,3] in the world's own count, states int32[n] by
-    machine."""
+    """Agents of one species at one frame, by id: ids int64[n], places float32[n,3] in the world's own count, heading and up
+    int8[n,3] (127 is 1), sizes float32[n] in mm, states uint8[n] by machine. What is as it was in the frame before is the same
+    array."""
 
     ids: NDArray[np.int64]
     position: NDArray[np.float32]
-    states: dict[str, NDArray[np.int32]]
+    heading: NDArray[np.int8]
+    up: NDArray[np.int8]
+    size: NDArray[np.float32]
+    states: dict[str, NDArray[np.uint8]]
 
-    @property
-    def nbytes(self) -> int:
-        return self.ids.nbytes + self.position.nbytes + sum(array.nbytes for array in self.states.values())
+    def arrays(self) -> Iterator[NDArray[Any]]:
+        yield from (self.ids, self.position, self.heading)
+        yield from (self.up, self.size)
+        yield from self.states.values()
+
+
+class Lights(dict[int, dict[str, Light]]):
+    """Light frames by frame and species. `nbytes`: of all arrays, each counted once in however many frames it is."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.nbytes = 0
+        self._used: Counter[int] = Counter()
+
+    def put(self, frame: int, lights: dict[str, Light]) -> None:
+        self.drop(frame)
+        self[frame] = lights
+        for array in _arrays(lights):
+            self.nbytes += array.nbytes if not self._used[id(array)] else 0
+            self._used[id(array)] += 1
+
+    def drop(self, frame: int) -> None:
+        for array in _arrays(self.pop(frame, {})):
+            self._used[id(array)] -= 1
+            if not self._used[id(array)]:
+                del self._used[id(array)]
+                self.nbytes -= array.nbytes
+
+
+def _arrays(lights: Mapping[str, Light]) -> Iterator[NDArray[Any]]:
+    for light in lights.values():
+        yield from light.arrays()
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,13 +121,18 @@ class Timeline:
         self.stretches: list[Stretch] = []
         self.branches: list[Branch] = []
         self.curves: dict[int, dict[str, float]] = {}
-        self.light: dict[int, dict[str, Light]] = {}
-        self._bytes = 0
+        self.light = Lights()
+        self._bytes = 0  # of checkpoints
 
     @property
     def head(self) -> int:
         """The last frame that was simulated."""
         return max(self.curves, default=self.stretches[-1].first if self.stretches else 0)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of all that is kept but curves."""
+        return self._bytes + self.light.nbytes
 
     def at(self, frame: int) -> Stretch:
         """The stretch that a frame belongs to: where two meet, the later one."""
@@ -123,7 +163,7 @@ class Timeline:
                 self._bytes -= _size(stretch.checkpoints.pop(each))
         for each in old:
             del self.curves[each]
-            self._bytes -= sum(light.nbytes for light in self.light.pop(each, {}).values())
+            self.light.drop(each)
 
     def note(self, stretch: Stretch, world: World) -> None:
         """Keep what a world is like at its frame: once for a frame, however often it is gone through again."""
@@ -136,9 +176,8 @@ class Timeline:
             stretch.checkpoints[frame] = checkpoint(world)
             self._bytes += _size(stretch.checkpoints[frame])
         if fresh:
-            self._bytes -= sum(light.nbytes for light in self.light.get(frame, {}).values())
-            self.light[frame] = {name: _light(population) for name, population in world.populations.items()}
-            self._bytes += sum(light.nbytes for light in self.light[frame].values())
+            before = self.light.get(frame - 1, {})
+            self.light.put(frame, {name: _light(p, before.get(name)) for name, p in world.populations.items()})
         self._keep_to_budget(stretch)
 
     def _drop(self, stretch: Stretch) -> None:
@@ -147,16 +186,16 @@ class Timeline:
 
     def _keep_to_budget(self, current: Stretch) -> None:
         for frame in sorted(self.light):
-            if self._bytes <= self.budget:
+            if self.nbytes <= self.budget:
                 return
-            self._bytes -= sum(light.nbytes for light in self.light.pop(frame).values())
+            self.light.drop(frame)
         for stretch in self.stretches:
             rest = [frame for frame in sorted(stretch.checkpoints) if frame != stretch.first]
             for frame in rest[::2]:
-                if self._bytes <= self.budget:
+                if self.nbytes <= self.budget:
                     return
                 self._bytes -= _size(stretch.checkpoints.pop(frame))
-        while self._bytes > self.budget and self.stretches[0] is not current:
+        while self.nbytes > self.budget and self.stretches[0] is not current:
             self._drop(self.stretches[0])
 
 
@@ -173,9 +212,15 @@ def measured(world: World) -> dict[str, float]:
     return found
 
 
-def _light(population: Population) -> Light:
-    states = {machine.name: population.now[f"{machine.name}.state"].copy() for machine in population.plan.machines}
-    return Light(population.ids.copy(), population.position.astype(np.float32), states)
+def _light(population: Population, before: Light | None) -> Light:
+    rows = population.in_id_order()
+    ids, size = population.ids[rows], population.now["size"][rows]
+    if before is not None:
+        ids = before.ids if np.array_equal(ids, before.ids) else ids
+        size = before.size if np.array_equal(size, before.size) else size
+    states = {m.name: population.now[f"{m.name}.state"][rows].astype(np.uint8) for m in population.plan.machines}
+    heading, up = turn(population, "heading", rows), turn(population, "up", rows)
+    return Light(ids, population.position[rows].astype(np.float32), heading, up, size, states)
 
 
 def _size(arrays: Arrays) -> int:

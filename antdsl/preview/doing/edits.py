@@ -1,0 +1,39 @@
+"""What is changed by hand, and files taken up when somebody asks for it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from antdsl.preview import asks
+from antdsl.preview.session import Outcome
+from antdsl.preview.viewing.telling import outcome, scene_file
+
+if TYPE_CHECKING:
+    from antdsl.preview.live import Client, Live
+
+
+def set_value(live: Live, ask: asks.Set, client: Client) -> None:
+    live.be_exact()
+    _told(live, "set", live.session.set(ask.name, ask.value), scene_file(live))
+
+
+def layer(live: Live, ask: asks.Layer, client: Client) -> None:
+    live.be_exact()
+    plan = live.session.shot.plan.species.get(ask.species)
+    found = next((each for each in plan.layers if each.span.text == ask.layer), None) if plan is not None else None
+    file = live.screen.names.of(found.span.source.path) if found is not None else ""
+    _told(live, "layer", live.session.layer(ask.species, ask.layer, ask.on), file)
+
+
+def field(live: Live, ask: asks.Field_, client: Client) -> None:
+    live.be_exact()
+    _told(live, "field", live.session.field(ask.name, ask.on), scene_file(live))
+
+
+def reload(live: Live, ask: asks.Reload, client: Client) -> None:
+    live.reload("reload")
+
+
+def _told(live: Live, of: str, done: Outcome, file: str) -> None:
+    live.tell_all(outcome(live, of, done, file if done.text else ""))
+    live.screen.edited(files=False)

@@ -1,0 +1,59 @@
+"""Play, pause, step, speed, seek, restart."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from antdsl.preview import asks
+from antdsl.preview.viewing.telling import outcome
+
+if TYPE_CHECKING:
+    from antdsl.preview.live import Client, Live
+
+
+def play(live: Live, ask: asks.Play, client: Client) -> None:
+    live.be_exact()
+    live.play()
+
+
+def pause(live: Live, ask: asks.Pause, client: Client) -> None:
+    live.pause()
+
+
+def step(live: Live, ask: asks.Step, client: Client) -> None:
+    """So many steps, fewer when something stops it."""
+    live.pause()
+    live.be_exact()
+    for _ in range(ask.count):
+        if not live.step():
+            break
+
+
+def speed(live: Live, ask: asks.Speed, client: Client) -> None:
+    live.speed = ask.times
+
+
+def seek(live: Live, ask: asks.Seek, client: Client) -> None:
+    """Frames that are not kept count as the nearest that is."""
+    live.pause()
+    session = live.session
+    frame = min(max(ask.frame, session.first), session.head)
+    if ask.exact:
+        live.light = None
+        session.seek(frame)
+        live.screen.sought()
+        return
+    remembered = session.timeline.light
+    if frame != session.frame and remembered:
+        live.light = min(remembered, key=lambda each: abs(each - frame))
+    else:
+        live.light = None
+
+
+def restart(live: Live, ask: asks.Restart, client: Client) -> None:
+    live.light = None
+    done = live.session.restart()
+    live.report = done.report
+    live.stop_at = None
+    live.tell_all(outcome(live, "restart", done))
+    live.screen.edited(files=True)

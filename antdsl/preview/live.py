@@ -1,0 +1,273 @@
+"""The thread that owns a session: carries out what pages ask between two steps, keeps the clock's pace, takes up saved files and
+shows what there is. Nobody else touches the session."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections import deque
+from pathlib import Path
+from threading import Condition, Thread
+from time import monotonic
+from typing import Any, Protocol, TypeVar
+
+from antdsl.diagnostics import Report
+from antdsl.pipeline import Choices
+from antdsl.preview.asks import Ask, Breaks, Look, Profile, Seek, Set
+from antdsl.preview.compiling import Compiler
+from antdsl.preview.observing import OBSERVERS, Observer, Stop
+from antdsl.preview.session import Session
+from antdsl.preview.watch import Watch
+from antdsl.runtime import Options
+
+_WAITING = 256  # asks that may wait
+_POLL = 0.02  # seconds between two looks at the files
+_IDLE = 0.5  # seconds that the thread sleeps at most when there is nothing to do
+_BEHIND = 0.1  # seconds of steps that are caught up with; more are left out
+_NOTHING = Look(op="look", columns=(), fields=(), flows=())  # what a page looks at before it says so
+_BUG = "this is a bug in antdsl: the terminal says more"
+O = TypeVar("O")  # noqa: E741
+
+
+class Client(Protocol):
+    """One page. Safe to call from any thread, and never waits."""
+
+    def tell(self, message: dict[str, Any]) -> None:
+        """A message; all of them arrive, in order."""
+
+    def show(self, slot: str, packet: bytes) -> None:
+        """Arrays; only the latest of a slot need arrive."""
+
+
+class Busy(Exception):
+    """Too much waits to be done already."""
+
+
+class Refusal(Exception):
+    """What was asked cannot be done: why, and what to do instead."""
+
+    def __init__(self, message: str, help: str = "") -> None:
+        super().__init__(message)
+        self.message, self.help = message, help
+
+
+class Live:
+    """`start` it and it owns the session until `stop` returns. `ask`, `join` and `leave` may be called by any thread."""
+
+    def __init__(self, session: Session, *, watch: bool = True) -> None:
+        self._begin(session.compiler, session, Report(), watch)
+
+    @classmethod
+    def open(
+        cls, scene: Path, choices: Choices | None = None, options: Options | None = None, *, watch: bool = True, **how: int
+    ) -> Live:
+        """The same of a scene's file, which may have errors: then the session opens as soon as they are mended. `how` as in
+        `Session.open`."""
+        made, compiler = cls.__new__(cls), Compiler(scene)
+        session, report = Session.open(scene, choices, options, compiler=compiler, **how)
+        made._begin(compiler, session, report, watch)
+        made._how = choices, options, how
+        return made
+
+    def _begin(self, compiler: Compiler, session: Session | None, report: Report, watch: bool) -> None:
+        from antdsl.preview.viewing.screen import Screen
+
+        self.compiler, self._session, self.report = compiler, session, report
+        self._how: tuple[Choices | None, Options | None, dict[str, int]] = (None, None, {})
+        self.speed = 1.0  # of the clock; 0: as fast as it goes
+        self.light: int | None = None  # a frame that is shown as it is remembered; the session is elsewhere
+        self.stop_at: Stop | None = None  # why it paused by itself
+        self.clients: dict[Client, Look] = {}
+        self.screen = Screen(self)
+        self.observers: list[Observer] = [make(self) for make in OBSERVERS]
+        self._watch = Watch(compiler.files) if watch else None
+        self._queue: deque[tuple[Ask | str, Client]] = deque()
+        self._later: list[tuple[Ask, Client]] = []  # asked before there was a session
+        self._changed, self._over = Condition(), False
+        self._due = self._poll = 0.0
+        self._thread = Thread(target=self._run, name="antdsl-preview", daemon=True)
+        self._adopt()
+
+    # --- for all threads ---------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        with self._changed:
+            self._over = True
+            self._changed.notify()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def ask(self, ask: Ask, client: Client) -> None:
+        """Have something done between two steps. Busy when too much waits."""
+        self._put(ask, client)
+
+    def join(self, client: Client) -> None:
+        """Tell and show a page all there is, and go on so."""
+        self._put("join", client)
+
+    def leave(self, client: Client) -> None:
+        self._put("leave", client)
+
+    def _put(self, what: Ask | str, client: Client) -> None:
+        with self._changed:
+            if len(self._queue) >= _WAITING and not isinstance(what, str):
+                raise Busy
+            self._queue.append((what, client))
+            self._changed.notify()
+
+    # --- for handlers, on the live thread ----------------------------------------------------------------------------
+
+    @property
+    def session(self) -> Session:
+        """The session; handlers are called only when there is one."""
+        assert self._session is not None
+        return self._session
+
+    @property
+    def is_open(self) -> bool:
+        return self._session is not None
+
+    def observer(self, kind: type[O]) -> O:
+        """The one of a kind that this makes use of."""
+        return next(each for each in self.observers if isinstance(each, kind))
+
+    def tell_all(self, message: dict[str, Any]) -> None:
+        for client in self.clients:
+            client.tell(message)
+
+    def be_exact(self) -> None:
+        """Be where the page looks, if what it shows is only remembered."""
+        if self.light is not None:
+            frame, self.light = self.light, None
+            self.session.seek(frame)
+
+    def play(self) -> None:
+        self.session.playing, self.stop_at, self._due = True, None, monotonic()
+
+    def pause(self, why: Stop | None = None) -> None:
+        self.session.playing, self.stop_at = False, why
+
+    def step(self) -> bool:
+        """One step, and what those say who look on; whether it may go on."""
+        session = self.session
+        self.stop_at = None
+        session.step()
+        self.screen.stepped()
+        for observer in self.observers:
+            why = observer.stepped(session)
+            if why is not None and self.stop_at is None:
+                self.pause(why)
+        return session.fault is None and self.stop_at is None
+
+    def reload(self, of: str) -> None:
+        """Take up the files as they are, and tell everybody what came of it."""
+        from antdsl.preview.viewing.telling import outcome
+
+        if self._session is None:
+            self._try_to_open()
+            return
+        self.be_exact()
+        done = self._session.reload()
+        self.report = done.report
+        self.tell_all(outcome(self, of, done))
+        self.screen.edited(files=True)
+
+    # --- the thread --------------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._over:
+            try:
+                self._turn()
+            except Exception:  # whatever goes wrong in a step, the page is still there and can restart
+                traceback.print_exc(file=sys.stderr)
+                if self._session is not None:
+                    self.pause(Stop(_BUG))
+                self.tell_all({"op": "refused", "of": "play", "message": _BUG, "help": "press restart, and report it"})
+
+    def _turn(self) -> None:
+        while self._queue and not self._over:
+            self._do(*self._queue.popleft())
+        now = monotonic()
+        if self._watch is not None and now >= self._poll:
+            self._poll = now + _POLL
+            if self._watch.look():
+                self.reload("saved")
+        if self._session is not None and self._session.playing and monotonic() >= self._due:
+            self._advance()
+        self.screen.refresh(monotonic())
+        self._sleep()
+
+    def _advance(self) -> None:
+        if not self.step():
+            return
+        now = monotonic()
+        self._due = now if self.speed == 0 else max(self._due + self.session.world.dt / self.speed, now - _BEHIND)
+
+    def _sleep(self) -> None:
+        until = monotonic() + _IDLE
+        if self._watch is not None:
+            until = min(until, self._poll)
+        if self._session is not None and self._session.playing:
+            until = min(until, self._due)
+        until = min(until, self.screen.due)
+        with self._changed:
+            if not self._queue and not self._over and (wait := until - monotonic()) > 0:
+                self._changed.wait(wait)
+
+    def _do(self, what: Ask | str, client: Client) -> None:
+        if what == "join":
+            self.clients[client] = _NOTHING
+            self.screen.greet(client)
+        elif what == "leave":
+            self.clients.pop(client, None)
+        elif not isinstance(what, str) and client in self.clients and not self._overtaken(what, client):
+            self._handle(what, client)
+
+    def _overtaken(self, ask: Ask, client: Client) -> bool:
+        """Whether what comes next makes this needless: a slider on its way."""
+        following, asker = self._queue[0] if self._queue else (None, None)
+        if isinstance(ask, Set):
+            return isinstance(following, Set) and following.name == ask.name and asker is client
+        return isinstance(ask, Seek) and isinstance(following, Seek)
+
+    def _handle(self, ask: Ask, client: Client) -> None:
+        from antdsl.preview.doing import HANDLERS, WITHOUT_SESSION
+
+        if self._session is None and isinstance(ask, Breaks | Profile):
+            self._later.append((ask, client))
+            return
+        try:
+            if self._session is None and type(ask) not in WITHOUT_SESSION:
+                raise Refusal("there is nothing to play yet: the scene has errors", "mend them and save; it starts by itself")
+            HANDLERS[type(ask)](self, ask, client)
+        except Refusal as why:
+            client.tell({"op": "refused", "of": ask.op, "message": why.message, "help": why.help})
+        except Exception:
+            traceback.print_exc(file=sys.stderr)
+            client.tell({"op": "refused", "of": ask.op, "message": _BUG, "help": "what was there before runs on"})
+        self.screen.touched()
+
+    def _try_to_open(self) -> None:
+        choices, options, how = self._how
+        self._session, self.report = Session.open(self.compiler.scene, choices, options, compiler=self.compiler, **how)
+        self._adopt()
+        self.screen.edited(files=True)
+        if self._session is not None:
+            waiting, self._later = self._later, []
+            for ask, client in waiting:
+                if client in self.clients:
+                    self._handle(ask, client)
+
+    def _adopt(self) -> None:
+        """Hear of each world that the session comes to have, this one first."""
+        if self._session is not None:
+            self._session.on_world = self._entered
+            self._entered(self._session)
+
+    def _entered(self, session: Session) -> None:
+        self.screen.entered()
+        for observer in self.observers:
+            observer.entered(session)

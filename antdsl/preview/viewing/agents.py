@@ -1,0 +1,105 @@
+"""The packet of each frame: agents by id, items with their amounts, and the feelers of who is followed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.preview.packing import pack
+from antdsl.preview.timeline import Light
+from antdsl.preview.turns import turn
+from antdsl.preview.viewing.feelers import felt
+from antdsl.preview.viewing.seen import Packets, Seen, Wanted
+from antdsl.preview.viewing.units import unit_for, worth
+from antdsl.program.model import Program
+from antdsl.runtime import Population, World
+from antdsl.runtime.world import AXES
+
+Arrays = dict[str, NDArray[Any]]
+
+
+class Agents:
+    """The slot `frame`. Turns are unit vectors times 127, speeds mm/s, columns in the unit that the scene message says."""
+
+    def __init__(self) -> None:
+        self._last: tuple[World | None, int, int | None, Wanted] = (None, 0, None, Wanted())
+
+    def packets(self, seen: Seen) -> Packets:
+        world = seen.world
+        key = (world, world.frame, seen.light, seen.wanted)
+        if key[0] is self._last[0] and key[1:] == self._last[1:]:
+            return
+        self._last = key
+        if seen.light is not None:
+            lights = seen.session.shown(seen.light)
+            if lights is not None:
+                yield "frame", pack("frame", _remembered(lights), frame=seen.light, light=True)
+            return
+        arrays: Arrays = {}
+        factors = _factors(world, seen.shot.program, seen.wanted)
+        for population in world.populations.values():
+            arrays |= _agents(population, factors)
+        arrays |= _items(world, seen.shot.program)
+        if seen.wanted.follow is not None:
+            arrays |= felt(world, seen.shot.program, seen.wanted.follow.species, seen.wanted.follow.agent)
+        yield "frame", pack("frame", arrays, frame=world.frame, light=False)
+
+
+def _agents(population: Population, factors: Mapping[tuple[str, str], float]) -> Arrays:
+    name, now, rows = population.name, population.now, population.in_id_order()
+    arrays: Arrays = {
+        f"{name}/id": population.ids[rows].astype(np.int32),
+        f"{name}/position": population.position[rows].astype(np.float32),
+        f"{name}/heading": turn(population, "heading", rows),
+        f"{name}/up": turn(population, "up", rows),
+        f"{name}/size": now["size"][rows],
+        f"{name}/speed": _speed(population)[rows],
+        f"{name}/born": population.born[rows].astype(np.int32),
+    }
+    for machine in population.plan.machines:
+        arrays[f"{name}/state/{machine.name}"] = now[f"{machine.name}.state"][rows].astype(np.uint8)
+    for (species, column), factor in factors.items():
+        if species == name:
+            arrays[f"{name}/column/{column}"] = now[column][rows].astype(np.float32) * np.float32(factor)
+    return arrays
+
+
+def _speed(population: Population) -> NDArray[np.float32]:
+    x, y, z = (population.now[f"velocity.{axis}"] for axis in AXES)
+    speed: NDArray[np.float32] = np.sqrt(x * x + y * y + z * z)
+    return speed
+
+
+def _factors(world: World, program: Program, wanted: Wanted) -> dict[tuple[str, str], float]:
+    """What the columns that are looked at are multiplied with, of those that there are."""
+    found = {}
+    for species, name in sorted(wanted.columns):
+        declared = {each.name: each for each in program.species[species].attributes} if species in program.species else {}
+        if name in declared and species in world.populations and name in world.populations[species].now:
+            found[species, name] = 1 / worth(unit_for(declared[name]), world.setting.unit_mm, world.dt)
+    return found
+
+
+def _items(world: World, program: Program) -> Arrays:
+    arrays: Arrays = {}
+    for name, items in world.items.items():
+        arrays[f"item/{name}/position"] = items.position.astype(np.float32)
+        arrays[f"item/{name}/size"] = items.seen["radius"]
+        for declared in program.world[name].attributes:
+            if declared.name in items.amounts:
+                one = worth(unit_for(declared), world.setting.unit_mm, world.dt)
+                arrays[f"item/{name}/amount/{declared.name}"] = (items.amounts[declared.name] / one).astype(np.float32)
+    return arrays
+
+
+def _remembered(lights: Mapping[str, Light]) -> Arrays:
+    arrays: Arrays = {}
+    for name, light in lights.items():
+        arrays |= {f"{name}/id": light.ids.astype(np.int32), f"{name}/position": light.position}
+        arrays |= {f"{name}/heading": light.heading, f"{name}/up": light.up, f"{name}/size": light.size}
+        for machine, states in light.states.items():
+            arrays[f"{name}/state/{machine}"] = states.astype(np.uint8)
+    return arrays

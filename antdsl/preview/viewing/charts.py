@@ -1,0 +1,66 @@
+"""State machines as the page draws them; a layout is made again only where words or arrows have changed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from antdsl import graphs
+from antdsl.graphs.model import Chart, PlacedChart
+from antdsl.program.model import Program
+
+
+class Charts:
+    """The charts of a program. `need` says what to install where none can be laid out."""
+
+    def __init__(self) -> None:
+        self.need = ""
+        self._laid: dict[Chart, PlacedChart] = {}
+
+    def known(self, program: Program) -> bool:
+        """Whether the charts of a program need no new layout."""
+        return all(_plain(chart) in self._laid for chart in graphs.charts(program))
+
+    def of(self, program: Program) -> list[dict[str, Any]]:
+        machines = [(name, m.name) for name, species in program.species.items() for m in species.machines if m.states]
+        made = graphs.charts(program)
+        missing = [plain for chart in made if (plain := _plain(chart)) not in self._laid]
+        placed, report = graphs.lay_out(list(dict.fromkeys(missing)))
+        if not report.ok:
+            self.need = f"{report.errors[0].message}: {report.errors[0].help}"
+            return []
+        self._laid |= {each.chart: each for each in placed}
+        self._laid = {plain: self._laid[plain] for plain in map(_plain, made)}
+        return [
+            _told(species, machine, chart, self._laid[_plain(chart)])
+            for (species, machine), chart in zip(machines, made, strict=True)
+        ]
+
+
+def _plain(chart: Chart) -> Chart:
+    """A chart less the places in its file: what a layout goes by."""
+    boxes = tuple(replace(box, details="", colour=(0.0, 0.0, 0.0)) for box in chart.boxes)
+    return replace(chart, boxes=boxes, arrows=tuple(replace(arrow, details="") for arrow in chart.arrows))
+
+
+def _told(species: str, machine: str, chart: Chart, placed: PlacedChart) -> dict[str, Any]:
+    boxes = [
+        {
+            "key": box.key, "kind": box.kind, "name": box.name, "label": box.label, "colour": list(box.colour),
+            "details": box.details, "centre": list(place.centre), "width": place.width, "height": place.height,
+        }
+        for box, (_, place) in zip(chart.boxes, placed.boxes, strict=True)
+    ]  # fmt: skip
+    arrows = []
+    for arrow, way in zip(chart.arrows, placed.arrows, strict=True):
+        words = way.words and {"centre": list(way.words.centre), "width": way.words.width, "height": way.words.height}
+        arrows.append(
+            {
+                "source": arrow.source, "target": arrow.target, "lines": list(way.lines), "interrupt": arrow.interrupt,
+                "details": arrow.details, "points": [list(point) for point in way.points], "words": words,
+            }
+        )  # fmt: skip
+    return {
+        "species": species, "machine": machine, "title": chart.title, "width": placed.width, "height": placed.height,
+        "boxes": boxes, "arrows": arrows,
+    }  # fmt: skip

@@ -1,0 +1,73 @@
+"""Curves of counts, totals and specs over time, told as they grow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from antdsl.preview.timeline import Timeline
+
+_MOST = 4000  # points of a history: of a longer one every so many frames are told
+
+
+class Told:
+    """What all pages have of a session's curves."""
+
+    def __init__(self) -> None:
+        self._timeline: Timeline | None = None
+        self._upto: int | None = None
+        self._had = 0  # the last frame that was told, anew or not
+        self._branches = 0
+
+    def forget_from(self, frame: int) -> None:
+        """A frame and what follows are measured anew."""
+        if self._upto is not None and self._upto >= frame:
+            self._upto = frame - 1
+
+    def news(self, timeline: Timeline) -> dict[str, Any] | None:
+        """What pages do not have yet; None when there is nothing."""
+        if timeline is not self._timeline or len(timeline.branches) != self._branches or self._upto is None:
+            return self.all_of_it(timeline)
+        fresh = []
+        for frame in reversed(timeline.curves):  # they are in order, but for frames measured anew
+            if frame <= self._upto:
+                break
+            fresh.append(frame)
+        if not fresh:
+            return None
+        again = fresh[-1] <= self._had
+        self._upto = self._had = max(fresh)
+        return _message(again, {frame: timeline.curves[frame] for frame in reversed(fresh)}, None)
+
+    def all_of_it(self, timeline: Timeline) -> dict[str, Any]:
+        """The whole history with its branches; from now on pages have it."""
+        self._timeline, self._branches = timeline, len(timeline.branches)
+        self._upto = self._had = timeline.head
+        branches = [
+            {"first": branch.first, "line": branch.line, **_columns(thinned(branch.curves))} for branch in timeline.branches
+        ]
+        return _message(True, thinned(dict(sorted(timeline.curves.items()))), branches)
+
+
+def _message(reset: bool, curves: Mapping[int, Mapping[str, float]], branches: list[dict[str, Any]] | None) -> dict[str, Any]:
+    return {"op": "curves", "reset": reset, **_columns(curves), "branches": branches}
+
+
+def _columns(curves: Mapping[int, Mapping[str, float]]) -> dict[str, Any]:
+    """One list a name; null where a frame has no such number."""
+    names = dict.fromkeys(name for values in curves.values() for name in values)
+    return {"frames": list(curves), "values": {name: [_told(values.get(name)) for values in curves.values()] for name in names}}
+
+
+def _told(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else round(value, 6)
+
+
+def thinned(curves: Mapping[int, Mapping[str, float]]) -> Mapping[int, Mapping[str, float]]:
+    """At most so many of them, evenly, the last among them."""
+    if len(curves) <= _MOST:
+        return curves
+    frames = list(curves)
+    step = -(-len(frames) // _MOST)
+    return {frame: curves[frame] for frame in sorted({*frames[::step], frames[-1]})}

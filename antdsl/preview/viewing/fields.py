@@ -1,0 +1,68 @@
+"""Fields as numbers on their meshes, a few times a second, of those that some page looks at."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.preview.packing import pack
+from antdsl.preview.viewing.field_meshes import FieldMesh, cells_in_use, field_mesh
+from antdsl.preview.viewing.seen import Packets, Seen
+from antdsl.runtime import World
+
+_EVERY = 0.125  # seconds between two showings while it plays
+_MESH_EVERY = 1.0  # the same of meshes that grow
+_FULLEST = 98.0  # per cent of the cells that hold anything: what is shown as full where there is no limit
+
+
+class Fields:
+    """The slots `fieldmesh:NAME` and `field:NAME`: a byte a vertex, 255 is `full`."""
+
+    def __init__(self) -> None:
+        self._world: World | None = None
+        self._cells: dict[str, tuple[object, int, float]] = {}  # what a mesh was made of, and when
+        self._meshes: dict[str, FieldMesh] = {}
+        self._full: dict[str, float] = {}
+        self._shown: dict[str, int] = {}  # the frame shown last
+        self._last = -1.0
+
+    def packets(self, seen: Seen) -> Packets:
+        world = seen.world
+        wanted = sorted(seen.wanted.fields & world.fields.keys())
+        if world is not self._world:
+            self._world = world
+            self._shown.clear()
+        for gone in self._meshes.keys() - set(wanted):  # asked for again it is sent again
+            del self._meshes[gone], self._cells[gone]
+            self._shown.pop(gone, None)
+        if not wanted or (seen.session.playing and seen.now - self._last < _EVERY and self._shown.keys() >= set(wanted)):
+            return
+        self._last = seen.now
+        for name in wanted:
+            yield from self._field(seen, name)
+
+    def _field(self, seen: Seen, name: str) -> Packets:
+        world, field = seen.world, seen.world.fields[name]
+        made_of, count, when = self._cells.get(name, (None, 0, -_MESH_EVERY))
+        grown = count != cells_in_use(field) and (seen.now - when >= _MESH_EVERY or not seen.session.playing)
+        if made_of is not field.cells or grown:
+            mesh = field_mesh(world, name)
+            self._meshes[name], self._cells[name] = mesh, (field.cells, cells_in_use(field), seen.now)
+            self._shown.pop(name, None)
+            slot = f"fieldmesh:{name}"
+            yield slot, pack(slot, {"position": mesh.position, "face": mesh.face})
+        if self._shown.get(name) == world.frame:
+            return
+        self._shown[name] = world.frame
+        full = self._fullest(name, field.values, field.limit)
+        shown = self._meshes[name].shown(field.values)
+        value = np.clip(shown * np.float32(255 / full), 0, 255).astype(np.uint8)
+        yield f"field:{name}", pack(f"field:{name}", {"value": value}, full=full, frame=world.frame)
+
+    def _fullest(self, name: str, values: np.ndarray[tuple[int], np.dtype[np.float64]], limit: float) -> float:
+        """What is shown as full: the limit; without one, the most so far of what nearly all cells stay below."""
+        if np.isfinite(limit) and limit > 1e-3:
+            return float(limit)
+        held = values[values > 0]
+        now = float(np.percentile(held, _FULLEST)) if len(held) else 0.0
+        self._full[name] = max(now, self._full.get(name, 0.0), 1e-6)
+        return self._full[name]

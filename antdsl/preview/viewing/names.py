@@ -1,0 +1,79 @@
+"""Short names of files for the page, which never hears of a path of this machine; and places in their texts as browsers count."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from antdsl.diagnostics import Diagnostic
+from antdsl.resources import library_file
+from antdsl.scene.document import decode
+from antdsl.syntax import reading
+
+TEXT_BYTES = 1 << 20  # of one file that is shown
+
+
+class Names:
+    """Files below the scene's folder by their way from there, the library as `<steering>`, others by their last part."""
+
+    def __init__(self, scene: Path) -> None:
+        self._folder = Path(os.path.realpath(scene)).parent
+        self._names: dict[Path, str] = {}
+
+    def of(self, path: str | Path) -> str:
+        """The name of a file that a source or a list of files names. Two files never have one name."""
+        text = os.fspath(path)
+        if text.startswith("<"):
+            return text
+        real = Path(os.path.realpath(text))
+        if real not in self._names:
+            name = real.relative_to(self._folder).as_posix() if real.is_relative_to(self._folder) else real.name
+            if is_library(real):
+                name = f"<{real.stem}>"
+            taken, number, plain = set(self._names.values()), 1, name
+            while name in taken:
+                number += 1
+                name = f"{plain} ({number})"
+            self._names[real] = name
+        return self._names[real]
+
+    def problem(self, found: Diagnostic) -> dict[str, Any]:
+        """A complaint with its place; where it has none, the file is null."""
+        told: dict[str, Any] = {
+            "code": found.code, "severity": found.severity, "message": found.message, "help": found.help or "",
+            "file": None, "start": 0, "end": 0, "line": 0, "column": 0,
+        }  # fmt: skip
+        if found.span is not None:
+            text = found.span.source.text
+            line, column = found.span.source.line_column(found.span.start)
+            told |= {
+                "file": self.of(found.span.source.path), "start": utf16(text[: found.span.start]),
+                "end": utf16(text[: found.span.end]), "line": line, "column": column,
+            }  # fmt: skip
+        return told
+
+
+def is_library(path: Path) -> bool:
+    """Whether a file is one of those that come with antdsl."""
+    library = library_file(path.stem) if path.suffix == ".ant" else None
+    return library is not None and Path(os.path.realpath(library)) == path
+
+
+def utf16(text: str) -> int:
+    """The length of a text as a browser counts it; every line end is one."""
+    text = text.replace("\r\n", "\n")
+    return len(text) + sum(letter > "\uffff" for letter in text)
+
+
+def text_of(path: Path) -> str | None:
+    """The text of a program or a scene as those who read it count, whatever is wrong with it; None where there is none."""
+    try:
+        if path.stat().st_size > TEXT_BYTES:
+            return None
+        data = path.read_bytes()
+    except OSError:
+        return None
+    source, _ = reading.read_bytes(str(path), data) if path.suffix == ".ant" else decode(data, str(path))
+    text = source.text if source is not None else data.decode("utf-8", "replace").removeprefix("\ufeff")
+    return text.replace("\r\n", "\n").replace("\r", "\n")

@@ -1,0 +1,122 @@
+"""The scene message: what there is to look at, to colour by, to set and to switch."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from antdsl.outputs.feelers import feelers_of
+from antdsl.preview.session import Session
+from antdsl.preview.viewing.bodies import body_name
+from antdsl.preview.viewing.names import Names, text_of
+from antdsl.preview.viewing.units import base, colourable, unit_for, worth
+from antdsl.program.model import Param
+from antdsl.runtime import Population
+from antdsl.scene.quantities import parse_quantity
+
+if TYPE_CHECKING:
+    from antdsl.preview.live import Live
+
+_PALETTE = ((0.98, 0.75, 0.24), (0.35, 0.75, 0.95), (0.62, 0.86, 0.42), (0.93, 0.47, 0.65), (0.70, 0.60, 0.96))
+
+
+def scene(live: Live, charts: list[dict[str, Any]], charts_need: str) -> dict[str, Any]:
+    """All of it as the session's program is now."""
+    session, names = live.session, live.screen.names
+    world, program = session.world, session.shot.program
+    low, high = _bounds(session)
+    return {
+        "op": "scene", "name": names.of(live.compiler.scene), "fps": float(world.setting.fps), "unit_mm": world.setting.unit_mm,
+        "up": [float(x) for x in world.up], "low": low, "high": high,
+        "species": [_species(session, names, population) for population in world.populations.values()],
+        "params": [_param(session, names, name, param) for name, param in program.params.items()],
+        "fields": _fields(session), "flows": list(world.flows), "curves": list(world.setting.curves),
+        "solids": list(world.solids), "items": _items(session), "specs": [spec.name for spec in program.specs],
+        "charts": charts, "charts_need": charts_need,
+    }  # fmt: skip
+
+
+def _bounds(session: Session) -> tuple[list[float], list[float]]:
+    """The box about all ground, solids and agents, in the world's own count."""
+    world = session.world
+    meshes = [mesh.vertices for mesh in (*world.setting.surfaces.values(), *world.setting.obstacles.values())]
+    meshes += [solid.mesh.vertices for solid in world.setting.solids.values()]
+    parts = [mesh - world.origin for mesh in meshes] + [population.position for population in world.populations.values()]
+    parts = [part for part in parts if len(part)] or [np.array([[-100.0] * 3, [100.0] * 3])]
+    low, high = np.min([part.min(axis=0) for part in parts], axis=0), np.max([part.max(axis=0) for part in parts], axis=0)
+    return [float(x) for x in low], [float(x) for x in high]
+
+
+def _species(session: Session, names: Names, population: Population) -> dict[str, Any]:
+    world, shot, name = session.world, session.shot, population.name
+    declared = colourable(world, name, shot.program.species[name].attributes)
+    felt = feelers_of(shot.program, name, world.params, world.setting.unit_mm, world.dt)
+    return {
+        "name": name,
+        "body": body_name(shot, name),
+        "attributes": [{"name": each.name, "unit": unit_for(each)} for each in declared],
+        "machines": [
+            {"name": machine.name, "states": list(machine.states), "colours": [list(colour) for colour in machine.colours]}
+            for machine in population.plan.machines
+        ],
+        "layers": _layers(session, names, population),
+        "feelers": [
+            {"count": f.count, "spread": f.spread, "reach": f.reach * world.setting.unit_mm, "per_length": f.per_length}
+            for f in felt
+        ],
+    }
+
+
+def _layers(session: Session, names: Names, population: Population) -> list[dict[str, Any]]:
+    """Those that run and those that are off, in the order of the text."""
+    found = []
+    for layer in population.plan.layers:
+        span = layer.span
+        line = span.source.line_column(span.start)[0]
+        found.append({"text": span.text, "file": names.of(span.source.path), "line": line, "on": True})
+    for (species, text), path in session.off.items():
+        if species == population.name:
+            whole = text_of(path) or ""
+            line = whole.count("\n", 0, max(whole.find(text), 0)) + 1
+            found.append({"text": text, "file": names.of(path), "line": line, "on": False})
+    return sorted(found, key=lambda each: (each["file"], each["line"]))
+
+
+def _param(session: Session, names: Names, name: str, param: Param) -> dict[str, Any]:
+    world, scene = session.world, session.shot.scene
+    unit_mm, dt = world.setting.unit_mm, world.dt
+    given = scene.model.set.get(name)
+    written = given.text if given is not None else param.default.span.text if param.default.span is not None else ""
+    value = session.choices.params.get(name, written)
+    one = worth(param.unit, unit_mm, dt)
+    low, high = (base(each, unit_mm, dt) for each in (param.low, param.high))
+    return {
+        "name": name, "value": value, "number": parse_quantity(value).base(unit_mm, dt) / one, "unit": param.unit,
+        "low": None if low is None else low / one, "high": None if high is None else high / one, "help": param.help,
+        "file": names.of(param.span.source.path), "line": param.span.source.line_column(param.span.start)[0],
+        "written": written,
+    }  # fmt: skip
+
+
+def _fields(session: Session) -> list[dict[str, Any]]:
+    off = session.choices.params
+    return [
+        {
+            "name": name, "unit": "", "colour": list(_PALETTE[number % len(_PALETTE)]),
+            "on": not (f"{name}.limit" in off and f"{name}.keeps" in off),
+            "full": float(field.limit) if np.isfinite(field.limit) else 1.0,
+        }
+        for number, (name, field) in enumerate(session.world.fields.items())
+    ]  # fmt: skip
+
+
+def _items(session: Session) -> list[dict[str, Any]]:
+    things = session.shot.program.world
+    return [
+        {
+            "name": name, "kind": things[name].kind, "names": list(items.names),
+            "amounts": [{"name": a.name, "unit": unit_for(a)} for a in things[name].attributes if a.name in items.amounts],
+        }
+        for name, items in session.world.items.items()
+    ]  # fmt: skip

@@ -1,0 +1,185 @@
+"""What all pages have been told and shown so far, and what is due: at most so often a second, only what changed, and nothing
+while nobody is there."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from math import inf
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+from antdsl.preview.session import Session
+from antdsl.preview.viewing import telling
+from antdsl.preview.viewing.agents import Agents
+from antdsl.preview.viewing.bodies import Bodies, ItemBodies
+from antdsl.preview.viewing.charts import Charts
+from antdsl.preview.viewing.curves import Told
+from antdsl.preview.viewing.fields import Fields
+from antdsl.preview.viewing.lines import Curves, Flows
+from antdsl.preview.viewing.meshes import Meshes
+from antdsl.preview.viewing.names import Names
+from antdsl.preview.viewing.scene import scene
+from antdsl.preview.viewing.seen import Seen, View, Wanted
+from antdsl.preview.viewing.solids import Solids
+
+if TYPE_CHECKING:
+    from antdsl.preview.live import Client, Live
+
+# One of each is made; what agents are shown on and with comes before them.
+VIEWS: tuple[Callable[[], View], ...] = (Bodies, ItemBodies, Meshes, Curves, Solids, Agents, Fields, Flows)
+_FRAME_EVERY = 1 / 60  # seconds
+_TOLD_EVERY = 0.1  # the same of status and curves while it plays
+_RATE_OVER = 1.0  # seconds of steps that the rate is measured over
+
+
+class Screen:
+    """Used by the live thread alone. `due`: when `refresh` has something to do again."""
+
+    def __init__(self, live: Live) -> None:
+        self.live, self.names = live, Names(live.compiler.scene)
+        self.due = inf
+        self._views = [make() for make in VIEWS]
+        self._charts, self._curves = Charts(), Told()
+        self._wanted = Wanted()
+        self._standing: dict[str, bytes] = {}  # the latest packet of each slot
+        self._steps: deque[float] = deque()
+        self._program = self._files = self._moved = True  # what has changed since pages heard
+        self._shown_at = self._told_at = -inf
+        self._scene: dict[str, Any] = {}
+        self._status: dict[str, Any] = {}
+        self._hash: tuple[object, int, str] | None = None
+
+    # --- what happened -----------------------------------------------------------------------------------------------
+
+    def stepped(self) -> None:
+        self._steps.append(monotonic())
+        self._moved = True
+
+    def entered(self) -> None:
+        self._moved = True
+
+    def sought(self) -> None:
+        self._moved = True
+
+    def touched(self) -> None:
+        """Something was done that pages may have to hear of."""
+        self._moved, self._told_at = True, -inf
+
+    def edited(self, *, files: bool) -> None:
+        """The program is another one, or was to be; `files`: texts may have changed."""
+        self._program, self._files = True, self._files or files
+        if self.live.is_open:
+            self._curves.forget_from(self.live.session.frame)
+        self.touched()
+
+    def looked(self) -> None:
+        self._wanted = Wanted.by(self.live.clients.values())
+        self._moved = True
+
+    def greet(self, client: Client) -> None:
+        """Tell and show one page everything."""
+        self.looked()
+        client.tell(telling.hello(self.live))
+        if len(self.live.clients) == 1:
+            self._program = self._files = False  # nobody else is there to hear of it
+        if self.live.is_open:
+            told = self._scene_message()
+            self._scene = self._scene if len(self.live.clients) > 1 else told
+            client.tell(told)
+        client.tell(telling.texts(self.live))
+        client.tell(telling.problems(self.live))
+        client.tell(telling.status(self.live, self._rate(), self._hash_now()))
+        if self.live.is_open:
+            client.tell(self._curves.all_of_it(self.live.session.timeline))
+            sent = self._show(self.live.session, monotonic())
+            for slot, packet in self._standing.items():
+                if slot not in sent:
+                    client.show(slot, packet)
+
+    # --- telling -----------------------------------------------------------------------------------------------------
+
+    def refresh(self, now: float) -> None:
+        """Tell and show what is due."""
+        live = self.live
+        self.due = inf
+        if not live.clients:
+            return
+        session = live.session if live.is_open else None
+        program, files = self._program, self._files
+        self._program = self._files = False
+        laid = True
+        if program and session is not None:
+            laid = self._tell_scene(self._charts.known(session.shot.program))
+        playing = session is not None and session.playing
+        if session is not None and self._moved:
+            if playing and now - self._shown_at < _FRAME_EVERY:
+                self.due = self._shown_at + _FRAME_EVERY
+            else:
+                self._moved = False
+                self._show(session, now)
+        if files:
+            live.tell_all(telling.texts(live))
+            live.tell_all(telling.problems(live))
+        if not laid:
+            self._tell_scene(True)
+        if not playing or now - self._told_at >= _TOLD_EVERY:
+            self._told_at = now
+            self._tell_progress(session)
+        if playing:
+            self.due = min(self.due, self._told_at + _TOLD_EVERY)
+
+    def _show(self, session: Session, now: float) -> set[str]:
+        """Show all pages what is other than before; which slots that is."""
+        self._shown_at = now
+        seen, sent = Seen(session, self._wanted, self.live.light, now), set()
+        for view in self._views:
+            for slot, packet in view.packets(seen):
+                self._standing[slot] = packet
+                sent.add(slot)
+                for client in self.live.clients:
+                    client.show(slot, packet)
+        return sent
+
+    def _tell_scene(self, laid: bool) -> bool:
+        """Tell the scene if it is another than pages have, with charts only where these are `laid` out; whether they are."""
+        told = self._scene_message(laid)
+        still = ("low", "high")  # agents move: no reason to tell it again
+        if {k: v for k, v in told.items() if k not in still} != {k: v for k, v in self._scene.items() if k not in still}:
+            self._scene = told
+            self.live.tell_all(told)
+        return laid
+
+    def _scene_message(self, laid: bool = True) -> dict[str, Any]:
+        charts = self._charts.of(self.live.session.shot.program) if laid else self._scene.get("charts", [])
+        return scene(self.live, charts, self._charts.need)
+
+    def _tell_progress(self, session: Session | None) -> None:
+        told = telling.status(self.live, self._rate(), self._hash_now())
+        if told != self._status:
+            self._status = told
+            self.live.tell_all(told)
+        news = self._curves.news(session.timeline) if session is not None else None
+        if news is not None:
+            self.live.tell_all(news)
+
+    def _rate(self) -> float:
+        """Steps in a second, lately; 0 while it stands still."""
+        if not self.live.is_open or not self.live.session.playing:
+            self._steps.clear()
+            return 0.0
+        now = monotonic()
+        while self._steps and self._steps[0] < now - _RATE_OVER:
+            self._steps.popleft()
+        over = self._steps[-1] - self._steps[0] if len(self._steps) > 1 else 0.0
+        return (len(self._steps) - 1) / over if over > 0 else 0.0
+
+    def _hash_now(self) -> str | None:
+        """Of the session's world while it stands still and is what is shown."""
+        live = self.live
+        if not live.is_open or live.session.playing or live.light is not None:
+            return None
+        world = live.session.world
+        if self._hash is None or self._hash[0] is not world or self._hash[1] != world.frame:
+            self._hash = world, world.frame, live.session.hash
+        return self._hash[2]

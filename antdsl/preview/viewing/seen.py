@@ -1,0 +1,61 @@
+"""What those who make packets look at, and the shape that they have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+from antdsl.pipeline import Shot
+from antdsl.preview.asks import Look, Who
+from antdsl.preview.session import Session
+from antdsl.runtime import World
+
+Packets = Iterator[tuple[str, bytes]]
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """All that some page looks at."""
+
+    columns: frozenset[tuple[str, str]] = frozenset()  # species and attribute
+    fields: frozenset[str] = frozenset()
+    flows: frozenset[str] = frozenset()
+    solids: bool = True
+    follow: Who | None = None  # the one followed last
+
+    @classmethod
+    def by(cls, looks: Iterable[Look]) -> Wanted:
+        looks = list(looks)
+        followed = [look.follow for look in looks if look.follow is not None]
+        return cls(
+            frozenset((column.species, column.name) for look in looks for column in look.columns),
+            frozenset(name for look in looks for name in look.fields),
+            frozenset(name for look in looks for name in look.flows),
+            any(look.solids for look in looks),
+            followed[-1] if followed else None,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A moment: the session, what is looked at, the remembered frame that is shown instead of the session's own, the clock."""
+
+    session: Session
+    wanted: Wanted
+    light: int | None
+    now: float
+
+    @property
+    def world(self) -> World:
+        return self.session.world
+
+    @property
+    def shot(self) -> Shot:
+        return self.session.shot
+
+
+class View(Protocol):
+    """Makes the packets of one kind: those that differ from what it gave before."""
+
+    def packets(self, seen: Seen) -> Packets: ...

@@ -1,0 +1,66 @@
+"""The messages about a session but the scene's own: what is said, not what is shown."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from antdsl import __version__
+from antdsl.preview.session import Outcome
+from antdsl.preview.viewing.names import is_library, text_of
+
+if TYPE_CHECKING:
+    from antdsl.preview.live import Live
+
+Message = dict[str, Any]
+
+
+def hello(live: Live) -> Message:
+    """`build` is empty here: the server knows which page it has."""
+    return {"op": "hello", "version": __version__, "build": "", "scene": scene_file(live)}
+
+
+def scene_file(live: Live) -> str:
+    return live.screen.names.of(live.compiler.scene)
+
+
+def texts(live: Live) -> Message:
+    """All programs and scenes, as they are on the disk."""
+    found = []
+    for path in dict.fromkeys(Path(os.path.realpath(each)) for each in live.compiler.files()):
+        if path.suffix in (".ant", ".yaml", ".yml") and (text := text_of(path)) is not None:
+            kind = "library" if is_library(path) else "ant" if path.suffix == ".ant" else "yaml"
+            found.append({"file": live.screen.names.of(path), "text": text, "kind": kind})
+    return {"op": "texts", "texts": found}
+
+
+def problems(live: Live) -> Message:
+    """What is wrong with the files, as of the last time that they were tried."""
+    return {"op": "problems", "problems": [live.screen.names.problem(each) for each in live.report.sorted()]}
+
+
+def outcome(live: Live, of: str, done: Outcome, file: str = "") -> Message:
+    found = [live.screen.names.problem(each) for each in done.report.sorted()]
+    return {"op": "outcome", "of": of, "ok": done.ok, "line": done.line, "text": done.text, "file": file, "problems": found}
+
+
+def status(live: Live, rate: float, hash: str | None) -> Message:
+    """How the session stands; the same with nothing in it while the scene has errors."""
+    told: Message = {
+        "op": "status", "frame": 0, "first": 0, "head": 0, "playing": False, "speed": live.speed, "rate": round(rate, 1),
+        "edited": False, "fault": None, "paused_by": None, "paused_agents": None, "hash": hash, "agents": 0, "light": False,
+    }  # fmt: skip
+    if not live.is_open:
+        return told
+    session, why = live.session, live.stop_at
+    told |= {
+        "frame": session.frame if live.light is None else live.light, "first": session.first, "head": session.head,
+        "playing": session.playing, "edited": session.edited, "fault": session.fault, "agents": len(session.world),
+        "light": live.light is not None,
+    }  # fmt: skip
+    if why is not None:
+        told["paused_by"] = why.line
+        if why.agents:
+            told["paused_agents"] = {"species": why.species, "agents": list(why.agents)}
+    return told

@@ -1,0 +1,42 @@
+"""The units in which numbers go to the page: as authors write them."""
+
+from __future__ import annotations
+
+from antdsl.program.model import AttributeDecl, Const, ItemAttribute, Kind, Param
+from antdsl.program.units import measure, unit_of
+from antdsl.runtime import World
+from antdsl.scene.quantities import BadQuantity, parse_quantity
+
+
+def unit_for(declared: AttributeDecl | ItemAttribute) -> str:
+    """The unit that the default is written in, else a usual one."""
+    if declared.type.kind is not Kind.NUMBER:
+        return ""
+    default = declared.default
+    try:
+        written = parse_quantity(default.span.text) if default.span is not None else None
+    except BadQuantity:
+        written = None
+    return written.unit if written is not None and written.dim == declared.type.dim else unit_of(declared.type.dim)
+
+
+def worth(unit: str, unit_mm: float, dt: float) -> float:
+    """Base units in one of a unit."""
+    known = measure(unit) if unit else None
+    return 1.0 if known is None else known.factor * unit_mm**known.u * dt**known.step
+
+
+def base(value: Const | None, unit_mm: float, dt: float) -> float | None:
+    """A constant of the program in base units."""
+    return None if value is None else float(value.number * unit_mm**value.u * dt**value.step)
+
+
+def colourable(world: World, species: str, attributes: tuple[AttributeDecl, ...]) -> list[AttributeDecl]:
+    """Those of a species' attributes that are a number of each agent."""
+    registers = world.plan.species[species].registers
+    return [each for each in attributes if each.type.kind in (Kind.NUMBER, Kind.BOOL) and each.name in registers]
+
+
+def shown_param(param: Param, value: float, unit_mm: float, dt: float) -> float:
+    """A param's value in its own unit."""
+    return value / worth(param.unit, unit_mm, dt)

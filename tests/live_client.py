@@ -1,0 +1,87 @@
+"""A page for tests: keeps what it was told and shown, and waits for what is to come."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from threading import Condition
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.preview import Live
+from antdsl.preview.asks import ASK
+from antdsl.preview.packing import unpack
+
+Message = dict[str, Any]
+PATIENCE = 20.0  # seconds
+
+
+class Page:
+    """A client of a Live. `ask` takes what a browser would send."""
+
+    def __init__(self, live: Live) -> None:
+        self.live = live
+        self.told: list[Message] = []
+        self.packets: dict[str, bytes] = {}
+        self.frames: list[tuple[int, bool]] = []  # each that was shown, and whether it was a light one
+        self._changed = Condition()
+        live.join(self)
+
+    def tell(self, message: Message) -> None:
+        with self._changed:
+            self.told.append(message)
+            self._changed.notify_all()
+
+    def show(self, slot: str, packet: bytes) -> None:
+        with self._changed:
+            self.packets[slot] = packet
+            if slot == "frame":
+                header, _ = unpack(packet)
+                self.frames.append((header["frame"], header["light"]))
+            self._changed.notify_all()
+
+    def ask(self, op: str, **what: Any) -> None:
+        self.live.ask(ASK.validate_python({"op": op, **what}), self)
+
+    def until(self, true: Callable[[], Any]) -> Any:
+        """What `true` gives, once it gives something."""
+        end = time.monotonic() + PATIENCE
+        with self._changed:
+            while not (found := true()):
+                assert self._changed.wait(max(end - time.monotonic(), 0)), f"nothing came after {str(self.told[-3:])[:500]}"
+        return found
+
+    def last(self, op: str) -> Message | None:
+        return next((message for message in reversed(self.told) if message["op"] == op), None)
+
+    def status(self, **wanted: Any) -> Message:
+        """The latest status, once it says so."""
+
+        def fits() -> Message | None:
+            found = self.last("status")
+            return found if found is not None and all(found[key] == value for key, value in wanted.items()) else None
+
+        return self.until(fits)
+
+    def shown(self, frame: int, *, light: bool = False) -> dict[str, NDArray[Any]]:
+        """The arrays of a frame, once it is the one that is shown."""
+        self.until(lambda: self.frames and self.frames[-1] == (frame, light))
+        return unpack(self.packets["frame"])[1]
+
+    def told_after(self, op: str, number: int) -> Message:
+        """The first message of an op among those after the first `number` of all."""
+        return self.until(lambda: next((message for message in self.told[number:] if message["op"] == op), None))
+
+    def done(self, op: str, **what: Any) -> Message:
+        """Ask, and what came of it."""
+        number = len(self.told)
+        self.ask(op, **what)
+        return self.until(
+            lambda: next((m for m in self.told[number:] if m["op"] in ("outcome", "refused") and m["of"] == op), None)
+        )
+
+
+def places(arrays: dict[str, NDArray[Any]], species: str) -> NDArray[np.float32]:
+    return arrays[f"{species}/position"].reshape(-1, 3)

@@ -1,0 +1,199 @@
+"""The thread that owns a session: what pages ask is done between two steps, what they are shown is what the session holds, and a
+run is what it is without them."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_client import Page, places
+
+from antdsl.pipeline import open_scene, simulate
+from antdsl.preview import Live, Session
+from antdsl.runtime import state_hash
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A copy of the foraging ants, forty of them."""
+    folder = tmp_path / "foraging"
+    shutil.copytree(EXAMPLES / "foraging", folder)
+    scene = folder / "scene.yaml"
+    scene.write_text(scene.read_text().replace("count: 500", "count: 40"))
+    return scene
+
+
+@pytest.fixture
+def live(scene: Path) -> Iterator[Live]:
+    live = Live.open(scene)
+    live.start()
+    yield live
+    live.stop()
+
+
+def hashes(scene: Path, last: int) -> dict[int, str]:
+    shot, report = open_scene(scene)
+    assert shot is not None, [d.message for d in report.errors]
+    found = {}
+    for world in simulate(shot):
+        found[world.frame] = state_hash(world)
+        if world.frame == last:
+            break
+    return found
+
+
+def test_whoever_joins_is_told_and_shown_everything(live: Live) -> None:
+    page = Page(live)
+    page.shown(1)
+    ops = [message["op"] for message in page.told[:6]]
+    assert ops == ["hello", "scene", "texts", "problems", "status", "curves"]
+    assert {"body:ant", "body:ant:fine", "mesh:ground", "mesh:stones", "item:food:apple", "frame"} <= page.packets.keys()
+    texts = {text["file"]: text["kind"] for text in page.told[2]["texts"]}
+    assert texts == {"scene.yaml": "yaml", "forager.ant": "ant", "<steering>": "library"}
+    assert page.told[1]["charts"][0]["species"] == "forager" and len(page.told[1]["charts"][0]["boxes"]) > 4
+    later = Page(live)
+    later.shown(1)
+    assert later.packets == page.packets
+
+
+def test_the_hash_is_that_of_a_run_whoever_looks_on_and_scrubs(live: Live, scene: Path) -> None:
+    expected = hashes(scene, 40)
+    page, other = Page(live), Page(live)
+    page.ask("look", columns=({"species": "forager", "name": "zeal"},), fields=("trail",), solids=True,
+             follow={"species": "forager", "agent": 3})  # fmt: skip
+    page.ask("step", count=30)
+    assert page.status(frame=31, playing=False)["hash"] == expected[31]
+    page.ask("seek", frame=7, exact=False)
+    page.ask("seek", frame=12, exact=True)
+    assert page.status(frame=12, light=False)["hash"] == expected[12]
+    other.ask("step", count=28)
+    assert page.status(frame=40)["hash"] == expected[40]
+    assert not page.last("status")["edited"]
+
+
+def test_a_frame_shows_what_the_session_holds(live: Live, scene: Path) -> None:
+    page = Page(live)
+    page.ask("look", columns=({"species": "forager", "name": "max_speed"},), fields=("trail",), follow=None)
+    page.ask("step", count=20)
+    arrays = page.shown(21)
+    session, _ = Session.open(scene)
+    assert session is not None
+    for _ in range(20):
+        session.step()
+    ants = session.world.populations["forager"]
+    assert list(arrays["forager/id"]) == sorted(ants.ids)
+    rows = ants.in_id_order()
+    assert np.array_equal(places(arrays, "forager"), ants.position[rows].astype(np.float32))
+    assert np.allclose(arrays["forager/heading"].reshape(-1, 3) / 127, ants.vector("heading")[rows], atol=0.004)
+    assert np.array_equal(arrays["forager/state/main"], ants.now["main.state"][rows])
+    assert np.allclose(arrays["forager/speed"], np.linalg.norm(ants.vector("velocity"), axis=1)[rows], rtol=1e-5)
+    assert np.array_equal(arrays["forager/column/max_speed"], ants.now["max_speed"][rows])
+    assert np.allclose(arrays["item/food/amount/load"], session.world.items["food"].amounts["load"])
+    assert {"fieldmesh:trail", "field:trail"} <= page.packets.keys()
+
+
+def test_a_light_frame_shows_turned_bodies_and_simulates_nothing(live: Live) -> None:
+    page = Page(live)
+    page.ask("step", count=9)
+    exact = page.shown(10)
+    page.ask("step", count=5)
+    page.shown(15)
+    page.ask("seek", frame=10, exact=False)
+    light = page.shown(10, light=True)
+    assert page.status(frame=10, light=True)["hash"] is None
+    for name, array in light.items():
+        assert np.array_equal(array, exact[name]), name
+    assert {"forager/heading", "forager/up", "forager/size", "forager/state/main"} <= light.keys()
+    page.ask("step")
+    page.shown(11)
+    assert page.status(frame=11, light=False)["head"] == 15
+
+
+def test_it_plays_and_pauses_and_keeps_the_pace(live: Live) -> None:
+    page = Page(live)
+    page.ask("step", count=20)  # the first ones prepare what the others find ready
+    page.ask("speed", times=2.0)
+    page.ask("play")
+    page.until(lambda: (page.last("status") or {"rate": 0})["rate"] > 0 and page.frames[-1][0] > 120)
+    rate = page.last("status")["rate"]
+    page.ask("pause")
+    status = page.status(playing=False)
+    assert status["frame"] > 120 and 24 < rate < 60  # twice 24 frames a second, on a machine with other things to do
+    assert [frame for frame, _ in page.frames] == sorted(frame for frame, _ in page.frames)
+
+
+def test_a_saved_edit_goes_on_with_the_ants_and_an_error_leaves_them_running(live: Live, scene: Path) -> None:
+    page = Page(live)
+    page.ask("step", count=5)
+    page.shown(6)
+    program = scene.with_name("forager.ant")
+    good = program.read_text()
+    number = len(page.told)
+    program.write_text(good.replace("smell", "smel\N{ANT}l", 1))
+    outcome = page.told_after("outcome", number)
+    assert not outcome["ok"] and outcome["of"] == "saved"
+    problem = page.told_after("problems", number)["problems"][0]
+    shown = {text["file"]: text["text"] for text in page.told_after("texts", number)["texts"]}["forager.ant"]
+    assert problem["file"] == "forager.ant" and "\N{ANT}" in shown
+    assert shown.encode("utf-16-le")[2 * problem["start"] : 2 * problem["end"]].decode("utf-16-le").strip()
+    page.ask("step")
+    page.shown(7)
+    number = len(page.told)
+    program.write_text(good.replace("patience = 36 s", "patience = 30 s"))
+    outcome = page.told_after("outcome", number)
+    assert outcome["ok"] and "kept 40 agents" in outcome["line"]
+    assert page.status(edited=True)["frame"] == 7
+    assert page.told_after("problems", number)["problems"] == []
+
+
+def test_what_is_set_by_hand_is_told_with_its_line(live: Live) -> None:
+    page = Page(live)
+    page.shown(1)
+    done = page.done("set", name="forager.smell", value="60 mm")
+    assert done["ok"] and done["text"] == "set: {forager.smell: 60 mm}" and done["file"] == "scene.yaml"
+    param = page.until(
+        lambda: next((p for p in page.last("scene")["params"] if p["name"] == "forager.smell" and p["number"] == 60), None)
+    )
+    assert (param["value"], param["written"], param["unit"]) == ("60 mm", "40 mm", "mm")
+    layer = page.last("scene")["species"][0]["layers"][1]
+    done = page.done("layer", species="forager", layer=layer["text"], on=False)
+    assert done["ok"] and done["file"] == "forager.ant"
+    page.until(lambda: page.last("scene")["species"][0]["layers"][1] == {**layer, "on": False})
+    assert page.done("field", name="trail", on=False)["ok"]
+    page.until(lambda: not page.last("scene")["fields"][0]["on"])
+    assert not page.done("set", name="forager.smell", value="60 kg")["ok"]
+
+
+def test_a_bug_in_a_handler_ends_nothing(live: Live, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    page = Page(live)
+    page.shown(1)
+    monkeypatch.setattr(Session, "layer", lambda *_: 1 / 0)
+    refused = page.done("layer", species="forager", layer="x", on=True)
+    assert "bug in antdsl" in refused["message"]
+    assert "ZeroDivisionError" in capsys.readouterr().err
+    page.ask("step")
+    page.shown(2)
+
+
+def test_a_scene_with_errors_opens_once_they_are_mended(scene: Path) -> None:
+    program = scene.with_name("forager.ant")
+    good = program.read_text()
+    program.write_text(good.replace("species forager", "species forager forager"))
+    live = Live.open(scene)
+    live.start()
+    try:
+        page = Page(live)
+        found = page.until(lambda: (page.last("problems") or {"problems": []})["problems"])
+        assert found[0]["file"] == "forager.ant"
+        assert "errors" in page.done("play")["message"]
+        program.write_text(good)
+        page.shown(1)
+        assert page.status(agents=40)["frame"] == 1
+        assert page.last("problems")["problems"] == []
+    finally:
+        live.stop()
