@@ -1,16 +1,15 @@
 // Bodies: one call to draw for each species. Poses of the walk lie in a texture; turning and the way between two frames is done
-// where it is drawn. Below each body lies a soft shadow, so that it stands on its ground.
+// where it is drawn. Below each body lies a soft shadow, so that it stands on its ground. Those near by are drawn in full.
 
 import * as THREE from "three";
 import type { NumberArray, Packet } from "../protocol";
 import { bodyMaterial, shadowMaterial, square, standing } from "./bodyshaders";
+import { Close } from "./close";
 import type { Herd, Rows } from "./herd";
 import type { Herds } from "./herds";
 import { speck } from "./speck";
 import type { Stage } from "./stage";
 
-const FINE = 26; // px that a body is long on the screen from which on it is drawn in full
-const CLOSE = { software: 250, hardware: 6000 }; // agents at most, to be drawn in full
 const CROWD = { software: 3000, hardware: 120_000 }; // agents from which on each is a speck
 
 type Level = "fine" | "low" | "speck";
@@ -72,10 +71,10 @@ export class Bodies {
     for (const each of this.drawn.values()) {
       const levels = this.shapes.get(each.herd.species.body);
       if (!levels) continue;
-      let level: Level = crowd > CROWD[kind] ? "speck" : "low";
-      if (crowd <= CLOSE[kind] && each.pixels() > FINE && levels.has("fine")) level = "fine";
+      const level: Level = crowd > CROWD[kind] ? "speck" : "low";
       const shape = levels.get(level);
       if (shape) each.show(shape, this.herds.t, level !== "speck");
+      each.close.show(levels.get("fine"), this.herds.t);
     }
     return false;
   }
@@ -84,6 +83,7 @@ export class Bodies {
 /** One species as it is drawn. */
 class Drawn {
   private readonly uniforms: Record<string, THREE.IUniform>;
+  readonly close: Close;
   private readonly body: THREE.Mesh;
   private readonly shadow: THREE.Mesh;
   private shape: Shape | null = null;
@@ -97,7 +97,9 @@ class Drawn {
     this.uniforms = standing(stage);
     this.body = new THREE.Mesh(new THREE.InstancedBufferGeometry(), bodyMaterial(this.uniforms));
     this.shadow = new THREE.Mesh(new THREE.InstancedBufferGeometry(), shadowMaterial(this.uniforms));
-    this.shadow.renderOrder = 2;
+    this.shadow.renderOrder = 1;
+    this.body.renderOrder = 2;
+    this.close = new Close(stage, herd, () => this.recolour());
     for (const mesh of [this.body, this.shadow]) {
       mesh.frustumCulled = false;
       mesh.visible = false;
@@ -105,20 +107,9 @@ class Drawn {
     }
   }
 
-  /** CSS px that a body is long, of the agent in the middle of the herd's first rows; enough to choose by. */
-  pixels(): number {
-    if (this.herd.count === 0) return 0;
-    let nearest = Number.POSITIVE_INFINITY;
-    const jump = Math.max(1, this.herd.count >> 8);
-    for (let row = 0; row < this.herd.count; row += jump) {
-      this.herd.place(row, 1, POINT);
-      nearest = Math.min(nearest, POINT.distanceToSquared(this.stage.camera.position));
-    }
-    return (this.herd.size(0) * this.stage.focal) / Math.max(Math.sqrt(nearest), 1e-9);
-  }
-
   forget(): void {
     this.shape = null;
+    this.close.forget();
   }
 
   refresh(): void {
@@ -141,6 +132,7 @@ class Drawn {
   }
 
   dispose(): void {
+    this.close.dispose();
     for (const mesh of [this.body, this.shadow]) {
       this.stage.scene.remove(mesh);
       mesh.geometry.dispose();
@@ -151,11 +143,7 @@ class Drawn {
 
   private build(shape: Shape): void {
     this.instanced = rowAttributes(this.herd.rows);
-    const body = new THREE.InstancedBufferGeometry();
-    body.setAttribute("position", new THREE.BufferAttribute(shape.poses.subarray(0, shape.normal.length), 3));
-    body.setAttribute("normal", new THREE.BufferAttribute(shape.normal, 3));
-    body.setAttribute("tint", new THREE.BufferAttribute(shape.tint, 1));
-    body.setIndex(new THREE.BufferAttribute(shape.face, 1));
+    const body = bodyGeometry(shape);
     const shadow = square();
     for (const [mesh, geometry] of [[this.body, body], [this.shadow, shadow]] as const) {
       for (const [name, attribute] of this.instanced) geometry.setAttribute(name, attribute);
@@ -163,18 +151,12 @@ class Drawn {
       mesh.geometry.dispose();
       mesh.geometry = geometry;
     }
-    if (shape !== this.shape) {
-      (this.uniforms.poses!.value as THREE.Texture | null)?.dispose();
-      this.uniforms.poses!.value = texture(shape);
-      this.uniforms.moments!.value = shape.count;
-    }
+    if (shape !== this.shape) pose(this.uniforms, shape);
     this.shape = shape;
     this.version = this.herd.rows.version;
     this.refresh();
   }
 }
-
-const POINT = new THREE.Vector3();
 
 /** The arrays of rows as attributes of instances, under the names that the shaders have for them. */
 export function rowAttributes(rows: Rows): Map<string, THREE.InstancedBufferAttribute> {
@@ -205,6 +187,22 @@ function shapeOf(packet: Packet): Shape {
     face: Uint32Array.from(take("face")),
     tint: take("tint") as Float32Array,
   };
+}
+
+export function bodyGeometry(shape: Shape): THREE.InstancedBufferGeometry {
+  const made = new THREE.InstancedBufferGeometry();
+  made.setAttribute("position", new THREE.BufferAttribute(shape.poses.subarray(0, shape.normal.length), 3));
+  made.setAttribute("normal", new THREE.BufferAttribute(shape.normal, 3));
+  made.setAttribute("tint", new THREE.BufferAttribute(shape.tint, 1));
+  made.setIndex(new THREE.BufferAttribute(shape.face, 1));
+  return made;
+}
+
+/** Have the poses of a shape drawn. */
+export function pose(uniforms: Record<string, THREE.IUniform>, shape: Shape): void {
+  (uniforms.poses!.value as THREE.Texture | null)?.dispose();
+  uniforms.poses!.value = texture(shape);
+  uniforms.moments!.value = shape.count;
 }
 
 function texture(shape: Shape): THREE.DataTexture {

@@ -43,6 +43,7 @@ varying float vTint;
 ${STAND}
 void main() {
   stand();
+  if (tone.a < 0.5) { gl_Position = vec4(2.0, 2.0, 2.0, 1.0); return; } // drawn in full by another call
   float at = fract(mix(gait.x, gait.y, t)) * moments;
   float first = min(floor(at), moments - 1.0);
   float next = mod(first + 1.0, moments);
@@ -83,9 +84,10 @@ ${STAND}
 void main() {
   stand();
   vAt = position.xy;
-  vec3 flat_ = vec3(position.x * 0.72, 0.03, position.y * 0.46) * bodyLength;
-  gl_Position = projectionMatrix * modelViewMatrix * vec4(here + turned * flat_, 1.0);
-  gl_Position.z -= 1e-4 * gl_Position.w;
+  vec3 laid = vec3(position.x * 0.72, 0.03, position.y * 0.46) * bodyLength;
+  vec4 seen = modelViewMatrix * vec4(here + turned * laid, 1.0);
+  seen.xyz *= 1.0 - min(0.3 * bodyLength / length(seen.xyz), 0.2); // nearer, so that uneven ground does not cut it
+  gl_Position = projectionMatrix * seen;
 }`;
 
 const SHADOW_FRAGMENT = /* glsl */ `
@@ -107,10 +109,11 @@ void main() {
   vAt = position.xy;
   vWide = clamp(2.2 * depth / focal / radius, 0.05, 0.5);
   vTone = tone.rgb;
-  vec3 flat_ = vec3(position.x, 0.08, position.y) * radius * (1.0 + vWide);
+  vec3 laid = vec3(position.x, 0.08, position.y) * radius * (1.0 + vWide);
   vAt *= 1.0 + vWide;
-  gl_Position = projectionMatrix * modelViewMatrix * vec4(here + turned * flat_, 1.0);
-  gl_Position.z -= 2e-4 * gl_Position.w;
+  vec4 seen = modelViewMatrix * vec4(here + turned * laid, 1.0);
+  seen.xyz *= 1.0 - min(0.2 * radius / length(seen.xyz), 0.2);
+  gl_Position = projectionMatrix * seen;
 }`;
 
 const RING_FRAGMENT = /* glsl */ `
@@ -144,7 +147,8 @@ export function bodyMaterial(uniforms: Record<string, THREE.IUniform>): THREE.Sh
 }
 
 export function shadowMaterial(uniforms: Record<string, THREE.IUniform>): THREE.ShaderMaterial {
-  const seen = { transparent: true, depthWrite: false, side: THREE.DoubleSide };
+  const blended = { blending: THREE.CustomBlending, blendSrc: THREE.SrcAlphaFactor, blendDst: THREE.OneMinusSrcAlphaFactor };
+  const seen = { ...blended, transparent: false, depthWrite: false, side: THREE.DoubleSide }; // before bodies: never on them
   return new THREE.ShaderMaterial({ vertexShader: SHADOW_VERTEX, fragmentShader: SHADOW_FRAGMENT, uniforms, ...seen });
 }
 

@@ -1,24 +1,38 @@
 // The feelers of the agent that is looked at, as far as they reach, with a knob where they hit something.
 
 import * as THREE from "three";
+import type { NumberArray } from "../../protocol";
 import type { Sight } from "../sight";
 import { Strokes } from "../strokes";
 
+const UP = new THREE.Vector3();
+
 export function feelers(sight: Sight): void {
-  const { stage, store, herds } = sight;
+  const { stage, store, herds, eye } = sight;
   const strokes = new Strokes(stage, { order: 12, through: true });
   const free = new THREE.Color("#7fd08f");
   const struck = new THREE.Color("#ff6a5a");
+
+  /** From the height of the head, not from between the feet, where the ground would hide them. */
+  function raise(lines: NumberArray): Float32Array {
+    const agent = eye.follows;
+    const herd = agent ? herds.byName.get(agent.species) : undefined;
+    const row = agent ? (herd?.row(agent.id) ?? -1) : -1;
+    if (!herd || row < 0) return Float32Array.from(lines);
+    herd.turn("up", row, 1, UP);
+    return Float32Array.from(lines, (part, k) => part + UP.getComponent(k % 3) * 0.16 * herd.size(row));
+  }
 
   function draw(): void {
     strokes.clear();
     const lines = herds.packet?.arrays.get("feelers");
     const hit = herds.packet?.arrays.get("feelers/hit");
     if (store.now.feelers && store.now.selected.length && lines && hit) {
+      const raised = raise(lines);
       for (let k = 0; k < hit.length; k++) {
         const colour = hit[k] ? struck : free;
-        strokes.add(lines, 6 * k, lines, 6 * k + 3, 1.6, 1.6, colour, 0.9);
-        if (hit[k]) strokes.add(lines, 6 * k + 3, lines, 6 * k + 3, 8, 8, colour, 1); // of no length: drawn as a dot
+        strokes.add(raised, 6 * k, raised, 6 * k + 3, 1.8, 1.8, colour, 0.95);
+        if (hit[k]) strokes.add(raised, 6 * k + 3, raised, 6 * k + 3, 8, 8, colour, 1); // of no length: drawn as a dot
       }
     }
     if (strokes.count || strokes.object.visible) strokes.done();

@@ -41,7 +41,7 @@ export function marks(sight: Sight): void {
       const agent = selected[k] as { species: string; id: number };
       const herd = herds.byName.get(agent.species);
       const row = herd?.row(agent.id) ?? -1;
-      if (!herd || row < 0) continue;
+      if (!herd || row < 0 || (store.now.camera === "ride" && k === selected.length - 1)) continue; // one sits on that one
       rows.copy(count, herd.rows, row);
       tone(rows.tone, count, k === selected.length - 1 ? mark : ink);
       count++;
@@ -55,7 +55,7 @@ export function marks(sight: Sight): void {
   }
 
   herds.onFrame(refresh);
-  store.on("selected", refresh);
+  store.on(["selected", "camera"], refresh);
   stage.palette.onChange(refresh);
   stage.add(() => {
     uniforms.t!.value = herds.t;

@@ -13,6 +13,7 @@ interface Item {
 }
 
 const UP = new THREE.Vector3(0, 1, 0);
+const BEFORE = new THREE.Vector3();
 const LEAST = 0.25; // of its width: something that is nearly eaten is still seen
 
 export function items(sight: Sight): Scenery {
@@ -34,21 +35,26 @@ export function items(sight: Sight): Scenery {
   }
 
   function place(): void {
-    for (const [slot, item] of shown) set(slot, item);
-    if (shown.size) stage.relight();
+    let moved = false;
+    for (const [slot, item] of shown) moved = set(slot, item) || moved;
+    if (moved) stage.relight();
   }
 
-  function set(slot: string, item: Item): void {
+  /** Put an item where it is now; whether it is to be seen otherwise than before. */
+  function set(slot: string, item: Item): boolean {
     const arrays = herds.packet?.arrays;
     const position = arrays?.get(`item/${item.group}/position`);
-    if (!arrays || !position || position.length <= 3 * item.index) return;
+    if (!arrays || !position || position.length <= 3 * item.index) return false;
     const size = (arrays.get(`item/${item.group}/size`)?.[item.index] as number | undefined) ?? stage.extent / 100;
     const k = 3 * item.index;
+    BEFORE.copy(item.object.position);
+    const wide = item.object.scale.x;
     item.object.position.set(position[k] as number, position[k + 1] as number, position[k + 2] as number);
     item.object.quaternion.setFromUnitVectors(UP, stage.up);
     const [part, words] = amount(item);
     item.object.scale.setScalar(size * (LEAST + (1 - LEAST) * Math.cbrt(part)));
     labels.set(slot, item.name, words, item.object.position, stage.up, size * 1.6);
+    return !BEFORE.equals(item.object.position) || Math.abs(item.object.scale.x / wide - 1) > 0.01;
   }
 
   /** How much is left, as a part of the most there was, and in words. */
