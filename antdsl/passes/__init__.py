@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from antdsl.passes.drop_unused import drop_unused
-from antdsl.passes.fold import fold
+from antdsl.passes.drop_unused import drop_unread, drop_unused
+from antdsl.passes.fold import fold, open_known
 from antdsl.passes.hoist import hoist
 from antdsl.passes.keep import keep
 from antdsl.passes.merge import merge
@@ -21,17 +21,21 @@ PASSES: tuple[Callable[[Plan], Plan], ...] = (
     narrow,  # after merge, which could not join the halves again
     keep,  # last: regions and nodes are final
 )
+# The same to the same plan, where somebody waits for it: the nodes of a plan that was just lowered are made anew once, by `hoist`.
+_QUICK: tuple[Callable[[Plan], Plan], ...] = (open_known, drop_unread, merge, hoist, narrow, keep)
 
 
 def optimise(plan: Plan, *, thorough: bool = True) -> Plan:
-    """Run all passes; the plan is verified before the first and after each, or only after the last where somebody waits for it
-    and would not ask which pass it was."""
+    """Run all passes on a plan that was just lowered; it is verified before the first and after each, or only after the last where
+    somebody waits for it and would not ask which pass it was. Both give the same plan."""
     if thorough:
         verify(plan)
-    for run in PASSES:
+    for run in PASSES if thorough else _QUICK:
         plan = run(plan)
-        if thorough or run is PASSES[-1]:
+        if thorough:
             verify(plan)
+    if not thorough:
+        verify(plan)
     return plan
 
 

@@ -13,7 +13,12 @@ KEPT = frozenset(("push.x", "push.y", "push.z"))  # the runtime reads the result
 
 def drop_unused(plan: Plan) -> Plan:
     """Same effects: attributes and memories are the state and stay; a temp that is never read goes, with all that made it."""
-    return rebuilt(replace(plan, species={name: _species(s) for name, s in plan.species.items()}))
+    return rebuilt(drop_unread(plan))
+
+
+def drop_unread(plan: Plan) -> Plan:
+    """`drop_unused` but for the nodes, where a pass that follows makes them anew."""
+    return replace(plan, species={name: _species(s) for name, s in plan.species.items()})
 
 
 def _species(species: SpeciesPlan) -> SpeciesPlan:

@@ -9,7 +9,12 @@ from antdsl.plan.simplify import value
 
 def fold(plan: Plan) -> Plan:
     """Same effects: what is constant is a constant, regions of nobody are gone, regions of everybody have no condition."""
-    return with_blocks(rebuilt(plan), lambda species, block: _block(species, block))
+    return open_known(rebuilt(plan))
+
+
+def open_known(plan: Plan) -> Plan:
+    """`fold` of a plan whose nodes a Builder has just made: all that is known of them it has computed already."""
+    return with_blocks(plan, lambda species, block: _block(species, block))
 
 
 def _block(species: SpeciesPlan, block: Block) -> Block:

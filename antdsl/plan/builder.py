@@ -19,6 +19,19 @@ class PlanError(AssertionError):
 
 def fitting(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | None:
     """What is wrong with operands and attributes of an operation, or None."""
+    shape = (op, len(attrs), *[arg.kind for arg in args])
+    if shape in _FIT:
+        return None
+    wrong = _misfit(op, args, attrs)
+    if wrong is None:
+        _FIT.add(shape)
+    return wrong
+
+
+_FIT: set[tuple[Any, ...]] = set()  # operations with numbers of attributes and kinds of operands that were found fitting
+
+
+def _misfit(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | None:
     row = OPS.get(op)
     if row is None:
         return f"no operation {op}"

@@ -25,6 +25,8 @@ class Kind(Enum):
     TUPLE = "tuple"  # several results; taken apart by `get`
     SET = "set"
 
+    __hash__ = object.__hash__  # an Enum's own is slow, and a reload asks for it tens of thousands of times
+
 
 class Rate(IntEnum):
     CONST = 0
