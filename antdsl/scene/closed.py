@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.scene.kept import once_a_mesh
+
 if TYPE_CHECKING:
     from antdsl.scene.setting import MeshData, SolidData
     from antdsl.scene.staging import Staging
@@ -96,9 +98,14 @@ def _edges(corners: Index) -> tuple[Index, Index, Index, Index]:
     return face[order], np.where(a < b, 1, -1)[order], first, np.diff(np.append(first, len(order)))
 
 
+@once_a_mesh
+def _sides(mesh: MeshData) -> tuple[int, int]:
+    return inside_out(mesh.vertices, mesh.faces)
+
+
 def check_sides(staging: Staging, name: str, mesh: MeshData) -> None:
     """Warn of an obstacle of which parts look inward: agents would be kept in there and not out."""
-    inward, mixed = inside_out(mesh.vertices, mesh.faces)
+    inward, mixed = _sides(mesh)
     if inward or mixed:
         words = f"parts of the obstacle `{name}` look inward" if inward else f"faces of the obstacle `{name}` look either way"
         help = "turn its faces so that all look outward; leave it if it is a room that keeps agents in"

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.scene import setting as stage_of
+from antdsl.scene.kept import once_a_mesh
 from antdsl.scene.model import ItemThing, UsdThing
 from antdsl.scene.things import frames_of, item_places, riding, usd_items
 
@@ -123,6 +124,7 @@ def _near(mesh: stage_of.MeshData, point: stage_of.Point, flat: list[int]) -> ND
     return faces
 
 
+@once_a_mesh
 def height_over(mesh: stage_of.MeshData, point: stage_of.Point, up: str) -> float | None:
     """The highest place of a mesh on the line through a point along the scene's up, or None where there is none."""
     flat, tall = ([0, 2], 1) if up == "y" else ([0, 1], 2)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.scene.kept import once_a_mesh
 from antdsl.scene.ply import HeaderError, read_header, read_triangles
 from antdsl.scene.setting import MeshData
 
@@ -261,13 +262,18 @@ def rotated(points: Floats, angles: tuple[float, float, float]) -> Floats:
     return points
 
 
+@once_a_mesh
 def placed(
     mesh: RawMesh, *, factor: float, own_up: str, up: str, angles: tuple[float, float, float], at: tuple[float, float, float]
 ) -> MeshData:
     """A file's mesh in the scene: millimetres, the scene's axes. A mirrored mesh keeps its outside outside. MeshError when
     it lies too far out."""
     vertices = rotated(turned_up(mesh.vertices * factor, own_up, up), angles) + np.array(at)
-    return within_reach(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
+    made = within_reach(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
+    if not mesh.vertices.flags.writeable:
+        for array in (made.vertices, made.faces):
+            array.setflags(write=False)
+    return made
 
 
 def within_reach(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:

@@ -22,6 +22,7 @@ from antdsl.scene import setting as stage_of
 from antdsl.scene.closed import check_closed, check_sides
 from antdsl.scene.document import Key
 from antdsl.scene.flows import check_densities, stage_flows
+from antdsl.scene.kept import once_a_mesh
 from antdsl.scene.laying import check_crowds, items_of
 from antdsl.scene.load import Scene
 from antdsl.scene.matching import const_base
@@ -337,6 +338,7 @@ def _some_length(expression: Expr, staging: Staging) -> float | None:
     return None
 
 
+@once_a_mesh
 def _area(mesh: stage_of.MeshData) -> float:
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
