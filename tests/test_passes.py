@@ -14,7 +14,8 @@ from antdsl.passes.hoist import hoist
 from antdsl.passes.keep import keep
 from antdsl.passes.merge import merge
 from antdsl.passes.narrow import narrow
-from antdsl.plan import show, verify
+from antdsl.pipeline import compile_files
+from antdsl.plan import lower, show, verify
 from antdsl.plan.ir import SENSES, If, Rate, Store
 from antdsl.plan.walk import needed, operands, roots, statements
 
@@ -145,3 +146,20 @@ def test_printed_plans(case, request):
     if request.config.getoption("--update", default=False):
         golden.write_text(text)
     assert golden.read_text() == text
+
+
+EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*/*.ant"))
+
+
+@pytest.mark.parametrize("path", CASES + EXAMPLES, ids=lambda path: path.stem)
+def test_in_a_hurry_the_same_plan_comes_out(path):
+    def nodes(plan):
+        return [(n.op, n.attrs, n.number, n.rate, n.span and str(n.span)) for n in plan.nodes]
+
+    program, report = compile_files([path])
+    assert program is not None and report.ok
+    lowered, report = lower(program)
+    assert report.ok
+    slow, quick = optimise(lowered), optimise(lower(program)[0], thorough=False)
+    assert show(slow) == show(quick)
+    assert nodes(slow) == nodes(quick)
