@@ -49,7 +49,8 @@ def status(live: Live, rate: float, hash: str | None) -> Message:
     """How the session stands; the same with nothing in it while the scene has errors."""
     told: Message = {
         "op": "status", "frame": 0, "first": 0, "head": 0, "playing": False, "speed": live.speed, "rate": round(rate, 1),
-        "edited": False, "fault": None, "paused_by": None, "paused_agents": None, "hash": hash, "agents": 0, "light": False,
+        "edited": False, "fault": None, "paused_by": None, "paused_agents": None, "hash": hash, "agents": 0, "transitions": {},
+        "light": False,
     }  # fmt: skip
     if not live.is_open:
         return told
@@ -57,7 +58,7 @@ def status(live: Live, rate: float, hash: str | None) -> Message:
     told |= {
         "frame": session.frame if live.light is None else live.light, "first": session.first, "head": session.head,
         "playing": session.playing, "edited": session.edited, "fault": session.fault, "agents": len(session.world),
-        "light": live.light is not None,
+        "transitions": dict(session.world.transitions), "light": live.light is not None,
     }  # fmt: skip
     if why is not None:
         told["paused_by"] = why.line

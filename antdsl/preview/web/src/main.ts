@@ -4,6 +4,7 @@ import { Connection } from "./connection";
 import { Store } from "./store";
 import { bar } from "./panels/bar";
 import { side } from "./panels/side";
+import { splits } from "./panels/splits";
 import { text } from "./panels/text";
 import { time } from "./panels/time";
 import "./panels/panels.css";
@@ -17,6 +18,7 @@ const PARTS: [string, Part][] = [
   ["view", view],
   ["side", side],
   ["time", time],
+  ["view", splits],
 ];
 
 function token(): string {

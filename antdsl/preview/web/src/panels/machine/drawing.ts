@@ -7,15 +7,26 @@ const HEAD = 7;
 
 export class ChartDrawing {
   readonly element: SVGSVGElement;
-  private readonly boxes = new Map<string, { count: SVGTextElement; shape: SVGElement; group: SVGGElement; details: string }>();
-  private readonly arrows: { arrow: ChartArrow; line: SVGPolylineElement; words: SVGTextElement | null; rate: SVGTextElement; title: SVGTitleElement }[] = [];
+  private readonly boxes = new Map<string, { count: SVGTextElement; group: SVGGElement }>();
+  private readonly arrows: { arrow: ChartArrow; line: SVGPolylineElement; rate: SVGTextElement; title: SVGTitleElement }[] = [];
   private readonly names: Map<string, string>;
+  private readonly fitted: (() => void)[] = []; // each fits one thing to the size of letters
 
-  constructor(chart: Chart, chosen: (state: string) => void) {
+  constructor(private readonly chart: Chart, chosen: (state: string) => void) {
     this.names = new Map(chart.boxes.map((box) => [box.key, box.name]));
     this.element = svg("svg", { viewBox: `-4 -4 ${chart.width + 8} ${chart.height + 8}`, class: "states", role: "group", "aria-label": chart.title });
     for (const arrow of chart.arrows) this.element.append(this.arrow(arrow));
     for (const box of chart.boxes) this.element.append(this.box(box, chosen));
+  }
+
+  /** Letters as large as elsewhere on the page, however small the drawing is shown; its words only where there is room for them. */
+  fit(): void {
+    const shown = this.element.getBoundingClientRect();
+    if (!shown.width) return;
+    const scale = Math.min(shown.width / (this.chart.width + 8), shown.height / (this.chart.height + 8));
+    this.element.style.setProperty("--letter", `${Math.max(1, 1 / scale)}px`);
+    this.element.classList.toggle("small", scale < 0.8);
+    for (const fit of this.fitted) fit();
   }
 
   counts(counts: ReadonlyMap<string, number>): void {
@@ -48,21 +59,26 @@ export class ChartDrawing {
     const [x, y] = box.centre;
     const group = svg("g", { class: `box ${box.kind}` });
     const title = svg("title");
-    title.textContent = box.details || box.name;
+    title.textContent = [box.name, box.label !== box.name && box.label, box.details].filter(Boolean).join("\n");
     group.append(title);
     if (box.kind === "start") {
       group.append(svg("circle", { cx: x, cy: y, r: Math.min(box.width, box.height) / 2 }));
       return group;
     }
     const shape = svg("rect", { x: x - box.width / 2, y: y - box.height / 2, width: box.width, height: box.height, rx: box.kind === "state" ? 8 : 4 });
-    const label = svg("text", { x, y: box.kind === "state" ? y - 4 : y + 4, class: "label" });
-    label.textContent = box.label;
+    const label = svg("text", { x, y, class: "label" });
+    label.textContent = box.kind === "state" ? box.name : box.label;
     group.append(shape, label);
     if (box.kind !== "state") return group;
     shape.style.fill = css(box.colour);
     label.style.fill = onTop(box.colour);
-    const count = svg("text", { x, y: y + 12, class: "number" });
+    const count = svg("text", { x, y, class: "number" });
     count.style.fill = onTop(box.colour);
+    this.fitted.push(() => {
+      const width = Math.max(box.width, label.getBBox().width + 12);
+      const height = Math.max(box.height, label.getBBox().height * 2 + 6);
+      for (const [name, value] of Object.entries({ x: x - width / 2, y: y - height / 2, width, height })) shape.setAttribute(name, String(value));
+    });
     count.dataset.test = `count-${box.name}`;
     group.append(count);
     group.dataset.test = `state-${box.name}`;
@@ -75,7 +91,7 @@ export class ChartDrawing {
       event.stopPropagation();
       chosen(box.name);
     });
-    this.boxes.set(box.name, { count, shape, group, details: box.details });
+    this.boxes.set(box.name, { count, group });
     return group;
   }
 
@@ -89,8 +105,8 @@ export class ChartDrawing {
     const words = arrow.words;
     const rate = svg("text", { class: "rate", x: 0, y: 0 });
     const [x, y] = words ? words.centre : middle(arrow.points);
-    const height = words?.height ?? 0;
     if (words) {
+      const { height } = words;
       const text = svg("text", { class: "words" });
       arrow.lines.forEach((each, k) => {
         const row = svg("tspan", { x, y: y - height / 2 + ((k + 0.72) * height) / arrow.lines.length });
@@ -100,9 +116,13 @@ export class ChartDrawing {
       group.append(text);
     }
     rate.setAttribute("x", String(x));
-    rate.setAttribute("y", String(y + height / 2 + 11));
+    rate.setAttribute("y", String(y));
+    if (words) {
+      rate.classList.add("beside");
+      rate.style.setProperty("--below", `${words.height / 2 + 8}px`);
+    }
     group.append(rate);
-    this.arrows.push({ arrow, line, words: null, rate, title });
+    this.arrows.push({ arrow, line, rate, title });
     return group;
   }
 }

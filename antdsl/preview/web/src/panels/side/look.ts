@@ -54,12 +54,9 @@ function colours(store: Store): [string, string][] {
 function camera(store: Store): HTMLElement {
   const buttons = CAMERAS.map(([name, words, title]) => [name, button(words, () => store.set("camera", name), { title, test: `camera-${name}` })] as const);
   const show = () => {
-    for (const [name, each] of buttons) {
-      each.setAttribute("aria-pressed", String(store.now.camera === name));
-      each.disabled = name !== "orbit" && store.now.selected.length === 0;
-    }
+    for (const [name, each] of buttons) each.setAttribute("aria-pressed", String(store.now.camera === name));
   };
-  store.on(["camera", "selected"], show);
+  store.on("camera", show);
   show();
   return el("section", { class: "row" }, el("span", { text: "Camera" }), el("span", { class: "segments", role: "group", "aria-label": "Camera" }, ...buttons.map(([, each]) => each)));
 }

@@ -1,7 +1,7 @@
 // The state machines, live: how many are in each state, and who went where lately. Choosing a state selects its agents.
 
 import type { Chart } from "../../protocol";
-import { el, say } from "../dom";
+import { button, el, say } from "../dom";
 import { Counter } from "../machine/counter";
 import { ChartDrawing } from "../machine/drawing";
 import { Flow } from "../machine/flow";
@@ -14,7 +14,10 @@ export const machine: Panel = (store, place, shown) => {
   const need = el("p", { class: "note", test: "charts-need", hidden: true });
   const pick = el("select", { "aria-label": "Machine", test: "machine-pick" });
   const host = el("div", { class: "chart-host", test: "chart" });
-  place.append(pick, host, note, need);
+  const dialog = enlarged(host, () => drawing?.fit());
+  const larger = button("Enlarge", () => dialog.open(), { class: "small larger", test: "chart-enlarge" });
+  place.append(larger, pick, host, note, need, dialog.element);
+  new ResizeObserver(() => drawing?.fit()).observe(host);
   const counter = new Counter(store);
   const flow = new Flow(store);
   let drawing: ChartDrawing | null = null;
@@ -37,13 +40,14 @@ export const machine: Panel = (store, place, shown) => {
       pick.replaceChildren(...titles.map((value) => el("option", { value, text: value })));
     }
     pick.hidden = titles.length < 2;
-    note.hidden = titles.length === 0;
+    note.hidden = larger.hidden = titles.length === 0;
     const now = chart();
     const key = JSON.stringify(now);
     if (key === drawn) return;
     drawn = key;
     drawing = now ? new ChartDrawing(now, (state) => store.set("selected", counter.agents(now.species, now.machine, state))) : null;
     host.replaceChildren(...(drawing ? [drawing.element] : []));
+    drawing?.fit();
     count();
     mark();
   };
@@ -63,3 +67,23 @@ export const machine: Panel = (store, place, shown) => {
     mark();
   }, EVERY);
 };
+
+/** The same drawing, as large as the window; it is put back where it was. */
+function enlarged(host: HTMLElement, fit: () => void) {
+  const close = button("Close", () => element.close(), { class: "small larger" });
+  const element = el("dialog", { class: "enlarged", "aria-label": "States" }, close);
+  const home = document.createComment("chart");
+  element.addEventListener("close", () => {
+    home.replaceWith(host);
+    fit();
+  });
+  return {
+    element,
+    open: () => {
+      host.replaceWith(home);
+      element.append(host);
+      element.showModal();
+      fit();
+    },
+  };
+}
