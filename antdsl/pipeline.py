@@ -42,13 +42,15 @@ class Choices:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """A scene that is ready to be simulated. `inputs` has a hash for all that the result depends on, by name."""
+    """A scene that is ready to be simulated. `inputs` has a hash for all that the result depends on, by name; `loaded` are the
+    texts that the program was made of."""
 
     scene: Scene
     program: Program
     plan: Plan
     setting: Setting
     inputs: Mapping[str, str]
+    loaded: Loaded
 
     @property
     def frames(self) -> FrameRange:
@@ -115,7 +117,7 @@ def open_scene(
     inputs = {"antdsl": __version__, "scene": _digest(repr(_result_relevant(scene))), **loaded.hashes(), **meshes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
-    return Shot(scene, program, passes.optimise(lowered, thorough=thorough), setting, inputs), report
+    return Shot(scene, program, passes.optimise(lowered, thorough=thorough), setting, inputs, loaded), report
 
 
 def _with_fields(program: Program, changes: Iterable[Changed]) -> Program:

@@ -7,10 +7,7 @@ from pathlib import Path
 import pytest
 from explained_live import Notes, session_of
 
-from antdsl.explain import ExplainError
 from antdsl.preview import Session
-from antdsl.preview.explaining import Explainer
-from antdsl.runtime import Options
 
 
 def first_layer(session: Session) -> tuple[str, str]:

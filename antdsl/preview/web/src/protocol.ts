@@ -8,7 +8,7 @@ export type Triple = [number, number, number];
 
 export type Break =
   | { kind: "state"; species: string; machine: string; state: string }
-  | { kind: "condition"; text: string } // in the language of specs, such as `count(forager in carry) > 10`
+  | { kind: "condition"; text: string } // in the language of specs, such as `count(state == carry) > 10`
   | { kind: "spec"; spec: string }
   | { kind: "fault" };
 

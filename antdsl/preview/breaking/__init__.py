@@ -1,0 +1,89 @@
+"""Breakpoints: the session pauses where one is met. KINDS has all kinds of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from antdsl.pipeline import Shot
+from antdsl.preview.asks import Break, ConditionBreak, FaultBreak, SpecBreak, StateBreak
+from antdsl.preview.breaking.conditions import ConditionWaits
+from antdsl.preview.breaking.failing import SpecWaits
+from antdsl.preview.breaking.faults import FaultWaits
+from antdsl.preview.breaking.model import Misfit, Waiting
+from antdsl.preview.breaking.states import StateWaits
+from antdsl.preview.judging import Specs
+from antdsl.preview.observing import Stop
+from antdsl.preview.session import Session
+from antdsl.runtime import World
+
+# Made for the program that a session has now; Misfit where it does not fit that.
+KINDS: Mapping[type, Callable[[Session, Any, Specs], Waiting]] = {
+    StateBreak: lambda session, ask, specs: StateWaits(session, ask),
+    ConditionBreak: lambda session, ask, specs: ConditionWaits(session, ask),
+    SpecBreak: SpecWaits,
+    FaultBreak: lambda session, ask, specs: FaultWaits(session, ask),
+}
+
+
+@dataclass(slots=True, eq=False)
+class Breakpoint:
+    """A breakpoint: what was asked, and what waits for it; None while the program is one that it does not fit."""
+
+    ask: Break
+    waits: Waiting | None = None
+    why: Misfit | None = None
+
+
+class Breakpoints:
+    """Looks at each step that is played. `tell` hears of a breakpoint that does not fit the program, once for each program."""
+
+    def __init__(self, specs: Specs, tell: Callable[[Misfit], None] = lambda misfit: None) -> None:
+        self.specs, self.tell = specs, tell
+        self.breaks: list[Breakpoint] = []
+        self._shot: Shot | None = None  # that they are made for
+        self._seen: tuple[World, int] | None = None  # the world and frame that they have seen
+
+    def set(self, session: Session, asks: Sequence[Break]) -> None:
+        """All breakpoints there are; of those that were there before nothing is left."""
+        self.breaks = [Breakpoint(ask) for ask in asks]
+        self.specs.want([ask.spec for ask in asks if isinstance(ask, SpecBreak)])
+        self._fit(session)
+
+    def entered(self, session: Session) -> None:
+        """They are made anew for another program, so that one that does not fit is told at once."""
+        if session.shot is not self._shot and session.frame == session.head:
+            self._fit(session)
+
+    def stepping(self, session: Session) -> None:
+        if self.breaks and not self._is_seen(session):
+            if session.shot is not self._shot:
+                self._fit(session)
+            for each in self.breaks:
+                if each.waits is not None:
+                    each.waits.begin(session)
+            self._seen = session.world, session.frame
+
+    def stepped(self, session: Session) -> Stop | None:
+        if not self.breaks or self._seen is None or session.world is not self._seen[0]:
+            return None  # nobody waits, or the step led into another program: that is looked at before the next
+        looked = [each.waits.look(session) for each in self.breaks if each.waits is not None]
+        self._seen = session.world, session.frame
+        met = [stop for stop in looked if stop is not None]
+        if not met:
+            return None
+        about = next((stop for stop in met if stop.agents), met[0])
+        return replace(about, line=" · ".join(stop.line for stop in met))
+
+    def _is_seen(self, session: Session) -> bool:
+        return self._seen is not None and self._seen[0] is session.world and self._seen[1] == session.frame
+
+    def _fit(self, session: Session) -> None:
+        self._shot, self._seen = session.shot, None
+        for each in self.breaks:
+            try:
+                each.waits, each.why = KINDS[type(each.ask)](session, each.ask, self.specs), None
+            except Misfit as why:
+                each.waits, each.why = None, why
+                self.tell(why)

@@ -1,0 +1,119 @@
+"""A condition comes true: in the language of specs, about the whole, or about `each SPECIES: …`."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.diagnostics import Report
+from antdsl.pipeline import Shot
+from antdsl.plan.judging import SpecPlan, lower_spec
+from antdsl.preview.asks import ConditionBreak
+from antdsl.preview.breaking.model import Misfit
+from antdsl.preview.breaking.states import named
+from antdsl.preview.observing import Stop
+from antdsl.preview.session import Session
+from antdsl.runtime import World
+from antdsl.source import Source
+from antdsl.specs.asking import Asker
+from antdsl.specs.values import shown
+from antdsl.syntax import nodes, parse
+
+_EACH = re.compile(r"\s*each\s+([A-Za-z_]\w*)\s*:(.*)", re.DOTALL)
+_NAME = "<breakpoint>"
+_ALONE = "write one condition, such as `count(state == carry) > 10`"
+
+
+class ConditionWaits:
+    """Met in the frame in which it holds and did not in the one before; asked of each agent, by those of whom that is so."""
+
+    def __init__(self, session: Session, ask: ConditionBreak) -> None:
+        self.text = " ".join(ask.text.split())
+        self.plan = condition_plan(session.shot, ask.text)
+        [self.line] = self.plan.judgements
+        self.asker: Asker | None = None
+        self.held: NDArray[np.int64] = np.zeros(0, np.int64)  # ids for whom it held; 0 alone where it is about the whole
+
+    def begin(self, session: Session) -> None:
+        self.asker = Asker(self.plan, session.world)
+        self.held = self._holds(self.asker, session.world)
+
+    def look(self, session: Session) -> Stop | None:
+        if self.asker is None:
+            self.begin(session)
+            return None
+        before, self.held = self.held, self._holds(self.asker, session.world)
+        new = np.setdiff1d(self.held, before)
+        if not len(new):
+            return None
+        if self.line.species is None:
+            return Stop(f"{self.text}: true at frame {session.frame}{self._values(self.asker, session.world)}")
+        ids = tuple(int(each) for each in new)
+        text = self.text.partition(":")[2].strip()
+        return Stop(f"{named(self.line.species, ids)}: {text} at frame {session.frame}", self.line.species, ids)
+
+    def _holds(self, asker: Asker, world: World) -> NDArray[np.int64]:
+        there = asker.ask(world, {})
+        if self.line.species is None:
+            assert not isinstance(self.line.condition, str)
+            return np.zeros(int(bool(asker.value(world, self.line.condition))), np.int64)
+        judged = there.populations[self.line.species]
+        assert isinstance(self.line.condition, str)
+        return judged.ids[judged.now[self.line.condition].astype(np.bool_)]
+
+    def _values(self, asker: Asker, world: World) -> str:
+        found = []
+        for reading in self.line.readings:
+            if reading.node is not None:
+                value = shown(world, asker.value(world, reading.node), reading.type, reading.unit)
+                found.append(f"{' '.join(reading.span.text.split())} is {value}")
+        return f" ({', '.join(dict.fromkeys(found))})" if found else ""
+
+
+def condition_plan(shot: Shot, text: str) -> SpecPlan:
+    """What to look at for a condition, as for the only line of a spec. Misfit with what is wrong with the text."""
+    from antdsl.program import check
+
+    file, report = parse(Source(_NAME, _as_spec(text)))
+    _demand(report)
+    if not _is_one_line(file):
+        raise Misfit(f"`{' '.join(text.split())[:80]}` is not one condition", _ALONE)
+    loaded = shot.loaded
+    program, report = check([*loaded.files, file], loaded.library, loaded.modules)
+    words = f"write `each {next(iter(shot.plan.species))}: {' '.join(text.split())}` to ask every agent, or ask for a `count` of all"
+    _demand(report, "" if _EACH.fullmatch(text) else words)
+    plan, report = lower_spec(program.specs[-1], program, shot.plan)
+    _demand(report)
+    if plan is None or len(plan.judgements) != 1:
+        raise Misfit(f"`{' '.join(text.split())[:80]}` is not one condition", _ALONE)
+    return plan
+
+
+def _as_spec(text: str) -> str:
+    each = _EACH.fullmatch(text)
+    if each is None:
+        return f'spec "breakpoint" {{\n  never: {text}\n}}\n'
+    return f'spec "breakpoint" {{\n  each {each[1]} {{\n    never: {each[2]}\n  }}\n}}\n'
+
+
+def _is_one_line(file: nodes.File) -> bool:
+    """Whether the text has not brought anything besides its condition."""
+    if len(file.items) != 1 or not isinstance(file.items[0], nodes.Spec):
+        return False
+    [*lines] = file.items[0].lines
+    if len(lines) == 1 and lines[0].kind == "each":
+        [*lines] = lines[0].lines
+    return len(lines) == 1 and lines[0].kind == "never" and lines[0].held is None
+
+
+def _demand(report: Report, whole: str = "") -> None:
+    """Misfit with the first error about the text. The program itself has none, and a file of nothing but a spec is no mistake
+    here. `whole`: what to write instead of a condition on the whole that only an agent can be asked."""
+    for error in report.sorted():
+        if error.severity == "error" and error.code != "empty-program":
+            help = (error.help or "").replace("never: ", "")
+            if whole and error.code in ("wrong-rate", "unknown-name") and not help.startswith("did you mean"):
+                help = whole
+            raise Misfit(error.message, help)

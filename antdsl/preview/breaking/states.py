@@ -1,0 +1,57 @@
+"""An agent enters a state: it was there in the frame before, and in another one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.preview.asks import StateBreak
+from antdsl.preview.breaking.model import Misfit
+from antdsl.preview.observing import Stop
+from antdsl.preview.session import Session
+
+_NAMED = 3  # agents that are named in words
+
+
+class StateWaits:
+    """Who is born in the state has not entered it, and who changes from it to itself has not either."""
+
+    def __init__(self, session: Session, ask: StateBreak) -> None:
+        plan = session.shot.plan.species.get(ask.species)
+        if plan is None:
+            raise _unknown("species", ask.species, list(session.shot.plan.species))
+        machine = next((each for each in plan.machines if each.name == ask.machine), None)
+        if machine is None:
+            raise _unknown(f"machine of `{ask.species}`", ask.machine, [each.name for each in plan.machines])
+        if ask.state not in machine.states:
+            raise _unknown(f"state of `{ask.species}`", ask.state, list(machine.states))
+        self.ask, self.state = ask, machine.states.index(ask.state)
+        self.others: NDArray[np.int64] = np.zeros(0, np.int64)  # ids of those in another state
+
+    def begin(self, session: Session) -> None:
+        population = session.world.populations[self.ask.species]
+        self.others = population.ids[population.now[f"{self.ask.machine}.state"] != self.state]
+
+    def look(self, session: Session) -> Stop | None:
+        population = session.world.populations[self.ask.species]
+        there = population.ids[population.now[f"{self.ask.machine}.state"] == self.state]
+        entered = np.intersect1d(there, self.others)
+        self.begin(session)
+        if not len(entered):
+            return None
+        ids = tuple(int(each) for each in entered)
+        line = f"{named(self.ask.species, ids)} entered {self.ask.state} at frame {session.frame}"
+        return Stop(line, self.ask.species, ids)
+
+
+def named(species: str, ids: tuple[int, ...]) -> str:
+    """Agents in words, the first of them by their ids."""
+    words = f"{species} {', '.join(map(str, ids[:_NAMED]))}"
+    return f"{words} and {len(ids) - _NAMED} more" if len(ids) > _NAMED else words
+
+
+def _unknown(what: str, name: str, known: list[str]) -> Misfit:
+    near = nearest_name(name, known)
+    listed = ", ".join(f"`{each}`" for each in known) or "none"
+    return Misfit(f"there is no {what} `{name}`", f"did you mean `{near}`?" if near else f"there is {listed}")
