@@ -12,7 +12,7 @@ from antdsl.pipeline import Shot
 from antdsl.plan.judging import SpecPlan, lower_spec
 from antdsl.preview.asks import ConditionBreak
 from antdsl.preview.breaking.model import Misfit
-from antdsl.preview.breaking.states import named
+from antdsl.preview.breaking.states import MOST, named
 from antdsl.preview.observing import Stop
 from antdsl.preview.session import Session
 from antdsl.runtime import World
@@ -52,7 +52,7 @@ class ConditionWaits:
             return Stop(f"{self.text}: true at frame {session.frame}{self._values(self.asker, session.world)}")
         ids = tuple(int(each) for each in new)
         text = self.text.partition(":")[2].strip()
-        return Stop(f"{named(self.line.species, ids)}: {text} at frame {session.frame}", self.line.species, ids)
+        return Stop(f"{named(self.line.species, ids[:MOST])}: {text} at frame {session.frame}", self.line.species, ids[:MOST])
 
     def _holds(self, asker: Asker, world: World) -> NDArray[np.int64]:
         there = asker.ask(world, {})
@@ -82,7 +82,9 @@ def condition_plan(shot: Shot, text: str) -> SpecPlan:
         raise Misfit(f"`{' '.join(text.split())[:80]}` is not one condition", _ALONE)
     loaded = shot.loaded
     program, report = check([*loaded.files, file], loaded.library, loaded.modules)
-    words = f"write `each {next(iter(shot.plan.species))}: {' '.join(text.split())}` to ask every agent, or ask for a `count` of all"
+    words = (
+        f"write `each {next(iter(shot.plan.species))}: {' '.join(text.split())}` to ask every agent, or ask for a `count` of all"
+    )
     _demand(report, "" if _EACH.fullmatch(text) else words)
     plan, report = lower_spec(program.specs[-1], program, shot.plan)
     _demand(report)

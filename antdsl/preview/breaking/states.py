@@ -12,6 +12,7 @@ from antdsl.preview.observing import Stop
 from antdsl.preview.session import Session
 
 _NAMED = 3  # agents that are named in words
+MOST = 500  # agents that a page selects
 
 
 class StateWaits:
@@ -42,7 +43,7 @@ class StateWaits:
             return None
         ids = tuple(int(each) for each in entered)
         line = f"{named(self.ask.species, ids)} entered {self.ask.state} at frame {session.frame}"
-        return Stop(line, self.ask.species, ids)
+        return Stop(line, self.ask.species, ids[:MOST])
 
 
 def named(species: str, ids: tuple[int, ...]) -> str:
