@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from live_client import Page
 
-from antdsl.preview import Session
+from antdsl.preview import Live, Session
 from antdsl.preview.asks import Break, ConditionBreak, FaultBreak, SpecBreak, StateBreak
 from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.breaking.conditions import condition_plan
@@ -75,9 +76,9 @@ class Driver:
         assert session is not None, [each.message for each in report.errors]
         self.session = session
         self.messages: list[dict[str, Any]] = []
-        self.misfits: list[Misfit] = []
+        self.misfits: list[tuple[str, str]] = []
         self.specs = Specs(self.messages.append)
-        self.breaks = Breakpoints(self.specs, self.misfits.append)
+        self.breaks = Breakpoints(self.specs, lambda words, help: self.misfits.append((words, help)))
         self.set(*breaks)
 
     def set(self, *breaks: Break) -> None:
@@ -189,9 +190,9 @@ def test_a_condition_that_is_none_is_refused_in_words(scene: Path, text: str, me
 )
 def test_a_breakpoint_that_does_not_fit_is_told(scene: Path, ask: Break, message: str, help: str) -> None:
     driver = Driver(scene, ask)
-    [misfit] = driver.misfits
-    assert misfit.message.startswith(message)
-    assert misfit.help.startswith(help)
+    [(words, told)] = driver.misfits
+    assert words.partition(": ")[2].startswith(message)
+    assert told.startswith(help)
     assert driver.play(10) == {}
 
 
@@ -201,7 +202,7 @@ def test_a_breakpoint_fits_again_when_the_program_does(scene: Path) -> None:
     edit(scene, "rest", "pause")
     assert driver.session.reload().ok
     assert driver.play(20) == {}
-    assert [each.message for each in driver.misfits] == ["there is no state of `walker` `rest`"]
+    assert driver.misfits == [("walker enters rest: there is no state of `walker` `rest`", "there is `stroll`, `pause`")]
     edit(scene, "pause", "rest")
     assert driver.session.reload().ok
     stops = driver.play(20)
@@ -298,3 +299,27 @@ def test_looking_on_changes_nothing(name: str) -> None:
     plain.step()
     plain.step()
     assert driver.session.hash == plain.hash
+
+
+def test_a_page_sets_breakpoints_and_hears_of_them(scene: Path) -> None:
+    live = Live.open(scene)
+    live.start()
+    try:
+        page = Page(live)
+        page.ask("breaks", breaks=(state("rest").model_dump(), {"kind": "condition", "text": "count(walkr) > 1"}))
+        refused = page.until(lambda: page.last("refused"))
+        assert refused == {
+            "op": "refused", "of": "breaks", "help": "did you mean `walker`?", "message": refused["message"],
+        }  # fmt: skip
+        assert refused["message"].startswith("count(walkr) > 1: ")
+        page.ask("speed", times=0)
+        page.ask("play")
+        status = page.status(playing=False, paused_agents={"species": "walker", "agents": [0, 1, 2]})
+        assert status["paused_by"] == f"walker 0, 1, 2 entered rest at frame {status['frame']}"
+        specs = page.until(lambda: page.last("specs"))["specs"]
+        assert next(each for each in specs if each["name"] == "nobody rests")["frame"] == status["frame"]
+        curves = page.until(lambda: page.last("curves"))
+        assert curves["values"]["spec: nobody rests"][-1] == 0
+        assert page.last("specs")["specs"] == specs
+    finally:
+        live.stop()

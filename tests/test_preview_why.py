@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
-from explained_live import Notes, session_of
+from explained_live import EXAMPLES, Notes, session_of
+from live_client import Page
 
-from antdsl.preview import Session
+from antdsl.preview import Live, Session
 
 
 def first_layer(session: Session) -> tuple[str, str]:
@@ -52,10 +57,57 @@ def test_what_is_explained_is_what_happened_however_it_was_edited(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["foraging", "flocking", "moods", "alarm"])
-def test_what_is_explained_is_what_happened_a_thousand_times(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_explained_is_what_happened_a_thousand_times(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notes = watched(name, 100, 5, tmp_path, monkeypatch)
     before = notes.session.hash
     assert notes.explained_otherwise(250) == {}
     assert notes.session.hash == before
+
+
+@pytest.fixture
+def live(tmp_path: Path) -> Iterator[Live]:
+    shutil.copytree(EXAMPLES / "foraging", tmp_path / "foraging")
+    scene = tmp_path / "foraging" / "scene.yaml"
+    scene.write_text(scene.read_text().replace("count: 500", "count: 40"))
+    live = Live.open(scene)
+    live.start()
+    yield live
+    live.stop()
+
+
+def test_a_page_that_asks_is_told_why(live: Live, tmp_path: Path) -> None:
+    page = Page(live)
+    page.ask("step", count=8)
+    hash = page.status(frame=9, playing=False)["hash"]
+    page.ask("explain", species="forager", agent=3, frame=9)
+    told = page.until(lambda: page.last("explained"))
+    assert (told["agent"], told["frame"], told["message"]) == (3, 9, "")
+    explanation = told["explanation"]
+    assert explanation["hash"] == hash
+    assert explanation["strip"] == [{"machine": "main", "state": "search", "first": 1, "last": 9}]
+    assert explanation["layers"][0]["place"]["file"] == "forager.ant"
+    assert str(tmp_path) not in json.dumps(told)  # a page never hears of this machine's folders
+    assert told["told"].startswith("forager 3, the step to frame 9 of scene.yaml\n")
+    assert len(told["place"]) == 3
+    assert page.status(frame=9)["hash"] == hash
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        ({"species": "forager", "agent": 3, "frame": 1}, "frame 1 is the first: no step led to it: ask at frame 2, or later"),
+        (
+            {"species": "forager", "agent": 3, "frame": 99},
+            "frame 99 was not simulated, or is forgotten: there is 2 to 4",
+        ),
+        ({"species": "foragr", "agent": 3, "frame": 3}, "no species `foragr`: did you mean `forager`?"),
+        ({"species": "forager", "agent": 500, "frame": 3}, "no forager 500 at frame 2: there are 40, from 0 to 39"),
+    ],
+)
+def test_what_cannot_be_explained_is_said(live: Live, ask: dict[str, Any], message: str) -> None:
+    page = Page(live)
+    page.ask("step", count=3)
+    page.ask("explain", **ask)
+    told = page.until(lambda: page.last("explained"))
+    assert told["message"].startswith(message)
+    assert (told["explanation"], told["place"]) == (None, None)

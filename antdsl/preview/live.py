@@ -9,16 +9,19 @@ from collections import deque
 from pathlib import Path
 from threading import Condition, Thread
 from time import monotonic
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices
 from antdsl.preview.asks import Ask, Breaks, Look, Profile, Seek, Set
 from antdsl.preview.compiling import Compiler
-from antdsl.preview.observing import OBSERVERS, Observer, Stop
+from antdsl.preview.observing import Observer, Stop
 from antdsl.preview.session import Session
 from antdsl.preview.watch import Watch
 from antdsl.runtime import Options
+
+if TYPE_CHECKING:
+    from antdsl.preview.explaining import Explainer
 
 _WAITING = 256  # asks that may wait
 _POLL = 0.02  # seconds between two looks at the files
@@ -70,6 +73,7 @@ class Live:
         return made
 
     def _begin(self, compiler: Compiler, session: Session | None, report: Report, watch: bool) -> None:
+        from antdsl.preview.onlookers import OBSERVERS
         from antdsl.preview.viewing.screen import Screen
 
         self.compiler, self._session, self.report = compiler, session, report
@@ -79,7 +83,10 @@ class Live:
         self.stop_at: Stop | None = None  # why it paused by itself
         self.clients: dict[Client, Look] = {}
         self.screen = Screen(self)
-        self.observers: list[Observer] = [make(self) for make in OBSERVERS]
+        self.explainer: Explainer | None = None
+        self.observers: list[Observer] = []
+        for make in OBSERVERS:
+            self.observers.append(make(self))
         self._watch = Watch(compiler.files) if watch else None
         self._queue: deque[tuple[Ask | str, Client]] = deque()
         self._later: list[tuple[Ask, Client]] = []  # asked before there was a session
@@ -154,6 +161,8 @@ class Live:
         """One step, and what those say who look on; whether it may go on."""
         session = self.session
         self.stop_at = None
+        for observer in self.observers:
+            observer.stepping(session)
         session.step()
         self.screen.stepped()
         for observer in self.observers:

@@ -3,12 +3,10 @@ of another. Looking on changes nothing."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from antdsl.preview.live import Live
     from antdsl.preview.session import Session
 
 
@@ -22,13 +20,12 @@ class Stop:
 
 
 class Observer(Protocol):
+    def stepping(self, session: Session) -> None:
+        """Before each step that is followed by `stepped`."""
+
     def stepped(self, session: Session) -> Stop | None:
         """After each step that somebody asked for or that play made; not after those that a seek simulates again. It may add
         numbers of its own to `session.timeline.curves[session.frame]`."""
 
     def entered(self, session: Session) -> None:
         """The session has another world than before: opened, reloaded, restarted, or gone back in time."""
-
-
-# What each Live makes one of; a handler gets at its own by `live.observer(Kind)`.
-OBSERVERS: tuple[Callable[[Live], Observer], ...] = ()

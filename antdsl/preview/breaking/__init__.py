@@ -36,10 +36,22 @@ class Breakpoint:
     why: Misfit | None = None
 
 
+def words(ask: Break) -> str:
+    """A breakpoint in an artist's words."""
+    match ask:
+        case StateBreak():
+            return f"{ask.species} enters {ask.state}"
+        case ConditionBreak():
+            return " ".join(ask.text.split())[:80]
+        case SpecBreak():
+            return f"`{ask.spec}` fails"
+    return "a value at fault"
+
+
 class Breakpoints:
     """Looks at each step that is played. `tell` hears of a breakpoint that does not fit the program, once for each program."""
 
-    def __init__(self, specs: Specs, tell: Callable[[Misfit], None] = lambda misfit: None) -> None:
+    def __init__(self, specs: Specs, tell: Callable[[str, str], None] = lambda words, help: None) -> None:
         self.specs, self.tell = specs, tell
         self.breaks: list[Breakpoint] = []
         self._shot: Shot | None = None  # that they are made for
@@ -86,4 +98,4 @@ class Breakpoints:
                 each.waits, each.why = KINDS[type(each.ask)](session, each.ask, self.specs), None
             except Misfit as why:
                 each.waits, each.why = None, why
-                self.tell(why)
+                self.tell(f"{words(each.ask)}: {why.message}", why.help)

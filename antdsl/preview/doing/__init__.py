@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from antdsl.preview import asks
-from antdsl.preview.doing import edits, looking, time
+from antdsl.preview.doing import asking, edits, looking, time
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
@@ -24,5 +24,7 @@ HANDLERS: Mapping[type[Any], Callable[[Live, Any, Client], None]] = {
     asks.Field_: edits.field,
     asks.Reload: edits.reload,
     asks.Look: looking.look,
+    asks.Explain: asking.explain,
+    asks.Breaks: asking.breaks,
 }
 WITHOUT_SESSION = frozenset([asks.Look, asks.Reload, asks.Speed])  # what can be asked while the scene has errors

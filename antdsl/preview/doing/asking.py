@@ -1,0 +1,22 @@
+"""Why an agent did what it did, and where to stop."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from antdsl.preview import asks
+from antdsl.preview.breaking import Breakpoints
+from antdsl.preview.explaining import Explainer
+
+if TYPE_CHECKING:
+    from antdsl.preview.live import Client, Live
+
+
+def explain(live: Live, ask: asks.Explain, client: Client) -> None:
+    if live.explainer is None or live.explainer.session is not live.session:
+        live.explainer = Explainer(live.session)
+    client.tell(live.explainer.message(ask.species, ask.agent, ask.frame, live.screen.names.of))
+
+
+def breaks(live: Live, ask: asks.Breaks, client: Client) -> None:
+    live.observer(Breakpoints).set(live.session, ask.breaks)

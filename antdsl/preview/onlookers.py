@@ -1,0 +1,28 @@
+"""All who look on while a session goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from antdsl.preview.breaking import Breakpoints
+from antdsl.preview.judging import Specs
+from antdsl.preview.observing import Observer
+
+if TYPE_CHECKING:
+    from antdsl.preview.live import Live
+
+
+def _specs(live: Live) -> Observer:
+    return Specs(live.tell_all)
+
+
+def _breakpoints(live: Live) -> Observer:
+    def tell(words: str, help: str) -> None:
+        live.tell_all({"op": "refused", "of": "breaks", "message": words, "help": help})
+
+    return Breakpoints(live.observer(Specs), tell)
+
+
+# What each Live makes one of, in this order; a handler gets at its own by `live.observer(Kind)`.
+OBSERVERS: tuple[Callable[[Live], Observer], ...] = (_specs, _breakpoints)  # a spec is judged before one asks whether it failed
