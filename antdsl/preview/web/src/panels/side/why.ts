@@ -14,7 +14,8 @@ export const why: Panel = (store, place) => {
   const title = el("h2", { test: "why-title", "aria-live": "polite" });
   const copy = button("Copy as text", () => void navigator.clipboard?.writeText(store.now.explained?.told ?? ""), { class: "small" });
   const again = button("Explain", () => ask(store), { class: "small", title: "explain the step to the frame one is at now", test: "explain" });
-  const head = el("div", { class: "why-head" }, title, again, copy);
+  const about = el("p", { test: "why-about" });
+  const head = el("div", { class: "why-head" }, title, again, copy, about);
   const message = el("p", { class: "note bad-note", test: "why-message", hidden: true });
   const body = el("div", { class: "why", test: "why" });
   place.append(hint, head, message, body);
@@ -28,11 +29,14 @@ export const why: Panel = (store, place) => {
     head.hidden = !one;
     if (!one || !fits) {
       say(title, one ? `${one.species} ${one.id}` : "");
+      say(about, "its step is done again…");
       body.replaceChildren();
       message.hidden = true;
       return;
     }
-    say(title, `${one.species} ${one.id}, the step to frame ${explained.frame}`);
+    const all = store.now.selected.length;
+    say(title, `${one.species} ${one.id}`);
+    say(about, `the step to frame ${explained.frame}${all > 1 ? `; the last one of ${all} that are selected` : ""}`);
     message.hidden = !explained.message;
     say(message, explained.message);
     fill(store, body, explained);
