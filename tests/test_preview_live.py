@@ -197,3 +197,39 @@ def test_a_scene_with_errors_opens_once_they_are_mended(scene: Path) -> None:
         assert page.last("problems")["problems"] == []
     finally:
         live.stop()
+
+
+def test_what_steps_spend_their_time_on_is_told_to_the_page_that_asks_and_changes_nothing(scene: Path, live: Live) -> None:
+    page, other = Page(live), Page(live)
+    other.shown(1)
+    page.shown(1)
+    page.ask("profile", on=True)
+    page.ask("speed", times=0.0)
+    page.ask("play")
+    told = page.until(lambda: (found := page.last("profile")) is not None and found["frames"] > 4 and found)
+    page.ask("pause")
+    frame = page.status(playing=False)["frame"]
+    assert [each["name"] for each in told["phases"]][:3] == ["sense", "decide", "claim"]
+    assert sum(each["ms"] for each in told["phases"]) == pytest.approx(told["total"], abs=0.01)
+    first = told["layers"][0]
+    assert (first["species"], first["file"], first["line"]) == ("forager", "forager.ant", 73)
+    assert first["text"] == "avoid(stones, feelers: 3, spread: 35 deg, reach: 1.5 * size)"
+    lines = {(each["file"], each["line"]): each for each in told["lines"]}
+    assert lines["forager.ant", 31]["text"].startswith("let meal") and lines["forager.ant", 31]["ms"] > 0
+    assert any(file == "<steering>" for file, _ in lines)
+    assert other.last("profile") is None
+    assert page.status(frame=frame)["hash"] == hashes(scene, frame)[frame]
+    page.ask("profile", on=False)
+    number = len(page.told)
+    page.ask("step")
+    page.shown(frame + 1)
+    page.status(frame=frame + 1)
+    assert not [message for message in page.told[number:] if message["op"] == "profile"]
+    assert live.session.meter is None
+    page.ask("profile", on=True)
+    page.ask("step")
+    page.until(lambda: page.last("profile")["frames"] == 1)
+    live.leave(page)
+    other.ask("step")
+    other.status(frame=frame + 3)
+    other.until(lambda: live.session.meter is None)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from antdsl.preview.breaking import Breakpoints
+from antdsl.preview.costs import Costs
 from antdsl.preview.judging import Specs
 from antdsl.preview.observing import Observer
 
@@ -24,5 +25,6 @@ def _breakpoints(live: Live) -> Observer:
     return Breakpoints(live.observer(Specs), tell)
 
 
-# What each Live makes one of, in this order; a handler gets at its own by `live.observer(Kind)`.
-OBSERVERS: tuple[Callable[[Live], Observer], ...] = (_specs, _breakpoints)  # a spec is judged before one asks whether it failed
+# What each Live makes one of, in this order; a handler gets at its own by `live.observer(Kind)`. A spec is judged before one asks
+# whether it failed.
+OBSERVERS: tuple[Callable[[Live], Observer], ...] = (Costs, _specs, _breakpoints)

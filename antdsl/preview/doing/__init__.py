@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from antdsl.preview import asks
-from antdsl.preview.doing import asking, edits, looking, time
+from antdsl.preview.doing import asking, costs, edits, looking, time
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
@@ -26,5 +26,6 @@ HANDLERS: Mapping[type[Any], Callable[[Live, Any, Client], None]] = {
     asks.Look: looking.look,
     asks.Explain: asking.explain,
     asks.Breaks: asking.breaks,
+    asks.Profile: costs.profile,
 }
 WITHOUT_SESSION = frozenset([asks.Look, asks.Reload, asks.Speed])  # what can be asked while the scene has errors

@@ -1,0 +1,86 @@
+"""Tells pages that ask for it what steps spend their time on. Steps are measured while such a page is there."""
+
+from __future__ import annotations
+
+from math import inf
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+from antdsl.preview.session import Session
+from antdsl.preview.viewing.names import Names
+from antdsl.runtime.profiling import Profile
+
+if TYPE_CHECKING:
+    from antdsl.preview.live import Client, Live
+    from antdsl.preview.observing import Stop
+
+_EVERY = 0.25  # seconds between two messages
+_LEAST = 5e-4  # ms a frame: a line that takes less is not told of
+
+
+class Costs:
+    """An observer; the live thread's own."""
+
+    def __init__(self, live: Live) -> None:
+        self._live = live
+        self._asked: set[Client] = set()
+        self._told_at = -inf
+
+    def switch(self, client: Client, on: bool) -> None:
+        """Tell a page from the next step on, or no longer."""
+        (self._asked.add if on else self._asked.discard)(client)
+        self._told_at = -inf
+        self._measure(self._live.session)
+
+    def stepping(self, session: Session) -> None:
+        """The session's meter begins by itself."""
+
+    def stepped(self, session: Session) -> Stop | None:
+        if self._asked:
+            self._asked &= self._live.clients.keys()  # the others have left
+            self._measure(session)
+            self._tell(session)
+        return None
+
+    def entered(self, session: Session) -> None:
+        """A session's meter goes along from world to world."""
+
+    def _measure(self, session: Session) -> None:
+        if bool(self._asked) != (session.meter is not None):
+            session.measure(bool(self._asked))
+
+    def _tell(self, session: Session) -> None:
+        now = monotonic()
+        if session.meter is None or now - self._told_at < _EVERY:
+            return
+        found = session.meter.profile()
+        if found.frames:
+            self._told_at = now
+            told = message(found, self._live.screen.names)
+            for client in self._asked:
+                client.tell(told)
+
+
+def message(found: Profile, names: Names) -> dict[str, Any]:
+    """A profile as pages read it."""
+    return {
+        "op": "profile",
+        "frames": found.frames,
+        "total": round(found.total, 4),
+        "phases": [{"name": name, "ms": round(ms, 4)} for name, ms in found.phases.items()],
+        "layers": [
+            {
+                "species": each.species,
+                "text": each.span.text,
+                "file": names.of(each.span.source.path),
+                "line": each.span.source.line_column(each.span.start)[0],
+                "ms": round(each.ms, 4),
+            }
+            for each in found.layers
+        ],
+        "lines": [
+            {"file": names.of(each.file), "line": each.line, "text": each.text, "ms": round(each.ms, 4)}
+            for each in found.lines
+            if each.ms >= _LEAST
+        ],
+    }

@@ -1,0 +1,15 @@
+"""What steps spend their time on, told or no longer."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from antdsl.preview import asks
+from antdsl.preview.costs import Costs
+
+if TYPE_CHECKING:
+    from antdsl.preview.live import Client, Live
+
+
+def profile(live: Live, ask: asks.Profile, client: Client) -> None:
+    live.observer(Costs).switch(client, ask.on)
