@@ -277,7 +277,7 @@ def test_it_stops_at_a_fault(scene: Path, on_fault: Any) -> None:
 
 @pytest.mark.parametrize("name", ["foraging", "moods", "anthill"])
 def test_looking_on_changes_nothing(name: str) -> None:
-    """Breakpoints, specs and explanations on, and gone back and forth: the hashes are those of a run without."""
+    """Breakpoints, specs, explanations and the profiler on, and gone back and forth: the hashes are those of a run without."""
     scene = EXAMPLES / name / "scene.yaml"
     plain, _ = Session.open(scene)
     assert plain is not None
@@ -289,6 +289,7 @@ def test_looking_on_changes_nothing(name: str) -> None:
     driver = Driver(scene, *breaks, *asked, *specs, FaultBreak(kind="fault"), every=6)
     assert driver.misfits == []
     explainer = Explainer(driver.session)
+    driver.session.measure(True)
     for _ in range(14):
         plain.step()
         driver.step()

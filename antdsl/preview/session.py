@@ -16,8 +16,7 @@ from antdsl.preview.binding_params import asked_before_the_first_step
 from antdsl.preview.compiling import Compiler
 from antdsl.preview.layers import Off, texts_without
 from antdsl.preview.timeline import Change, Light, Stretch, Timeline, nearest_checkpoint
-from antdsl.runtime import BindError, FaultStop, Options, World, bind, restore, set_param, state_hash, step, taken_line
-from antdsl.runtime.binding import unpeopled
+from antdsl.runtime import BindError, FaultStop, Options, World, bind, set_param, state_hash, step, taken_line
 from antdsl.runtime.profiling import Meter
 from antdsl.scene.adjusting import settable
 from antdsl.scene.matching import check_param
@@ -128,9 +127,7 @@ class Session:
 
     def _step(self) -> None:
         self.fault = None
-        for change in self._stretch.changes:
-            if change.frame == self.frame:
-                set_param(self.world, change.name, change.value)
+        self._stretch.before_step(self.world)
         if self.meter is not None:
             self.meter.begin(self.world)
         try:
@@ -148,9 +145,7 @@ class Session:
 
     def _restore(self, stretch: Stretch, frame: int) -> None:
         """Be in a stretch as it was at a checkpoint, in a world that nothing was dug in yet."""
-        shot = stretch.shot
-        world = unpeopled(shot.plan, shot.setting, self.options, built=self.compiler.built, origin=stretch.origin)
-        restore(world, stretch.checkpoints[frame])
+        world = stretch.world(stretch.checkpoints[frame], self.options, self.compiler.built)
         world.watchers = self.world.watchers
         self._enter(world, stretch)
 
