@@ -34,6 +34,7 @@ export function earth(stage: Stage, stuff: Stuff, grains: { value: number }): TH
   const dress = () => material.color.copy(stage.palette[stuff]);
   dress();
   stage.palette.onChange(dress);
+  if (stage.software) return material; // the grain takes longer than all else together there
   material.onBeforeCompile = (shader) => {
     shader.uniforms.grains = grains;
     shader.vertexShader = shader.vertexShader

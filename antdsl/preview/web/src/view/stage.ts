@@ -34,13 +34,13 @@ export class Stage {
   constructor(readonly place: HTMLElement) {
     const canvas = document.createElement("canvas");
     canvas.tabIndex = 0;
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
-    this.software = isSoftware(this.renderer);
+    this.software = isSoftware();
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !this.software, powerPreference: "high-performance" });
     this.renderer.setPixelRatio(this.software ? 1 : Math.min(devicePixelRatio, 2));
     this.renderer.shadowMap.enabled = true;
-    this.renderer.shadowMap.type = THREE.PCFShadowMap;
+    this.renderer.shadowMap.type = this.software ? THREE.BasicShadowMap : THREE.PCFShadowMap;
     this.light.castShadow = true;
-    this.light.shadow.mapSize.set(2048, 2048);
+    this.light.shadow.mapSize.setScalar(this.software ? 1024 : 2048);
     this.light.shadow.autoUpdate = false; // nothing that throws a real shadow moves in most scenes
     this.scene.add(this.sky, this.light, this.light.target);
     place.append(canvas);
@@ -151,9 +151,12 @@ export class Stage {
   }
 }
 
-function isSoftware(renderer: THREE.WebGLRenderer): boolean {
-  const gl = renderer.getContext();
+/** Whether the processor draws, and no graphics card: then much is left out. */
+function isSoftware(): boolean {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) return true;
   const info = gl.getExtension("WEBGL_debug_renderer_info");
   const name = String(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
   return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 }

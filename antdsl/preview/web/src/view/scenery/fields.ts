@@ -44,6 +44,7 @@ export function fields(sight: Sight): Scenery {
     stage.wake();
   }
 
+  let scene = "";
   stage.palette.onChange(dress);
   store.on("fields", refresh);
   store.on("scene", () => {
@@ -57,6 +58,9 @@ export function fields(sight: Sight): Scenery {
     }
     dress();
     refresh();
+    if (store.now.scene?.name === scene) return;
+    scene = store.now.scene?.name ?? "";
+    store.set("fields", [...names]); // what is laid is seen, until somebody does not want it
   });
 
   function spread(name: string, position: Float32Array, face: Uint32Array): void {

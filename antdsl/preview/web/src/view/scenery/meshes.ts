@@ -1,12 +1,9 @@
 // `mesh:NAME`: ground and obstacles, which also may come again, moved. One without faces is taken away.
 
 import * as THREE from "three";
-import { mergeVertices, toCreasedNormals } from "three/examples/jsm/utils/BufferGeometryUtils.js";
+import { creased } from "../creases";
 import { earth } from "../earth";
 import type { Scenery, Sight } from "../sight";
-
-const CREASE = Math.PI / 5;
-const LARGE = 60_000; // faces from which on looking for creases takes too long
 
 export function meshes(sight: Sight): Scenery {
   const { stage, herds } = sight;
@@ -26,29 +23,19 @@ export function meshes(sight: Sight): Scenery {
       const position = packet.arrays.get("position") as Float32Array;
       const face = Uint32Array.from(packet.arrays.get("face") ?? []);
       const before = shown.get(name);
-      const moved = before !== undefined && before.userData.faces === face.length;
       if (before) drop(stage.scene, before);
       shown.delete(name);
       if (face.length > 0) {
         const role = packet.header.role === "obstacle" ? "obstacle" : "ground";
-        const mesh = new THREE.Mesh(geometryOf(position, face, moved), stuff.get(role));
+        const mesh = new THREE.Mesh(creased(position, face), stuff.get(role));
         mesh.castShadow = mesh.receiveShadow = true;
-        mesh.userData = { hides: true, faces: face.length };
+        mesh.userData = { hides: true };
         stage.scene.add(mesh);
         shown.set(name, mesh);
       }
       stage.relight();
     },
   };
-}
-
-function geometryOf(position: Float32Array, face: Uint32Array, moved: boolean): THREE.BufferGeometry {
-  const geometry = new THREE.BufferGeometry();
-  geometry.setAttribute("position", new THREE.BufferAttribute(position, 3));
-  geometry.setIndex(new THREE.BufferAttribute(face, 1));
-  if (!moved && face.length < 3 * LARGE) return toCreasedNormals(mergeVertices(geometry), CREASE);
-  geometry.computeVertexNormals(); // what moves comes with each frame: done quickly
-  return geometry;
 }
 
 function drop(scene: THREE.Scene, mesh: THREE.Mesh): void {
