@@ -45,3 +45,13 @@ FRAMES: Final = 1_000_000
 NEIGHBOURS: Final = 256  # of one agent in one question, the nearest
 FIELD_CELLS: Final = 20_000_000  # of one field
 FLOW_POINTS: Final = 4_000_000  # in which one flow is worked out
+
+# preview
+PREVIEW_CLIENTS: Final = 16
+PREVIEW_STRANGERS: Final = 64  # connections that nobody has let in yet
+PREVIEW_MESSAGE_BYTES: Final = 64 * KIB  # of one message from a page
+PREVIEW_FRAGMENTS: Final = 64  # that one message may come in
+PREVIEW_ASKS_A_SECOND: Final = 120
+PREVIEW_FRAMES_A_SECOND: Final = 500  # of the protocol, pings among them
+PREVIEW_WORDS_WAITING: Final = 32 * MIB  # characters of messages for one client that does not take them
+PREVIEW_PACKETS_WAITING: Final = 1 * GIB  # the same of packets, which clients share

@@ -1,5 +1,5 @@
-"""Where the files that come with antdsl are: the grammar, the library of behaviours, the pages of the codes. No other file
-knows."""
+"""Where the files that come with antdsl are: the grammar, the library of behaviours, the pages of the codes, the page of the preview.
+No other file knows."""
 
 from __future__ import annotations
 
@@ -43,3 +43,8 @@ def code_page(code: str) -> Path | None:
     """The page of a diagnostic's code, in Markdown, or None when there is none."""
     page = _folder("docs/codes") / f"{code}.md"
     return page if page.is_file() else None
+
+
+def page_file(name: str) -> Path:
+    """A file of the preview's page, as it was built: `index.html`, `app.js`, `app.css`."""
+    return _PACKAGE / "preview" / "page" / name

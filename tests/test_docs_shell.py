@@ -27,10 +27,10 @@ SHORTER = {
 }
 # The first two commands set up environments: `.ci/run` runs them. The study's specs are runs of 5,000 frames:
 # `test_foraging_study.py` runs them cut down. What asks a registry or an editor cannot be run everywhere; that the
-# extension packs is tested where node is.
+# extension packs is tested where node is. `test_preview_command.py` starts previews, which do not end by themselves.
 ELSEWHERE = re.compile(
     r"python3 -m antdsl\.bootstrap (example|test)|antdsl test forager\.ant"
-    r"|pip install .*|pre-commit install .*|npm install|npm run package|code --install-extension .*"
+    r"|antdsl preview .*|pip install .*|pre-commit install .*|npm install|npm run package|code --install-extension .*"
 )
 
 

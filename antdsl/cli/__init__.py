@@ -11,7 +11,7 @@ gc.set_threshold(100_000, 50, 50)
 
 import typer  # noqa: E402
 
-from antdsl.cli import check, doctor, explain, export, fmt, graph, info, lsp, new, plan, render, run, sweep, test  # noqa: E402
+from antdsl.cli import check, doctor, explain, export, fmt, graph, info, lsp, new, plan, preview, render, run, sweep, test  # noqa: E402
 from antdsl.cli.exits import Exit, Stop  # noqa: E402
 
 # In the order of `antdsl --help`: what one does first comes first.
@@ -20,6 +20,7 @@ COMMANDS = (
     ("check", check.check),
     ("fmt", fmt.fmt),
     ("run", run.run),
+    ("preview", preview.preview),
     ("test", test.test),
     ("sweep", sweep.sweep),
     ("render", render.render),

@@ -1,0 +1,126 @@
+"""`antdsl preview SCENE`: watch it while you write, in a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from antdsl.cli.exits import Exit, Stop
+
+if TYPE_CHECKING:
+    from antdsl.pipeline import Choices
+    from antdsl.preview.live import Live
+    from antdsl.preview.serving.addresses import Listening
+
+
+def preview(
+    scene: Path = typer.Argument(..., help="A scene.yaml."),
+    port: int = typer.Option(
+        None, "--port", min=0, max=65535, help="Where to listen; 0 takes any. [default: 8765, or the next that is free]"
+    ),
+    no_open: bool = typer.Option(False, "--no-open", help="Open no browser; print the address only."),
+    seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Another seed than the scene's."),
+    set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another value for a param: forager.smell=50mm"),
+    root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
+    threads: int = typer.Option(
+        0, "--threads", min=0, max=256, help="Threads for rays and chunks; 0 takes all cores. Changes no result."
+    ),
+    host: str = typer.Option(
+        None, "--host", metavar="HOST", help="Listen at another address than this machine's own; needs --let-others-in."
+    ),
+    let_others_in: bool = typer.Option(
+        False, "--let-others-in", help="With --host: whoever has the address may watch and steer."
+    ),
+) -> None:
+    """Watch a scene while you write it: a page in the browser that reloads, rewinds and explains. Needs the extra [preview]."""
+    from antdsl.cli.reports import demand
+    from antdsl.preview.serving import ready
+
+    demand(ready())
+    if scene.suffix == ".ant":
+        raise typer.BadParameter(f"`{scene}` is a program; name a scene that uses it, such as scene.yaml", param_hint="SCENE")
+    from antdsl.cli.arguments import grants, pairs
+    from antdsl.pipeline import Choices
+
+    choices = Choices(grants(root), None, seed, pairs(set_, "--set"))
+    listening = _listen(host, port, let_others_in)
+    try:
+        live = _live(scene, choices, threads)
+        _serve(live, scene, listening, open_it=not no_open, others=host is not None and let_others_in)
+    finally:
+        listening.close()
+
+
+def _listen(host: str | None, port: int | None, let_others_in: bool) -> Listening:
+    from antdsl.preview.serving.addresses import CannotListen, is_loopback, listen
+
+    try:
+        if not is_loopback(host) and not let_others_in:
+            raise Stop(
+                Exit.USAGE,
+                f"error: `--host {host}` lets other machines in",
+                "who has the address with its token could watch this scene, read its programs and steer the run; who can\n"
+                "listen to the network could read the token. Say that it is meant with `--let-others-in`, or leave `--host`\n"
+                "out and reach this machine through `ssh -L 8765:127.0.0.1:8765`",
+            )
+        return listen(host, port)
+    except CannotListen as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name another with `--port` or `--host`, or leave them out") from None
+
+
+def _live(scene: Path, choices: Choices, threads: int) -> Live:
+    """Who simulates. Where the files have mistakes they are told, and it begins as soon as they are mended."""
+    from antdsl.cli.reports import show, verdict
+    from antdsl.cli.run import cores
+    from antdsl.preview.live import Live
+    from antdsl.runtime import Options
+
+    live = Live.open(scene, choices, Options(threads=threads or cores()))
+    show(live.report, to_stderr=True)
+    if verdict(live.report) is Exit.INPUT_OUTPUT:
+        raise Stop(Exit.INPUT_OUTPUT)
+    return live
+
+
+def _serve(live: Live, scene: Path, listening: Listening, *, open_it: bool, others: bool) -> None:
+    from antdsl.preview.serving.guard import Guard
+    from antdsl.preview.serving.pages import pages
+    from antdsl.preview.serving.server import Server, serve_here
+
+    guard = Guard(listening.names)
+    server = Server(live, guard, pages(), listening)
+
+    def tell() -> None:
+        for address in listening.addresses:
+            typer.echo(f"{address}#{guard.token}")
+        if others:
+            typer.echo(
+                "Other machines can reach this: who has the address with its token can watch the scene, read its programs\n"
+                "and steer the run, and can read and write no other file. What goes over the network is not encrypted."
+            )
+        waiting = "" if live.report.ok else f" {scene} has mistakes: the page shows them, and the ants come once they are mended."
+        typer.echo(f"Ctrl-C ends it.{waiting}")
+        if open_it:
+            _open(f"{listening.addresses[0]}#{guard.token}")
+
+    live.start()
+    try:
+        serve_here(server, tell)
+    except KeyboardInterrupt:
+        pass  # the way in which a preview ends
+    finally:
+        live.stop()
+
+
+def _open(address: str) -> None:
+    """Open a browser, where there is a screen: those that run in a terminal would take this one."""
+    import os
+    import sys
+    import webbrowser
+    from threading import Thread
+
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")):
+        return
+    Thread(target=webbrowser.open, args=(address,), daemon=True).start()

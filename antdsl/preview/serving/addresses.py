@@ -1,0 +1,154 @@
+"""Where the server listens, by which names it may be called there, and what to open in a browser."""
+
+from __future__ import annotations
+
+import errno
+import socket
+import sys
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from ipaddress import ip_address
+
+PORT = 8765
+_NEXT = 64  # ports tried one after the other where none was named
+_LOOPBACK = ("127.0.0.1", "::1")
+_ABSENT = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)  # as `::1` where a machine has no IPv6
+
+
+class CannotListen(Exception):
+    """No socket there; in words for a person."""
+
+
+@dataclass(frozen=True, slots=True)
+class Listening:
+    """Bound sockets, the names that a request may call them by, with the port, and addresses to open, the best first."""
+
+    sockets: tuple[socket.socket, ...]
+    names: frozenset[str]
+    addresses: tuple[str, ...]
+
+    def close(self) -> None:
+        for each in self.sockets:
+            each.close()
+
+
+def is_loopback(host: str | None) -> bool:
+    """Whether only this machine can reach a host. CannotListen where nobody knows it."""
+    return host is None or all(ip_address(each).is_loopback for each in _found(host))
+
+
+def listen(host: str | None = None, port: int | None = None) -> Listening:
+    """Bound where only this machine is heard, or at `host`. Without a port the first from 8765 on that is free; 0 takes any.
+    CannotListen where a named port is taken, and for hosts that this machine does not have."""
+    places = _LOOPBACK if host is None else _found(host)
+    for candidate in (port,) if port is not None else range(PORT, PORT + _NEXT):
+        try:
+            sockets, taken = _bound(places, candidate)
+        except OSError as why:
+            if why.errno == errno.EADDRINUSE and port is None:
+                continue
+            raise CannotListen(_words(why, host, candidate)) from None
+        names = [_in_address(name) for name in _names(host, places)]
+        shown = [_in_address(name) for name in _open(host, places, sockets)]
+        return Listening(
+            sockets, frozenset(f"{name}:{taken}" for name in names), tuple(f"http://{name}:{taken}/" for name in shown)
+        )
+    raise CannotListen(f"the ports {PORT} to {PORT + _NEXT - 1} are all taken")
+
+
+def _bound(places: Iterable[str], port: int) -> tuple[tuple[socket.socket, ...], int]:
+    """Sockets at all of the places, on one port. A place that this machine lacks is left out as long as there is another: one
+    that somebody else holds is not, or `localhost` would lead to them."""
+    made: list[socket.socket] = []
+    absent: OSError | None = None
+    try:
+        for place in places:
+            try:
+                made.append(_socket(place, port))
+            except OSError as why:
+                if why.errno not in _ABSENT:
+                    raise
+                absent = why
+            else:
+                port = made[-1].getsockname()[1]
+        if not made:
+            raise absent or OSError(errno.EADDRNOTAVAIL, "no such address")
+    except OSError:
+        for each in made:
+            each.close()
+        raise
+    return tuple(made), port
+
+
+def _socket(place: str, port: int) -> socket.socket:
+    six = ":" in place
+    made = socket.socket(socket.AF_INET6 if six else socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        if sys.platform == "win32":
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+        else:
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # not to wait for what an earlier server left behind
+        if six:
+            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        made.bind((place, port))
+        made.listen()  # until then another server may bind the same port
+    except OSError:
+        made.close()
+        raise
+    return made
+
+
+def _found(host: str) -> tuple[str, ...]:
+    """The addresses of a host, as numbers."""
+    try:
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError):
+        raise CannotListen(f"nobody knows a host `{host}`") from None
+    return tuple(dict.fromkeys(str(each[4][0]) for each in found))
+
+
+def _names(host: str | None, places: Iterable[str]) -> list[str]:
+    """Names that lead to this server and to no other: what was asked for, and its addresses. Who listens at every address is also
+    called by each address and name of the machine; a name that an attacker may choose is not among them."""
+    if host is None:
+        return ["localhost", *_LOOPBACK]
+    places = list(places)
+    if any(ip_address(each).is_unspecified for each in places):
+        return ["localhost", *_LOOPBACK, socket.gethostname().lower(), *_machine()]
+    return [host.lower(), *places]
+
+
+def _open(host: str | None, places: Iterable[str], sockets: Iterable[socket.socket]) -> list[str]:
+    if host is None:
+        return [str(each.getsockname()[0]) for each in sockets][:1]
+    if any(ip_address(each).is_unspecified for each in places):
+        return [*_machine(), "127.0.0.1" if "0.0.0.0" in places else "::1"]
+    return [host.lower()]
+
+
+def _machine() -> list[str]:
+    """Addresses that others reach this machine by: those of its name, and those that it would send from."""
+    found: list[str] = []
+    with suppress(OSError, UnicodeError):
+        found += [str(each[4][0]) for each in socket.getaddrinfo(socket.gethostname(), None, type=socket.SOCK_STREAM)]
+    for family, far in ((socket.AF_INET, "192.0.2.1"), (socket.AF_INET6, "2001:db8::1")):
+        # connecting a datagram socket sends nothing: it only chooses the way out
+        with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.connect((far, 9))
+            found.append(str(probe.getsockname()[0]))
+    return [each for each in dict.fromkeys(found) if "%" not in each and not ip_address(each).is_loopback]
+
+
+def _in_address(name: str) -> str:
+    return f"[{name}]" if ":" in name else name
+
+
+def _words(why: OSError, host: str | None, port: int) -> str:
+    if why.errno == errno.EADDRINUSE:
+        return f"port {port} is taken"
+    if why.errno in (errno.EACCES, errno.EPERM):
+        return f"this user may not listen on port {port}"
+    if why.errno in _ABSENT:
+        return f"this machine has no address `{host or 'localhost'}`"
+    return f"cannot listen on port {port}: {(why.strerror or str(why)).lower()}"

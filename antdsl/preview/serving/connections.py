@@ -1,0 +1,79 @@
+"""What a connection may cost before and after somebody is let in: how many there are, how many frames, in how many pieces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from websockets.asyncio.server import ServerConnection
+from websockets.frames import Frame, Opcode
+
+from antdsl import limits
+from antdsl.preview.serving.pace import Bucket
+
+
+class Door:
+    """All connections of a server. Of those that nobody has let in yet only the youngest stay: whoever opens thousands and says
+    nothing drives out their own, and not the page that asks in time."""
+
+    def __init__(self) -> None:
+        self._waiting: dict[Connection, None] = {}
+        self._in: set[Connection] = set()
+
+    def connection(self, *args: Any, **options: Any) -> Connection:
+        """A connection, as `serve` makes them."""
+        return Connection(self, *args, **options)
+
+    def let_in(self, connection: ServerConnection) -> None:
+        assert isinstance(connection, Connection)
+        self._waiting.pop(connection, None)
+        self._in.add(connection)
+
+    def is_in(self, connection: ServerConnection) -> bool:
+        return connection in self._in
+
+    def came(self, connection: Connection) -> None:
+        self._waiting[connection] = None
+        if len(self._waiting) > limits.PREVIEW_STRANGERS:
+            oldest = next(iter(self._waiting))
+            del self._waiting[oldest]
+            oldest.transport.abort()
+
+    def hang_up(self) -> None:
+        for each in (*self._waiting, *self._in):
+            each.transport.abort()
+
+    def went(self, connection: Connection) -> None:
+        self._waiting.pop(connection, None)
+        self._in.discard(connection)
+
+
+class Connection(ServerConnection):
+    """Cut off when it sends frames too fast, pings among them, or a message in too many pieces: pieces may be empty, so their
+    bytes do not limit them."""
+
+    def __init__(self, door: Door, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._door = door
+        self._frames = Bucket(limits.PREVIEW_FRAMES_A_SECOND, 2 * limits.PREVIEW_FRAMES_A_SECOND)
+        self._pieces = 0
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        self._door.came(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._door.went(self)
+        super().connection_lost(exc)
+
+    def process_event(self, event: Any) -> None:
+        if isinstance(event, Frame) and not self._in_order(event):
+            self.transport.abort()
+            return
+        super().process_event(event)
+
+    def _in_order(self, frame: Frame) -> bool:
+        if frame.opcode in (Opcode.TEXT, Opcode.BINARY):
+            self._pieces = 0
+        elif frame.opcode is Opcode.CONT:
+            self._pieces += 1
+        return self._pieces < limits.PREVIEW_FRAGMENTS and self._frames.take()

@@ -1,0 +1,130 @@
+"""What waits to be sent to one client: messages in their order, and of each slot's packets only the latest.
+
+Filled by the thread that simulates, emptied by the server's; neither waits for the other."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from threading import Lock
+from typing import Any
+
+from antdsl import limits
+
+
+@dataclass(slots=True, eq=False)
+class _Waiting:
+    """A packet in its place in the queue; None once a later one took another place."""
+
+    slot: str
+    packet: bytes | None
+
+
+class Mailbox:
+    """`full` is called, on the loop, once more waits than the budgets allow: from then on nothing is taken any more."""
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        build: str,
+        full: Callable[[], None],
+        *,
+        words: int = limits.PREVIEW_WORDS_WAITING,
+        packets: int = limits.PREVIEW_PACKETS_WAITING,
+    ) -> None:
+        self._loop, self._build, self._full = loop, build, full
+        self._most_words, self._most_packets = words, packets
+        self._queue: deque[str | _Waiting] = deque()
+        self._waiting: dict[str, _Waiting] = {}  # packets that a later one of their slot replaces in place
+        self._before: dict[str, _Waiting] = {}  # the same from before the last scene: replaced, but not in place
+        self._words = self._packets = 0  # bytes
+        self._lock, self._there = Lock(), asyncio.Event()
+        self._woken = self._closed = False
+
+    def tell(self, message: dict[str, Any]) -> None:
+        """Put a message at the end. What page there is, the server knows: `hello` is told its `build` here."""
+        if message.get("op") == "hello":
+            message = {**message, "build": self._build}
+        text = json.dumps(message, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+        with self._lock:
+            if self._closed:
+                return
+            self._queue.append(text)
+            self._words += len(text)
+            if message.get("op") == "scene":
+                # a packet of the new scene must not take the place of one from before: it would arrive ahead of the scene
+                self._before.update(self._waiting)
+                self._waiting.clear()
+            self._look()
+
+    def show(self, slot: str, packet: bytes) -> None:
+        """Put a packet where an earlier one of its slot still waits, else at the end. So a slot waits once at most, and none
+        waits longer because another has new packets all the time."""
+        with self._lock:
+            if self._closed:
+                return
+            self._packets += len(packet)
+            here, past = self._waiting.get(slot), self._before.pop(slot, None)
+            if past is not None:
+                self._packets -= len(past.packet or b"")
+                past.packet = None
+            if here is not None:
+                self._packets -= len(here.packet or b"")
+                here.packet = packet
+            else:
+                self._waiting[slot] = made = _Waiting(slot, packet)
+                self._queue.append(made)
+            self._look()
+
+    async def next(self) -> str | bytes:
+        """What is to be sent next; waits for it. For one reader, on the loop."""
+        while True:
+            with self._lock:
+                found = self._take()
+                if found is None:
+                    self._woken = False
+                    self._there.clear()
+            if found is not None:
+                return found
+            await self._there.wait()
+
+    def close(self) -> None:
+        """Take nothing any more and forget what waits."""
+        with self._lock:
+            self._close()
+
+    def _take(self) -> str | bytes | None:
+        while self._queue:
+            first = self._queue.popleft()
+            if isinstance(first, str):
+                self._words -= len(first)
+                return first
+            for held in (self._waiting, self._before):
+                if held.get(first.slot) is first:
+                    del held[first.slot]
+            if first.packet is not None:
+                self._packets -= len(first.packet)
+                return first.packet
+        return None
+
+    def _look(self) -> None:
+        """Wake who reads, or give up. The lock is held."""
+        over = self._words > self._most_words or self._packets > self._most_packets
+        if over:
+            self._close()
+        elif self._woken:
+            return
+        self._woken = True
+        with suppress(RuntimeError):  # the loop has ended, and with it the client
+            self._loop.call_soon_threadsafe(self._full if over else self._there.set)
+
+    def _close(self) -> None:
+        self._closed = True
+        self._queue.clear()
+        self._waiting.clear()
+        self._before.clear()
+        self._words = self._packets = 0

@@ -1,0 +1,225 @@
+"""The server: pages over HTTP, and one socket a client between the page and the thread that simulates."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import signal
+import sys
+import traceback
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from http import HTTPStatus
+from typing import Protocol, cast
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import CloseCode
+from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
+
+from antdsl import limits
+from antdsl.preview.asks import Ask
+from antdsl.preview.live import Busy, Client
+from antdsl.preview.serving.addresses import Listening
+from antdsl.preview.serving.connections import Door
+from antdsl.preview.serving.guard import PROTOCOL, Guard, Verdict
+from antdsl.preview.serving.headers import HEADERS
+from antdsl.preview.serving.inbound import Refused, read
+from antdsl.preview.serving.mailbox import Mailbox
+from antdsl.preview.serving.pace import Bucket
+from antdsl.preview.serving.pages import Pages
+
+_OPEN = 10.0  # seconds for a request and its answer
+_CLOSE = 2.0  # seconds for a client to say goodbye
+_STUCK = 60.0  # seconds for one packet to go out
+_QUIET = 20.0  # seconds between pings, and for their answers
+_DEAF = 100  # refusals in a row after which a client that asks too fast has to go
+
+# Whoever floods the server must not flood the terminal.
+_SILENT = logging.getLogger("antdsl.preview.serving")
+_SILENT.addHandler(logging.NullHandler())
+_SILENT.propagate = False
+
+
+class Answers(Protocol):
+    """What the server needs of who simulates: `antdsl.preview.live.Live`, thread-safe, never waiting."""
+
+    def ask(self, ask: Ask, client: Client) -> None: ...
+    def join(self, client: Client) -> None: ...
+    def leave(self, client: Client) -> None: ...
+
+
+class Server:
+    """`async with Server(...).running():` serves until the block ends."""
+
+    def __init__(self, live: Answers, guard: Guard, pages: Pages, listening: Listening) -> None:
+        self._live, self._guard, self._pages, self._listening = live, guard, pages, listening
+        self._door = Door()
+        self._clients: set[ServerConnection] = set()
+        self._closing: set[asyncio.Task[None]] = set()
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        async with AsyncExitStack() as stack:
+            for each in self._listening.sockets:
+                await stack.enter_async_context(
+                    serve(
+                        self._client,
+                        sock=each,
+                        create_connection=cast("type[ServerConnection]", self._door.connection),
+                        process_request=self._request,
+                        process_response=_with_headers,
+                        subprotocols=[Subprotocol(PROTOCOL)],
+                        server_header=None,
+                        compression=None,  # what unpacks to gigabytes is never unpacked, and loopback has no need of it
+                        max_size=limits.PREVIEW_MESSAGE_BYTES,
+                        open_timeout=_OPEN,
+                        close_timeout=_CLOSE,
+                        ping_interval=_QUIET,
+                        ping_timeout=_QUIET,
+                        logger=_SILENT,
+                    )
+                )
+            try:
+                yield
+            finally:
+                # the library says goodbye and waits until that is sent, which it never is where nobody reads
+                asyncio.get_running_loop().call_later(_CLOSE, self._door.hang_up)
+
+    # --- requests ------------------------------------------------------------------------------------------------------
+
+    def _request(self, connection: ServerConnection, request: Request) -> Response | None:
+        """The answer to a request, or None to go on and open a socket."""
+        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        if getattr(request, "method", "GET") != "GET":  # earlier versions of websockets read nothing else
+            return _answer(HTTPStatus.METHOD_NOT_ALLOWED, extra=[("Allow", "GET")])
+        if not self._guard.page(hosts, origins):
+            return _answer(HTTPStatus.FORBIDDEN)
+        if request.path == "/ws":
+            verdict = self._guard.socket(hosts, origins, request.headers.get_all("Sec-WebSocket-Protocol"))
+            if verdict is Verdict.STRANGER:
+                return _answer(HTTPStatus.FORBIDDEN)
+            if verdict is Verdict.IN:
+                self._door.let_in(connection)
+            return None
+        found = self._pages.routes.get(request.path)
+        return _answer(HTTPStatus.NOT_FOUND) if found is None else _answer(HTTPStatus.OK, *found)
+
+    # --- sockets -------------------------------------------------------------------------------------------------------
+
+    async def _client(self, connection: ServerConnection) -> None:
+        if not self._door.is_in(connection):
+            # only a page can read why: a browser tells it nothing of an answer that is no socket
+            await connection.close(CloseCode.POLICY_VIOLATION, "wrong token")
+            return
+        if len(self._clients) >= limits.PREVIEW_CLIENTS:
+            await connection.close(CloseCode.TRY_AGAIN_LATER, "too many pages look on")
+            return
+        mailbox = Mailbox(asyncio.get_running_loop(), self._pages.build, lambda: self._too_slow(connection))
+        self._clients.add(connection)
+        self._live.join(mailbox)
+        sender = asyncio.create_task(_send(connection, mailbox))
+        try:
+            await self._hear(connection, mailbox)
+        finally:
+            self._live.leave(mailbox)
+            self._clients.discard(connection)
+            mailbox.close()
+            sender.cancel()
+            with suppress(asyncio.CancelledError):
+                await sender
+
+    async def _hear(self, connection: ServerConnection, mailbox: Mailbox) -> None:
+        """Read asks until the client has gone, or has to go."""
+        bucket, refused = Bucket(limits.PREVIEW_ASKS_A_SECOND, 2 * limits.PREVIEW_ASKS_A_SECOND), 0
+        with suppress(ConnectionClosed):
+            async for message in connection:
+                if not isinstance(message, str):
+                    await connection.close(CloseCode.UNSUPPORTED_DATA, "only text is read")
+                    return
+                if bucket.take():
+                    refused = 0
+                    self._pass_on(message, mailbox)
+                    continue
+                refused += 1
+                if refused == 1:
+                    mailbox.tell(Refused("", "this page asks too much at once: what it asked last is lost").message_out())
+                if refused > _DEAF:
+                    await connection.close(CloseCode.TRY_AGAIN_LATER, "asks too much")
+                    return
+
+    def _pass_on(self, message: str, mailbox: Mailbox) -> None:
+        asked = read(message)
+        if isinstance(asked, Refused):
+            mailbox.tell(asked.message_out())
+            return
+        try:
+            self._live.ask(asked, mailbox)
+        except Busy:
+            mailbox.tell(
+                Refused(asked.op, "too much was asked before that is not done yet", "ask again in a moment").message_out()
+            )
+        except Exception:
+            traceback.print_exc(file=sys.stderr)
+            mailbox.tell(Refused(asked.op, "this is a bug in antdsl: the terminal has more").message_out())
+
+    def _too_slow(self, connection: ServerConnection) -> None:
+        closing = asyncio.create_task(_let_go(connection, "too much waits for this page"))
+        self._closing.add(closing)
+        closing.add_done_callback(self._closing.discard)
+
+
+async def _send(connection: ServerConnection, mailbox: Mailbox) -> None:
+    """Send what waits, one after the other: the next is chosen when the last is out, so that a slow client has the latest."""
+    try:
+        while True:
+            item = await mailbox.next()
+            async with asyncio.timeout(_STUCK):
+                await connection.send(item)
+    except ConnectionClosed:
+        return
+    except TimeoutError:  # as of a machine that fell asleep
+        connection.transport.abort()
+
+
+async def _let_go(connection: ServerConnection, why: str) -> None:
+    """Say goodbye to a client that may not be listening."""
+    with suppress(TimeoutError):
+        async with asyncio.timeout(_CLOSE):
+            await connection.close(CloseCode.TRY_AGAIN_LATER, why)
+    connection.transport.abort()
+
+
+def _answer(
+    status: HTTPStatus,
+    kind: str = "text/plain; charset=utf-8",
+    body: bytes | None = None,
+    *,
+    extra: Sequence[tuple[str, str]] = (),
+) -> Response:
+    body = f"{status.phrase}\n".encode() if body is None else body
+    headers = Headers([("Content-Type", kind), ("Content-Length", str(len(body))), ("Connection", "close"), *extra])
+    return Response(status.value, status.phrase, headers, body)
+
+
+def _with_headers(connection: ServerConnection, request: Request, response: Response) -> None:
+    """Put what every answer says on an answer, also on those that the library gives itself."""
+    for name, value in HEADERS:
+        response.headers[name] = value
+
+
+def serve_here(server: Server, ready: Callable[[], None]) -> None:
+    """Serve until Ctrl-C or a termination; `ready` is called once pages can be loaded."""
+    asyncio.run(_until_stopped(server, ready))
+
+
+async def _until_stopped(server: Server, ready: Callable[[], None]) -> None:
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with suppress(NotImplementedError):  # on Windows Ctrl-C is an exception, and cancels this
+            asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    async with server.running():
+        ready()
+        await stop.wait()

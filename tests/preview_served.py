@@ -1,0 +1,142 @@
+"""A preview's server with somebody behind it who only notes what is asked, and ways to call it that no browser has."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.frames import Opcode
+
+from antdsl.preview.asks import Ask
+from antdsl.preview.live import Busy, Client
+from antdsl.preview.serving.addresses import Listening, listen
+from antdsl.preview.serving.guard import Guard
+from antdsl.preview.serving.pages import Pages, pages
+from antdsl.preview.serving.server import Server
+
+SECONDS = 20  # that a test may take at most
+
+
+@dataclass
+class Noted:
+    """Answers each ask with an outcome of its own; `busy` answers none."""
+
+    asks: list[Ask] = field(default_factory=list)
+    clients: list[Client] = field(default_factory=list)
+    joined: int = 0
+    busy: bool = False
+
+    def ask(self, ask: Ask, client: Client) -> None:
+        if self.busy:
+            raise Busy
+        self.asks.append(ask)
+        client.tell({"op": "outcome", "of": ask.op, "number": len(self.asks)})
+
+    def join(self, client: Client) -> None:
+        self.joined += 1
+        self.clients.append(client)
+        client.tell({"op": "hello", "build": ""})
+
+    def leave(self, client: Client) -> None:
+        self.clients.remove(client)
+
+
+@dataclass
+class Served:
+    live: Noted
+    guard: Guard
+    pages: Pages
+    listening: Listening
+
+    @property
+    def port(self) -> int:
+        return int(self.listening.sockets[0].getsockname()[1])
+
+    @property
+    def origin(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    def connect(self, **other: Any) -> connect:
+        """A client as the page is one; `other` has what is different."""
+        options: dict[str, Any] = {
+            "origin": self.origin,
+            "subprotocols": ["antdsl.1", f"token.{self.guard.token}"],
+            "open_timeout": SECONDS,
+            "close_timeout": 1,
+            "proxy": None,
+            **other,
+        }
+        return connect(f"ws://127.0.0.1:{self.port}/ws", **options)
+
+    async def say(self, *lines: str, wait: float = SECONDS) -> tuple[int, dict[str, str], bytes]:
+        """Send lines as they are; status (0 for none), headers and body of what comes back before the server hangs up."""
+        reader, writer = await asyncio.open_connection("127.0.0.1", self.port)
+        writer.write("".join(f"{line}\r\n" for line in (*lines, "")).encode("latin-1"))
+        try:
+            got = await asyncio.wait_for(reader.read(), wait)
+        except ConnectionResetError:
+            got = b""
+        writer.close()
+        head, _, body = got.partition(b"\r\n\r\n")
+        status, *headers = head.decode("latin-1").split("\r\n")
+        named = dict(line.split(": ", 1) for line in headers)
+        return int(status.split(" ")[1]) if status else 0, named, body
+
+    async def get(self, path: str, *headers: str, method: str = "GET") -> tuple[int, dict[str, str], bytes]:
+        return await self.say(f"{method} {path} HTTP/1.1", f"Host: 127.0.0.1:{self.port}", *headers)
+
+    async def open_socket(
+        self, hosts: Sequence[str], origins: Sequence[str], protocols: Sequence[str] | None = None, wait: float = SECONDS
+    ) -> int:
+        """The status that a request for a socket gets with just these headers; 101 means that it is open."""
+        protocols = ["antdsl.1", f"token.{self.guard.token}"] if protocols is None else protocols
+        reader, writer = await asyncio.open_connection("127.0.0.1", self.port)
+        lines = [
+            "GET /ws HTTP/1.1",
+            *(f"Host: {host}" for host in hosts),
+            *(f"Origin: {origin}" for origin in origins),
+            *(f"Sec-WebSocket-Protocol: {each}" for each in protocols),
+            "Connection: Upgrade",
+            "Upgrade: websocket",
+            "Sec-WebSocket-Version: 13",
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+        ]
+        writer.write("".join(f"{line}\r\n" for line in (*lines, "")).encode("latin-1"))
+        status = await asyncio.wait_for(reader.readline(), wait)
+        writer.close()
+        return int(status.split(b" ")[1])
+
+
+@asynccontextmanager
+async def served(**live: Any) -> AsyncIterator[Served]:
+    listening = listen(port=0)
+    made = Served(Noted(**live), Guard(listening.names), pages(), listening)
+    async with asyncio.timeout(SECONDS), Server(made.live, made.guard, made.pages, listening).running():
+        yield made
+
+
+def frame(opcode: Opcode, data: bytes = b"", *, last: bool = True, packed: bool = False, masked: bool = True) -> bytes:
+    """One frame as it goes over the wire, in order or not. Its mask is zero, which leaves the data as they are."""
+    first, mask = opcode | last << 7 | packed << 6, masked << 7
+    if len(data) < 126:
+        head = bytes([first, mask | len(data)])
+    elif len(data) < 1 << 16:
+        head = bytes([first, mask | 126]) + len(data).to_bytes(2, "big")
+    else:
+        head = bytes([first, mask | 127]) + len(data).to_bytes(8, "big")
+    return head + (bytes(4) if masked else b"") + data
+
+
+async def raw(client: ClientConnection, *frames: bytes) -> int:
+    """Send frames past all that the client's library checks; the code that the server closes with, 1006 when it hangs up."""
+    for each in frames:
+        if client.transport.is_closing():
+            break
+        client.transport.write(each)
+        await asyncio.sleep(0)
+    await client.wait_closed()
+    return client.close_code or 0

@@ -1,0 +1,237 @@
+"""What waits for a client: messages in order, the latest packet of each slot, and never more than the budgets; and where a server
+listens."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+import socket
+from collections.abc import Awaitable, Callable
+from threading import Thread
+from typing import Any
+
+import pytest
+
+from antdsl.preview.serving import addresses, ready
+from antdsl.preview.serving.addresses import CannotListen, is_loopback, listen
+from antdsl.preview.serving.mailbox import Mailbox
+from antdsl.preview.serving.pace import Bucket
+
+
+def with_mailbox(test: Callable[[Mailbox, list[str]], Awaitable[None]], **budgets: int) -> None:
+    async def go() -> None:
+        full: list[str] = []
+        async with asyncio.timeout(20):
+            await test(Mailbox(asyncio.get_running_loop(), "now", lambda: full.append("full"), **budgets), full)
+
+    asyncio.run(go())
+
+
+async def drained(mailbox: Mailbox) -> list[Any]:
+    found: list[Any] = []
+    try:
+        while True:
+            got = await asyncio.wait_for(mailbox.next(), 0.02)
+            found.append(got if isinstance(got, bytes) else json.loads(got)["op"])
+    except TimeoutError:
+        return found
+
+
+def test_the_latest_of_a_slot_takes_the_place_of_the_one_before() -> None:
+    async def test(mailbox: Mailbox, full: list[str]) -> None:
+        mailbox.show("mesh", b"mesh")
+        mailbox.show("frame", b"1")
+        mailbox.tell({"op": "status"})
+        mailbox.show("field", b"field")
+        for number in b"23456789":
+            mailbox.show("frame", bytes([number]))
+        assert await drained(mailbox) == [b"mesh", b"9", "status", b"field"]
+        mailbox.show("frame", b"10")
+        assert await drained(mailbox) == [b"10"] and not full
+
+    with_mailbox(test)
+
+
+def test_a_packet_after_a_scene_arrives_after_it() -> None:
+    async def test(mailbox: Mailbox, full: list[str]) -> None:
+        mailbox.show("frame", b"old")
+        mailbox.show("mesh", b"mesh")
+        mailbox.tell({"op": "scene"})
+        mailbox.show("frame", b"new")
+        mailbox.show("frame", b"newer")
+        assert await drained(mailbox) == [b"mesh", "scene", b"newer"]
+
+    with_mailbox(test)
+
+
+def test_hello_is_told_which_page_there_is() -> None:
+    async def test(mailbox: Mailbox, full: list[str]) -> None:
+        message = {"op": "hello", "build": ""}
+        mailbox.tell(message)
+        assert json.loads(await mailbox.next()) == {"op": "hello", "build": "now"}
+        assert message["build"] == ""
+
+    with_mailbox(test)
+
+
+@pytest.mark.parametrize("what", ["words", "packets"])
+def test_more_than_the_budget_is_not_kept(what: str) -> None:
+    async def test(mailbox: Mailbox, full: list[str]) -> None:
+        for _ in range(100):
+            mailbox.show("one", bytes(900))  # the same slot: never more than one of them
+        await asyncio.sleep(0)
+        assert not full
+        for number in range(3):
+            if what == "words":
+                mailbox.tell({"op": "texts", "text": "x" * 500})
+            else:
+                mailbox.show(f"solid:{number}", bytes(500))
+        mailbox.show("one", b"late")
+        await asyncio.sleep(0)
+        assert full == ["full"] and await drained(mailbox) == []
+
+    with_mailbox(test, words=1000, packets=2000)
+
+
+def test_what_a_page_cannot_read_is_never_sent() -> None:
+    async def test(mailbox: Mailbox, full: list[str]) -> None:
+        with pytest.raises(ValueError):
+            mailbox.tell({"op": "curves", "values": [float("nan")]})
+        assert await drained(mailbox) == []
+
+    with_mailbox(test)
+
+
+def test_nothing_is_lost_or_turned_round_between_two_threads() -> None:
+    async def test(mailbox: Mailbox, full: list[str]) -> None:
+        def fill() -> None:
+            chance = random.Random(5)
+            for number in range(3000):
+                if chance.random() < 0.3:
+                    mailbox.tell({"op": "status", "frame": number})
+                else:
+                    mailbox.show(chance.choice("abc"), number.to_bytes(4, "little"))
+            mailbox.tell({"op": "end"})
+
+        thread = Thread(target=fill)
+        thread.start()
+        frames: list[int] = []
+        slots: list[int] = []
+        while True:
+            got = await mailbox.next()
+            if isinstance(got, bytes):
+                slots.append(int.from_bytes(got, "little"))
+            elif (message := json.loads(got))["op"] == "end":
+                break
+            else:
+                frames.append(message["frame"])
+        thread.join()
+        chance = random.Random(5)
+        expected, last = [], dict.fromkeys("abc", 0)
+        for number in range(3000):
+            if chance.random() < 0.3:
+                expected.append(number)
+            else:
+                last[chance.choice("abc")] = number
+        assert frames == expected
+        assert len(slots) == len(set(slots)) and set(last.values()) <= {
+            *slots,
+            *(int.from_bytes(b, "little") for b in await drained(mailbox)),
+        }
+
+    with_mailbox(test)
+
+
+def test_a_mailbox_whose_loop_has_ended_takes_what_it_is_given() -> None:
+    kept: list[Mailbox] = []
+
+    async def test(mailbox: Mailbox, full: list[str]) -> None:
+        kept.append(mailbox)
+
+    with_mailbox(test)
+    kept[0].tell({"op": "status"})
+    kept[0].show("frame", b"")
+
+
+def test_a_bucket_gives_what_it_holds_and_then_by_the_second() -> None:
+    now = [0.0]
+    bucket = Bucket(10, 5, lambda: now[0])
+    assert [bucket.take() for _ in range(7)] == [True] * 5 + [False] * 2
+    now[0] = 0.25
+    assert [bucket.take() for _ in range(3)] == [True, True, False]
+    now[0] = 1000.0
+    assert [bucket.take() for _ in range(6)] == [True] * 5 + [False]
+
+
+# --- addresses ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_port_that_is_taken_leads_to_the_next() -> None:
+    one = listen()
+    two = listen()
+    try:
+        ports = [each.sockets[0].getsockname()[1] for each in (one, two)]
+        assert addresses.PORT <= ports[0] < ports[1]
+        assert two.addresses == (f"http://127.0.0.1:{ports[1]}/",)
+        assert two.names == {f"{name}:{ports[1]}" for name in ("localhost", "127.0.0.1", "[::1]")}
+        with pytest.raises(CannotListen, match=f"port {ports[0]} is taken"):
+            listen(port=ports[0])
+    finally:
+        one.close()
+        two.close()
+
+
+def has_six() -> bool:
+    try:
+        with socket.socket(socket.AF_INET6) as probe:
+            probe.bind(("::1", 0))
+    except OSError:
+        return False
+    return True
+
+
+@pytest.mark.skipif(not has_six(), reason="this machine has no IPv6")
+def test_a_port_that_somebody_has_at_the_other_loopback_is_not_ours() -> None:
+    """`localhost` would lead to them, and the token with it."""
+    with socket.socket(socket.AF_INET6) as other:
+        other.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        other.bind(("::1", 0))
+        with pytest.raises(CannotListen, match="is taken"):
+            listen(port=other.getsockname()[1])
+
+
+def test_without_one_of_the_loopbacks_the_other_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    if not has_six():
+        pytest.skip("this machine has no IPv6")
+    monkeypatch.setattr(addresses, "_LOOPBACK", ("192.0.2.7", "::1"))  # an address for documents: no machine has it
+    found = listen(port=0)
+    found.close()
+    assert len(found.sockets) == 1 and found.addresses[0].startswith("http://[::1]:")
+
+
+def test_which_hosts_are_this_machine_only() -> None:
+    assert is_loopback(None) and is_loopback("127.0.0.1") and is_loopback("::1") and is_loopback("127.8.8.8")
+    assert not is_loopback("0.0.0.0") and not is_loopback("::") and not is_loopback("192.0.2.7")
+    for unknown in ("no such host", "a..b", "x" * 300, ""):
+        with pytest.raises(CannotListen):
+            is_loopback(unknown) or listen(unknown)
+    with pytest.raises(CannotListen, match=r"has no address `192\.0\.2\.7`"):
+        listen("192.0.2.7")
+
+
+def test_at_every_address_the_names_are_the_machines_own() -> None:
+    found = listen("0.0.0.0", 0)
+    found.close()
+    port = next(iter(found.names)).rsplit(":", 1)[1]
+    assert {f"localhost:{port}", f"127.0.0.1:{port}", f"{socket.gethostname().lower()}:{port}"} <= found.names
+    assert not any(name.startswith(("0.0.0.0:", "*", "[::]")) for name in found.names)
+    assert all(address.split("/")[2] in found.names for address in found.addresses)
+
+
+def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    from antdsl.preview import serving
+
+    monkeypatch.setattr(serving, "find_spec", lambda name: None)
+    report = ready()
+    assert [each.code for each in report.diagnostics] == ["missing-extra"] and "[preview]" in str(report.diagnostics[0].help)
