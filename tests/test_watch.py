@@ -123,3 +123,17 @@ def test_waiting_for_changes_ends_when_somebody_says_so(file: Path) -> None:
         assert changed == (file,)
         stop.set()
     assert stop.is_set()
+
+
+def test_a_file_that_begins_to_change_stirs_once_before_it_is_told(file: Path) -> None:
+    clock = Clock()
+    watch = Watch(lambda: [file], clock=clock)
+    assert watch.look() == () and not watch.stirs()
+    file.write_text("two")
+    assert watch.look() == () and watch.stirs() and not watch.stirs()
+    file.write_text("two, and more")
+    assert watch.look() == () and watch.stirs(), "it goes on"
+    clock.now += 0.05
+    assert watch.look() == (file,) and not watch.stirs()
+    file.write_text("")
+    assert watch.look() == () and not watch.stirs(), "half of a save"

@@ -21,13 +21,13 @@ PASSES: tuple[Callable[[Plan], Plan], ...] = (
     narrow,  # after merge, which could not join the halves again
     keep,  # last: regions and nodes are final
 )
-# The same to the same plan, where somebody waits for it: the nodes of a plan that was just lowered are made anew once, by `hoist`.
+# The same to the same plan where somebody waits for it: the nodes of a plan that was just lowered are made anew once, by `hoist`.
 _QUICK: tuple[Callable[[Plan], Plan], ...] = (open_known, drop_unread, merge, hoist, narrow, keep)
 
 
 def optimise(plan: Plan, *, thorough: bool = True) -> Plan:
-    """Run all passes on a plan that was just lowered; it is verified before the first and after each, or only after the last where
-    somebody waits for it and would not ask which pass it was. Both give the same plan."""
+    """Run all passes on a plan that was just lowered. It is verified before the first and after each, or after the last where
+    somebody waits for it and would not ask which pass it was; both give the same plan."""
     if thorough:
         verify(plan)
     for run in PASSES if thorough else _QUICK:

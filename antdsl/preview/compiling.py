@@ -13,8 +13,8 @@ from antdsl import syntax
 from antdsl.diagnostics import Report
 from antdsl.loading import Parsed
 from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.preview.foreseen import Foreseen, sources
 from antdsl.runtime import BindError, Built, Taken, World, take_over
-from antdsl.scene.document import MappingNode, Node, SequenceNode
 from antdsl.scene.paths import PathRefused
 from antdsl.source import Source
 
@@ -28,10 +28,22 @@ class Compiler:
     built: Built = field(default_factory=Built)
     _parsed: Parsed = field(default_factory=dict)
     _files: tuple[Path, ...] = ()
+    _foreseen: Foreseen | None = None
+
+    def foresee(self, choices: Choices | None = None) -> None:
+        """Open it ahead of time, for an `open` that soon follows. That one looks whether the files are still the same."""
+        self._foreseen = None
+        choices = choices or Choices()
+        shot, report = self.open(choices)
+        if shot is not None and report.ok:
+            self._foreseen = Foreseen(shot, report, choices, dict(self.instead), dict(self._parsed))
 
     def open(self, choices: Choices | None = None) -> tuple[Shot | None, Report]:
         """The shot as the files are now, or None; and what there is to complain about."""
         self._forget_changed()
+        foreseen, self._foreseen = self._foreseen, None
+        if foreseen is not None and foreseen.holds(choices or Choices(), self.instead, self._parsed):
+            return foreseen.shot, foreseen.report
         with _without_pauses():
             shot, report = open_scene(self.scene, choices, parsed=self._parsed, thorough=False)
         if shot is not None:
@@ -78,22 +90,10 @@ def _without_pauses() -> Iterator[None]:
 
 def _files(shot: Shot) -> tuple[Path, ...]:
     """The scenes and what they name, less the programs, which are known by their parsed texts."""
-    found = dict.fromkeys(_sources(shot.scene.document))
+    found = dict.fromkeys(Path(source.path) for source in sources(shot.scene.document))
     for name in shot.inputs:
         try:
             found[shot.scene.roots.path(name)] = None
         except PathRefused:
             continue  # a value, or a file of the library
     return tuple(path for path in found if os.path.isfile(path))
-
-
-def _sources(document: Node) -> Iterator[Path]:
-    """The files that parts of a scene stand in: one that is extended is among them."""
-    stack: list[Node] = [document]
-    while stack:
-        node = stack.pop()
-        yield Path(node.span.source.path)
-        if isinstance(node, MappingNode):
-            stack += node.entries.values()
-        elif isinstance(node, SequenceNode):
-            stack += node.items

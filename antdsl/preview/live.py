@@ -202,7 +202,11 @@ class Live:
         now = monotonic()
         if self._watch is not None and now >= self._poll:
             self._poll = now + _POLL
-            if self._watch.look():
+            changed = self._watch.look()
+            if not changed and self._watch.stirs() and self._session is not None:
+                self._session.foresee()  # a file that has just changed may still be being written: the wait is made use of
+                changed = self._watch.look()
+            if changed:
                 self.reload("saved")
         if self._session is not None and self._session.playing and monotonic() >= self._due:
             self._advance()

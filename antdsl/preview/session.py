@@ -167,6 +167,14 @@ class Session:
         outcome = self._with(choices, self._stretch.off)
         return replace(outcome, line=" · ".join([outcome.line, *dropped])) if outcome.ok else outcome
 
+    def foresee(self) -> None:
+        """Compile the files as they are while one waits for them to come to rest, so that a reload finds it done. Nothing else
+        comes of it, whatever is in them."""
+        instead = self.compiler.instead
+        self.compiler.instead, _ = texts_without(self._stretch.off)
+        self.compiler.foresee(self.choices)
+        self.compiler.instead = instead
+
     def set(self, name: str, value: str) -> Outcome:
         """Give a param, or a setting of a field, another value: a number and its unit. The text is the line of the scene."""
         text = f"set: {{{name}: {value}}}"

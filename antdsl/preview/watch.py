@@ -26,6 +26,7 @@ class _File:
     contents: bytes | None  # a hash; None for a file that is not there
     since: float | None = None  # when it was found other than before; None: nothing is up
     read: float = 0.0
+    stirred: bool = False  # nobody has heard of that yet
 
 
 class Watch:
@@ -47,6 +48,13 @@ class Watch:
             del self._files[path]
         return tuple(changed)
 
+    def stirs(self) -> bool:
+        """Whether a file was found other than before and may still be being written. Says so once for each time that happens."""
+        found = [file for file in self._files.values() if file.stirred]
+        for file in found:
+            file.stirred = False
+        return any(file.stamp is not None and file.stamp[1] > 0 for file in found)
+
     def changes(self, stop: Event, every: float = 0.02) -> Iterator[tuple[Path, ...]]:
         """Wait for changes until somebody sets `stop`."""
         while not stop.wait(every):
@@ -57,7 +65,7 @@ class Watch:
     def _changed(self, path: Path, known: _File, now: float) -> bool:
         stamp = _stamp(path)
         if stamp != known.stamp:
-            known.stamp, known.since = stamp, now
+            known.stamp, known.since, known.stirred = stamp, now, True
         elif known.since is None and stamp is not None and stamp[1] <= _SMALL and now - known.read >= _AGAIN:
             known.since = now
         if known.since is None or now - known.since < (_ABSENT if stamp is None or stamp[1] == 0 else _QUIET):
@@ -66,7 +74,7 @@ class Watch:
         if _stamp(path) != stamp:  # written to while it was read
             known.since = now
             return False
-        known.since, known.read = None, now
+        known.since, known.read, known.stirred = None, now, False
         other, known.contents = contents != known.contents, contents
         return other
 
