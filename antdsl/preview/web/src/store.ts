@@ -1,7 +1,7 @@
 // What the parts of the page share: what is selected and looked at. Each part reads it, sets it, and hears of changes.
 
 import type { Connection } from "./connection";
-import type { Curves, Explained, Problems, Scene, Status, Texts } from "./protocol";
+import type { Curves, Explained, Problems, Profile, Scene, Status, Texts } from "./protocol";
 
 export interface Agent {
   species: string;
@@ -16,6 +16,7 @@ export interface Shared {
   curves: Curves | null;
   selected: Agent[]; // one of them explains itself, more are marked
   explained: Explained | null;
+  profile: Profile | null; // none while nothing is measured
   camera: "orbit" | "follow" | "ride";
   colour: string; // `state`, `state/MACHINE`, `speed`, or an attribute's name
   fields: string[]; // shown on the ground
@@ -38,6 +39,7 @@ export class Store {
     curves: null,
     selected: [],
     explained: null,
+    profile: null,
     camera: "orbit",
     colour: "state",
     fields: [],

@@ -1,5 +1,6 @@
 // The bar above: the scene, play and pace, where in time it is, what came of the last edit, and how the run stands.
 
+import type { Problem } from "../protocol";
 import type { Store } from "../store";
 import { button, el, say, shown } from "./dom";
 import { listenToKeys, move, toggle } from "./playing";
@@ -12,13 +13,15 @@ const SPEEDS: [number, string][] = [
   [1, "1 ×"],
   [2, "2 ×"],
   [4, "4 ×"],
-  [0, "as fast as it goes"],
+  [0, "fastest"],
 ];
+const REFUSED = 12_000; // ms that it stands there why something was refused
 
 export function bar(store: Store, place: HTMLElement): void {
   startTheme();
   listenToKeys(store);
-  place.append(title(store), controls(store), clock(store), outcome(store), marks(store), themeButton());
+  const above = el("div", { class: "bar-row" }, title(store), controls(store), clock(store), marks(store), themeButton());
+  place.append(above, el("div", { class: "bar-row news" }, outcome(store), ...stops(store)));
 }
 
 function title(store: Store): HTMLElement {
@@ -34,7 +37,7 @@ function controls(store: Store): HTMLElement {
   const play = button("", () => toggle(store), { id: "play", test: "play", class: "play" });
   const back = button("◂", () => move(store, -1), { test: "back", "aria-label": "one frame back", title: "one frame back (,)" });
   const on = button("▸", () => move(store, 1), { test: "step", "aria-label": "one frame on", title: "one frame on (.)" });
-  const speed = el("select", { test: "speed", "aria-label": "pace", title: "pace: 1 × is the scene's own clock" });
+  const speed = el("select", { test: "speed", "aria-label": "pace", title: "pace: 1 × is the scene's own clock; fastest is as fast as it goes" });
   for (const [times, words] of SPEEDS) speed.append(el("option", { value: times, text: words }));
   speed.addEventListener("change", () => store.connection.ask({ op: "speed", times: Number(speed.value) }));
   const show = () => {
@@ -71,24 +74,40 @@ function clock(store: Store): HTMLElement {
 /** What came of the last edit: told aloud to those who do not see it. */
 function outcome(store: Store): HTMLElement {
   const line = el("div", { class: "outcome", test: "outcome", role: "status", "aria-live": "polite" });
-  const tell = (words: string, kind: string) => {
+  let timer = 0;
+  const tell = (words: string, kind: string, lasts = true) => {
+    clearTimeout(timer);
+    if (!lasts) timer = window.setTimeout(() => tell("", ""), REFUSED);
     line.className = `outcome ${kind}`;
     line.title = words;
     say(line, words);
   };
   store.connection.on("outcome", (message) => {
     const first = message.problems[0];
+    if (!message.ok && message.of === "saved") goToFirst(store, message.problems);
     const of = message.of === "saved" ? "saved: " : "";
     if (message.ok) tell(`${of}${message.line}`, "good");
     else tell(`${of}${message.line || first?.message || "that does not go"}${message.of === "saved" ? " — the last good program runs on" : ""}`, "bad");
   });
-  store.connection.on("refused", (message) => tell([message.message, message.help].filter(Boolean).join(" — "), "bad"));
+  store.connection.on("refused", (message) => tell([message.message, message.help].filter(Boolean).join(" — "), "bad", false));
   return line;
 }
 
-function marks(store: Store): HTMLElement {
+/** What it stopped at: a breakpoint, or a value at fault. */
+function stops(store: Store): HTMLElement[] {
   const paused = el("span", { class: "chip warn", test: "paused-by", hidden: true, role: "status" });
   const fault = el("span", { class: "chip bad", test: "fault", hidden: true, role: "alert" });
+  store.on("status", () => {
+    for (const [chip, words] of [[fault, store.now.status?.fault], [paused, store.now.status?.paused_by]] as const) {
+      chip.hidden = !words;
+      say(chip, words ?? "");
+      chip.title = words ?? "";
+    }
+  });
+  return [paused, fault];
+}
+
+function marks(store: Store): HTMLElement {
   const again = button("simulate again", () => store.connection.ask({ op: "restart" }), {
     test: "restart",
     title: "simulate the files as they are from the first frame: a run that nobody edited on the way",
@@ -96,15 +115,10 @@ function marks(store: Store): HTMLElement {
   const edited = el("span", { class: "chip warn edited", test: "edited", hidden: true }, "edited on the way ", again);
   edited.title = "edited on the way: not what a fresh run gives";
   const hash = button("", () => void navigator.clipboard?.writeText(store.now.status?.hash ?? ""), { test: "hash", class: "chip mono", hidden: true });
-  const count = button("", () => store.now.problems?.problems[0] && goToFirst(store), { test: "errors", class: "chip bad", hidden: true });
+  const count = button("", () => goToFirst(store, store.now.problems?.problems ?? []), { test: "errors", class: "chip bad", hidden: true });
   store.on("status", () => {
     const status = store.now.status;
     edited.hidden = !status?.edited;
-    for (const [chip, words] of [[fault, status?.fault], [paused, status?.paused_by]] as const) {
-      chip.hidden = !words;
-      say(chip, words ?? "");
-      chip.title = words ?? "";
-    }
     hash.hidden = !status?.hash;
     say(hash, `# ${status?.hash?.slice(0, 8) ?? ""}`);
     hash.title = `hash of the whole state at frame ${status?.frame}: ${status?.hash} — press to copy`;
@@ -114,11 +128,11 @@ function marks(store: Store): HTMLElement {
     count.hidden = errors === 0;
     say(count, errors === 1 ? "1 error" : `${errors} errors`);
   });
-  return el("div", { class: "marks" }, paused, fault, count, edited, hash);
+  return el("div", { class: "marks" }, count, edited, hash);
 }
 
-function goToFirst(store: Store): void {
-  const first = store.now.problems?.problems.find((each) => each.severity === "error" && each.file !== null);
+function goToFirst(store: Store, problems: readonly Problem[]): void {
+  const first = problems.find((each) => each.severity === "error" && each.file !== null);
   if (first?.file) store.set("goto", { file: first.file, line: first.line });
 }
 

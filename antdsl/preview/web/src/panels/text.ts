@@ -45,9 +45,10 @@ export function text(store: Store, place: HTMLElement): void {
     if (file !== tabs.now) tabs.choose(file);
     editor.point(to.line);
   });
-  store.connection.on("profile", (profile) => {
+  store.on("profile", () => {
+    const lines = store.now.profile?.lines ?? [];
     for (const { file } of store.now.texts?.texts ?? []) {
-      editor.costs(file, new Map(profile.lines.filter((each) => same(each.file, file)).map((each) => [each.line, each.ms])));
+      editor.costs(file, new Map(lines.filter((each) => same(each.file, file)).map((each) => [each.line, each.ms])));
     }
   });
 }

@@ -4,17 +4,19 @@ import type { Break } from "../../protocol";
 import type { Store } from "../../store";
 import { button, el, keyed, type Row, say } from "../dom";
 import type { Panel } from "../side";
+import { specs } from "./specs";
 
 export const breaks: Panel = (store, place, shown) => {
   const all: Break[] = [];
   const list = el("ul", { class: "breaks", test: "breaks" });
   const fired = el("p", { class: "fired", test: "fired", hidden: true });
-  const refused = el("p", { class: "note bad-note", test: "break-refused", hidden: true, role: "alert" });
+  const misfits = new Map<string, { words: string; at: number }>(); // why one waits for another program, by what it is called
   const none = el("p", { class: "note", text: "Nothing stops it. Add what to stop at; play goes on from there." });
-  const rows = keyed<Break>(list, (each) => JSON.stringify(each), () => row((gone) => change(all.filter((each) => JSON.stringify(each) !== JSON.stringify(gone)))));
+  const rows = keyed<Break>(list, (each) => JSON.stringify(each), () => row(misfits, (gone) => change(all.filter((each) => JSON.stringify(each) !== JSON.stringify(gone)))));
   const change = (now: Break[]) => {
-    refused.hidden = true;
+    misfits.clear(); // the server tells them all again
     all.splice(0, all.length, ...now);
+    sessionStorage.setItem(KEPT, JSON.stringify(all)); // loaded again, this tab asks for them again
     store.connection.ask({ op: "breaks", breaks: [...all] }, true);
     rows(all);
     none.hidden = all.length > 0;
@@ -23,7 +25,9 @@ export const breaks: Panel = (store, place, shown) => {
   const add = (made: Break) => {
     if (!all.some((each) => JSON.stringify(each) === JSON.stringify(made))) change([...all, made]);
   };
-  place.append(fired, list, none, refused, stateForm(store, add), conditionForm(add), specForm(store, add), faultForm(add));
+  place.append(fired, list, none, stateForm(store, add), conditionForm(add), specForm(store, add), faultForm(add), specs(store));
+  const kept = JSON.parse(sessionStorage.getItem(KEPT) ?? "[]") as Break[];
+  if (kept.length) change(kept);
   store.on("status", () => {
     const words = store.now.status?.paused_by ?? "";
     fired.hidden = !words;
@@ -32,10 +36,32 @@ export const breaks: Panel = (store, place, shown) => {
   });
   store.connection.on("refused", (message) => {
     if (message.of !== "breaks") return;
-    refused.hidden = false;
-    say(refused, [message.message, message.help].filter(Boolean).join(" — "));
+    const about = all.find((each) => message.message.startsWith(`${called(each)}: `));
+    if (about) misfits.set(called(about), { words: [message.message.slice(called(about).length + 2), message.help].filter(Boolean).join(" — "), at: performance.now() });
+    rows(all);
+  });
+  store.on("scene", () => {
+    for (const [name, { at }] of misfits) if (performance.now() - at > STALE) misfits.delete(name);
+    rows(all);
   });
 };
+
+const KEPT = "antdsl.breaks";
+const STALE = 1000; // ms after which what does not fit is not about the program that came just now
+
+/** A breakpoint as the server calls it, when it says that it does not fit. */
+function called(each: Break): string {
+  switch (each.kind) {
+    case "state":
+      return `${each.species} enters ${each.state}`;
+    case "condition":
+      return each.text.split(/\s+/).join(" ").slice(0, 80);
+    case "spec":
+      return `\`${each.spec}\` fails`;
+    case "fault":
+      return "a value at fault";
+  }
+}
 
 let told = ""; // the stop whose agents were selected: once, so that one may then select others
 
@@ -60,15 +86,19 @@ function words(each: Break): string {
   }
 }
 
-function row(remove: (gone: Break) => void): Row<Break> {
+function row(misfits: ReadonlyMap<string, { words: string }>, remove: (gone: Break) => void): Row<Break> {
   let now: Break | null = null;
   const text = el("span");
+  const misfit = el("p", { class: "misfit", test: "break-misfit", role: "alert" });
   const gone = button("✕", () => now && remove(now), { class: "small" });
   return {
-    element: el("li", {}, el("span", { class: "dot" }), text, gone),
+    element: el("li", {}, el("span", { class: "dot" }), text, gone, misfit),
     update: (each) => {
       now = each;
       say(text, words(each));
+      const why = misfits.get(called(each))?.words;
+      misfit.hidden = !why;
+      say(misfit, why ? `does not fit this program: ${why}` : "");
       gone.setAttribute("aria-label", `no longer stop: ${words(each)}`);
     },
   };
@@ -110,7 +140,7 @@ function stateForm(store: Store, add: (made: Break) => void): HTMLElement {
 }
 
 function conditionForm(add: (made: Break) => void): HTMLElement {
-  const field = el("input", { type: "text", maxlength: 2000, spellcheck: "false", placeholder: "count(forager in carry) > 10", "aria-label": "Condition, as in a spec", test: "break-condition" });
+  const field = el("input", { type: "text", maxlength: 2000, spellcheck: "false", placeholder: "count(state == carry) > 10", "aria-label": "Condition, as in a spec", test: "break-condition" });
   return form("A condition becomes true", "break-condition-form", () => field.value.trim() && add({ kind: "condition", text: field.value.trim() }), field);
 }
 

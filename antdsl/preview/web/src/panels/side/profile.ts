@@ -15,12 +15,17 @@ interface Cost {
   share: number; // of the dearest of its list
 }
 const LINES = 20;
+const LATE = 2000; // ms
 
 export const profile: Panel = (store, place) => {
+  let off = -LATE;
   const box = el("input", { type: "checkbox", test: "profile-on" });
   box.addEventListener("change", () => {
     store.connection.ask({ op: "profile", on: box.checked }, true);
-    if (!box.checked) body.hidden = true;
+    if (box.checked) return;
+    body.hidden = true;
+    store.set("profile", null);
+    off = performance.now();
   });
   const total = el("p", { class: "total", test: "profile-total" });
   const body = el("div", { hidden: true, test: "profile" }, total);
@@ -36,7 +41,9 @@ export const profile: Panel = (store, place) => {
   });
   place.append(el("label", { class: "tick switch" }, box, "measure where the time goes"), el("p", { class: "note", text: "The run stays the same to the bit; costs stand beside the lines of the text as well." }), body);
   store.connection.on("profile", (message) => {
-    if (!box.checked) return;
+    if (!box.checked && performance.now() - off < LATE) return; // what was on its way as it was switched off
+    box.checked = true; // also where another page has asked for it
+    store.set("profile", message);
     body.hidden = false;
     say(total, `${ms(message.total)} a frame, over the last ${message.frames} frames`);
     costs(message).forEach((each, k) => lists[k]?.(each));

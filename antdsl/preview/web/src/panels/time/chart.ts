@@ -1,6 +1,7 @@
 // The drawing of the curves: counts of states on one scale, each other curve on its own, specs as bands below.
 
 import type { Store } from "../../store";
+import { dark } from "../theme";
 import { chosen } from "./chooser";
 import { type CurveData, nearest, type Series } from "./data";
 import type { Named } from "./naming";
@@ -118,7 +119,6 @@ export class Chart {
 
   /** Whether a spec held, frame by frame: quiet while it does, plain to see where it does not. */
   private band(spec: Named, y: number): void {
-    const style = getComputedStyle(this.canvas);
     const { frames, values } = this.data.now;
     const held = values.get(spec.name);
     if (!held) return;
@@ -127,14 +127,12 @@ export class Chart {
       if (k < frames.length && held[k] === held[start]) continue;
       const value = held[start];
       if (value !== null && value !== undefined) {
-        this.context.fillStyle = style.getPropertyValue(value ? "--good" : "--bad").trim() || (value ? "#2a8" : "#d33");
-        this.context.globalAlpha = value ? 0.45 : 1;
+        this.context.fillStyle = value ? (dark() ? "#2f6b46" : "#a9d8b8") : dark() ? "#ff6a5e" : "#c62a20";
         const left = this.x(frames[start] as number);
         this.context.fillRect(left, y, Math.max(1, this.x(frames[Math.min(k, frames.length - 1)] as number) - left), BAND);
       }
       start = k;
     }
-    this.context.globalAlpha = 1;
   }
 }
 

@@ -17,11 +17,11 @@ export function legend(store: Store, data: CurveData, chart: Chart): HTMLElement
     say(where, chart.hover === null ? "now" : `at frame ${frame}`);
     rows(chosen.shown.map((each) => [each, data.valueAt(each.name, frame)]));
     const last = data.branches[data.branches.length - 1];
-    say(branch, last ? `- - as it was before: ${last.line || "an edit"}, frame ${last.first}` : "");
+    say(branch, last ? `╌╌ before ${last.line || "the edit"} at frame ${last.first}` : "");
     branch.title = data.branches.map((each) => `from frame ${each.first}: ${each.line}`).join("\n");
   });
   chart.drawn = show;
-  return el("div", { class: "legend-box" }, where, list, branch);
+  return el("div", { class: "legend-box" }, el("div", { class: "row" }, branch, where), list);
 }
 
 function row(): Row<[Named, number | null]> {

@@ -49,7 +49,7 @@ function moves(store: Store, e: Explanation, stretches: Stretch[], at: number): 
     "div",
     { class: "strip-words" },
     move("◂", before, "to the change before"),
-    el("span", { text: now ? `${now.state || "alive"} ${now.first}–${now.last}` : "" }),
+    el("span", { text: now ? `${now.state || "alive"} ${now.first === now.last ? now.first : `${now.first}–${now.last}`}` : "" }),
     move("▸", after, "to the next change"),
   );
 }
