@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -44,10 +45,18 @@ def _parts(value: object) -> Iterator[object]:
         part = stack.pop()
         if isinstance(part, tuple | list):
             stack.extend(reversed(part))
-        elif dataclasses.is_dataclass(part) and id(part) not in seen and type(part).__module__.startswith(_PROGRAM):
+        elif (names := _inside(type(part))) is not None and id(part) not in seen:  # type: ignore[arg-type]
             seen.add(id(part))
             yield part
-            stack.extend(getattr(part, f.name) for f in reversed(dataclasses.fields(part)))
+            stack.extend([getattr(part, name) for name in names])
+
+
+@cache
+def _inside(kind: type) -> tuple[str, ...] | None:
+    """The names of what a value of the program has inside it, the last first; None for values of other kinds."""
+    if not dataclasses.is_dataclass(kind) or not kind.__module__.startswith(_PROGRAM):
+        return None
+    return tuple(field.name for field in reversed(dataclasses.fields(kind)))
 
 
 def _value(part: Expr | None, size: float, params: Mapping[str, Any], unit_mm: float, dt: float) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def texts_without(off: Off) -> tuple[dict[Path, str], list[tuple[str, str]]]:
         gone += sorted(wanted)
         text = source.text
         for start, end in sorted(spans, reverse=True):
-            text = text[:start] + text[end:]
+            text = text[:start] + re.sub("[^\n]", " ", text[start:end]) + text[end:]  # what follows stays where it is
         if spans:
             texts[Path(os.path.realpath(path))] = text
     return texts, gone

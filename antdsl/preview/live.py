@@ -28,6 +28,7 @@ _POLL = 0.02  # seconds between two looks at the files
 _IDLE = 0.5  # seconds that the thread sleeps at most when there is nothing to do
 _BEHIND = 0.1  # seconds of steps that are caught up with; more are left out
 _NOTHING = Look(op="look", columns=(), fields=(), flows=())  # what a page looks at before it says so
+_SEEKING = 0.05  # seconds of going back after which others are heard
 _BUG = "this is a bug in antdsl: the terminal says more"
 O = TypeVar("O")  # noqa: E741
 
@@ -80,6 +81,8 @@ class Live:
         self._how: tuple[Choices | None, Options | None, dict[str, int]] = (None, None, {})
         self.speed = 1.0  # of the clock; 0: as fast as it goes
         self.light: int | None = None  # a frame that is shown as it is remembered; the session is elsewhere
+        self._target: int | None = None  # a frame on the way to which the session simulates again
+        self._steps = 0  # still to be made, besides playing
         self.stop_at: Stop | None = None  # why it paused by itself
         self.clients: dict[Client, Look] = {}
         self.screen = Screen(self)
@@ -134,6 +137,11 @@ class Live:
         return self._session
 
     @property
+    def busy(self) -> bool:
+        """Whether it is on its way to a frame."""
+        return self._target is not None or self._steps > 0
+
+    @property
     def is_open(self) -> bool:
         return self._session is not None
 
@@ -146,21 +154,42 @@ class Live:
             client.tell(message)
 
     def be_exact(self) -> None:
-        """Be where the page looks, if what it shows is only remembered."""
-        if self.light is not None:
-            frame, self.light = self.light, None
+        """Be where the page looks, if what it shows is only remembered or the session is on its way there."""
+        frame = self.light if self._target is None else self._target
+        self.light = self._target = None
+        if frame is not None:
             self.session.seek(frame)
+
+    def show_light(self, frame: int) -> None:
+        """Show what is remembered of a frame, or of the nearest one that is, and simulate nothing."""
+        remembered = self.session.timeline.light
+        self._target = None
+        nearest = min(remembered, key=lambda each: abs(each - frame), default=None)
+        self.light = nearest if frame != self.session.frame else None
+
+    def go_to(self, frame: int) -> None:
+        """Be at a frame as it was. It may take many steps, between which others are heard; meanwhile what is remembered of it is
+        shown."""
+        self.show_light(frame)
+        self._target = frame
+        session = self.session
+        if not session.leads_to(frame):
+            session.seek(session.nearest(frame))
 
     def play(self) -> None:
         self.session.playing, self.stop_at, self._due = True, None, monotonic()
 
     def pause(self, why: Stop | None = None) -> None:
-        self.session.playing, self.stop_at = False, why
+        """Stand still; steps that were still to be made are not."""
+        self.session.playing, self.stop_at, self._steps = False, why, 0
+
+    def step_on(self, count: int) -> None:
+        """Make so many steps, as fast as it goes; others are heard between two of them."""
+        self.stop_at, self._steps = None, count
 
     def step(self) -> bool:
         """One step, and what those say who look on; whether it may go on."""
         session = self.session
-        self.stop_at = None
         for observer in self.observers:
             observer.stepping(session)
         session.step()
@@ -193,6 +222,7 @@ class Live:
             except Exception:  # whatever goes wrong in a step, the page is still there and can restart
                 traceback.print_exc(file=sys.stderr)
                 if self._session is not None:
+                    self._target = None
                     self.pause(Stop(_BUG))
                 self.tell_all({"op": "refused", "of": "play", "message": _BUG, "help": "press restart, and report it"})
 
@@ -208,23 +238,32 @@ class Live:
                 changed = self._watch.look()
             if changed:
                 self.reload("saved")
-        if self._session is not None and self._session.playing and monotonic() >= self._due:
-            self._advance()
+        if self._session is not None:
+            self._advance(self._session)
         self.screen.refresh(monotonic())
         self._sleep()
 
-    def _advance(self) -> None:
-        if not self.step():
-            return
-        now = monotonic()
-        self._due = now if self.speed == 0 else max(self._due + self.session.world.dt / self.speed, now - _BEHIND)
+    def _advance(self, session: Session) -> None:
+        """Whatever time brings: a part of the way back, a step that was asked for, or the next one of playing."""
+        if self._target is not None:
+            end = monotonic() + _SEEKING
+            while session.frame != self._target and monotonic() < end:
+                session.seek(session.frame + 1)
+            if session.frame == self._target:
+                self.light = self._target = None
+                self.screen.touched()
+        elif self._steps:
+            self._steps = self._steps - 1 if self.step() else 0
+        elif session.playing and monotonic() >= self._due and self.step():
+            now = monotonic()
+            self._due = now if self.speed == 0 else max(self._due + session.world.dt / self.speed, now - _BEHIND)
 
     def _sleep(self) -> None:
         until = monotonic() + _IDLE
         if self._watch is not None:
             until = min(until, self._poll)
-        if self._session is not None and self._session.playing:
-            until = min(until, self._due)
+        if self._session is not None and (self._session.playing or self.busy):
+            until = 0.0 if self.busy else min(until, self._due)
         until = min(until, self.screen.due)
         with self._changed:
             if not self._queue and not self._over and (wait := until - monotonic()) > 0:

@@ -112,14 +112,25 @@ class Session:
 
     def seek(self, frame: int) -> None:
         """Be at a frame that was simulated. ValueError for any other, also for one that is forgotten."""
-        if not self.first <= frame <= self.head:
-            raise ValueError(f"frame {frame} is not among those kept, {self.first} to {self.head}")
-        stretch = self.timeline.at(frame)
-        nearest = nearest_checkpoint(stretch, frame)
-        if stretch is not self._stretch or not nearest <= self.frame <= frame:
-            self._restore(stretch, nearest)
+        self._kept(frame)
+        if not self.leads_to(frame):
+            self._restore(self.timeline.at(frame), self.nearest(frame))
         while self.frame < frame:
             self._step()
+
+    def leads_to(self, frame: int) -> bool:
+        """Whether a frame is reached from where one is by simulating on, as fast as from any checkpoint."""
+        stretch = self.timeline.at(frame)
+        return stretch is self._stretch and nearest_checkpoint(stretch, frame) <= self.frame <= frame
+
+    def nearest(self, frame: int) -> int:
+        """The frame with a checkpoint that a frame is simulated from. ValueError as `seek`."""
+        self._kept(frame)
+        return nearest_checkpoint(self.timeline.at(frame), frame)
+
+    def _kept(self, frame: int) -> None:
+        if not self.first <= frame <= self.head:
+            raise ValueError(f"frame {frame} is not among those kept, {self.first} to {self.head}")
 
     def shown(self, frame: int) -> Mapping[str, Light] | None:
         """The agents at a frame by species, without simulating anything; None where that is forgotten."""

@@ -24,9 +24,7 @@ def step(live: Live, ask: asks.Step, client: Client) -> None:
     """So many steps, fewer when something stops it."""
     live.pause()
     live.be_exact()
-    for _ in range(ask.count):
-        if not live.step():
-            break
+    live.step_on(ask.count)
 
 
 def speed(live: Live, ask: asks.Speed, client: Client) -> None:
@@ -39,21 +37,15 @@ def seek(live: Live, ask: asks.Seek, client: Client) -> None:
     session = live.session
     frame = min(max(ask.frame, session.first), session.head)
     if ask.exact:
-        live.light = None
-        session.seek(frame)
-        live.screen.sought()
-        return
-    remembered = session.timeline.light
-    if frame != session.frame and remembered:
-        live.light = min(remembered, key=lambda each: abs(each - frame))
+        live.go_to(frame)
     else:
-        live.light = None
+        live.show_light(frame)
 
 
 def restart(live: Live, ask: asks.Restart, client: Client) -> None:
-    live.light = None
+    live.pause()
+    live.show_light(live.session.frame)
     done = live.session.restart()
     live.report = done.report
-    live.stop_at = None
     live.tell_all(outcome(live, "restart", done))
     live.screen.edited(files=True)

@@ -29,11 +29,11 @@ class Agents:
 
     def packets(self, seen: Seen) -> Packets:
         world = seen.world
-        key = (world, world.frame, seen.light, seen.wanted)
+        key = (world, world.frame if seen.light is None else seen.light, seen.light, seen.wanted)
         if key[0] is self._last[0] and key[1:] == self._last[1:]:
             return
         self._last = key
-        if seen.light is not None:
+        if seen.light is not None:  # also while the session is on its way there
             lights = seen.session.shown(seen.light)
             if lights is not None:
                 yield "frame", pack("frame", _remembered(lights), frame=seen.light, light=True)

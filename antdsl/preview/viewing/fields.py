@@ -34,7 +34,7 @@ class Fields:
         for gone in self._meshes.keys() - set(wanted):  # asked for again it is sent again
             del self._meshes[gone], self._cells[gone]
             self._shown.pop(gone, None)
-        if not wanted or (seen.session.playing and seen.now - self._last < _EVERY and self._shown.keys() >= set(wanted)):
+        if not wanted or (seen.going and seen.now - self._last < _EVERY and self._shown.keys() >= set(wanted)):
             return
         self._last = seen.now
         for name in wanted:
@@ -43,7 +43,7 @@ class Fields:
     def _field(self, seen: Seen, name: str) -> Packets:
         world, field = seen.world, seen.world.fields[name]
         made_of, count, when = self._cells.get(name, (None, 0, -_MESH_EVERY))
-        grown = count != cells_in_use(field) and (seen.now - when >= _MESH_EVERY or not seen.session.playing)
+        grown = count != cells_in_use(field) and (seen.now - when >= _MESH_EVERY or not seen.going)
         if made_of is not field.cells or grown:
             mesh = field_mesh(world, name)
             self._meshes[name], self._cells[name] = mesh, (field.cells, cells_in_use(field), seen.now)

@@ -27,8 +27,8 @@ from antdsl.preview.viewing.solids import Solids
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
-# One of each is made; what agents are shown on and with comes before them.
-VIEWS: tuple[Callable[[], View], ...] = (Bodies, ItemBodies, Meshes, Curves, Solids, Agents, Fields, Flows)
+# One of each is made; the ground comes first, what takes long to make last.
+VIEWS: tuple[Callable[[], View], ...] = (Meshes, Solids, Bodies, Agents, Curves, Fields, Flows, ItemBodies)
 _FRAME_EVERY = 1 / 60  # seconds
 _TOLD_EVERY = 0.1  # the same of status and curves while it plays
 _RATE_OVER = 1.0  # seconds of steps that the rate is measured over
@@ -58,9 +58,6 @@ class Screen:
         self._moved = True
 
     def entered(self) -> None:
-        self._moved = True
-
-    def sought(self) -> None:
         self._moved = True
 
     def touched(self) -> None:
@@ -113,7 +110,7 @@ class Screen:
         laid = True
         if program and session is not None:
             laid = self._tell_scene(self._charts.known(session.shot.program))
-        playing = session is not None and session.playing
+        playing = session is not None and (session.playing or live.busy)
         if session is not None and self._moved:
             if playing and now - self._shown_at < _FRAME_EVERY:
                 self.due = self._shown_at + _FRAME_EVERY
@@ -134,7 +131,8 @@ class Screen:
     def _show(self, session: Session, now: float) -> set[str]:
         """Show all pages what is other than before; which slots that is."""
         self._shown_at = now
-        seen, sent = Seen(session, self._wanted, self.live.light, now), set()
+        going = session.playing or self.live.busy
+        seen, sent = Seen(session, self._wanted, self.live.light, now, going), set()
         for view in self._views:
             for slot, packet in view.packets(seen):
                 self._standing[slot] = packet
@@ -179,7 +177,7 @@ class Screen:
     def _hash_now(self) -> str | None:
         """Of the session's world while it stands still and is what is shown."""
         live = self.live
-        if not live.is_open or live.session.playing or live.light is not None:
+        if not live.is_open or live.session.playing or live.busy or live.light is not None:
             return None
         world = live.session.world
         if self._hash is None or self._hash[0] is not world or self._hash[1] != world.frame:

@@ -45,6 +45,7 @@ class Seen:
     wanted: Wanted
     light: int | None
     now: float
+    going: bool  # it plays, or is on its way: the next moment comes soon
 
     @property
     def world(self) -> World:

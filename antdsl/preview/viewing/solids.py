@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from antdsl.outputs.solid_pieces import Piece, joined
 from antdsl.preview.packing import pack
@@ -23,15 +21,16 @@ class Solids:
     def __init__(self) -> None:
         self._volumes: dict[str, Volume] = {}
         self._bricks: dict[str, dict[int, dict[int, Piece]]] = {}  # by solid, piece and brick
+        self._shown: set[tuple[str, int]] = set()  # pieces that pages have faces of
         self._last = -1.0
 
     def packets(self, seen: Seen) -> Packets:
-        if not seen.wanted.solids or (seen.session.playing and seen.now - self._last < _EVERY):
+        if not seen.wanted.solids or (seen.going and seen.now - self._last < _EVERY):
             return
         self._last = seen.now
         for name in self._volumes.keys() - seen.world.solids.keys():
-            for piece in self._bricks.pop(name):
-                yield _empty(name, piece)
+            for piece in sorted(self._bricks.pop(name)):
+                yield from self._given(name, piece, [], self._volumes[name])
             del self._volumes[name]
         for name, volume in seen.world.solids.items():
             yield from self._solid(name, volume)
@@ -49,10 +48,26 @@ class Solids:
             kept.setdefault(piece, {})[brick] = vertices, faces
             touched.add(piece)
         for piece in sorted(touched):
-            yield _packed(name, piece, kept[piece].values(), volume)
+            yield from self._given(name, piece, kept[piece].values(), volume)
         if anew:
             for piece in sorted(before - set(kept)):
-                yield _empty(name, piece)
+                yield from self._given(name, piece, [], volume)
+
+    def _given(self, name: str, piece: int, bricks: Iterable[Piece], volume: Volume) -> Packets:
+        """The packet of a piece; nothing for one that has no faces and never had."""
+        vertices, faces = joined(list(bricks))
+        if not len(faces) and (name, piece) not in self._shown:
+            return
+        (self._shown.add if len(faces) else self._shown.discard)((name, piece))
+        slope = np.asarray(volume.gradient(vertices), np.float64) if len(vertices) else np.empty((0, 3))
+        normal = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12)
+        slot = f"solid:{name}:{piece}"
+        arrays = {
+            "position": vertices.astype(np.float32),
+            "normal": normal.astype(np.float32),
+            "face": faces.astype(np.uint32),
+        }
+        yield slot, pack(slot, arrays, solid=name)
 
 
 def _piece(brick: int, shape: tuple[int, int, int]) -> int:
@@ -60,20 +75,3 @@ def _piece(brick: int, shape: tuple[int, int, int]) -> int:
     at = np.unravel_index(brick, shape)
     a, b, c = (-(-side // _SIDE) for side in shape)
     return int(np.ravel_multi_index([int(k) // _SIDE for k in at], (a, b, c)))
-
-
-def _packed(name: str, piece: int, bricks: Iterable[Piece], volume: Volume) -> tuple[str, bytes]:
-    vertices, faces = joined(list(bricks))
-    slope = np.asarray(volume.gradient(vertices), np.float64) if len(vertices) else np.empty((0, 3))
-    normal = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12)
-    return _made(name, piece, {"position": vertices, "normal": normal, "face": faces})
-
-
-def _empty(name: str, piece: int) -> tuple[str, bytes]:
-    return _made(name, piece, {"position": np.empty((0, 3)), "normal": np.empty((0, 3)), "face": np.empty((0, 3))})
-
-
-def _made(name: str, piece: int, arrays: dict[str, NDArray[Any]]) -> tuple[str, bytes]:
-    slot = f"solid:{name}:{piece}"
-    kinds = {"position": np.float32, "normal": np.float32, "face": np.uint32}
-    return slot, pack(slot, {key: array.astype(kinds[key]) for key, array in arrays.items()}, solid=name)
