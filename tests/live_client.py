@@ -65,6 +65,10 @@ class Page:
 
         return self.until(fits)
 
+    def hash_at(self, frame: int) -> str:
+        """The hash of a frame, once the session stands still there."""
+        return self.until(lambda: (found := self.last("status")) and found["frame"] == frame and found["hash"])
+
     def shown(self, frame: int, *, light: bool = False) -> dict[str, NDArray[Any]]:
         """The arrays of a frame, once it is the one that is shown."""
         self.until(lambda: self.frames and self.frames[-1] == (frame, light))

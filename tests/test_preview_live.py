@@ -12,7 +12,8 @@ import pytest
 from live_client import Page, places
 
 from antdsl.pipeline import open_scene, simulate
-from antdsl.preview import Live, Session
+from antdsl.preview import Busy, Live, Session
+from antdsl.preview.packing import unpack
 from antdsl.runtime import state_hash
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -52,12 +53,12 @@ def test_whoever_joins_is_told_and_shown_everything(live: Live) -> None:
     page.shown(1)
     ops = [message["op"] for message in page.told[:6]]
     assert ops == ["hello", "scene", "texts", "problems", "status", "curves"]
-    assert {"body:ant", "body:ant:fine", "mesh:ground", "mesh:stones", "item:food:apple", "frame"} <= page.packets.keys()
+    page.until(lambda: {"body:ant", "body:ant:fine", "mesh:ground", "mesh:stones", "item:food:apple"} <= page.packets.keys())
     texts = {text["file"]: text["kind"] for text in page.told[2]["texts"]}
     assert texts == {"scene.yaml": "yaml", "forager.ant": "ant", "<steering>": "library"}
     assert page.told[1]["charts"][0]["species"] == "forager" and len(page.told[1]["charts"][0]["boxes"]) > 4
     later = Page(live)
-    later.shown(1)
+    later.until(lambda: later.packets.keys() >= page.packets.keys())
     assert later.packets == page.packets
 
 
@@ -67,12 +68,12 @@ def test_the_hash_is_that_of_a_run_whoever_looks_on_and_scrubs(live: Live, scene
     page.ask("look", columns=({"species": "forager", "name": "zeal"},), fields=("trail",), solids=True,
              follow={"species": "forager", "agent": 3})  # fmt: skip
     page.ask("step", count=30)
-    assert page.status(frame=31, playing=False)["hash"] == expected[31]
+    assert page.hash_at(31) == expected[31]
     page.ask("seek", frame=7, exact=False)
     page.ask("seek", frame=12, exact=True)
-    assert page.status(frame=12, light=False)["hash"] == expected[12]
+    assert page.hash_at(12) == expected[12]
     other.ask("step", count=28)
-    assert page.status(frame=40)["hash"] == expected[40]
+    assert page.hash_at(40) == expected[40]
     assert not page.last("status")["edited"]
 
 
@@ -218,7 +219,7 @@ def test_what_steps_spend_their_time_on_is_told_to_the_page_that_asks_and_change
     assert lines["forager.ant", 31]["text"].startswith("let meal") and lines["forager.ant", 31]["ms"] > 0
     assert any(file == "<steering>" for file, _ in lines)
     assert other.last("profile") is None
-    assert page.status(frame=frame)["hash"] == hashes(scene, frame)[frame]
+    assert page.hash_at(frame) == hashes(scene, frame)[frame]
     page.ask("profile", on=False)
     number = len(page.told)
     page.ask("step")
@@ -233,3 +234,130 @@ def test_what_steps_spend_their_time_on_is_told_to_the_page_that_asks_and_change
     other.ask("step")
     other.status(frame=frame + 3)
     other.until(lambda: live.session.meter is None)
+
+
+def test_steps_on_end_can_be_paused_and_a_newer_seek_goes_before_an_older_one(live: Live) -> None:
+    page = Page(live)
+    page.shown(1)
+    page.ask("step", count=1000)
+    page.until(lambda: page.frames[-1][0] > 30)
+    page.ask("pause")
+    stopped = page.until(lambda: (found := page.last("status")) and found["hash"] and found["frame"] > 1 and found["frame"])
+    assert 30 < stopped < 1000 and page.last("status")["head"] == stopped
+    for frame in range(2, stopped):
+        page.ask("seek", frame=frame, exact=True)
+    page.ask("seek", frame=5, exact=True)
+    assert page.hash_at(5)
+    assert len([frame for frame, light in page.frames if not light and frame < 5]) < 4
+
+
+def test_too_much_at_once_is_refused(scene: Path) -> None:
+    live = Live.open(scene)  # not started: nothing is done
+    page = Page(live)
+    with pytest.raises(Busy):
+        for _ in range(1000):
+            page.ask("pause")
+    live.leave(page)  # always possible
+
+
+def test_solids_come_in_pieces_and_are_whole_again_after_going_back(tmp_path: Path) -> None:
+    folder = tmp_path / "tunnel"
+    shutil.copytree(EXAMPLES / "tunnel", folder)
+    live = Live.open(folder / "scene.yaml")
+    live.start()
+    try:
+        page = Page(live)
+        page.ask("look", columns=(), fields=("dug",), flows=(), solids=True, follow=None)
+        page.shown(1)
+        whole = pieces(page)
+        assert whole and all(len(faces) for _, _, faces in whole.values())
+        for slot, (places, normals, faces) in whole.items():
+            assert np.allclose(np.linalg.norm(normals, axis=1), 1, atol=0.01), slot
+            assert faces.max() < len(places)
+        page.ask("step", count=120)
+        expected = page.hash_at(121)
+        page.shown(121)
+        dug = page.until(lambda: changed(whole, pieces(page)))
+        assert dug < set(pieces(page)) | set(whole), "most of the hill is as it was, and not sent again"
+        page.ask("seek", frame=1, exact=True)
+        page.shown(1)
+        page.until(lambda: not changed(whole, pieces(page)))
+        page.ask("seek", frame=121, exact=True)
+        assert page.hash_at(121) == expected
+        assert expected == hashes(folder / "scene.yaml", 121)[121]
+    finally:
+        live.stop()
+
+
+Shape = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def pieces(page: Page) -> dict[str, Shape]:
+    """The pieces of solids that a page has, with places, normals and faces."""
+    found = {}
+    for slot, packet in dict(page.packets).items():
+        if slot.startswith("solid:"):
+            _, arrays = unpack(packet)
+            found[slot] = tuple(arrays[name].reshape(-1, 3) for name in ("position", "normal", "face"))
+    return found  # type: ignore[return-value]
+
+
+def changed(before: dict[str, Shape], now: dict[str, Shape]) -> set[str]:
+    """Which pieces look other than before."""
+    nothing = (np.empty((0, 3)),) * 3
+    return {
+        slot
+        for slot in before.keys() | now.keys()
+        if not all(np.array_equal(a, b) for a, b in zip(before.get(slot, nothing), now.get(slot, nothing), strict=True))
+    }
+
+
+def test_a_field_is_shown_on_its_ground(live: Live) -> None:
+    page = Page(live)
+    page.ask("look", columns=(), fields=("trail",), flows=(), solids=True, follow=None)
+    page.ask("step", count=60)
+    page.status(frame=61)
+    page.until(lambda: unpack(page.packets["field:trail"])[0]["frame"] == 61)
+    _, mesh = unpack(page.packets["fieldmesh:trail"])
+    header, shown = unpack(page.packets["field:trail"])
+    world = live.session.world  # it stands still
+    cells, values = world.fields["trail"].cells.position, world.fields["trail"].values
+    places = mesh["position"].reshape(-1, 3)
+    assert len(shown["value"]) == len(places) and mesh["face"].max() < len(places)
+    strong = cells[values > header["full"] / 2]
+    weak = cells[values == 0]
+    level = shown["value"] / 255 * header["full"]
+    near_strong = level[[np.linalg.norm(places - place, axis=1).argmin() for place in strong[:20]]]
+    near_weak = level[[np.linalg.norm(places - place, axis=1).argmin() for place in weak[:: len(weak) // 50]]]
+    assert near_strong.mean() > header["full"] / 4 and np.median(near_weak) == 0
+
+
+def test_curves_grow_and_a_branch_is_kept_beside(live: Live, scene: Path) -> None:
+    page = Page(live)
+    page.ask("step", count=30)
+    page.status(frame=31)
+    assert joined_curves(page)[0] == list(range(1, 32))
+    page.ask("seek", frame=10, exact=True)
+    page.status(frame=10)
+    assert page.done("set", name="forager.smell", value="90 mm")["ok"]
+    page.ask("step", count=3)
+    page.status(frame=13)
+    page.until(lambda: joined_curves(page)[0] == list(range(1, 14)))
+    _, values, branches = joined_curves(page)
+    assert [branch["first"] for branch in branches] == [10] and branches[0]["frames"] == list(range(11, 32))
+    assert values["forager"] == [40] * 13
+
+
+def joined_curves(page: Page) -> tuple[list[int], dict[str, list[float]], list[dict[str, object]]]:
+    """What a page makes of all it was told about curves."""
+    rows: dict[int, dict[str, float]] = {}
+    branches: list[dict[str, object]] = []
+    for message in [message for message in page.told if message["op"] == "curves"]:
+        if message["reset"]:
+            first = message["frames"][0] if message["frames"] else -1
+            rows = {frame: row for frame, row in rows.items() if frame < first}
+        for number, frame in enumerate(message["frames"]):
+            rows[frame] = {name: values[number] for name, values in message["values"].items()}
+        branches = branches if message["branches"] is None else message["branches"]
+    frames = sorted(rows)
+    return frames, {name: [rows[frame].get(name) for frame in frames] for name in rows[frames[0]]}, branches
