@@ -76,10 +76,14 @@ class Driver:
         assert session is not None, [each.message for each in report.errors]
         self.session = session
         self.messages: list[dict[str, Any]] = []
-        self.misfits: list[tuple[str, str]] = []
+        self.told: list[dict[str, Any]] = []
         self.specs = Specs(self.messages.append)
-        self.breaks = Breakpoints(self.specs, lambda words, help: self.misfits.append((words, help)))
+        self.breaks = Breakpoints(self.specs, self.told.append)
         self.set(*breaks)
+
+    @property
+    def misfits(self) -> list[tuple[str, str]]:
+        return [(each["message"], each["help"]) for each in self.told if each["op"] == "refused"]
 
     def set(self, *breaks: Break) -> None:
         self.breaks.set(self.session, breaks)
@@ -194,6 +198,9 @@ def test_a_breakpoint_that_does_not_fit_is_told(scene: Path, ask: Break, message
     assert words.partition(": ")[2].startswith(message)
     assert told.startswith(help)
     assert driver.play(10) == {}
+    [shown] = driver.breaks.message()["breaks"]
+    assert shown["made"] == ask.model_dump()
+    assert shown["why"].startswith(message)
 
 
 def test_a_breakpoint_fits_again_when_the_program_does(scene: Path) -> None:
@@ -208,6 +215,7 @@ def test_a_breakpoint_fits_again_when_the_program_does(scene: Path) -> None:
     stops = driver.play(20)
     assert len(stops) == 1
     assert len(driver.misfits) == 1
+    assert driver.told[-1] == {"op": "breaks", "breaks": [{"made": state("rest").model_dump(), "why": ""}]}
 
 
 def test_nothing_stops_while_frames_are_simulated_again_for_a_seek(scene: Path) -> None:
@@ -313,6 +321,9 @@ def test_a_page_sets_breakpoints_and_hears_of_them(scene: Path) -> None:
             "op": "refused", "of": "breaks", "help": "did you mean `walker`?", "message": refused["message"],
         }  # fmt: skip
         assert refused["message"].startswith("count(walkr) > 1: ")
+        other = Page(live)
+        told = other.until(lambda: other.last("breaks"))["breaks"]
+        assert [each["why"].startswith("no `walkr`") for each in told] == [False, True]
         page.ask("speed", times=0)
         page.ask("play")
         status = page.status(playing=False, paused_agents={"species": "walker", "agents": [0, 1, 2]})

@@ -19,10 +19,7 @@ def _specs(live: Live) -> Observer:
 
 
 def _breakpoints(live: Live) -> Observer:
-    def tell(words: str, help: str) -> None:
-        live.tell_all({"op": "refused", "of": "breaks", "message": words, "help": help})
-
-    return Breakpoints(live.observer(Specs), tell)
+    return Breakpoints(live.observer(Specs), live.tell_all)
 
 
 # What each Live makes one of, in this order; a handler gets at its own by `live.observer(Kind)`. A spec is judged before one asks

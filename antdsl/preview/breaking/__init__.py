@@ -49,9 +49,10 @@ def words(ask: Break) -> str:
 
 
 class Breakpoints:
-    """Looks at each step that is played. `tell` hears of a breakpoint that does not fit the program, once for each program."""
+    """Looks at each step that is played. `tell` gets a message for each breakpoint that does not fit a program, and all there
+    are whenever they are made anew."""
 
-    def __init__(self, specs: Specs, tell: Callable[[str, str], None] = lambda words, help: None) -> None:
+    def __init__(self, specs: Specs, tell: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
         self.specs, self.tell = specs, tell
         self.breaks: list[Breakpoint] = []
         self._shot: Shot | None = None  # that they are made for
@@ -63,9 +64,13 @@ class Breakpoints:
         self.specs.want([ask.spec for ask in asks if isinstance(ask, SpecBreak)])
         self._fit(session)
 
+    def message(self) -> dict[str, Any]:
+        told = [(each.ask.model_dump(), _told(each.why)) for each in self.breaks]
+        return {"op": "breaks", "breaks": [{"made": made, "why": why} for made, why in told]}
+
     def entered(self, session: Session) -> None:
         """They are made anew for another program, so that one that does not fit is told at once."""
-        if session.shot is not self._shot and session.frame == session.head:
+        if self.breaks and session.shot is not self._shot and session.frame == session.head:
             self._fit(session)
 
     def stepping(self, session: Session) -> None:
@@ -98,4 +103,9 @@ class Breakpoints:
                 each.waits, each.why = KINDS[type(each.ask)](session, each.ask, self.specs), None
             except Misfit as why:
                 each.waits, each.why = None, why
-                self.tell(f"{words(each.ask)}: {why.message}", why.help)
+                self.tell({"op": "refused", "of": "breaks", "message": f"{words(each.ask)}: {why.message}", "help": why.help})
+        self.tell(self.message())
+
+
+def _told(why: Misfit | None) -> str:
+    return "" if why is None else f"{why.message}: {why.help}" if why.help else why.message

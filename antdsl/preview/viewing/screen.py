@@ -9,6 +9,7 @@ from math import inf
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
+from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.judging import Specs
 from antdsl.preview.session import Session
 from antdsl.preview.viewing import telling
@@ -91,6 +92,7 @@ class Screen:
         if self.live.is_open:
             client.tell(self._curves.all_of_it(self.live.session.timeline))
             client.tell(self.live.observer(Specs).message())
+            client.tell(self.live.observer(Breakpoints).message())
             sent = self._show(self.live.session, monotonic())
             for slot, packet in self._standing.items():
                 if slot not in sent:

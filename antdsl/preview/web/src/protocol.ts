@@ -228,6 +228,11 @@ export interface Specs {
   }[];
 }
 
+export interface BreaksSet {
+  op: "breaks"; // all breakpoints that there are, whoever set them
+  breaks: { made: Break; why: string }[]; // `why` it does not fit the program, which it waits for; empty where it does
+}
+
 export interface Refused {
   op: "refused";
   of: string;
@@ -235,7 +240,7 @@ export interface Refused {
   help: string;
 }
 
-export type Told = Hello | Scene | Status | Problems | Texts | Outcome | Curves | Specs | Profile | Explained | Refused;
+export type Told = Hello | Scene | Status | Problems | Texts | Outcome | Curves | Specs | BreaksSet | Profile | Explained | Refused;
 
 // --- the explanation, as `antdsl explain --json` prints it ---------------------------------------------------------
 

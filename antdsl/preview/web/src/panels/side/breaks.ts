@@ -10,58 +10,36 @@ export const breaks: Panel = (store, place, shown) => {
   const all: Break[] = [];
   const list = el("ul", { class: "breaks", test: "breaks" });
   const fired = el("p", { class: "fired", test: "fired", hidden: true });
-  const misfits = new Map<string, { words: string; at: number }>(); // why one waits for another program, by what it is called
+  const unfit = new Map<string, string>(); // why one does not fit the program and waits for another, by its JSON
   const none = el("p", { class: "note", text: "Nothing stops it. Add what to stop at; play goes on from there." });
-  const rows = keyed<Break>(list, (each) => JSON.stringify(each), () => row(misfits, (gone) => change(all.filter((each) => JSON.stringify(each) !== JSON.stringify(gone)))));
-  const change = (now: Break[]) => {
-    misfits.clear(); // the server tells them all again
+  const rows = keyed<Break>(list, (each) => JSON.stringify(each), () => row(unfit, (gone) => change(all.filter((each) => JSON.stringify(each) !== JSON.stringify(gone)))));
+  const show = (now: Break[]) => {
     all.splice(0, all.length, ...now);
-    sessionStorage.setItem(KEPT, JSON.stringify(all)); // loaded again, this tab asks for them again
-    store.connection.ask({ op: "breaks", breaks: [...all] }, true);
     rows(all);
     none.hidden = all.length > 0;
     shown.mark(all.length ? String(all.length) : "");
+  };
+  const change = (now: Break[]) => {
+    show(now);
+    store.connection.ask({ op: "breaks", breaks: [...all] }, true);
   };
   const add = (made: Break) => {
     if (!all.some((each) => JSON.stringify(each) === JSON.stringify(made))) change([...all, made]);
   };
   place.append(fired, list, none, stateForm(store, add), conditionForm(add), specForm(store, add), faultForm(add), specs(store));
-  const kept = JSON.parse(sessionStorage.getItem(KEPT) ?? "[]") as Break[];
-  if (kept.length) change(kept);
   store.on("status", () => {
     const words = store.now.status?.paused_by ?? "";
     fired.hidden = !words;
     say(fired, words && `stopped: ${words}`);
     selectPaused(store);
   });
-  store.connection.on("refused", (message) => {
-    if (message.of !== "breaks") return;
-    const about = all.find((each) => message.message.startsWith(`${called(each)}: `));
-    if (about) misfits.set(called(about), { words: [message.message.slice(called(about).length + 2), message.help].filter(Boolean).join(" — "), at: performance.now() });
-    rows(all);
-  });
-  store.on("scene", () => {
-    for (const [name, { at }] of misfits) if (performance.now() - at > STALE) misfits.delete(name);
-    rows(all);
+  store.connection.on("breaks", (message) => {
+    // what is set, by whichever page, and told again as the program changes
+    unfit.clear();
+    for (const each of message.breaks) unfit.set(JSON.stringify(each.made), each.why);
+    show(message.breaks.map((each) => each.made));
   });
 };
-
-const KEPT = "antdsl.breaks";
-const STALE = 1000; // ms after which what does not fit is not about the program that came just now
-
-/** A breakpoint as the server calls it, when it says that it does not fit. */
-function called(each: Break): string {
-  switch (each.kind) {
-    case "state":
-      return `${each.species} enters ${each.state}`;
-    case "condition":
-      return each.text.split(/\s+/).join(" ").slice(0, 80);
-    case "spec":
-      return `\`${each.spec}\` fails`;
-    case "fault":
-      return "a value at fault";
-  }
-}
 
 let told = ""; // the stop whose agents were selected: once, so that one may then select others
 
@@ -86,7 +64,7 @@ function words(each: Break): string {
   }
 }
 
-function row(misfits: ReadonlyMap<string, { words: string }>, remove: (gone: Break) => void): Row<Break> {
+function row(unfit: ReadonlyMap<string, string>, remove: (gone: Break) => void): Row<Break> {
   let now: Break | null = null;
   const text = el("span");
   const misfit = el("p", { class: "misfit", test: "break-misfit", role: "alert" });
@@ -96,7 +74,7 @@ function row(misfits: ReadonlyMap<string, { words: string }>, remove: (gone: Bre
     update: (each) => {
       now = each;
       say(text, words(each));
-      const why = misfits.get(called(each))?.words;
+      const why = unfit.get(JSON.stringify(each));
       misfit.hidden = !why;
       say(misfit, why ? `does not fit this program: ${why}` : "");
       gone.setAttribute("aria-label", `no longer stop: ${words(each)}`);
