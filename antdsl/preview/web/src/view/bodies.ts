@@ -12,6 +12,8 @@ import type { Stage } from "./stage";
 
 const CROWD = { software: 3000, hardware: 120_000 }; // agents from which on each is a speck
 
+const MANY = 2000;
+
 type Level = "fine" | "low" | "speck";
 
 export interface Shape {
@@ -127,6 +129,7 @@ class Drawn {
     if (shape !== this.shape || this.version !== this.herd.rows.version) this.build(shape);
     this.uniforms.t!.value = t;
     this.uniforms.focal!.value = this.stage.focal;
+    this.uniforms.least!.value = this.herd.count > MANY ? 4 : 6; // px: so long a body is seen from however far
     this.body.visible = this.herd.count > 0;
     this.shadow.visible = shadow && this.herd.count > 0;
   }

@@ -26,7 +26,7 @@ float grain(vec3 p, float size) {
   return seen > 0.0 ? seen * (grainNoise(q) - 0.5) : 0.0;
 }`;
 
-export type Stuff = "ground" | "obstacle" | "earth";
+export type Stuff = "ground" | "shape" | "obstacle" | "earth";
 
 /** A material of the palette; it follows dark and light. `grains`: mm that a grain is wide. */
 export function earth(stage: Stage, stuff: Stuff, grains: { value: number }): THREE.MeshLambertMaterial {

@@ -2,12 +2,13 @@
 
 import * as THREE from "three";
 
-const NAMES = ["backdrop", "ground", "obstacle", "earth", "sky", "shade", "sunlight", "mark", "ink", "limb"] as const;
+const NAMES = ["backdrop", "ground", "shape", "obstacle", "earth", "sky", "shade", "sunlight", "mark", "ink", "limb"] as const;
 type Name = (typeof NAMES)[number];
 
 export class Palette {
   readonly backdrop = new THREE.Color();
   readonly ground = new THREE.Color();
+  readonly shape = new THREE.Color();
   readonly obstacle = new THREE.Color();
   readonly earth = new THREE.Color();
   readonly sky = new THREE.Color();
@@ -79,6 +80,3 @@ function fromOklab(light: number, a: number, b: number): number[] {
     return Math.round(255 * Math.min(Math.max(shown, 0), 1));
   });
 }
-
-/** Colours of a few things side by side, such as layers: as even as they come, never those of errors. */
-export const SET: readonly string[] = ["#4c9be8", "#e8943a", "#4fb477", "#b07be0", "#d9c02f", "#3cbcc4", "#d9709f", "#a58a68"];

@@ -43,7 +43,7 @@ function candidates(sight: Sight, x: number, y: number): Found[] {
   const found: Found[] = [];
   for (const [species, herd] of sight.herds.byName) {
     for (let row = 0; row < herd.count; row++) {
-      herd.place(row, sight.herds.t, POINT);
+      middle(sight, species, row);
       const w = e[3]! * POINT.x + e[7]! * POINT.y + e[11]! * POINT.z + e[15]!;
       if (w <= 0) continue;
       const px = (((e[0]! * POINT.x + e[4]! * POINT.y + e[8]! * POINT.z + e[12]!) / w + 1) / 2) * width;

@@ -1,5 +1,6 @@
 // The layers: one bar for the whole strength, with what each got of it; and what was cut from those below.
 
+import { HUES } from "../../hues";
 import type { Explanation, Triple } from "../../protocol";
 import type { Store } from "../../store";
 import { el, shown } from "../dom";
@@ -12,7 +13,6 @@ const TITLES: Record<string, string> = {
   sum: "Layers, added",
   first: "Layers, the first takes all",
 };
-const TURN = ["#4a90d9", "#d98c3a", "#5aa864", "#b169c4", "#cc5a5a", "#3fa7a0", "#b3a03c", "#8a73d6"];
 
 export function layers(store: Store, e: Explanation): HTMLElement {
   if (!e.layers.length) return section("Where to", together(e));
@@ -21,10 +21,10 @@ export function layers(store: Store, e: Explanation): HTMLElement {
     if (layer.share <= 0) return;
     const piece = el("span", { title: `${layer.place.text}\n${words(layer)}` });
     piece.style.width = `${Math.min(1, layer.share) * 100}%`;
-    piece.style.background = TURN[k % TURN.length] as string;
+    piece.style.background = HUES[k % HUES.length] as string;
     bar.append(piece);
   });
-  const rows = e.layers.map((layer, k) => row(store, layer, TURN[k % TURN.length] as string));
+  const rows = e.layers.map((layer, k) => row(store, layer, HUES[k % HUES.length] as string));
   const steers = e.steers.map((each) => el("p", { class: "quiet" }, el("code", { text: each.text }), ` length ${shown(each.length)}`));
   return section(TITLES[e.mode] ?? "Layers", bar, el("ol", { class: "layers", test: "layer-list" }, ...rows), ...steers, together(e));
 }

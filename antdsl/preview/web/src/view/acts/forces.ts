@@ -2,8 +2,8 @@
 // their sum, the velocity that came of it, and lines to the neighbours it looked at. A key in the corner names them.
 
 import * as THREE from "three";
+import { HUES } from "../../hues";
 import type { Explained, Triple } from "../../protocol";
-import { SET } from "../palette";
 import type { Sight } from "../sight";
 import { Strokes } from "../strokes";
 
@@ -44,6 +44,7 @@ export function forces(sight: Sight): void {
     const size = herd?.size(herd.row(told.agent)) ?? 1;
     const root = place.map((part, axis) => part + stage.up.getComponent(axis) * size * 0.45) as Triple;
     const tip = (push: Triple, times: number) => root.map((part, axis) => part + (push[axis] as number) * times * size) as Triple;
+    if (length(explanation.push) > 1e-4) arrows.arrow(root, tip(explanation.push, FAR), 6.5, stage.palette.ink, 0.6, 0.2); // below the others
     explanation.layers.forEach((layer, number) => {
       if (!layer.push || layer.length < 1e-4) return;
       const colour = layerColour(number);
@@ -54,7 +55,6 @@ export function forces(sight: Sight): void {
       }
       if (layer.share > 1e-4) arrows.arrow(root, tip(layer.given, FAR), 3, colour, 1, 0.22);
     });
-    if (length(explanation.push) > 1e-4) arrows.arrow(root, tip(explanation.push, FAR), 4.2, stage.palette.ink, 1, 0.16);
     const velocity = explanation.velocity[1] ?? explanation.velocity[0];
     const speed = length(velocity);
     if (speed > 1e-6) arrows.arrow(root, tip(velocity, (FAR * 0.8) / speed), 1.8, stage.palette.mark, 1, 0.16);
@@ -64,7 +64,7 @@ export function forces(sight: Sight): void {
     const explanation = told?.explanation ?? null;
     const rows: [string, string, boolean][] = [];
     explanation?.layers.forEach((layer, number) => {
-      if (layer.push && layer.length >= 1e-4) rows.push([SET[number % SET.length] as string, layer.place.text, layer.cut > 1e-4]);
+      if (layer.push && layer.length >= 1e-4) rows.push([HUES[number % HUES.length] as string, layer.place.text, layer.cut > 1e-4]);
     });
     if (explanation && rows.length) {
       rows.push([`#${stage.palette.ink.getHexString()}`, "all layers together", false]);
@@ -90,7 +90,7 @@ function current(sight: Sight, told: Explained): boolean {
 }
 
 function layerColour(number: number): THREE.Color {
-  return new THREE.Color(SET[number % SET.length]);
+  return new THREE.Color(HUES[number % HUES.length]);
 }
 
 function length(way: Triple): number {

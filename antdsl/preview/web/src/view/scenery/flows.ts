@@ -1,7 +1,7 @@
 // `flow:NAME`: the ways that a flow leads, as arrows on the ground.
 
 import * as THREE from "three";
-import { SET } from "../palette";
+import { HUES } from "../../hues";
 import type { Scenery, Sight } from "../sight";
 import { Strokes } from "../strokes";
 
@@ -35,7 +35,7 @@ export function flows(sight: Sight): Scenery {
       const way = packet.arrays.get("way");
       strokes.clear();
       const order = Math.max(store.now.scene?.flows.indexOf(name) ?? 0, 0);
-      const colour = new THREE.Color(SET[order % SET.length]);
+      const colour = new THREE.Color(HUES[order % HUES.length]);
       for (let k = 0; place && way && k < place.length; k += 3) {
         for (let axis = 0; axis < 3; axis++) {
           from[axis] = place[k + axis] as number;

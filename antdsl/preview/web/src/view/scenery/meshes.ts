@@ -2,19 +2,30 @@
 
 import * as THREE from "three";
 import { creased } from "../creases";
-import { earth } from "../earth";
+import { type Stuff, earth } from "../earth";
 import type { Scenery, Sight } from "../sight";
+
+const STUFFS: Stuff[] = ["ground", "shape", "obstacle"];
 
 export function meshes(sight: Sight): Scenery {
   const { stage, herds } = sight;
   const grains = { value: 1 };
   const shown = new Map<string, THREE.Mesh>();
-  const stuff = new Map(["ground", "obstacle"].map((role) => [role, earth(stage, role as "ground" | "obstacle", grains)]));
+  const stuff = new Map<Stuff, THREE.Material>(STUFFS.map((each) => [each, earth(stage, each, grains)]));
+
+  let first: string | null = null;
 
   function measure(): void {
     for (const herd of herds.byName.values()) if (herd.count) grains.value = Math.max(herd.size(0) * 0.35, stage.extent / 3000);
   }
   herds.onFrame(measure);
+
+  /** The first ground is the ground; what else can be walked on is told apart from it. */
+  function of(name: string, obstacle: boolean): Stuff {
+    if (obstacle) return "obstacle";
+    first ??= name;
+    return name === first ? "ground" : "shape";
+  }
 
   return {
     slots: ["mesh"],
@@ -26,8 +37,7 @@ export function meshes(sight: Sight): Scenery {
       if (before) drop(stage.scene, before);
       shown.delete(name);
       if (face.length > 0) {
-        const role = packet.header.role === "obstacle" ? "obstacle" : "ground";
-        const mesh = new THREE.Mesh(creased(position, face), stuff.get(role));
+        const mesh = new THREE.Mesh(creased(position, face), stuff.get(of(name, packet.header.role === "obstacle")));
         mesh.castShadow = mesh.receiveShadow = true;
         mesh.userData = { hides: true };
         stage.scene.add(mesh);
