@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from threading import Condition
@@ -43,7 +44,7 @@ class Page:
             self._changed.notify_all()
 
     def ask(self, op: str, **what: Any) -> None:
-        self.live.ask(ASK.validate_python({"op": op, **what}), self)
+        self.live.ask(ASK.validate_json(json.dumps({"op": op, **what})), self)
 
     def until(self, true: Callable[[], Any]) -> Any:
         """What `true` gives, once it gives something."""

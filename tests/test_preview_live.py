@@ -3,8 +3,10 @@ run is what it is without them."""
 
 from __future__ import annotations
 
+import contextlib
 import shutil
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ import pytest
 from live_client import Page, places
 
 from antdsl.pipeline import open_scene, simulate
-from antdsl.preview import Busy, Live, Session
+from antdsl.preview import Busy, Compiler, Live, Session
 from antdsl.preview.packing import unpack
 from antdsl.runtime import state_hash
 
@@ -362,3 +364,67 @@ def joined_curves(page: Page) -> tuple[list[int], dict[str, list[float]], list[d
         branches = branches if message["branches"] is None else message["branches"]
     frames = sorted(rows)
     return frames, {name: [rows[frame].get(name) for frame in frames] for name in rows[frames[0]]}, branches
+
+
+def test_whatever_is_asked_in_whatever_order_nothing_breaks(live: Live, scene: Path) -> None:
+    """Two pages, a saved file now and then, and in the end the run is that of a fresh one."""
+    draw = np.random.Generator(np.random.Philox(5))
+    program = scene.with_name("forager.ant")
+    good = program.read_text()
+    texts = (good, good.replace("patience = 36 s", "patience = 20 s"), good.replace("-> carry", "-> carryy"), good[:900], "")
+    layers = [line.strip() for line in good[good.index("  layers {") :].splitlines()[1:4]]
+    pages = [Page(live), Page(live)]
+
+    def pick(*of: object) -> object:
+        return of[int(draw.integers(len(of)))]
+
+    asks: tuple[Callable[[], tuple[str, dict[str, object]]], ...] = (
+        lambda: ("play", {}),
+        lambda: ("pause", {}),
+        lambda: ("step", {"count": int(draw.integers(1, 9))}),
+        lambda: ("speed", {"times": pick(0.0, 1.0, 8.0)}),
+        lambda: ("seek", {"frame": int(draw.integers(-5, 90)), "exact": bool(draw.integers(2))}),
+        lambda: ("set", {"name": pick("forager.smell", "forager.no", "trail.limit"), "value": pick("60 mm", "3", "30 mm", "x")}),
+        lambda: ("layer", {"species": "forager", "layer": pick(*layers, "nothing"), "on": bool(draw.integers(2))}),
+        lambda: ("field", {"name": pick("trail", "no"), "on": bool(draw.integers(2))}),
+        lambda: ("reload", {}),
+        lambda: ("restart", {}),
+        lambda: ("look", {"columns": [{"species": "forager", "name": pick("zeal", "no")}], "fields": pick([], ["trail"], ["no"]),
+                          "flows": ["no"], "follow": pick(None, {"species": pick("forager", "no"), "agent": 7})}),
+        lambda: ("explain", {"species": pick("forager", "no"), "agent": int(draw.integers(60)), "frame": int(draw.integers(60))}),
+        lambda: ("breaks", {"breaks": pick([], [{"kind": "fault"}, {"kind": "condition", "text": "count(forager) > 3"}])}),
+        lambda: ("profile", {"on": bool(draw.integers(2))}),
+    )  # fmt: skip
+    for _ in range(250):
+        op, what = asks[int(draw.integers(len(asks)))]()
+        page = pages[int(draw.integers(2))]
+        with contextlib.suppress(Busy):
+            page.ask(op, **what)
+        if draw.random() < 0.1:
+            program.write_text(texts[int(draw.integers(len(texts)))])
+        if draw.random() < 0.05:
+            live.leave(pages[0])
+            pages[0] = Page(live)
+        time.sleep(float(draw.random()) * 0.02)
+    program.write_text(good)
+    page = Page(live)
+    page.ask("pause")
+    page.until(lambda: page.last("problems") is not None and not page.last("problems")["problems"])
+    for name in {param["name"] for param in page.last("scene")["params"]}:
+        assert name.startswith("forager.")
+    said = [message for each in (*pages, page) for message in each.told if message["op"] == "refused"]
+    assert not [message for message in said if "bug" in message["message"]], said[:3]
+    page.ask("reload")
+    assert page.done("restart")["ok"]
+    page.ask("step", count=5)
+    assert page.hash_at(6) == _fresh(live, 6)
+
+
+def _fresh(live: Live, frame: int) -> str:
+    """The hash of a frame in a run of the files with what was set by hand."""
+    session = live.session  # it stands still
+    compiler = Compiler(live.compiler.scene)
+    compiler.instead = dict(session.compiler.instead)
+    shot, report = compiler.open(session.choices)
+    assert shot is not None, [d.message for d in report.errors]
+    return next(state_hash(world) for world in simulate(shot) if world.frame == frame)
