@@ -32,6 +32,18 @@ class Light:
     size: NDArray[np.float32]
     states: dict[str, NDArray[np.uint8]]
 
+    @classmethod
+    def of(cls, population: Population, before: Light | None = None) -> Light:
+        """A species as it is; `before`: as it was in the frame before."""
+        rows = population.in_id_order()
+        ids, size = population.ids[rows], population.now["size"][rows]
+        if before is not None:
+            ids = before.ids if np.array_equal(ids, before.ids) else ids
+            size = before.size if np.array_equal(size, before.size) else size
+        states = {m.name: population.now[f"{m.name}.state"][rows].astype(np.uint8) for m in population.plan.machines}
+        heading, up = turn(population, "heading", rows), turn(population, "up", rows)
+        return cls(ids, population.position[rows].astype(np.float32), heading, up, size, states)
+
     def arrays(self) -> Iterator[NDArray[Any]]:
         yield from (self.ids, self.position, self.heading)
         yield from (self.up, self.size)
@@ -177,7 +189,7 @@ class Timeline:
             self._bytes += _size(stretch.checkpoints[frame])
         if fresh:
             before = self.light.get(frame - 1, {})
-            self.light.put(frame, {name: _light(p, before.get(name)) for name, p in world.populations.items()})
+            self.light.put(frame, {name: Light.of(p, before.get(name)) for name, p in world.populations.items()})
         self._keep_to_budget(stretch)
 
     def _drop(self, stretch: Stretch) -> None:
@@ -210,17 +222,6 @@ def measured(world: World) -> dict[str, float]:
     for name, items in world.items.items():
         found |= {f"{name}.{attribute}": float(amounts.sum()) for attribute, amounts in items.amounts.items()}
     return found
-
-
-def _light(population: Population, before: Light | None) -> Light:
-    rows = population.in_id_order()
-    ids, size = population.ids[rows], population.now["size"][rows]
-    if before is not None:
-        ids = before.ids if np.array_equal(ids, before.ids) else ids
-        size = before.size if np.array_equal(size, before.size) else size
-    states = {m.name: population.now[f"{m.name}.state"][rows].astype(np.uint8) for m in population.plan.machines}
-    heading, up = turn(population, "heading", rows), turn(population, "up", rows)
-    return Light(ids, population.position[rows].astype(np.float32), heading, up, size, states)
 
 
 def _size(arrays: Arrays) -> int:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from antdsl.preview.packing import pack
 from antdsl.preview.timeline import Light
-from antdsl.preview.turns import turn
 from antdsl.preview.viewing.feelers import felt
 from antdsl.preview.viewing.seen import Packets, Seen, Wanted
 from antdsl.preview.viewing.units import unit_for, worth
@@ -40,27 +39,20 @@ class Agents:
             return
         arrays: Arrays = {}
         factors = _factors(world, seen.shot.program, seen.wanted)
-        for population in world.populations.values():
-            arrays |= _agents(population, factors)
+        lights = seen.session.shown(world.frame) or {}  # what is remembered of it was just made of it
+        for name, population in world.populations.items():
+            light = lights[name] if name in lights else Light.of(population)
+            arrays |= _remembered({name: light}) | _now(population, factors)
         arrays |= _items(world, seen.shot.program)
         if seen.wanted.follow is not None:
             arrays |= felt(world, seen.shot.program, seen.wanted.follow.species, seen.wanted.follow.agent)
         yield "frame", pack("frame", arrays, frame=world.frame, light=False)
 
 
-def _agents(population: Population, factors: Mapping[tuple[str, str], float]) -> Arrays:
+def _now(population: Population, factors: Mapping[tuple[str, str], float]) -> Arrays:
+    """What is not remembered of a frame."""
     name, now, rows = population.name, population.now, population.in_id_order()
-    arrays: Arrays = {
-        f"{name}/id": population.ids[rows].astype(np.int32),
-        f"{name}/position": population.position[rows].astype(np.float32),
-        f"{name}/heading": turn(population, "heading", rows),
-        f"{name}/up": turn(population, "up", rows),
-        f"{name}/size": now["size"][rows],
-        f"{name}/speed": _speed(population)[rows],
-        f"{name}/born": population.born[rows].astype(np.int32),
-    }
-    for machine in population.plan.machines:
-        arrays[f"{name}/state/{machine.name}"] = now[f"{machine.name}.state"][rows].astype(np.uint8)
+    arrays: Arrays = {f"{name}/speed": _speed(population)[rows], f"{name}/born": population.born[rows].astype(np.int32)}
     for (species, column), factor in factors.items():
         if species == name:
             arrays[f"{name}/column/{column}"] = now[column][rows].astype(np.float32) * np.float32(factor)
@@ -101,5 +93,5 @@ def _remembered(lights: Mapping[str, Light]) -> Arrays:
         arrays |= {f"{name}/id": light.ids.astype(np.int32), f"{name}/position": light.position}
         arrays |= {f"{name}/heading": light.heading, f"{name}/up": light.up, f"{name}/size": light.size}
         for machine, states in light.states.items():
-            arrays[f"{name}/state/{machine}"] = states.astype(np.uint8)
+            arrays[f"{name}/state/{machine}"] = states
     return arrays
