@@ -41,6 +41,7 @@ def chromium() -> Iterator[Browser]:
     sync_api = pytest.importorskip("playwright.sync_api")
     flags = [*_FLAGS, *(["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else [])]
     with sync_api.sync_playwright() as driver:
+        driver.selectors.set_test_id_attribute("data-test")
         browser = driver.chromium.launch(executable_path=path, args=flags)
         try:
             yield browser

@@ -30,11 +30,15 @@ export function text(store: Store, place: HTMLElement): void {
     if (fresh && program) tabs.choose(program.file);
     showProblems(store, editor, tabs);
   });
+  let known = new Set<string>();
   store.on("problems", () => {
     const problems = store.now.problems?.problems ?? [];
     list.hidden = problems.length === 0;
     rows(problems);
     showProblems(store, editor, tabs);
+    const fresh = problems.find((each) => each.severity === "error" && each.file && !known.has(problemKey(each)));
+    known = new Set(problems.map(problemKey));
+    if (fresh?.file) store.set("goto", { file: fresh.file, line: fresh.line }); // what one has just broken is to be seen
   });
   list.hidden = true;
   store.on("goto", () => {

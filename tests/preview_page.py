@@ -1,0 +1,95 @@
+"""`antdsl preview` of a copy of an example, and its page in a browser as a person sees it."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "examples"
+SIZE = {"width": 1280, "height": 720}
+
+
+def copied(example: str, place: Path) -> Path:
+    """An example's folder, to be edited."""
+    shutil.copytree(EXAMPLES / example, place / example, ignore=shutil.ignore_patterns("out"))
+    return place / example
+
+
+@contextmanager
+def previewed(scene: Path, *flags: str) -> Iterator[str]:
+    """The address of a preview of a scene. It must end well when it is asked to."""
+    command = [sys.executable, "-m", "antdsl", "preview", str(scene), "--no-open", "--port", "0", "--threads", "1", *flags]
+    env = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=env)
+    said: list[str] = []
+    try:
+        assert process.stdout is not None
+        for line in process.stdout:
+            said.append(line)
+            if found := re.search(r"http://127\.0\.0\.1:\d+/#\S+", line):
+                yield found[0]
+                break
+        else:
+            raise AssertionError("".join(said))
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            rest, _ = process.communicate(timeout=20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise
+    assert process.returncode == 0, "".join(said) + rest
+    assert "Traceback" not in "".join(said) + rest, "".join(said) + rest
+
+
+class Seen:
+    """A page, and what it complained of."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.complaints: list[str] = []
+        page.on("console", lambda message: self.complaints.append(message.text) if message.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: self.complaints.append(str(error)))
+
+    def find(self, name: str) -> Any:
+        return self.page.get_by_test_id(name)
+
+    def now(self, what: str, *values: Any) -> Any:
+        """A value of `window.antdsl`, or what a call of it gives."""
+        return self.page.evaluate(f"(values) => window.antdsl.{what}" + ("(...values)" if values else ""), list(values))
+
+    def until(self, condition: str, seconds: float = 15.0, argument: Any = None) -> None:
+        """Wait for a condition in the page's own language, with `a` for `window.antdsl` and `it` for the argument."""
+        self.page.wait_for_function(
+            f"(it) => {{ const a = window.antdsl; return a && ({condition}); }}", arg=argument, timeout=1000 * seconds
+        )
+
+    def press(self, name: str) -> None:
+        self.find(name).click()
+
+
+@contextmanager
+def opened(browser: Browser, address: str, **context: Any) -> Iterator[Seen]:
+    """The page of a preview with agents in it. It must not have complained by the time it is closed."""
+    made = browser.new_context(viewport=SIZE, **context)
+    try:
+        page = made.new_page()
+        seen = Seen(page)
+        page.goto(address)
+        seen.until("a.agents > 0 && a.pictures > 0", 40)
+        yield seen
+        assert not [each for each in seen.complaints if "GPU stall" not in each and "WebGL" not in each], seen.complaints
+    finally:
+        made.close()

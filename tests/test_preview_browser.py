@@ -1,0 +1,143 @@
+"""The preview as a person uses it: a real browser, a real run, a file that is saved."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from browsing import chromium
+from preview_page import SIZE, Seen, copied, opened, previewed
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as found:
+        yield found
+
+
+def played(seen: Seen, frames: int) -> int:
+    """Play so many frames from here, then pause; the frame that is shown."""
+    here = seen.now("frame")
+    seen.press("play")
+    seen.until("a.frame >= it", 30, here + frames)
+    seen.press("play")
+    seen.page.wait_for_timeout(300)
+    seen.until("a.still")
+    return int(seen.now("frame"))
+
+
+def test_the_page_comes_up_and_ants_move(browser: Browser, tmp_path: Path) -> None:
+    scene = copied("foraging", tmp_path) / "scene.yaml"
+    with previewed(scene) as address, opened(browser, address) as seen:
+        assert seen.now("agents") == 500
+        assert "foraging" in (seen.find("scene").text_content() or "") or "scene" in (seen.find("scene").text_content() or "")
+        before = {each: seen.now("position", "forager", each) for each in range(20)}
+        frame = seen.now("frame")
+        assert played(seen, 24) >= frame + 24
+        after = {each: seen.now("position", "forager", each) for each in range(20)}
+        moved = [sum((a - b) ** 2 for a, b in zip(after[each], before[each], strict=True)) ** 0.5 for each in before]
+        assert sum(length > 1 for length in moved) > 15  # mm
+        assert seen.page.url.endswith("/"), "the token does not stay in the address"
+
+
+def test_a_saved_edit_shows_within_a_second(browser: Browser, tmp_path: Path) -> None:
+    folder = copied("foraging", tmp_path)
+    program = folder / "forager.ant"
+    with previewed(folder / "scene.yaml") as address, opened(browser, address) as seen:
+        played(seen, 5)
+        assert seen.now("counts()")["forager.main.turn_home"] == 0
+        seen.press("play")
+        text = program.read_text()
+        program.write_text(text.replace("when time_in_state > patience * zeal ->", "when after 1 step ->"))
+        saved = time.monotonic()
+        seen.until("a.counts()['forager.main.turn_home'] > 100", 5)
+        assert time.monotonic() - saved < 1
+        assert seen.now("agents") == 500
+        assert "500" in (seen.find("outcome").text_content() or "")
+
+
+def test_an_error_is_underlined_and_the_ants_go_on(browser: Browser, tmp_path: Path) -> None:
+    folder = copied("foraging", tmp_path)
+    program = folder / "forager.ant"
+    with previewed(folder / "scene.yaml") as address, opened(browser, address) as seen:
+        seen.press("play")
+        program.write_text(program.read_text().replace("when meal           -> approach", "when meal           -> aproach"))
+        marked = seen.page.locator(".wrong.error")
+        marked.first.wait_for(timeout=5000)
+        assert marked.first.text_content() == "aproach"
+        assert "approach" in (seen.find("complaint").first.text_content() or "")
+        frame = seen.now("frame")
+        seen.until("a.frame > it + 10", 10, frame)
+        assert seen.now("agents") == 500
+        program.write_text(program.read_text().replace("aproach", "approach"))
+        marked.first.wait_for(state="detached", timeout=5000)
+
+
+def test_a_slider_acts_and_shows_its_line(browser: Browser, tmp_path: Path) -> None:
+    scene = copied("foraging", tmp_path) / "scene.yaml"
+    with previewed(scene) as address, opened(browser, address) as seen:
+        played(seen, 30)
+        few = seen.now("counts()")["forager.main.approach"]
+        seen.press("side-tab-sliders")
+        slider = seen.find("param-forager.smell")
+        slider.focus()
+        slider.press("End")
+        seen.find("line").first.wait_for(timeout=5000)
+        assert (seen.find("line").first.text_content() or "").startswith("set: {forager.smell: 200")
+        played(seen, 12)
+        assert seen.now("counts()")["forager.main.approach"] > few
+        assert seen.find("edited").is_visible()
+
+
+def test_scrubbing_shows_the_frame_asked_for(browser: Browser, tmp_path: Path) -> None:
+    scene = copied("foraging", tmp_path) / "scene.yaml"
+    with previewed(scene) as address, opened(browser, address) as seen:
+        played(seen, 10)
+        here = int(seen.now("frame"))
+        then = [seen.now("position", "forager", each) for each in range(50)]
+        played(seen, 40)
+        assert [seen.now("position", "forager", each) for each in range(50)] != then
+        scrub = seen.find("scrub")
+        scrub.focus()
+        scrub.fill(str(here))
+        scrub.dispatch_event("change")
+        seen.until("a.frame === it && a.still", 10, here)
+        assert [seen.now("position", "forager", each) for each in range(50)] == then
+        assert re.search(rf"\b{here}\b", seen.find("frame").text_content() or "")
+
+
+def test_clicking_an_agent_explains_it(browser: Browser, tmp_path: Path) -> None:
+    scene = copied("foraging", tmp_path) / "scene.yaml"
+    with previewed(scene) as address, opened(browser, address) as seen:
+        played(seen, 20)
+        view = seen.page.locator("#view").bounding_box()
+        assert view is not None
+        places = {each: seen.now("screen", "forager", each) for each in seen.now("ids", "forager")}
+        inside = [each for each, at in places.items() if at and 60 < at[0] < view["width"] - 60]
+        agent = next(each for each in inside if 150 < places[each][1] < view["height"] - 150)
+        x, y = places[agent]
+        seen.page.mouse.click(view["x"] + x, view["y"] + y)
+        seen.find("budget").wait_for(timeout=8000)
+        title = seen.find("why-title").text_content() or ""
+        assert re.search(r"forager \d+", title)
+        assert "when" in (seen.find("looked").first.text_content() or "")
+        assert "separate" in (seen.find("layer-list").text_content() or "")
+
+
+def test_it_can_be_read_in_dark_and_light(browser: Browser, tmp_path: Path) -> None:
+    scene = copied("foraging", tmp_path) / "scene.yaml"
+    with previewed(scene) as address:
+        for scheme in ("dark", "light"):
+            with opened(browser, address, color_scheme=scheme) as seen:
+                sizes = seen.page.evaluate("() => [document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
+                assert sizes[0] <= SIZE["width"] and sizes[1] <= SIZE["height"]
+                ground = seen.page.evaluate("() => getComputedStyle(document.body).backgroundColor")
+                light = sum(map(int, re.findall(r"\d+", ground)[:3])) / 3
+                assert (light > 128) == (scheme == "light")
