@@ -21,7 +21,7 @@ class Complaint extends WidgetType {
   override toDOM(): HTMLElement {
     const { severity, message, help, code } = this.problem;
     const words = el("div", { class: `complaint ${severity}`, test: "complaint", title: code }, el("strong", { text: message }));
-    if (help) words.append(el("span", { text: ` ${help}` }));
+    if (help) words.append(el("span", { text: help }));
     return words;
   }
 }

@@ -61,8 +61,9 @@ export function legend(sight: Sight): void {
     const rows = machine.states.map((state, number) => row(herd.species, machine, state, number));
     for (const each of rows) box.append(each.button);
     counts.push(() => {
-      title.textContent = `${herd.species.name}${several} · ${herd.count.toLocaleString("en")}`;
-      const found = tally(herd, machine);
+      const now = herds.byName.get(herd.species.name) ?? herd; // an edit makes herds anew, with the same states
+      title.textContent = `${herd.species.name}${several} · ${now.count.toLocaleString("en")}`;
+      const found = tally(now, machine);
       rows.forEach((each, number) => {
         each.count.textContent = (found[number] as number).toLocaleString("en");
       });
