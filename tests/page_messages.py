@@ -25,7 +25,17 @@ def scene(**other: Any) -> dict[str, Any]:
         "name": "ant.pace", "value": "10 mm/s", "number": 10, "unit": "mm/s", "low": 0, "high": 40, "help": "How fast",
         "file": "ant.ant", "line": 4, "written": "10 mm/s",
     }  # fmt: skip
-    free = {**param, "name": "ant.size", "value": "3 mm", "number": 3, "unit": "mm", "low": None, "high": None, "help": "", "written": "3 mm"}
+    free = {
+        **param,
+        "name": "ant.size",
+        "value": "3 mm",
+        "number": 3,
+        "unit": "mm",
+        "low": None,
+        "high": None,
+        "help": "",
+        "written": "3 mm",
+    }
     species = {
         "name": "ant", "body": "ant", "attributes": [{"name": "load", "unit": "mg"}], "feelers": [],
         "machines": [{"name": "main", "states": ["walk", "rest"], "colours": [WALK, REST]}],
@@ -61,7 +71,8 @@ def status(frame: int = 20, **other: Any) -> dict[str, Any]:
 
 
 def texts(text: str = TEXT) -> dict[str, Any]:
-    return {"op": "texts", "texts": [{"file": "walk.yaml", "text": "antdsl: 1\n", "kind": "yaml"}, {"file": "ant.ant", "text": text, "kind": "ant"}]}
+    written = {"file": "walk.yaml", "text": "antdsl: 1\n", "kind": "yaml"}
+    return {"op": "texts", "texts": [written, {"file": "ant.ant", "text": text, "kind": "ant"}]}
 
 
 def problems(text: str = TEXT, word: str = "pase") -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The preview's page in a browser, with the test as its server: what the page asks is noted, what it is told is up to the test."""
+"""The preview's page in a browser, with the test as its server: what it asks is noted, what it is told is up to the test."""
 
 from __future__ import annotations
 

@@ -6,13 +6,18 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import pytest
-
 from browsing import chromium
 from page_messages import TEXT, curves, frame, problems, scene, status, texts
 from page_stage import Stage, stage
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
+
+
+NAMELESS = """() => [...document.querySelectorAll("button, input, select, [role=button], [role=separator]")]
+    .filter((each) => each.checkVisibility())
+    .filter((each) => !(each.ariaLabel || each.textContent.trim() || each.labels?.length))
+    .map((each) => each.outerHTML)"""
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +37,7 @@ def outcome(**other: Any) -> dict[str, Any]:
     return {"op": "outcome", "of": "saved", "ok": True, "line": "kept 3 agents", "text": "", "file": "", "problems": [], **other}
 
 
-# --- the bar -----------------------------------------------------------------------------------------------------------
+# --- the bar ---------------------------------------------------------------------------------------------------------
 
 
 def test_the_bar_says_where_it_is_and_plays(page: Stage) -> None:
@@ -80,7 +85,7 @@ def test_keys_move_through_time_but_not_while_one_writes(page: Stage) -> None:
     assert len(page.asks) == before
 
 
-# --- the text ------------------------------------------------------------------------------------------------------------
+# --- the text --------------------------------------------------------------------------------------------------------
 
 
 def test_a_mistake_is_underlined_where_it_stands(page: Stage) -> None:
@@ -113,7 +118,7 @@ def test_texts_are_for_reading(page: Stage) -> None:
     assert "xyz" not in content.inner_text()
 
 
-# --- what can be turned ----------------------------------------------------------------------------------------------------
+# --- what can be turned ----------------------------------------------------------------------------------------------
 
 
 def test_a_slider_asks_while_it_is_dragged_and_tells_the_line_for_good(page: Stage) -> None:
@@ -174,7 +179,7 @@ def test_what_is_looked_at_is_asked_for_once(page: Stage) -> None:
     assert len(page.asked("look")) <= 3
 
 
-# --- time ------------------------------------------------------------------------------------------------------------------
+# --- time ------------------------------------------------------------------------------------------------------------
 
 
 def test_dragging_shows_what_is_remembered_and_letting_go_simulates(page: Stage) -> None:
@@ -215,7 +220,7 @@ def test_curves_are_kept_forgotten_and_drawn(page: Stage) -> None:
     assert legend.inner_text().split()[0] == "all"
 
 
-# --- states, breakpoints, cost -----------------------------------------------------------------------------------------------
+# --- states, breakpoints, cost ---------------------------------------------------------------------------------------
 
 
 def test_states_count_and_select_their_agents(page: Stage) -> None:
@@ -243,8 +248,13 @@ def test_breakpoints_are_set_told_and_taken_away(page: Stage) -> None:
     state = {"kind": "state", "species": "ant", "machine": "main", "state": "rest"}
     condition = {"kind": "condition", "text": "count(state == lost) > 1"}
     assert page.asked("breaks")[-1]["breaks"] == [state, condition]
-    page.tell({"op": "refused", "of": "breaks", "message": "count(state == lost) > 1: no state is `lost`", "help": "one of walk, rest"})
-    assert page.find("break-misfit").all_inner_texts() == ["", "does not fit this program: no state is `lost` — one of walk, rest"]
+    page.tell(
+        {"op": "refused", "of": "breaks", "message": "count(state == lost) > 1: no state is `lost`", "help": "one of walk, rest"}
+    )
+    assert page.find("break-misfit").all_inner_texts() == [
+        "",
+        "does not fit this program: no state is `lost` — one of walk, rest",
+    ]
     page.find("breaks").locator("button").nth(1).click()
     assert page.asked("breaks")[-1]["breaks"] == [state]
     page.tell(status(30, paused_by="ant 11 entered rest at frame 30", paused_agents={"species": "ant", "agents": [11]}))
@@ -260,7 +270,9 @@ def test_costs_are_measured_when_they_are_asked_for(page: Stage) -> None:
     assert page.find("profile").is_hidden() and not page.asked("profile")
     page.find("profile-on").check()
     line = {"file": "ant.ant", "line": 6, "text": "when pase > 3 -> rest", "ms": 1.5}
-    page.tell({"op": "profile", "frames": 24, "total": 4.0, "phases": [{"name": "decide", "ms": 3.0}], "layers": [], "lines": [line]})
+    page.tell(
+        {"op": "profile", "frames": 24, "total": 4.0, "phases": [{"name": "decide", "ms": 3.0}], "layers": [], "lines": [line]}
+    )
     assert "4.00 ms a frame" in page.find("profile-total").inner_text()
     assert page.page.locator("#editor .cost").all_inner_texts() == ["1.5"]
     page.find("profile").get_by_text("when pase").click()
@@ -270,7 +282,7 @@ def test_costs_are_measured_when_they_are_asked_for(page: Stage) -> None:
     assert page.page.locator("#editor .cost").count() == 0
 
 
-# --- all of them ---------------------------------------------------------------------------------------------------------------
+# --- all of them -----------------------------------------------------------------------------------------------------
 
 
 def test_names_are_text_whatever_they_are(browser: Browser) -> None:
@@ -280,7 +292,14 @@ def test_names_are_text_whatever_they_are(browser: Browser) -> None:
     told["params"][0] |= {"name": evil, "help": evil}
     told["charts"][0]["boxes"][0] |= {"name": evil, "label": evil}
     with stage(browser) as page:
-        page.tell(told, texts(evil), status(fault=evil, paused_by=evil), frame([0, 1]), curves([1], [1.0]), outcome(line=evil, text=evil))
+        page.tell(
+            told,
+            texts(evil),
+            status(fault=evil, paused_by=evil),
+            frame([0, 1]),
+            curves([1], [1.0]),
+            outcome(line=evil, text=evil),
+        )
         for tab in ("why", "sliders", "view", "machine", "profile", "breaks"):
             page.find(f"side-tab-{tab}").click()
         assert page.find("scene").inner_text() == evil
@@ -303,10 +322,7 @@ def test_everything_that_can_be_pressed_has_a_name(page: Stage) -> None:
     page.tell(frame([0, 1]), curves([1, 2], [1.0, 1.0]), problems())
     for tab in ("why", "sliders", "view", "machine", "profile", "breaks"):
         page.find(f"side-tab-{tab}").click()
-        nameless = page.page.evaluate("""() => [...document.querySelectorAll("button, input, select, [role=button], [role=separator]")]
-            .filter((each) => each.checkVisibility())
-            .filter((each) => !(each.ariaLabel || each.textContent.trim() || each.labels?.length))
-            .map((each) => each.outerHTML)""")
+        nameless = page.page.evaluate(NAMELESS)
         assert nameless == []
 
 
