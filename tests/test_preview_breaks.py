@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from live_client import Page
 
-from antdsl.preview import Live, Session
+from antdsl.preview import Live, Session, judging
 from antdsl.preview.asks import Break, ConditionBreak, FaultBreak, SpecBreak, StateBreak
 from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.breaking.conditions import condition_plan
@@ -18,6 +18,8 @@ from antdsl.preview.explaining import Explainer
 from antdsl.preview.judging import Specs
 from antdsl.preview.observing import Stop
 from antdsl.runtime import Options
+from antdsl.specs.cases import cases
+from antdsl.specs.running import Work, run_cases
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 WALKERS = """ant 1
@@ -335,3 +337,32 @@ def test_a_page_sets_breakpoints_and_hears_of_them(scene: Path) -> None:
         assert page.last("specs")["specs"] == specs
     finally:
         live.stop()
+
+
+def test_a_spec_that_takes_long_is_let_go_of_unless_it_is_waited_for(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(judging, "_LITTLE", 0.0)
+    monkeypatch.setattr(judging, "_SHARE", 0.0)
+    driver = Driver(scene, spec("they are three"))
+    driver.play(30)
+    assert driver.spec("they are three")["holds"] is True
+    let_go = driver.spec("soon")
+    assert let_go["holds"] is None
+    assert let_go["message"].endswith("ms a frame: with a breakpoint on it, it is judged all the same")
+    assert "spec: soon" not in driver.session.timeline.curves[31]
+    driver.set(spec("soon"), spec("they are three"))
+    driver.play(1)
+    assert driver.spec("soon")["since"] == 31
+    assert driver.spec("they are three")["since"] == 1  # goes on as it was
+
+
+def test_specs_stand_as_the_tests_find_them(scene: Path) -> None:
+    edit(scene, "within 0.5 s", "within 0.1 s")
+    runs, report = cases([scene])
+    assert [each.code for each in report.errors] == ["no-such-file"]  # the other scene of one of them
+    run_cases(runs, Work(Options()))
+    found = {case.name: case.failures[0].frame if case.failures else None for run in runs for case in run.cases}
+    driver = Driver(scene)
+    driver.play(59)  # the whole scene
+    stand = {each["name"]: each["frame"] for each in driver.specs.message()["specs"] if each["holds"] is not None}
+    assert stand == {name: found[name] for name in ("nobody rests", "they are three", "soon")}
+    assert stand["soon"] is not None and stand["they are three"] is None

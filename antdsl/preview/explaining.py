@@ -126,8 +126,8 @@ class Explainer:
             if species not in light:
                 continue
             rows = np.flatnonzero(light[species].ids == agent)
-            plan = self.session.timeline.at(frame).shot.plan.species[species]
-            for machine in plan.machines if len(rows) else ():
+            plan = self.session.timeline.at(frame).shot.plan.species.get(species)
+            for machine in plan.machines if plan is not None and len(rows) else ():
                 state = machine.states[int(light[species].states[machine.name][rows[0]])]
                 seen.setdefault(machine.name, []).append((frame, state))
         for name, frames in seen.items():

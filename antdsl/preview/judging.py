@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from os.path import realpath
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, thread_time
 from typing import Any
 
 from antdsl.pipeline import Shot
@@ -22,15 +22,16 @@ from antdsl.specs.cases import Failure
 from antdsl.specs.judge import Judge
 
 _SHARE, _LITTLE = 0.1, 0.004  # of the time that a step takes, and seconds: what judging a spec may take unless it is wanted
-_TRIED = 12  # frames after which that is known
+_WARM, _TRIED = 3, 24  # frames that are not counted, and those after which it is known
 CURVE = "spec: "
 
 
 @dataclass(slots=True, eq=False)
 class Judged:
-    """One spec: with a judge, or with `why` there is none."""
+    """One spec: with a judge, or with `why` there is none; `plan` is None where there can be none here."""
 
     name: str
+    plan: SpecPlan | None = None
     why: str = ""
     judge: Judge | None = None
     seconds: float = 0.0
@@ -72,8 +73,6 @@ class Specs:
     def want(self, names: Collection[str]) -> None:
         """Judge these whatever it costs; one that was let go of is judged from the next step on."""
         self.wanted = frozenset(names)
-        if any(each.judge is None and each.name in self.wanted for each in self.judged):
-            self._stretch = None
 
     def known(self, shot: Shot, scene: Path) -> list[tuple[str, SpecPlan | str]]:
         """The specs of a program by name, planned, or with why they are not judged here."""
@@ -107,40 +106,47 @@ class Specs:
         stretch = session.timeline.at(frame)
         if stretch is not self._stretch or frame not in (self._last, self._last + 1):
             self._stretch = stretch
-            self._begin(session)
-        elif frame == self._last:
-            return
+            self.judged = [_judged(*each) for each in self.known(shot, session.compiler.scene)]
+            fresh = self._begin(session, lambda each: True)
+        else:
+            again = self._begin(session, lambda each: each.name in self.wanted)
+            fresh = self.judged if frame != self._last else again
         self._last = frame
-        for each in self.judged:
+        for each in fresh:
             self._look(each, session.world)
             if each.judge is not None:
                 curve = 0.0 if each.failure is not None else 1.0
                 session.timeline.curves[frame].setdefault(CURVE + each.name, curve)
 
-    def _begin(self, session: Session) -> None:
-        """Judge anew from this frame on."""
-        self.judged = []
-        for name, plan in self.known(session.shot, session.compiler.scene):
-            if isinstance(plan, str):
-                self.judged.append(Judged(name, plan))
-            else:
-                self.judged.append(Judged(name, "", Judge(plan, session.world, session.shot.frames.last)))
+    def _begin(self, session: Session, which: Callable[[Judged], bool]) -> list[Judged]:
+        """Judge those that are not judged, and can be, from this frame on."""
+        begun = [each for each in self.judged if each.judge is None and each.plan is not None and which(each)]
+        for each in begun:
+            assert each.plan is not None
+            each.judge = Judge(each.plan, session.world, session.shot.frames.last)
+            each.why, each.seconds, each.frames = "", 0.0, 0
+        return begun
 
     def _look(self, each: Judged, world: World) -> None:
         if each.judge is not None and not each.judge.over:
-            began = perf_counter()
+            began = thread_time()  # of the processor: what others do on this machine is not its fault
             each.judge.look(world)
-            each.seconds += perf_counter() - began
             each.frames += 1
+            if each.frames > _WARM:
+                each.seconds += thread_time() - began
 
     def _let_go(self, each: Judged, step: float) -> None:
         """Leave a spec unjudged that takes too long, while it has not failed and nobody waits for it to."""
         if each.judge is None or each.frames < _TRIED or each.name in self.wanted or each.failure is not None:
             return
-        takes = each.seconds / each.frames
+        takes = each.seconds / (each.frames - _WARM)
         if not each.judge.over and takes > max(_SHARE * step, _LITTLE):
             each.judge = None
             each.why = f"judging it takes {1000 * takes:.1f} ms a frame: with a breakpoint on it, it is judged all the same"
+
+
+def _judged(name: str, plan: SpecPlan | str) -> Judged:
+    return Judged(name, None, plan) if isinstance(plan, str) else Judged(name, plan)
 
 
 def _planned(shot: Shot, scene: Path) -> Iterator[tuple[str, SpecPlan | str]]:
