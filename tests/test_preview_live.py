@@ -16,6 +16,7 @@ from live_client import Page, places
 from antdsl.pipeline import open_scene, simulate
 from antdsl.preview import Busy, Compiler, Live, Session
 from antdsl.preview.packing import unpack
+from antdsl.preview.viewing.feelers import felt
 from antdsl.runtime import state_hash
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -428,3 +429,53 @@ def _fresh(live: Live, frame: int) -> str:
     shot, report = compiler.open(session.choices)
     assert shot is not None, [d.message for d in report.errors]
     return next(state_hash(world) for world in simulate(shot) if world.frame == frame)
+
+
+def test_a_value_at_fault_pauses_and_is_told(live: Live, scene: Path) -> None:
+    page = Page(live)
+    page.shown(1)
+    number = len(page.told)
+    program = scene.with_name("forager.ant")
+    program.write_text(program.read_text().replace("    steer wander(swing: swing)\n", "    zeal = zeal / load\n"))
+    assert page.told_after("outcome", number)["ok"]
+    page.ask("play")
+    fault = page.until(lambda: page.last("status")["fault"])
+    assert "zeal" in fault and not page.last("status")["playing"] and page.last("status")["frame"] == 2
+
+
+def test_what_moves_is_shown_where_it_is(live: Live, scene: Path) -> None:
+    scene.write_text(scene.read_text().replace(
+        "stones:  {mesh: stones.ply}",
+        "stones:  {mesh: stones.ply, keys: {1: {at: [0, 0, 0]}, 11: {at: [50, 0, 0]}}}",
+    ))  # fmt: skip
+    page = Page(live)
+    page.until(lambda: "mesh:stones" in page.packets and unpack(page.packets["mesh:stones"])[0]["moves"])
+    before = unpack(page.packets["mesh:stones"])[1]["position"].reshape(-1, 3)
+    ground = page.packets["mesh:ground"]
+    page.ask("step", count=4)
+    page.shown(5)
+    page.until(
+        lambda: np.allclose(unpack(page.packets["mesh:stones"])[1]["position"].reshape(-1, 3) - before, (20, 0, 0), atol=0.01)
+    )
+    assert page.packets["mesh:ground"] is ground, "what stands still is not sent again"
+
+
+def test_feelers_of_who_is_followed_end_where_they_hit(live: Live) -> None:
+    page = Page(live)
+    page.ask("look", columns=[], fields=[], flows=[], follow={"species": "forager", "agent": 3})
+    page.ask("step", count=3)
+    arrays = page.shown(4)
+    lines, hit = arrays["feelers"].reshape(-1, 2, 3), arrays["feelers/hit"]
+    row = list(arrays["forager/id"]).index(3)
+    assert len(lines) == 3 and np.allclose(lines[:, 0], places(arrays, "forager")[row], atol=1e-3)
+    reach = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)
+    assert np.allclose(reach[hit == 0], 1.5 * arrays["forager/size"][row], rtol=1e-3)
+    # one that faces a wall a body ahead: the same agent, put before the stones, is asked for directly
+    population = live.session.world.populations["forager"]  # it stands still
+    stones = live.session.world.setting.obstacles["stones"].vertices - live.session.world.origin
+    at = int(population.rows_of(np.array([3]))[0])
+    population.position[at] = stones[0] - 2.0 * population.vector("heading")[at]
+    found = felt(live.session.world, live.session.shot.program, "forager", 3)
+    assert found["feelers/hit"].any()
+    met = np.linalg.norm(np.diff(found["feelers"].reshape(-1, 2, 3), axis=1)[:, 0], axis=1)
+    assert (met[found["feelers/hit"] == 1] < 1.5 * arrays["forager/size"][row]).all()

@@ -28,6 +28,7 @@ _POLL = 0.02  # seconds between two looks at the files
 _IDLE = 0.5  # seconds that the thread sleeps at most when there is nothing to do
 _BEHIND = 0.1  # seconds of steps that are caught up with; more are left out
 _NOTHING = Look(op="look", columns=(), fields=(), flows=())  # what a page looks at before it says so
+_AFTER_BUG = 0.25  # seconds of rest, lest the terminal run over
 _SEEKING = 0.05  # seconds of going back after which others are heard
 _BUG = "this is a bug in antdsl: the terminal says more"
 O = TypeVar("O")  # noqa: E741
@@ -225,6 +226,8 @@ class Live:
                     self._target = None
                     self.pause(Stop(_BUG))
                 self.tell_all({"op": "refused", "of": "play", "message": _BUG, "help": "press restart, and report it"})
+                with self._changed:
+                    self._changed.wait(_AFTER_BUG)
 
     def _turn(self) -> None:
         while self._queue and not self._over:
@@ -275,6 +278,7 @@ class Live:
             self.screen.greet(client)
         elif what == "leave":
             self.clients.pop(client, None)
+            self.screen.looked()
         elif not isinstance(what, str) and client in self.clients and not self._overtaken(what, client):
             self._handle(what, client)
 

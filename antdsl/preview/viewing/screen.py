@@ -68,6 +68,7 @@ class Screen:
     def edited(self, *, files: bool) -> None:
         """The program is another one, or was to be; `files`: texts may have changed."""
         self._program, self._files = True, self._files or files
+        self._hash = None  # a param may be another one at the same frame
         if self.live.is_open:
             self._curves.forget_from(self.live.session.frame)
         self.touched()
