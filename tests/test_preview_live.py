@@ -479,3 +479,20 @@ def test_feelers_of_who_is_followed_end_where_they_hit(live: Live) -> None:
     assert found["feelers/hit"].any()
     met = np.linalg.norm(np.diff(found["feelers"].reshape(-1, 2, 3), axis=1)[:, 0], axis=1)
     assert (met[found["feelers/hit"] == 1] < 1.5 * arrays["forager/size"][row]).all()
+
+
+def test_a_field_goes_with_ground_that_moves(live: Live, scene: Path) -> None:
+    scene.write_text(scene.read_text().replace(
+        "boulder: {mesh: boulder.ply}",
+        "boulder: {mesh: boulder.ply, keys: {1: {at: [0, 0, 0]}, 11: {at: [0, 50, 0], rotate: [0, 90, 0]}}}",
+    ))  # fmt: skip
+    page = Page(live)
+    page.ask("look", columns=[], fields=["trail"], flows=[], follow=None)
+    page.until(lambda: "mesh:boulder" in page.packets and unpack(page.packets["mesh:boulder"])[0]["moves"])
+    page.ask("step", count=10)
+    page.shown(11)
+    page.until(lambda: unpack(page.packets["field:trail"])[0]["frame"] == 11)
+    field = unpack(page.packets["fieldmesh:trail"])[1]["position"].reshape(-1, 3)
+    for name in ("ground", "boulder"):
+        mesh = unpack(page.packets[f"mesh:{name}"])[1]["position"].reshape(-1, 3)
+        assert all(np.linalg.norm(field - vertex, axis=1).min() < 0.01 for vertex in mesh[::97]), name

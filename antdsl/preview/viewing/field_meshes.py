@@ -22,13 +22,33 @@ _SOFT = 0.15  # of a cell: nearer than so a vertex counts as in the middle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Carried:
+    """Vertices from `first` on that lie on a mesh that moves: in its triangles `corner` int64 (k, 3), by weights (k, 3)."""
+
+    mesh: str
+    first: int
+    corner: NDArray[np.int64]
+    weight: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FieldMesh:
-    """Vertices float32 (n, 3), faces uint32 (m, 3); each vertex shows the cells `cell` int64 (n, 4), mixed by `share` (n, 4)."""
+    """Vertices float32 (n, 3), faces uint32 (m, 3); each vertex shows the cells `cell` int64 (n, 4), mixed by `share` (n, 4).
+    Vertices are where they were at the first frame; those of `carried` move."""
 
     position: NDArray[np.float32]
     face: NDArray[np.uint32]
     cell: NDArray[np.int64]
     share: NDArray[np.float32]
+    carried: tuple[Carried, ...] = ()
+
+    def places(self, world: World) -> NDArray[np.float32]:
+        """Where the vertices are at the world's frame."""
+        found = self.position.copy() if self.carried else self.position
+        for each in self.carried:
+            corners = vertices_at(world, each.mesh, world.frame)[each.corner]
+            found[each.first : each.first + len(each.corner)] = np.einsum("nkd,nk->nd", corners, each.weight)
+        return found
 
     def shown(self, values: Floats) -> NDArray[np.float32]:
         """What the vertices show of the cells' values."""
@@ -46,46 +66,44 @@ def field_mesh(world: World, name: str) -> FieldMesh:
     cells = world.fields[name].cells
     count = cells_in_use(world.fields[name])
     places, normals = cells.position[:count], cells.normal[:count]
-    parts = [_ground(world, name, cells.cell, places, normals)]
-    vertices = parts[0][0]
-    lone = np.arange(count)
-    if len(vertices) and count:
+    points, faces, carried, edge = _ground(world, name, cells.cell)
+    if len(points) and count:
         from scipy.spatial import cKDTree
 
-        lone = np.flatnonzero(cKDTree(vertices).query(places)[0] > _BESIDE * max(cells.cell, parts[0][4]))
-    parts.append((*_squares(places[lone], normals[lone], cells.cell, lone), 0.0))
-    shift = len(vertices)
-    faces = np.concatenate([parts[0][1], parts[1][1] + shift])
+        way = vertex_normals(points, faces.astype(np.int32)).astype(np.float64)
+        near, share = _mixed(points, way, places, normals, cells.cell)
+        lone = np.flatnonzero(cKDTree(points).query(places)[0] > _BESIDE * max(cells.cell, edge))
+    else:
+        near, share, lone = np.empty((0, _NEAREST), np.int64), np.empty((0, _NEAREST)), np.arange(count)
+        points, faces, carried = np.empty((0, 3)), np.empty((0, 3), np.int64), ()
+    corners, squares, own, whole = _squares(places[lone], normals[lone], cells.cell, lone)
     return FieldMesh(
-        np.concatenate([parts[0][0], parts[1][0]]).astype(np.float32),
-        faces.astype(np.uint32),
-        np.concatenate([parts[0][2], parts[1][2]]),
-        np.concatenate([parts[0][3], parts[1][3]]).astype(np.float32),
+        np.concatenate([points, corners]).astype(np.float32),
+        np.concatenate([faces, squares + len(points)]).astype(np.uint32),
+        np.concatenate([near, own]),
+        np.concatenate([share, whole]).astype(np.float32),
+        carried,
     )
 
 
-_Part = tuple[Floats, NDArray[np.int64], NDArray[np.int64], Floats]
-
-
-def _ground(world: World, name: str, cell: float, places: Floats, normals: Floats) -> tuple[*_Part, float]:
-    """The field's meshes, cut to edges of about a cell, and how long the edges are at most."""
-    asked = world.plan.fields[name].surfaces
-    setting = world.setting
+def _ground(world: World, name: str, cell: float) -> tuple[Floats, NDArray[np.int64], tuple[Carried, ...], float]:
+    """The field's meshes at the first frame, cut to edges of about a cell; what of them moves; how long edges are at most."""
+    asked, setting = world.plan.fields[name].surfaces, world.setting
     made = [each for each in setting.surfaces if not asked or each in asked]
-    empty = np.empty((0, 3)), np.empty((0, 3), np.int64), np.empty((0, _NEAREST), np.int64), np.empty((0, _NEAREST)), 0.0
-    if not made or not len(places):
-        return empty
-    found: list[tuple[Floats, NDArray[np.int64]]] = []
-    for each in made:
-        moves = each in setting.moves.meshes
-        vertices = vertices_at(world, each, setting.moves.first) if moves else setting.surfaces[each].vertices - world.origin
-        found.append((vertices, setting.surfaces[each].faces.astype(np.int64)))
-    area = sum(float(_area(vertices, faces)) for vertices, faces in found)
+    rest = [setting.surfaces[each].vertices - world.origin for each in made]
+    faces = [setting.surfaces[each].faces.astype(np.int64) for each in made]
+    area = sum(_area(*mesh) for mesh in zip(rest, faces, strict=True))
     edge = max(cell, float(np.sqrt(area / (0.5 * _MOST))))
-    points, faces = _joined([_cut(vertices, faces, edge) for vertices, faces in found])
-    way = vertex_normals(points, faces.astype(np.int32)).astype(np.float64)
-    near, share = _mixed(points, way, places, normals, cell)
-    return points, faces, near, share, edge
+    parts, carried, first = [], [], 0
+    for each, vertices, triangles in zip(made, rest, faces, strict=True):
+        points, cut, of = _cut(vertices, triangles, edge)
+        if each in setting.moves.meshes:
+            carried.append(_carried(each, first, points, cut, of, vertices, triangles))
+        parts.append((points, cut + first))
+        first += len(points)
+    if not parts:
+        return np.empty((0, 3)), np.empty((0, 3), np.int64), (), edge
+    return np.concatenate([p for p, _ in parts]), np.concatenate([f for _, f in parts]), tuple(carried), edge
 
 
 def _area(vertices: Floats, faces: NDArray[np.int64]) -> float:
@@ -93,19 +111,30 @@ def _area(vertices: Floats, faces: NDArray[np.int64]) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
-def _cut(vertices: Floats, faces: NDArray[np.int64], edge: float) -> tuple[Floats, NDArray[np.int64]]:
+def _cut(vertices: Floats, faces: NDArray[np.int64], edge: float) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
+    """Vertices and faces of the mesh cut finer, and the face that each is a part of."""
     from trimesh.remesh import subdivide_to_size
 
-    points, triangles = subdivide_to_size(vertices, faces, edge, max_iter=20)[:2]  # type: ignore[no-untyped-call]
-    return np.asarray(points, np.float64), np.asarray(triangles, np.int64)
+    points, cut, of = subdivide_to_size(vertices, faces, edge, max_iter=20, return_index=True)  # type: ignore[no-untyped-call]
+    return np.asarray(points, np.float64), np.asarray(cut, np.int64), np.asarray(of, np.int64)
 
 
-def _joined(parts: list[tuple[Floats, NDArray[np.int64]]]) -> tuple[Floats, NDArray[np.int64]]:
-    shift = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    return (
-        np.concatenate([vertices for vertices, _ in parts]),
-        np.concatenate([faces + start for (_, faces), start in zip(parts, shift, strict=False)]),
-    )
+def _carried(
+    name: str,
+    first: int,
+    points: Floats,
+    cut: NDArray[np.int64],
+    of: NDArray[np.int64],
+    vertices: Floats,
+    faces: NDArray[np.int64],
+) -> Carried:
+    """Each point in a triangle that it is a corner of a part of."""
+    from trimesh.triangles import points_to_barycentric
+
+    face = np.zeros(len(points), np.int64)
+    face[cut] = of[:, None]
+    weight = points_to_barycentric(vertices[faces[face]], points)  # type: ignore[no-untyped-call]
+    return Carried(name, first, faces[face], np.asarray(weight, np.float64))
 
 
 def _mixed(points: Floats, way: Floats, places: Floats, normals: Floats, cell: float) -> tuple[NDArray[np.int64], Floats]:
@@ -120,7 +149,9 @@ def _mixed(points: Floats, way: Floats, places: Floats, normals: Floats, cell: f
     return near.astype(np.int64), np.where(total > 0, share / np.maximum(total, 1e-300), 0.0)
 
 
-def _squares(places: Floats, normals: Floats, cell: float, which: NDArray[np.int64]) -> _Part:
+def _squares(
+    places: Floats, normals: Floats, cell: float, which: NDArray[np.int64]
+) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], Floats]:
     """A square for each cell, across its normal."""
     other = np.where(np.abs(normals[:, :1]) < 0.9, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]))
     right = np.cross(normals, other)

@@ -20,6 +20,7 @@ class Fields:
     def __init__(self) -> None:
         self._world: World | None = None
         self._cells: dict[str, tuple[object, int, float]] = {}  # what a mesh was made of, and when
+        self._moving: set[str] = set()  # meshes
         self._meshes: dict[str, FieldMesh] = {}
         self._full: dict[str, float] = {}
         self._shown: dict[str, int] = {}  # the frame shown last
@@ -28,11 +29,16 @@ class Fields:
     def packets(self, seen: Seen) -> Packets:
         world = seen.world
         wanted = sorted(seen.wanted.fields & world.fields.keys())
-        if world is not self._world:
+        if world is not self._world:  # the same cells, often, and other values
             self._world = world
-            self._shown.clear()
+            self._shown = dict.fromkeys(self._shown, -1)
+            moving = set(world.setting.moves.meshes)
+            if moving != self._moving:
+                self._moving = moving
+                self._cells.clear()
         for gone in self._meshes.keys() - set(wanted):  # asked for again it is sent again
-            del self._meshes[gone], self._cells[gone]
+            del self._meshes[gone]
+            self._cells.pop(gone, None)
             self._shown.pop(gone, None)
         if not wanted or (seen.going and seen.now - self._last < _EVERY and self._shown.keys() >= set(wanted)):
             return
@@ -48,13 +54,15 @@ class Fields:
             mesh = field_mesh(world, name)
             self._meshes[name], self._cells[name] = mesh, (field.cells, cells_in_use(field), seen.now)
             self._shown.pop(name, None)
-            slot = f"fieldmesh:{name}"
-            yield slot, pack(slot, {"position": mesh.position, "face": mesh.face})
         if self._shown.get(name) == world.frame:
             return
+        mesh = self._meshes[name]
+        if name not in self._shown or mesh.carried:
+            slot = f"fieldmesh:{name}"
+            yield slot, pack(slot, {"position": mesh.places(world), "face": mesh.face})
         self._shown[name] = world.frame
         full = self._fullest(name, field.values, field.limit)
-        shown = self._meshes[name].shown(field.values)
+        shown = mesh.shown(field.values)
         value = np.clip(shown * np.float32(255 / full), 0, 255).astype(np.uint8)
         yield f"field:{name}", pack(f"field:{name}", {"value": value}, full=full, frame=world.frame)
 
