@@ -43,9 +43,20 @@ class Started:
 
 
 @asynccontextmanager
-async def started(*words: str | Path, folder: Path) -> AsyncIterator[Started]:
+async def started(*words: str | Path, folder: Path, open_it: bool = False) -> AsyncIterator[Started]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
-    command = [sys.executable, "-m", "antdsl", "preview", *map(str, words), "--port", "0", "--no-open", "--threads", "2"]
+    command = [
+        sys.executable,
+        "-m",
+        "antdsl",
+        "preview",
+        *map(str, words),
+        "--port",
+        "0",
+        "--threads",
+        "2",
+        *["--no-open"][open_it:],
+    ]
     process = await asyncio.create_subprocess_exec(*command, cwd=folder, env=environment, stdout=PIPE, stderr=PIPE)
     assert process.stdout is not None
     try:
@@ -181,6 +192,28 @@ def test_others_are_let_in_only_where_it_is_said_and_only_with_the_token(tmp_pat
             with pytest.raises(InvalidStatus):
                 async with preview.connect(origin=None, subprotocols=["antdsl.1", "token.wrong"]):
                     pass
+
+    go(test)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a script stands for the browser")
+def test_the_browser_is_started_with_an_address_that_is_good_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, browser = example(tmp_path), tmp_path / "browser"
+    browser.write_text(f'#!/bin/sh\nprintf %s "$1" > {tmp_path}/opened.part && mv {tmp_path}/opened.part {tmp_path}/opened\n')
+    browser.chmod(0o755)
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+
+    async def test() -> None:
+        async with started("scene.yaml", folder=folder, open_it=True) as preview:
+            while not (tmp_path / "opened").is_file():
+                await asyncio.sleep(0.02)
+            address, _, code = (tmp_path / "opened").read_text().partition("#")
+            assert address == preview.address and code and preview.token not in code
+            async with preview.connect(subprotocols=["antdsl.1", f"token.{code}"]) as page:
+                assert (await hear(page, lambda m: m["op"] == "hello"))["token"] == preview.token
+            async with preview.connect(subprotocols=["antdsl.1", f"token.{code}"]) as page:
+                await page.wait_closed()
+                assert page.close_code == 1008
 
     go(test)
 

@@ -23,7 +23,7 @@ def with_mailbox(test: Callable[[Mailbox, list[str]], Awaitable[None]], **budget
     async def go() -> None:
         full: list[str] = []
         async with asyncio.timeout(20):
-            await test(Mailbox(asyncio.get_running_loop(), "now", lambda: full.append("full"), **budgets), full)
+            await test(Mailbox(asyncio.get_running_loop(), {"build": "now"}, lambda: full.append("full"), **budgets), full)
 
     asyncio.run(go())
 

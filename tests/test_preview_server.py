@@ -176,6 +176,25 @@ def test_a_wrong_token_is_told_and_nothing_else_is() -> None:
     with_server(test)
 
 
+def test_a_code_opens_once_and_is_changed_for_the_token() -> None:
+    async def test(made: Served) -> None:
+        code = made.guard.invite()
+        assert code != made.guard.token and code not in repr(made.guard)
+        good = [f"127.0.0.1:{made.port}"]
+        assert await made.open_socket(good, ["http://evil.example"], ["antdsl.1", f"token.{code}"]) == 403
+        for round_ in range(2):
+            async with made.connect(subprotocols=["antdsl.1", f"token.{code}"]) as client:
+                if round_ == 0:
+                    assert json.loads(await client.recv())["token"] == made.guard.token
+                else:
+                    await client.wait_closed()
+                    assert client.close_code == 1008
+        async with made.connect() as client:
+            assert "token" not in json.loads(await client.recv())
+
+    with_server(test)
+
+
 def test_each_server_has_a_token_of_its_own() -> None:
     async def test(made: Served) -> None:
         async with served() as other:

@@ -103,7 +103,7 @@ def _serve(live: Live, scene: Path, listening: Listening, *, open_it: bool, othe
         waiting = "" if live.report.ok else f" {scene} has mistakes: the page shows them, and the ants come once they are mended."
         typer.echo(f"Ctrl-C ends it.{waiting}")
         if open_it:
-            _open(f"{listening.addresses[0]}#{guard.token}")
+            _open(f"{listening.addresses[0]}#{guard.invite()}")
 
     live.start()
     try:

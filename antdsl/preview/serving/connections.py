@@ -17,19 +17,22 @@ class Door:
 
     def __init__(self) -> None:
         self._waiting: dict[Connection, None] = {}
-        self._in: set[Connection] = set()
+        self._in: dict[Connection, bool] = {}  # with whether it came by a code that is good once
 
     def connection(self, *args: Any, **options: Any) -> Connection:
         """A connection, as `serve` makes them."""
         return Connection(self, *args, **options)
 
-    def let_in(self, connection: ServerConnection) -> None:
+    def let_in(self, connection: ServerConnection, *, invited: bool) -> None:
         assert isinstance(connection, Connection)
         self._waiting.pop(connection, None)
-        self._in.add(connection)
+        self._in[connection] = invited
 
     def is_in(self, connection: ServerConnection) -> bool:
         return connection in self._in
+
+    def is_invited(self, connection: ServerConnection) -> bool:
+        return isinstance(connection, Connection) and self._in.get(connection, False)
 
     def came(self, connection: Connection) -> None:
         self._waiting[connection] = None
@@ -44,7 +47,7 @@ class Door:
 
     def went(self, connection: Connection) -> None:
         self._waiting.pop(connection, None)
-        self._in.discard(connection)
+        self._in.pop(connection, None)
 
 
 class Connection(ServerConnection):

@@ -16,6 +16,7 @@ _TOKEN = "token."
 
 class Verdict(Enum):
     IN = "in"
+    INVITED = "invited"  # by a code that is good for this once: it has to be told the token
     STRANGER = "stranger"  # called by a wrong name, from a page of others, or by no page and without the token
     WRONG_TOKEN = "wrong token"  # our own page, from before the server was started again: it is told so
 
@@ -26,6 +27,14 @@ class Guard:
 
     names: frozenset[str]
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
+    _codes: set[str] = field(default_factory=set, repr=False)
+
+    def invite(self) -> str:
+        """A code that stands for the token once: for the address that a browser is started with, which other people on this
+        machine can see in the list of processes."""
+        code = secrets.token_urlsafe(32)
+        self._codes.add(code)
+        return code
 
     def host(self, given: Sequence[str]) -> bool:
         """Whether a request came by one of the names, given its `Host` headers: exactly one is in order."""
@@ -49,8 +58,13 @@ class Guard:
             return Verdict.STRANGER
         words = [word.strip() for line in offered for word in line.split(",")]
         tokens = [word.removeprefix(_TOKEN) for word in words if word.startswith(_TOKEN)]
-        if PROTOCOL in words and len(tokens) == 1 and _same(tokens[0], self.token):
-            return Verdict.IN
+        if PROTOCOL in words and len(tokens) == 1:
+            if _same(tokens[0], self.token):
+                return Verdict.IN
+            used = {code for code in self._codes if _same(tokens[0], code)}
+            self._codes.difference_update(used)
+            if used:
+                return Verdict.INVITED
         return Verdict.STRANGER if origin is None else Verdict.WRONG_TOKEN
 
 

@@ -30,13 +30,13 @@ class Mailbox:
     def __init__(
         self,
         loop: asyncio.AbstractEventLoop,
-        build: str,
+        hello: dict[str, str],
         full: Callable[[], None],
         *,
         words: int = limits.PREVIEW_WORDS_WAITING,
         packets: int = limits.PREVIEW_PACKETS_WAITING,
     ) -> None:
-        self._loop, self._build, self._full = loop, build, full
+        self._loop, self._hello, self._full = loop, hello, full
         self._most_words, self._most_packets = words, packets
         self._queue: deque[str | _Waiting] = deque()
         self._waiting: dict[str, _Waiting] = {}  # packets that a later one of their slot replaces in place
@@ -46,9 +46,9 @@ class Mailbox:
         self._woken = self._closed = False
 
     def tell(self, message: dict[str, Any]) -> None:
-        """Put a message at the end. What page there is, the server knows: `hello` is told its `build` here."""
+        """Put a message at the end. `hello` has what only the server knows put in: which page there is."""
         if message.get("op") == "hello":
-            message = {**message, "build": self._build}
+            message = {**message, **self._hello}
         text = json.dumps(message, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
         with self._lock:
             if self._closed:

@@ -101,8 +101,8 @@ class Server:
             verdict = self._guard.socket(hosts, origins, request.headers.get_all("Sec-WebSocket-Protocol"))
             if verdict is Verdict.STRANGER:
                 return _answer(HTTPStatus.FORBIDDEN)
-            if verdict is Verdict.IN:
-                self._door.let_in(connection)
+            if verdict in (Verdict.IN, Verdict.INVITED):
+                self._door.let_in(connection, invited=verdict is Verdict.INVITED)
             return None
         found = self._pages.routes.get(request.path)
         return _answer(HTTPStatus.NOT_FOUND) if found is None else _answer(HTTPStatus.OK, *found)
@@ -117,7 +117,10 @@ class Server:
         if len(self._clients) >= limits.PREVIEW_CLIENTS:
             await connection.close(CloseCode.TRY_AGAIN_LATER, "too many pages look on")
             return
-        mailbox = Mailbox(asyncio.get_running_loop(), self._pages.build, lambda: self._too_slow(connection))
+        hello = {"build": self._pages.build}
+        if self._door.is_invited(connection):
+            hello["token"] = self._guard.token
+        mailbox = Mailbox(asyncio.get_running_loop(), hello, lambda: self._too_slow(connection))
         self._clients.add(connection)
         self._live.join(mailbox)
         sender = asyncio.create_task(_send(connection, mailbox))

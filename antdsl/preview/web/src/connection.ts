@@ -18,8 +18,13 @@ export class Connection {
 
   constructor(
     private readonly address: string,
-    private readonly token: string,
+    private token: string,
   ) {}
+
+  /** Come back with this one. */
+  keep(token: string): void {
+    this.token = token;
+  }
 
   on<K extends Op>(op: K, listener: (message: Of<K>) => void): void {
     this.heard.set(op, [...(this.heard.get(op) ?? []), listener as Listener]);

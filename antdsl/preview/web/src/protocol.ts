@@ -42,6 +42,7 @@ export interface Hello {
   version: string;
   build: string; // of the page that the server has: another one than this page's means to load it again
   scene: string;
+  token?: string; // to come back with, for a page that was opened by a code that is good once
 }
 
 export interface Attribute {
