@@ -1,20 +1,28 @@
-"""From a saved edit to the first frame of the new program: what is compiled, what is taken over and one step, in milliseconds.
+"""From a saved edit to the first frame of the new program, in milliseconds, with 15,000 foraging ants that play.
 
-`python tests/benchmarks/reload.py` prints the median over edits of a copy of 15,000 foraging ants; `--edits` says how many."""
+`python tests/benchmarks/reload.py` saves a file beside the program and puts it in its place, as editors do, and waits as a page
+does: for the first frame that a preview in another process sends once it has said that it took the edit, and for the first one
+that the new program has made. `--inside` measures the work only: a reload and a step in this process. `--edits` says how many."""
 
 from __future__ import annotations
 
 import argparse
+import json
+import os
+import random
 import shutil
 import statistics
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from time import perf_counter, process_time
 
+from previewed import ROOT, joined, previewed, read, until
+
 from antdsl.preview import Session
 
-FORAGING = Path(__file__).resolve().parents[2] / "examples" / "foraging"
+FORAGING = ROOT / "examples" / "foraging"
 EDITS = (
     ("30 mm/s", "36 mm/s"),
     ("when scent > faint ", "when scent > 2 * faint "),
@@ -25,41 +33,85 @@ EDITS = (
 )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--edits", type=int, default=24)
-    parser.add_argument("--scene", default="many.yaml")
-    asked = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder, "foraging")
-        shutil.copytree(FORAGING, place)
-        session, report = Session.open(place / asked.scene)
-        if session is None:
-            sys.exit("\n".join(d.message for d in report.errors))
-        program = place / "forager.ant"
-        text = program.read_text()
-        for _ in range(3):
-            session.step()
-        session.reload()
-        wall, busy = [], []
-        for number in range(asked.edits):
-            old, new = EDITS[number // 2 % len(EDITS)]
-            edited = text.replace(old, new).replace("-> set_out", "-> turn") if new == "state turn" else text.replace(old, new)
-            program.write_text(text if number % 2 else edited)
-            started, used = perf_counter(), process_time()
-            outcome = session.reload()
-            session.step()
-            wall.append(1000 * (perf_counter() - started))
-            busy.append(1000 * (process_time() - used))
-            if not outcome.ok or outcome.line == "nothing has changed":
-                sys.exit(f"the edit to `{new}` was not taken: {[d.message for d in outcome.report.errors]}")
-            session.step()
+def texts(text: str, count: int) -> Iterator[str]:
+    """So many other texts of a program, each an edit of the one before: there and back."""
+    for number in range(count):
+        old, new = EDITS[number // 2 % len(EDITS)]
+        edited = text.replace(old, new).replace("-> set_out", "-> turn") if new == "state turn" else text.replace(old, new)
+        yield text if number % 2 else edited
+
+
+def save(program: Path, text: str) -> float:
+    """Put another text in place at once; when that was."""
+    beside = program.with_suffix(".saved")
+    beside.write_text(text)
+    began = perf_counter()
+    os.replace(beside, program)
+    return began
+
+
+def served(scene: Path, program: Path, count: int) -> None:
+    shown, stepped = [], []
+    with previewed(scene) as address, joined(address) as client:
+        until(client, op="status")
+        client.send(json.dumps({"op": "play"}))
+        while read(client).get("frame", 0) < 30:  # kernels are loaded
+            continue
+        for text in texts(program.read_text(), count):
+            pause = perf_counter() + random.uniform(0.4, 0.8)  # at any time between two looks at the files
+            while perf_counter() < pause:
+                read(client)
+            began = save(program, text)
+            told = until(client, op="outcome", of="saved")
+            if not told["ok"] or told["line"] == "nothing has changed":
+                sys.exit(f"an edit was not taken: {told}")
+            first = until(client, slot="frame")["frame"]
+            shown.append(1000 * (perf_counter() - began))
+            while until(client, slot="frame")["frame"] <= first:
+                continue
+            stepped.append(1000 * (perf_counter() - began))
+    print("| from the save to | edits | median, ms | worst, ms |")
+    print("|---|---|---|---|")
+    for name, times in (("the first frame sent after it", shown), ("the first frame that the new program made", stepped)):
+        print(f"| {name} | {len(times)} | {statistics.median(times):.0f} | {max(times):.0f} |")
+
+
+def inside(scene: Path, program: Path, count: int) -> None:
+    session, report = Session.open(scene)
+    if session is None:
+        sys.exit("\n".join(d.message for d in report.errors))
+    for _ in range(3):
+        session.step()
+    session.reload()
+    wall, busy = [], []
+    for text in texts(program.read_text(), count):
+        program.write_text(text)
+        started, used = perf_counter(), process_time()
+        outcome = session.reload()
+        session.step()
+        wall.append(1000 * (perf_counter() - started))
+        busy.append(1000 * (process_time() - used))
+        if not outcome.ok or outcome.line == "nothing has changed":
+            sys.exit(f"an edit was not taken: {[d.message for d in outcome.report.errors]}")
+        session.step()
     print("| agents | edits | median, ms | worst, ms | of it at work, median, ms |")
     print("|---|---|---|---|---|")
     print(
         f"| {len(session.world):,} | {len(wall)} | {statistics.median(wall):.0f} | {max(wall):.0f} | "
         f"{statistics.median(busy):.0f} |"
     )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--edits", type=int, default=24)
+    parser.add_argument("--scene", default="many.yaml")
+    parser.add_argument("--inside", action="store_true")
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder, "foraging")
+        shutil.copytree(FORAGING, place)
+        (inside if asked.inside else served)(place / asked.scene, place / "forager.ant", asked.edits)
 
 
 if __name__ == "__main__":

@@ -46,10 +46,12 @@ class ItemBodies:
     def packets(self, seen: Seen) -> Packets:
         for kind, items in seen.world.items.items():
             for index, name in enumerate(items.names):
-                shape = shape_of(kind, name)
-                if shape == "none" or (kind, name, index) in self._given:
+                if (kind, name, index) in self._given:
                     continue
                 self._given.add((kind, name, index))
+                shape = shape_of(kind, name)
+                if shape == "none":
+                    continue
                 vertices, faces, colour = placed(shape)
                 slot = f"item:{kind}:{name}"
                 arrays = {

@@ -1,0 +1,147 @@
+"""How much slower a preview simulates for a client that only reads: frames a second without and with one, in turns.
+
+`python tests/benchmarks/preview.py` does so with 15,000 foraging ants, as fast as they go; the client is a process of its own."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import statistics
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter, process_time
+
+from previewed import ROOT, joined, read, until
+
+from antdsl.preview.live import Live
+from antdsl.preview.serving.addresses import listen
+from antdsl.preview.serving.guard import Guard
+from antdsl.preview.serving.pages import pages
+from antdsl.preview.serving.server import Server
+from antdsl.runtime import Options
+
+FORAGING = ROOT / "examples" / "foraging"
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """What was simulated in a stretch of time; `busy` is the processor's time for this process."""
+
+    frames: int
+    seconds: float
+    busy: float
+
+    @property
+    def rate(self) -> float:
+        return self.frames / self.seconds
+
+    @property
+    def work(self) -> float:
+        return 1000 * self.busy / self.frames
+
+
+class Reader:
+    """The client's process: told to come and go."""
+
+    def __init__(self, address: str) -> None:
+        command = [sys.executable, str(Path(__file__)), "--read", address]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
+
+    async def say(self, word: str) -> str:
+        """Have it do something; what it says when that is done."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._process.stdin.write(f"{word}\n")
+        self._process.stdin.flush()
+        return (await asyncio.to_thread(self._process.stdout.readline)).strip()
+
+    def end(self) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait()
+
+
+def be_a_reader(address: str) -> None:
+    """Come at the word `in`, go at the word `out`, and read whatever is sent meanwhile."""
+    import threading
+
+    for word in sys.stdin:
+        if word.strip() != "in":
+            continue
+        client = joined(address)
+        until(client, slot="frame")
+        print("in", flush=True)
+        gone, count = threading.Event(), [0]
+
+        def drain(client: object = client, gone: threading.Event = gone, count: list[int] = count) -> None:
+            while not gone.is_set():
+                count[0] += read(client).get("slot") == "frame"  # type: ignore[arg-type]
+
+        thread = threading.Thread(target=drain)
+        thread.start()
+        sys.stdin.readline()
+        gone.set()
+        thread.join()
+        client.close()
+        print(count[0], flush=True)
+
+
+async def turn(live: Live, seconds: float) -> Turn:
+    await asyncio.sleep(0.3)
+    frame, began, used = live.session.frame, perf_counter(), process_time()
+    await asyncio.sleep(seconds)
+    return Turn(live.session.frame - frame, perf_counter() - began, process_time() - used)
+
+
+async def measured(scene: Path, threads: int, turns: int, seconds: float) -> tuple[list[Turn], list[Turn], list[int]]:
+    live = Live.open(scene, options=Options(threads=threads))
+    listening = listen(None, 0)
+    guard = Guard(listening.names)
+    alone, watched, shown = [], [], []
+    async with Server(live, guard, pages(), listening).running():
+        live.session.playing, live.speed = True, 0.0
+        live.start()
+        reader = Reader(f"{listening.addresses[0]}#{guard.token}")
+        try:
+            first = live.session.frame
+            while live.session.frame < first + 20:  # kernels are loaded
+                await asyncio.sleep(0.1)
+            for _ in range(turns):
+                alone.append(await turn(live, seconds))
+                await reader.say("in")
+                watched.append(await turn(live, seconds))
+                shown.append(int(await reader.say("out")))
+        finally:
+            reader.end()
+            live.stop()
+    return alone, watched, shown
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--turns", type=int, default=8)
+    parser.add_argument("--seconds", type=float, default=3.0)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--scene", type=Path, default=FORAGING / "many.yaml")
+    parser.add_argument("--read", help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    if asked.read:
+        be_a_reader(asked.read)
+        return
+    alone, watched, shown = asyncio.run(measured(asked.scene, asked.threads, asked.turns, asked.seconds))
+    ratios = [b.rate / a.rate for a, b in zip(alone, watched, strict=True)]
+    work = [a.work / b.work for a, b in zip(alone, watched, strict=True)]
+    print(f"{asked.turns} turns of {asked.seconds:g} s each way, {asked.threads} threads; medians, and the least")
+    print("| | frames/s | work for the processor, ms a frame |")
+    print("|---|---|---|")
+    for name, turns in (("nobody looks on", alone), ("a client reads", watched)):
+        print(f"| {name} | {statistics.median(t.rate for t in turns):.1f} | {statistics.median(t.work for t in turns):.1f} |")
+    print(f"| of it | {statistics.median(ratios):.3f} ({min(ratios):.3f}) | {statistics.median(work):.3f} ({min(work):.3f}) |")
+    print(f"frames that the client was sent: {statistics.median(n / asked.seconds for n in shown):.1f} a second")
+
+
+if __name__ == "__main__":
+    main()
