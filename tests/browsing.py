@@ -32,14 +32,14 @@ def found() -> str | None:
 
 
 @contextmanager
-def chromium() -> Iterator[Browser]:
-    """A browser. The test that asks for it is skipped where there is none, or fails where one is required."""
+def chromium(*more: str) -> Iterator[Browser]:
+    """A browser, with `more` flags. The test that asks for it is skipped where there is none, or fails where one is required."""
     path, lacking = found(), missing_packages(DRIVER_LIBRARIES)
     if path is None or lacking:
         no = pytest.fail if os.environ.get(WANTED) == "required" else pytest.skip
         no(f"this machine has no {' '.join(lacking) or 'Chromium'}")
     sync_api = pytest.importorskip("playwright.sync_api")
-    flags = [*_FLAGS, *(["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else [])]
+    flags = [*_FLAGS, *more, *(["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else [])]
     with sync_api.sync_playwright() as driver:
         driver.selectors.set_test_id_attribute("data-test")
         browser = driver.chromium.launch(executable_path=path, args=flags)
