@@ -203,7 +203,11 @@ def test_memory_is_kept_to_and_the_oldest_goes_first(shot: Path) -> None:
     session = opened(shot, every=4, budget=150_000)
     hashes = go(session, 60)
     timeline = session.timeline
-    assert timeline._bytes <= 150_000 + max(sum(a.nbytes for a in c.values()) for c in timeline.stretches[0].checkpoints.values())
+    kept = {
+        id(array): array.nbytes for lights in timeline.light.values() for light in lights.values() for array in light.arrays()
+    }
+    assert timeline.light.nbytes == sum(kept.values())
+    assert timeline.nbytes <= 150_000 + max(sum(a.nbytes for a in c.values()) for c in timeline.stretches[0].checkpoints.values())
     assert session.shown(1) is None
     assert len(timeline.curves) == 61
     session.seek(30)

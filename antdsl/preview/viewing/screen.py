@@ -91,7 +91,13 @@ class Screen:
         client.tell(telling.problems(self.live))
         client.tell(telling.status(self.live, self._rate(), self._hash_now()))
         if self.live.is_open:
-            client.tell(self._curves.all_of_it(self.live.session.timeline))
+            timeline = self.live.session.timeline
+            news = self._curves.news(timeline)
+            for other in self.live.clients:
+                if other is client:
+                    client.tell(self._curves.all_of_it(timeline))
+                elif news is not None:  # from now on all have the same
+                    other.tell(news)
             client.tell(self.live.observer(Specs).message())
             client.tell(self.live.observer(Breakpoints).message())
             sent = self._show(self.live.session, monotonic())
