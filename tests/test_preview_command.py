@@ -229,6 +229,7 @@ def test_the_browser_is_started_with_an_address_that_is_good_once(tmp_path: Path
         (["nowhere.yaml"], 3, "nowhere.yaml"),
         (["scene.yaml", "--port", "65536"], 2, "65535"),
         (["scene.yaml", "--set", "pace"], 2, "NAME=VALUE"),
+        (["scene.yaml", "--set", "walker.pace=3 mm/s"], 1, "no program has a param `walker.pace`"),
     ],
 )
 def test_wrong_use_is_told(words: list[str], code: int, said: str, tmp_path: Path) -> None:

@@ -81,7 +81,19 @@ def _live(scene: Path, choices: Choices, threads: int) -> Live:
     show(live.report, to_stderr=True)
     if verdict(live.report) is Exit.INPUT_OUTPUT:
         raise Stop(Exit.INPUT_OUTPUT)
+    if not live.report.ok and _only_by(choices, live):
+        raise Stop(Exit.FINDINGS)
     return live
+
+
+def _only_by(choices: Choices, live: Live) -> bool:
+    """Whether the files are fine without the values that the command line sets: then there is nothing in them to be mended."""
+    from dataclasses import replace
+
+    if not choices.params:
+        return False
+    shot, report = live.compiler.open(replace(choices, params={}))
+    return shot is not None and report.ok
 
 
 def _serve(live: Live, scene: Path, listening: Listening, *, open_it: bool, others: bool) -> None:
