@@ -107,6 +107,7 @@ def test_a_page_that_asks_is_told_why(live: Live, tmp_path: Path) -> None:
 def test_what_cannot_be_explained_is_said(live: Live, ask: dict[str, Any], message: str) -> None:
     page = Page(live)
     page.ask("step", count=3)
+    page.status(frame=4, playing=False)
     page.ask("explain", **ask)
     told = page.until(lambda: page.last("explained"))
     assert told["message"].startswith(message)

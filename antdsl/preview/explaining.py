@@ -101,7 +101,8 @@ class Explainer:
         if frame == first:
             raise ExplainError(f"frame {frame} is the first: no step led to it", f"ask at frame {frame + 1}, or later")
         if not first < frame <= head:
-            raise ExplainError(f"frame {frame} was not simulated, or is forgotten", f"there is {first + 1} to {head} to explain")
+            kept = f"there is {first + 1} to {head} to explain" if head > first else "no step was simulated so far"
+            raise ExplainError(f"frame {frame} was not simulated, or is forgotten", kept)
         stretch = self.session.timeline.at(frame - 1)
         key = tuple(stretch.changes)
         self._replays = [kept for kept in self._replays if kept[0] in self.session.timeline.stretches]
