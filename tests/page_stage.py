@@ -21,6 +21,17 @@ POLICY = (
     "frame-ancestors 'none'; form-action 'none'"
 )
 
+# Counts what a page has heard: the listener stands before the page's own, in the same turn.
+COUNTING = """
+window.heard = 0;
+window.WebSocket = class extends WebSocket {
+    constructor(...given) {
+        super(...given);
+        this.addEventListener("message", () => window.heard++);
+    }
+};
+"""
+
 
 class Stage:
     """A page that is open. `asks`: what it asked, each a message that a server takes; `wrong`: what the browser complained of."""
@@ -30,10 +41,12 @@ class Stage:
         self.asks: list[dict[str, Any]] = []
         self.wrong: list[str] = []
         self._socket: WebSocketRoute | None = None
+        self._sent = 0
         page.on("pageerror", lambda error: self.wrong.append(str(error)))
         page.on("console", lambda message: self.wrong.append(message.text) if message.type == "error" else None)
         page.route(f"{ADDRESS}**", self._serve)
         page.route_web_socket(f"{ADDRESS.replace('http', 'ws')}ws", self._joined)
+        page.add_init_script(COUNTING)
 
     def _serve(self, route: Route) -> None:
         name = route.request.url.removeprefix(ADDRESS) or "index.html"
@@ -41,7 +54,7 @@ class Stage:
         route.fulfill(body=(PAGE / name).read_bytes(), headers=headers)
 
     def _joined(self, socket: WebSocketRoute) -> None:
-        self._socket = socket
+        self._socket, self._sent = socket, 0
         socket.on_message(self._heard)
 
     def _heard(self, said: str | bytes) -> None:
@@ -53,12 +66,19 @@ class Stage:
         assert self._socket is not None
         for each in told:
             self._socket.send(each if isinstance(each, bytes) else json.dumps(each))
-        self.page.wait_for_timeout(60)
+        self._sent += len(told)
+        self.page.wait_for_function("sent => window.heard >= sent", arg=self._sent)
+        self.drawn()
+
+    def drawn(self) -> None:
+        """Wait until all that came so far is on the page, and what the page asked has come here."""
+        self.page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
     def find(self, name: str) -> Locator:
         return self.page.locator(f'[data-test="{name}"]')
 
     def asked(self, op: str) -> list[dict[str, Any]]:
+        self.drawn()
         return [each for each in self.asks if each["op"] == op]
 
 
