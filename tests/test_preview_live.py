@@ -278,6 +278,9 @@ def test_solids_come_in_pieces_and_are_whole_again_after_going_back(tmp_path: Pa
         for slot, (places, normals, faces) in whole.items():
             assert np.allclose(np.linalg.norm(normals, axis=1), 1, atol=0.01), slot
             assert faces.max() < len(places)
+            a, b, c = (places[faces[:, k]] for k in range(3))
+            out = np.cross(b - a, c - a)
+            assert (np.einsum("nk,nk->n", out, normals[faces[:, 0]]) > 0).mean() > 0.98, "both say which side the air is on"
         page.ask("step", count=120)
         expected = page.hash_at(121)
         page.shown(121)
