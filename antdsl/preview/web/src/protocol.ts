@@ -1,5 +1,5 @@
 // What goes over the wire. Text messages are JSON with an `op`; binary ones are a header and arrays, see `unpack`.
-// The Python side is antdsl/preview/serving/messages.py (what a page may ask) and antdsl/preview/viewing (what it is shown).
+// The Python side is antdsl/preview/asks.py (what a page may ask) and antdsl/preview/viewing (what it is shown).
 // Places are in mm of the world, less its origin; turns are unit vectors; colours are display values 0..1.
 
 export type Triple = [number, number, number];
@@ -326,11 +326,14 @@ export interface Explanation {
 // frame           NAME/id i32[n] NAME/position f32[n,3] NAME/heading i8[n,3] NAME/up i8[n,3] NAME/size f32[n] NAME/speed f32[n]
 //                 NAME/born i32[n] NAME/state/MACHINE u8[n] NAME/column/ATTRIBUTE f32[n];
 //                 item/NAME/position f32[m,3] item/NAME/size f32[m] item/NAME/amount/ATTRIBUTE f32[m];
-//                 feelers f32[k,2,3] feelers/hit u8[k] (of who is followed); rows by id. header: frame, light
-// mesh:NAME       position f32[n,3] face u32[m,3]; header: role `ground`, `obstacle`
-// body:NAME       poses f32[p,n,3] normal f32[n,3] face u32[m,3] tint f32[n]; header: stride. Length 1 along +x, up +y
-// item:KIND:NAME  position f32[n,3] face u32[m,3] colour f32[n,3]: an item's mesh, radius 1, up +y; header: items (name), index
-// field:NAME      position f32[n,3] face u32[m,3] on first showing (fieldmesh:NAME), then field:NAME value u8[n] with header full
+//                 feelers f32[k,2,3] feelers/hit u8[k] (of who is followed); rows by id. header: frame, light.
+//                 A light one has id, position, heading, up, size and state alone. Turns: 127 is 1
+// mesh:NAME       position f32[n,3] face u32[m,3]; header: role `ground`, `obstacle`; moves: comes each frame
+// body:NAME       poses f32[p,n,3] normal f32[n,3] face u32[m,3] tint f32[n]; header: stride. Length 1 along +x, up +y.
+// body:NAME:fine  the same for close-ups
+// item:KIND:NAME  position f32[n,3] face u32[m,3] colour f32[n,3]: an item's mesh, radius 1, up +y; header: items (name), index, shape
+// fieldmesh:NAME  position f32[n,3] face u32[m,3]: before the first `field`, and where ground was dug or has moved
+// field:NAME      value u8[n]: 255 is header full or more
 // flow:NAME       from f32[n,3] way f32[n,3]
 // curve:NAME      point f32[n,3]; header: closed
 // solid:NAME:N    position f32[n,3] normal f32[n,3] face u32[m,3]; an empty one takes a piece away
