@@ -366,3 +366,19 @@ def test_specs_stand_as_the_tests_find_them(scene: Path) -> None:
     stand = {each["name"]: each["frame"] for each in driver.specs.message()["specs"] if each["holds"] is not None}
     assert stand == {name: found[name] for name in ("nobody rests", "they are three", "soon")}
     assert stand["soon"] is not None and stand["they are three"] is None
+
+
+def test_steps_on_end_stop_as_well(scene: Path) -> None:
+    live = Live.open(scene)
+    live.start()
+    try:
+        page = Page(live)
+        page.ask("breaks", breaks=(condition("count(state == rest) > 1").model_dump(),))
+        page.ask("step", count=30)
+        status = page.until(lambda: (found := page.last("status")) and found["paused_by"] and found)
+        assert status["paused_by"].startswith(f"count(state == rest) > 1: true at frame {status['frame']}")
+        assert status["frame"] < 15
+        page.ask("step", count=2)
+        assert page.status(frame=status["frame"] + 2, playing=False)["paused_by"] is None
+    finally:
+        live.stop()
