@@ -1,0 +1,189 @@
+"""What else the page has, in a real browser: stops, states, costs, branches, keys; and pages of others that try to get in."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from typing import TYPE_CHECKING
+
+import pytest
+from browsing import chromium
+from preview_page import copied, opened, previewed
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, WebSocketRoute
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as found:
+        yield found
+
+
+def few(place: Path, count: int = 100) -> Path:
+    """The foraging scene with few ants."""
+    scene = copied("foraging", place) / "scene.yaml"
+    scene.write_text(scene.read_text().replace("count: 500", f"count: {count}"))
+    return scene
+
+
+def test_it_stops_where_an_agent_enters_a_state(browser: Browser, tmp_path: Path) -> None:
+    with previewed(few(tmp_path)) as address, opened(browser, address) as seen:
+        seen.press("side-tab-breaks")
+        seen.find("break-state").select_option(label="approach")
+        seen.find("break-state-form").get_by_role("button").click()
+        seen.find("speed").select_option(index=seen.find("speed").locator("option").count() - 1)
+        seen.press("play")
+        seen.find("fired").wait_for(timeout=30_000)
+        assert re.search(r"forager \d+.* approach", seen.find("fired").text_content() or "")
+        seen.until("a.counts()['forager.main.approach'] > 0")
+        frame = seen.now("frame")
+        seen.page.wait_for_timeout(500)
+        assert seen.now("frame") == frame
+        assert re.search(r"forager \d+", seen.find("why-title").text_content() or ""), "who stopped it is selected and explained"
+
+
+def test_a_state_of_the_graph_selects_its_agents(browser: Browser, tmp_path: Path) -> None:
+    with previewed(few(tmp_path)) as address, opened(browser, address) as seen:
+        seen.press("side-tab-machine")
+        assert (seen.find("count-search").text_content() or "") == "100"
+        seen.find("state-search").focus()
+        seen.find("state-search").press("Enter")
+        seen.page.get_by_text("100 selected", exact=True).first.wait_for(state="attached", timeout=3000)
+
+
+def test_an_edit_at_an_earlier_frame_begins_a_branch(browser: Browser, tmp_path: Path) -> None:
+    scene = few(tmp_path)
+    program = scene.parent / "forager.ant"
+    with previewed(scene) as address, opened(browser, address) as seen:
+        seen.press("play")
+        seen.until("a.frame >= 40", 30)
+        seen.press("play")
+        seen.find("scrub").focus()
+        seen.find("scrub").fill("20")
+        seen.find("scrub").dispatch_event("change")
+        seen.until("a.frame === 20 && a.still")
+        assert not seen.find("edited").is_visible()
+        program.write_text(program.read_text().replace("max_speed 30 mm/s", "max_speed 12 mm/s"))
+        seen.find("edited").wait_for(timeout=5000)
+        assert seen.now("frame") == 20 and seen.find("scrub").get_attribute("max") == "20"
+        assert "branch" in (seen.find("branches").text_content() or "") or (seen.find("branches").text_content() or "").strip()
+        seen.press("restart")
+        seen.find("edited").wait_for(state="hidden", timeout=8000)
+        seen.until("a.frame === 1", 8)
+
+
+def test_costs_are_told_by_phase_and_line(browser: Browser, tmp_path: Path) -> None:
+    with previewed(few(tmp_path)) as address, opened(browser, address) as seen:
+        seen.press("side-tab-profile")
+        seen.find("profile-on").check()
+        seen.press("play")
+        seen.page.get_by_test_id("profile").get_by_text("separate(").first.wait_for(timeout=15_000)
+        words = seen.find("profile").text_content() or ""
+        assert "move" in words and "decide" in words
+
+
+def test_keys_reach_everything(browser: Browser, tmp_path: Path) -> None:
+    with previewed(few(tmp_path)) as address, opened(browser, address) as seen:
+        seen.press("play")
+        seen.until("a.frame > 10", 20)
+        seen.press("play")
+        reached = set()
+        for _ in range(60):
+            seen.page.keyboard.press("Tab")
+            reached.add(
+                seen.page.evaluate(
+                    "() => { const e = document.activeElement;"
+                    " return e.dataset.test || e.closest('[data-test]')?.dataset.test || e.closest('[id]')?.id || e.tagName }"
+                )
+            )
+        assert {"play", "speed", "scrub"} <= reached
+        assert any(name.startswith("side-tab-") for name in reached) and any(name.startswith("file-tab-") for name in reached)
+        frame = seen.now("frame")
+        seen.page.locator("#view canvas, #view [tabindex]").first.focus()
+        seen.page.keyboard.press("Space")
+        seen.until("a.frame > it", 10, frame)
+        seen.page.keyboard.press("Space")
+        seen.page.keyboard.press("n")
+        seen.page.wait_for_function(
+            "() => /forager/.test(document.querySelector('[data-test=why-title]').textContent)", timeout=8000
+        )
+
+
+def test_markup_in_words_of_users_is_shown_as_words(browser: Browser, tmp_path: Path) -> None:
+    scene = few(tmp_path)
+    program = scene.parent / "forager.ant"
+    bad = "<img src=x onerror=window.hacked=1>"
+    text = program.read_text().replace("How far an ant smells food", bad).replace("Looking for anything", bad)
+    program.write_text(text.replace("no crumb is lost or invented", bad))
+    with previewed(scene) as address, opened(browser, address) as seen:
+        seen.press("side-tab-sliders")
+        seen.find("params").get_by_text(bad).first.wait_for(timeout=3000)
+        seen.press("side-tab-machine")
+        seen.find("state-search").hover()
+        seen.press("side-tab-breaks")
+        assert bad in (seen.find("break-spec").text_content() or "")
+        assert seen.page.evaluate("() => window.hacked === undefined && document.querySelectorAll('img').length === 0")
+
+
+def test_a_name_with_markup_is_shown_as_words(browser: Browser, tmp_path: Path) -> None:
+    """The language has no such names; a page does not rely on it."""
+    bad = "<img src=x onerror=window.hacked=1>"
+
+    def other_names(socket: WebSocketRoute) -> None:
+        server = socket.connect_to_server()
+        server.on_message(lambda said: socket.send(said.replace("turn_home", bad) if isinstance(said, str) else said))
+
+    with previewed(few(tmp_path)) as address:
+        page = browser.new_page()
+        page.route_web_socket("**/ws", other_names)
+        page.goto(address)
+        page.wait_for_function("() => window.antdsl && window.antdsl.agents > 0", timeout=40_000)
+        assert bad in (page.locator(".sight-legend").text_content() or "")
+        page.get_by_test_id("side-tab-machine").click()
+        assert bad in (page.get_by_test_id("chart").text_content() or "")
+        assert page.evaluate("() => window.hacked === undefined && document.querySelectorAll('img').length === 0")
+        page.close()
+
+
+def test_a_page_of_somebody_else_gets_nothing(browser: Browser, tmp_path: Path) -> None:
+    handler = partial(SimpleHTTPRequestHandler, directory=tmp_path)
+    (tmp_path / "evil.html").write_text("<!doctype html><title>evil</title>")
+    elsewhere = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    Thread(target=elsewhere.serve_forever, daemon=True).start()
+    try:
+        with previewed(few(tmp_path)) as address:
+            base, token = address.split("#")
+            page = browser.new_page()
+            page.goto(f"http://127.0.0.1:{elsewhere.server_port}/evil.html")
+            fetched = page.evaluate("(u) => fetch(u).then(() => 'read', () => 'refused')", base)
+            tried = """([url, token]) => new Promise((done) => {
+                const socket = new WebSocket(url, ['antdsl.1', 'token.' + token]);
+                socket.onmessage = () => done('told');
+                socket.onclose = () => done('refused');
+            })"""
+            ws = base.replace("http", "ws") + "ws"
+            answers = [fetched, page.evaluate(tried, [ws, token]), page.evaluate(tried, [ws, "guessed"])]
+            page.close()
+        assert answers == ["refused", "refused", "refused"]
+    finally:
+        elsewhere.shutdown()
+
+
+def test_a_page_that_lost_its_preview_says_so_and_comes_back(browser: Browser, tmp_path: Path) -> None:
+    scene = few(tmp_path)
+    with previewed(scene) as address:
+        port = re.search(r":(\d+)/", address)
+        assert port is not None
+        context = browser.new_context()
+        page = context.new_page()
+        page.goto(address)
+        page.wait_for_function("() => window.antdsl && window.antdsl.agents > 0", timeout=40_000)
+    stale = page.locator("#stale")
+    stale.wait_for(timeout=8000)
+    assert "preview" in (stale.text_content() or "")
+    context.close()
