@@ -1,13 +1,10 @@
-"""What else the page has, in a real browser: stops, states, costs, branches, keys; and pages of others that try to get in."""
+"""What else the page has, in a real browser: stops, states, costs, branches, keys, and words with markup."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
 from typing import TYPE_CHECKING
 
 import pytest
@@ -148,30 +145,6 @@ def test_a_name_with_markup_is_shown_as_words(browser: Browser, tmp_path: Path) 
         assert bad in (page.get_by_test_id("chart").text_content() or "")
         assert page.evaluate("() => window.hacked === undefined && document.querySelectorAll('img').length === 0")
         page.close()
-
-
-def test_a_page_of_somebody_else_gets_nothing(browser: Browser, tmp_path: Path) -> None:
-    handler = partial(SimpleHTTPRequestHandler, directory=tmp_path)
-    (tmp_path / "evil.html").write_text("<!doctype html><title>evil</title>")
-    elsewhere = ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    Thread(target=elsewhere.serve_forever, daemon=True).start()
-    try:
-        with previewed(few(tmp_path)) as address:
-            base, token = address.split("#")
-            page = browser.new_page()
-            page.goto(f"http://127.0.0.1:{elsewhere.server_port}/evil.html")
-            fetched = page.evaluate("(u) => fetch(u).then(() => 'read', () => 'refused')", base)
-            tried = """([url, token]) => new Promise((done) => {
-                const socket = new WebSocket(url, ['antdsl.1', 'token.' + token]);
-                socket.onmessage = () => done('told');
-                socket.onclose = () => done('refused');
-            })"""
-            ws = base.replace("http", "ws") + "ws"
-            answers = [fetched, page.evaluate(tried, [ws, token]), page.evaluate(tried, [ws, "guessed"])]
-            page.close()
-        assert answers == ["refused", "refused", "refused"]
-    finally:
-        elsewhere.shutdown()
 
 
 def test_a_page_that_lost_its_preview_says_so_and_comes_back(browser: Browser, tmp_path: Path) -> None:
