@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.manifest import FeelersEntry
-from antdsl.program.model import Attribute, Const, Expr, Local, Op, ParamRef, Program, SetOf
+from antdsl.program.model import Attribute, Const, Expr, Local, Op, ParamRef, Program, SetOf, Species
 
 _OPS: dict[str, Callable[..., float]] = {
     "add": lambda a, b: a + b,
@@ -29,13 +29,18 @@ _PROGRAM = Program.__module__.rsplit(".", 1)[0] + "."  # the room whose values a
 def feelers_of(program: Program, species: str, params: Mapping[str, Any], unit_mm: float, dt: float) -> tuple[FeelersEntry, ...]:
     """All feelers of a species' layers and states. Those whose numbers change from step to step are left out."""
     found = []
-    for part in _parts(program.species[species]):
-        if isinstance(part, SetOf) and part.source == "feelers":
-            count, spread, reach = (_value(a, 0.0, params, unit_mm, dt) for a in part.args)
-            longer = _value(part.args[2], 1.0, params, unit_mm, dt)
-            if count is not None and spread is not None and reach is not None and longer is not None:
-                found.append(FeelersEntry(count=int(count), spread=spread, reach=reach / unit_mm, per_length=longer - reach))
+    for part in _felt(program.species[species]):
+        count, spread, reach = (_value(a, 0.0, params, unit_mm, dt) for a in part.args)
+        longer = _value(part.args[2], 1.0, params, unit_mm, dt)
+        if count is not None and spread is not None and reach is not None and longer is not None:
+            found.append(FeelersEntry(count=int(count), spread=spread, reach=reach / unit_mm, per_length=longer - reach))
     return tuple(dict.fromkeys(found))
+
+
+@lru_cache(maxsize=16)  # asked for each frame while an agent is followed
+def _felt(species: Species) -> tuple[SetOf, ...]:
+    """Where feelers are asked for."""
+    return tuple(part for part in _parts(species) if isinstance(part, SetOf) and part.source == "feelers")
 
 
 def _parts(value: object) -> Iterator[object]:
