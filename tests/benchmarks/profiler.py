@@ -1,0 +1,55 @@
+"""What it costs to measure steps, and how much of their time is told of lines and layers.
+
+`python tests/benchmarks/profiler.py` steps through 15,000 foraging ants twice in turns, once measured, and compares the bits."""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+from pathlib import Path
+from time import process_time
+
+from antdsl.pipeline import open_scene
+from antdsl.runtime import Options, bind, state_hash, step
+from antdsl.runtime.profiling import Meter
+
+FORAGING = Path(__file__).resolve().parents[2] / "examples" / "foraging"
+BLOCKS = ("decide", "act", "blend", "births")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--steps", type=int, default=60)
+    parser.add_argument("--scene", type=Path, default=FORAGING / "many.yaml")
+    asked = parser.parse_args()
+    shot, report = open_scene(asked.scene)
+    if shot is None:
+        sys.exit("\n".join(d.message for d in report.errors))
+    print("| threads | a step, ms of work | measured | of it | lines, of their phases | layers, of `blend` |")
+    print("|---|---|---|---|---|---|")
+    for threads in (1, 2):
+        plain, watched = (bind(shot.plan, shot.setting, Options(threads=threads)) for _ in range(2))
+        meter, alone, measured = Meter(None), [], []
+        for number in range(asked.steps + 8):
+            began = process_time()
+            step(plain)
+            turn = process_time()
+            if number >= 8:  # kernels are loaded
+                meter.begin(watched)
+            step(watched)
+            meter.end(watched)
+            if number >= 8:
+                alone.append(1000 * (turn - began))
+                measured.append(1000 * (process_time() - turn))
+        if state_hash(plain) != state_hash(watched):
+            sys.exit("a run that was measured is another one")
+        found = meter.profile()
+        lines = sum(line.ms for line in found.lines) / sum(found.phases[name] for name in BLOCKS)
+        layers = sum(layer.ms for layer in found.layers) / found.phases["blend"]
+        one, other = statistics.median(alone), statistics.median(measured)
+        print(f"| {threads} | {one:.1f} | {other:.1f} | {other / one:.3f} | {lines:.2f} | {layers:.2f} |")
+
+
+if __name__ == "__main__":
+    main()
