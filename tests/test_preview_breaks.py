@@ -382,3 +382,17 @@ def test_steps_on_end_stop_as_well(scene: Path) -> None:
         assert page.status(frame=status["frame"] + 2, playing=False)["paused_by"] is None
     finally:
         live.stop()
+
+
+@pytest.mark.parametrize("on_fault", ["stop", "quarantine"])
+def test_behind_a_fault_it_is_explained_as_it_went_on(scene: Path, on_fault: Any) -> None:
+    """A session that stops at faults goes on when it is asked to, and nobody is set aside in it."""
+    edit(scene, "load += 1", "load += 1 / (load * 0)")
+    driver = Driver(scene, every=50, options=Options(on_fault=on_fault))
+    driver.play(30)
+    assert driver.session.world.faults.count > 0
+    told = Explainer(driver.session).message("walker", 1, driver.session.frame)
+    if on_fault == "stop":
+        assert (told["message"], told["explanation"]["hash"]) == ("", driver.session.hash)
+    else:
+        assert told["message"].startswith("walker 1 was set aside after a fault")
