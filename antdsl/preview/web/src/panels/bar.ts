@@ -15,6 +15,7 @@ const SPEEDS: [number, string][] = [
   [4, "4 ×"],
   [0, "fastest"],
 ];
+const IDLE = "Edit the files in your own editor: each save goes on from this frame.";
 const REFUSED = 12_000; // ms that it stands there why something was refused
 
 export function bar(store: Store, place: HTMLElement): void {
@@ -77,11 +78,12 @@ function outcome(store: Store): HTMLElement {
   let timer = 0;
   const tell = (words: string, kind: string, lasts = true) => {
     clearTimeout(timer);
-    if (!lasts) timer = window.setTimeout(() => tell("", ""), REFUSED);
+    if (!lasts) timer = window.setTimeout(() => tell(IDLE, ""), REFUSED);
     line.className = `outcome ${kind}`;
     line.title = words;
     say(line, words);
   };
+  tell(IDLE, "");
   store.connection.on("outcome", (message) => {
     const first = message.problems[0];
     if (!message.ok && message.of === "saved") goToFirst(store, message.problems);

@@ -19,9 +19,9 @@ export interface Shown {
 export type Panel = (store: Store, place: HTMLElement, shown: Shown) => void;
 
 const PANELS: [id: string, label: string, title: string, panel: Panel][] = [
-  ["why", "Why", "why the selected ant did what it did", why],
+  ["why", "Why", "why the selected agent did what it did", why],
   ["sliders", "Sliders", "numbers of the program, layers and fields", sliders],
-  ["view", "View", "what is shown of the ants, and how", look],
+  ["view", "View", "what is shown of the agents, and how", look],
   ["machine", "States", "the states, and who goes from one to the other", machine],
   ["profile", "Cost", "where the time goes", profile],
   ["breaks", "Stops", "what to stop at", breaks],

@@ -33,11 +33,11 @@ export class Tabs {
       button.remove();
       this.buttons.delete(id);
     }
-    for (const tab of tabs) {
+    for (const [number, tab] of tabs.entries()) {
       const button = this.buttons.get(tab.id) ?? this.made(tab.id);
       button.firstChild ? (button.firstChild.textContent = tab.label) : button.append(tab.label);
       if (tab.title) button.title = tab.title;
-      this.list.append(button);
+      if (this.list.children[number] !== button) this.list.insertBefore(button, this.list.children[number] ?? null);
     }
     if (!this.buttons.has(this.shown) && tabs[0]) this.choose(tabs[0].id);
   }

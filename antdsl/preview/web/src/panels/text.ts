@@ -18,8 +18,7 @@ export function text(store: Store, place: HTMLElement): void {
   });
   const list = el("ul", { class: "problems", test: "problems", "aria-label": "Complaints" });
   const rows = keyed<Problem>(list, problemKey, () => problemRow(store));
-  const note = el("p", { class: "note", text: "To be edited in your own editor: a save goes on from here." });
-  place.append(tabs.list, host, list, note);
+  place.append(tabs.list, host, list);
 
   store.on("texts", () => {
     const texts = store.now.texts?.texts ?? [];

@@ -26,7 +26,7 @@ export const breaks: Panel = (store, place, shown) => {
   const add = (made: Break) => {
     if (!all.some((each) => JSON.stringify(each) === JSON.stringify(made))) change([...all, made]);
   };
-  place.append(fired, list, none, stateForm(store, add), conditionForm(add), specForm(store, add), faultForm(add), specs(store));
+  place.append(fired, list, none, stateForm(store, add), conditionForm(store, add), specForm(store, add), faultForm(add), specs(store));
   store.on("status", () => {
     const words = store.now.status?.paused_by ?? "";
     fired.hidden = !words;
@@ -117,8 +117,12 @@ function stateForm(store: Store, add: (made: Break) => void): HTMLElement {
   return made;
 }
 
-function conditionForm(add: (made: Break) => void): HTMLElement {
-  const field = el("input", { type: "text", maxlength: 2000, spellcheck: "false", placeholder: "count(state == carry) > 10", "aria-label": "Condition, as in a spec", test: "break-condition" });
+function conditionForm(store: Store, add: (made: Break) => void): HTMLElement {
+  const field = el("input", { type: "text", maxlength: 2000, spellcheck: "false", "aria-label": "Condition, as in a spec", test: "break-condition" });
+  store.on("scene", () => {
+    const state = store.now.scene?.species[0]?.machines[0]?.states.at(-1);
+    field.placeholder = state ? `count(state == ${state}) > 10` : "";
+  });
   return form("A condition becomes true", "break-condition-form", () => field.value.trim() && add({ kind: "condition", text: field.value.trim() }), field);
 }
 

@@ -1,4 +1,4 @@
-// What the view shows: colours, fields, flows, marks about the selected ant, the camera. Asks the server for what that needs.
+// What the view shows: colours, fields, flows, marks about the selected agent, the camera. Asks the server for what that needs.
 
 import type { Ask } from "../../protocol";
 import type { Shared, Store } from "../../store";
@@ -8,14 +8,14 @@ import type { Panel } from "../side";
 type Toggle = "trails" | "feelers" | "neighbours" | "curvesShown";
 const TOGGLES: [Toggle, string][] = [
   ["trails", "trails"],
-  ["feelers", "feelers of the selected ant, and what they hit"],
+  ["feelers", "feelers of the selected agent, and what they hit"],
   ["neighbours", "neighbours that it looked at"],
   ["curvesShown", "curves of the scene"],
 ];
 const CAMERAS: [Shared["camera"], string, string][] = [
   ["orbit", "free", "turn about with the pointer"],
-  ["follow", "follow", "stay with the selected ant"],
-  ["ride", "ride", "sit on the selected ant"],
+  ["follow", "follow", "stay with the selected agent"],
+  ["ride", "ride", "sit on the selected agent"],
 ];
 
 export const look: Panel = (store, place) => {

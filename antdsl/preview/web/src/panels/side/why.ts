@@ -10,7 +10,7 @@ import { layers } from "../why/layers";
 import { strips } from "../why/strip";
 
 export const why: Panel = (store, place) => {
-  const hint = el("p", { class: "note", test: "why-hint", text: "Click an ant, and what it looked at, wished and drew in its last step stands here. Tab into the view and press n for the next ant." });
+  const hint = el("p", { class: "note", test: "why-hint", text: "Click an agent, and what it looked at, wished and drew in its last step stands here. Without a pointer: tab into the view and press n for the next one." });
   const title = el("h2", { test: "why-title", "aria-live": "polite" });
   const copy = button("Copy as text", () => void navigator.clipboard?.writeText(store.now.explained?.told ?? ""), { class: "small" });
   const again = button("Explain", () => ask(store), { class: "small", title: "explain the step to the frame one is at now", test: "explain" });
@@ -48,10 +48,12 @@ export const why: Panel = (store, place) => {
 
 function fill(store: Store, body: HTMLElement, explained: Explained): void {
   const { explanation } = explained;
+  const focused = body.contains(document.activeElement) ? document.activeElement?.getAttribute("aria-label") : null;
   const top = body.parentElement?.scrollTop ?? 0;
   const open = new Set([...body.querySelectorAll("details[open]")].map((each) => (each as HTMLElement).dataset.name));
   body.replaceChildren(...(explanation ? [...strips(store, explanation), ...decided(store, explanation), layers(store, explanation), ...around(store, explanation)] : []));
   for (const details of body.querySelectorAll("details")) if (open.has(details.dataset.name)) details.open = true;
+  if (focused) [...body.querySelectorAll("button")].find((each) => each.getAttribute("aria-label") === focused)?.focus();
   if (body.parentElement) body.parentElement.scrollTop = top;
 }
 

@@ -11,6 +11,7 @@ const BAND = 5;
 
 export class Chart {
   hover: number | null = null;
+  readonly stops = new Map<number, string>(); // the frames that a breakpoint stopped at, and why
   drawn: () => void = () => {};
   private readonly context: CanvasRenderingContext2D;
   private width = 0;
@@ -44,6 +45,7 @@ export class Chart {
     specs.forEach((spec, k) => this.band(spec, below + 3 + k * (BAND + 2)));
     const words = getComputedStyle(this.canvas).getPropertyValue("color");
     this.upright(status.frame, words, 1);
+    for (const frame of this.stops.keys()) this.stop(frame);
     if (this.hover !== null) this.upright(this.hover, words, 0.4);
     this.drawn();
   }
@@ -74,6 +76,19 @@ export class Chart {
     pen.lineTo(x, this.height);
     pen.stroke();
     pen.globalAlpha = 1;
+  }
+
+  private stop(frame: number): void {
+    const { first, head } = this.store.now.status as { first: number; head: number };
+    if (frame < first || frame > head) return;
+    const x = this.x(frame);
+    const pen = this.context;
+    pen.fillStyle = dark() ? "#ff8278" : "#b3261e";
+    pen.beginPath();
+    pen.moveTo(x - 4, 0);
+    pen.lineTo(x + 4, 0);
+    pen.lineTo(x, 7);
+    pen.fill();
   }
 
   private lines(below: number): void {

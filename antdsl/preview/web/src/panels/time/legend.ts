@@ -14,7 +14,7 @@ export function legend(store: Store, data: CurveData, chart: Chart): HTMLElement
   const rows = keyed<[Named, number | null]>(list, ([each]) => each.name, row);
   const show = painted(() => {
     const frame = chart.hover ?? store.now.status?.frame ?? 0;
-    say(where, chart.hover === null ? "now" : `at frame ${frame}`);
+    say(where, [chart.hover === null ? "now" : `at frame ${frame}`, chart.stops.get(frame)].filter(Boolean).join(": "));
     rows(chosen.shown.map((each) => [each, data.valueAt(each.name, frame)]));
     const last = data.branches[data.branches.length - 1];
     say(branch, last ? `╌╌ before ${last.line || "the edit"} at frame ${last.first}` : "");
