@@ -4,6 +4,7 @@ run is what it is without them."""
 from __future__ import annotations
 
 import contextlib
+import json
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -505,3 +506,33 @@ def test_a_field_goes_with_ground_that_moves(live: Live, scene: Path) -> None:
     for name in ("ground", "boulder"):
         mesh = unpack(page.packets[f"mesh:{name}"])[1]["position"].reshape(-1, 3)
         assert all(np.linalg.norm(field - vertex, axis=1).min() < 0.01 for vertex in mesh[::97]), name
+
+
+@pytest.mark.parametrize(
+    "example", ["thesis/base.yaml", "tunnel/led.yaml", "minimal/scene.yaml", "alarm/scene.yaml", "flow/scene.yaml"]
+)
+def test_all_that_a_scene_has_is_told_and_shown(example: str) -> None:
+    live = Live.open(EXAMPLES / example, watch=False)
+    live.start()
+    try:
+        page = Page(live)
+        page.until(lambda: page.last("curves"))
+        scene, first = page.last("scene"), page.last("status")["first"]
+        columns = [{"species": each["name"], "name": a["name"]} for each in scene["species"] for a in each["attributes"]]
+        fields = [field["name"] for field in scene["fields"]]
+        follow = {"species": scene["species"][0]["name"], "agent": 1}
+        page.ask("look", columns=columns, fields=fields, flows=scene["flows"], follow=follow)
+        page.ask("step", count=3)
+        arrays = page.shown(first + 3)
+        page.hash_at(first + 3)
+        json.dumps(page.told, allow_nan=False)
+        assert not [message for message in page.told if message["op"] == "refused"]
+        for each in columns:
+            assert np.isfinite(arrays[f"{each['species']}/column/{each['name']}"]).all() or each["name"] == "max_turn"
+        wanted = {f"field:{name}" for name in fields} | {f"flow:{name}" for name in scene["flows"]}
+        wanted |= {f"curve:{name}" for name in scene["curves"]} | {f"body:{each['body']}" for each in scene["species"]}
+        page.until(lambda: wanted <= page.packets.keys())
+        for param in scene["params"]:
+            assert param["low"] is None or param["low"] <= param["number"] <= param["high"], param
+    finally:
+        live.stop()

@@ -88,12 +88,15 @@ def _param(session: Session, names: Names, name: str, param: Param) -> dict[str,
     unit_mm, dt = world.setting.unit_mm, world.dt
     given = scene.model.set.get(name)
     written = given.text if given is not None else param.default.span.text if param.default.span is not None else ""
-    value = session.choices.params.get(name, written)
+    chosen = session.choices.params.get(name)
+    value = written if chosen is None else chosen
+    quantity = given if chosen is None else parse_quantity(chosen)
+    number = base(param.default, unit_mm, dt) if quantity is None else quantity.base(unit_mm, dt)
     one = worth(param.unit, unit_mm, dt)
-    low, high = (base(each, unit_mm, dt) for each in (param.low, param.high))
+    low, high = (None if each is None else base(each, unit_mm, dt) / one for each in (param.low, param.high))
     return {
-        "name": name, "value": value, "number": parse_quantity(value).base(unit_mm, dt) / one, "unit": param.unit,
-        "low": None if low is None else low / one, "high": None if high is None else high / one, "help": param.help,
+        "name": name, "value": value, "number": number / one, "unit": param.unit,
+        "low": low, "high": high, "help": param.help,
         "file": names.of(param.span.source.path), "line": param.span.source.line_column(param.span.start)[0],
         "written": written,
     }  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from antdsl.program.model import AttributeDecl, Const, ItemAttribute, Kind, Param
+from antdsl.program.model import AttributeDecl, Const, ItemAttribute, Kind
 from antdsl.program.units import measure, unit_of
 from antdsl.runtime import World
 from antdsl.scene.quantities import BadQuantity, parse_quantity
@@ -26,17 +26,12 @@ def worth(unit: str, unit_mm: float, dt: float) -> float:
     return 1.0 if known is None else known.factor * unit_mm**known.u * dt**known.step
 
 
-def base(value: Const | None, unit_mm: float, dt: float) -> float | None:
+def base(value: Const, unit_mm: float, dt: float) -> float:
     """A constant of the program in base units."""
-    return None if value is None else float(value.number * unit_mm**value.u * dt**value.step)
+    return float(value.number * unit_mm**value.u * dt**value.step)
 
 
 def colourable(world: World, species: str, attributes: tuple[AttributeDecl, ...]) -> list[AttributeDecl]:
     """Those of a species' attributes that are a number of each agent."""
     registers = world.plan.species[species].registers
     return [each for each in attributes if each.type.kind in (Kind.NUMBER, Kind.BOOL) and each.name in registers]
-
-
-def shown_param(param: Param, value: float, unit_mm: float, dt: float) -> float:
-    """A param's value in its own unit."""
-    return value / worth(param.unit, unit_mm, dt)
