@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from pathlib import Path
 from threading import Condition
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.pipeline import open_scene, simulate
 from antdsl.preview import Live
 from antdsl.preview.asks import ASK
 from antdsl.preview.packing import unpack
+from antdsl.runtime import state_hash
 
 Message = dict[str, Any]
+EXAMPLES = Path(__file__).parents[1] / "examples"
 PATIENCE = 20.0  # seconds
 
 
@@ -90,3 +94,15 @@ class Page:
 
 def places(arrays: dict[str, NDArray[Any]], species: str) -> NDArray[np.float32]:
     return arrays[f"{species}/position"].reshape(-1, 3)
+
+
+def hashes(scene: Path, last: int) -> dict[int, str]:
+    """The hash of each frame of a run of the files as they are."""
+    shot, report = open_scene(scene)
+    assert shot is not None, [d.message for d in report.errors]
+    found = {}
+    for world in simulate(shot):
+        found[world.frame] = state_hash(world)
+        if world.frame == last:
+            break
+    return found

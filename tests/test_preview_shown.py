@@ -1,0 +1,269 @@
+"""What pages are shown of a session: agents, items, fields, solids, curves, what moves, and frames that are remembered."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_client import EXAMPLES, Page, hashes, places
+
+from antdsl.preview import Live, Session
+from antdsl.preview.packing import unpack
+from antdsl.preview.viewing.feelers import felt
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A copy of the foraging ants, forty of them."""
+    folder = tmp_path / "foraging"
+    shutil.copytree(EXAMPLES / "foraging", folder)
+    scene = folder / "scene.yaml"
+    scene.write_text(scene.read_text().replace("count: 500", "count: 40"))
+    return scene
+
+
+@pytest.fixture
+def live(scene: Path) -> Iterator[Live]:
+    live = Live.open(scene)
+    live.start()
+    yield live
+    live.stop()
+
+
+def test_a_frame_shows_what_the_session_holds(live: Live, scene: Path) -> None:
+    page = Page(live)
+    page.ask("look", columns=({"species": "forager", "name": "max_speed"},), fields=("trail",), follow=None)
+    page.ask("step", count=20)
+    arrays = page.shown(21)
+    session, _ = Session.open(scene)
+    assert session is not None
+    for _ in range(20):
+        session.step()
+    ants = session.world.populations["forager"]
+    assert list(arrays["forager/id"]) == sorted(ants.ids)
+    rows = ants.in_id_order()
+    assert np.array_equal(places(arrays, "forager"), ants.position[rows].astype(np.float32))
+    assert np.allclose(arrays["forager/heading"].reshape(-1, 3) / 127, ants.vector("heading")[rows], atol=0.004)
+    assert np.array_equal(arrays["forager/state/main"], ants.now["main.state"][rows])
+    assert np.allclose(arrays["forager/speed"], np.linalg.norm(ants.vector("velocity"), axis=1)[rows], rtol=1e-5)
+    assert np.array_equal(arrays["forager/column/max_speed"], ants.now["max_speed"][rows])
+    assert np.allclose(arrays["item/food/amount/load"], session.world.items["food"].amounts["load"])
+    assert {"fieldmesh:trail", "field:trail"} <= page.packets.keys()
+
+
+def test_a_light_frame_shows_turned_bodies_and_simulates_nothing(live: Live) -> None:
+    page = Page(live)
+    page.ask("step", count=9)
+    exact = page.shown(10)
+    page.ask("step", count=5)
+    page.shown(15)
+    page.ask("seek", frame=10, exact=False)
+    light = page.shown(10, light=True)
+    assert page.status(frame=10, light=True)["hash"] is None
+    for name, array in light.items():
+        assert np.array_equal(array, exact[name]), name
+    assert {"forager/heading", "forager/up", "forager/size", "forager/state/main"} <= light.keys()
+    page.ask("step")
+    page.shown(11)
+    assert page.status(frame=11, light=False)["head"] == 15
+
+
+def test_solids_come_in_pieces_and_are_whole_again_after_going_back(tmp_path: Path) -> None:
+    folder = tmp_path / "tunnel"
+    shutil.copytree(EXAMPLES / "tunnel", folder)
+    live = Live.open(folder / "scene.yaml")
+    live.start()
+    try:
+        page = Page(live)
+        page.ask("look", columns=(), fields=("dug",), flows=(), solids=True, follow=None)
+        page.shown(1)
+        whole = pieces(page)
+        assert whole and all(len(faces) for _, _, faces in whole.values())
+        for slot, (places, normals, faces) in whole.items():
+            assert np.allclose(np.linalg.norm(normals, axis=1), 1, atol=0.01), slot
+            assert faces.max() < len(places)
+            a, b, c = (places[faces[:, k]] for k in range(3))
+            out = np.cross(b - a, c - a)
+            assert (np.einsum("nk,nk->n", out, normals[faces[:, 0]]) > 0).mean() > 0.98, "both say which side the air is on"
+        page.ask("step", count=120)
+        expected = page.hash_at(121)
+        page.shown(121)
+        dug = page.until(lambda: changed(whole, pieces(page)))
+        assert dug < set(pieces(page)) | set(whole), "most of the hill is as it was, and not sent again"
+        page.ask("seek", frame=1, exact=True)
+        page.shown(1)
+        page.until(lambda: not changed(whole, pieces(page)))
+        page.ask("seek", frame=121, exact=True)
+        assert page.hash_at(121) == expected
+        assert expected == hashes(folder / "scene.yaml", 121)[121]
+    finally:
+        live.stop()
+
+
+Shape = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def pieces(page: Page) -> dict[str, Shape]:
+    """The pieces of solids that a page has, with places, normals and faces."""
+    found = {}
+    for slot, packet in dict(page.packets).items():
+        if slot.startswith("solid:"):
+            _, arrays = unpack(packet)
+            found[slot] = tuple(arrays[name].reshape(-1, 3) for name in ("position", "normal", "face"))
+    return found  # type: ignore[return-value]
+
+
+def changed(before: dict[str, Shape], now: dict[str, Shape]) -> set[str]:
+    """Which pieces look other than before."""
+    nothing = (np.empty((0, 3)),) * 3
+    return {
+        slot
+        for slot in before.keys() | now.keys()
+        if not all(np.array_equal(a, b) for a, b in zip(before.get(slot, nothing), now.get(slot, nothing), strict=True))
+    }
+
+
+def test_a_field_is_shown_on_its_ground(live: Live) -> None:
+    page = Page(live)
+    page.ask("look", columns=(), fields=("trail",), flows=(), solids=True, follow=None)
+    page.ask("step", count=60)
+    page.status(frame=61)
+    page.until(lambda: unpack(page.packets["field:trail"])[0]["frame"] == 61)
+    _, mesh = unpack(page.packets["fieldmesh:trail"])
+    header, shown = unpack(page.packets["field:trail"])
+    world = live.session.world  # it stands still
+    cells, values = world.fields["trail"].cells.position, world.fields["trail"].values
+    places = mesh["position"].reshape(-1, 3)
+    assert len(shown["value"]) == len(places) and mesh["face"].max() < len(places)
+    strong = cells[values > header["full"] / 2]
+    weak = cells[values == 0]
+    level = shown["value"] / 255 * header["full"]
+    near_strong = level[[np.linalg.norm(places - place, axis=1).argmin() for place in strong[:20]]]
+    near_weak = level[[np.linalg.norm(places - place, axis=1).argmin() for place in weak[:: len(weak) // 50]]]
+    assert near_strong.mean() > header["full"] / 4 and np.median(near_weak) == 0
+
+
+def test_curves_grow_and_a_branch_is_kept_beside(live: Live, scene: Path) -> None:
+    page = Page(live)
+    page.ask("step", count=30)
+    page.status(frame=31)
+    assert joined_curves(page)[0] == list(range(1, 32))
+    page.ask("seek", frame=10, exact=True)
+    page.status(frame=10)
+    assert page.done("set", name="forager.smell", value="90 mm")["ok"]
+    page.ask("step", count=3)
+    page.status(frame=13)
+    page.until(lambda: joined_curves(page)[0] == list(range(1, 14)))
+    _, values, branches = joined_curves(page)
+    assert [branch["first"] for branch in branches] == [10] and branches[0]["frames"] == list(range(11, 32))
+    assert values["forager"] == [40] * 13
+    later = Page(live)
+    page.ask("step", count=2)
+    later.until(lambda: joined_curves(later)[0] == list(range(1, 16)))
+    page.until(lambda: joined_curves(page) == joined_curves(later))
+
+
+def joined_curves(page: Page) -> tuple[list[int], dict[str, list[float]], list[dict[str, object]]]:
+    """What a page makes of all it was told about curves."""
+    if page.last("curves") is None:
+        return [], {}, []
+    rows: dict[int, dict[str, float]] = {}
+    branches: list[dict[str, object]] = []
+    for message in [message for message in page.told if message["op"] == "curves"]:
+        if message["reset"]:
+            first = message["frames"][0] if message["frames"] else -1
+            rows = {frame: row for frame, row in rows.items() if frame < first}
+        for number, frame in enumerate(message["frames"]):
+            rows[frame] = {name: values[number] for name, values in message["values"].items()}
+        branches = branches if message["branches"] is None else message["branches"]
+    frames = sorted(rows)
+    return frames, {name: [rows[frame].get(name) for frame in frames] for name in rows[frames[0]]}, branches
+
+
+def test_what_moves_is_shown_where_it_is(live: Live, scene: Path) -> None:
+    scene.write_text(scene.read_text().replace(
+        "stones:  {mesh: stones.ply}",
+        "stones:  {mesh: stones.ply, keys: {1: {at: [0, 0, 0]}, 11: {at: [50, 0, 0]}}}",
+    ))  # fmt: skip
+    page = Page(live)
+    page.until(lambda: "mesh:stones" in page.packets and unpack(page.packets["mesh:stones"])[0]["moves"])
+    before = unpack(page.packets["mesh:stones"])[1]["position"].reshape(-1, 3)
+    ground = page.packets["mesh:ground"]
+    page.ask("step", count=4)
+    page.shown(5)
+    page.until(
+        lambda: np.allclose(unpack(page.packets["mesh:stones"])[1]["position"].reshape(-1, 3) - before, (20, 0, 0), atol=0.01)
+    )
+    assert page.packets["mesh:ground"] is ground, "what stands still is not sent again"
+
+
+def test_feelers_of_who_is_followed_end_where_they_hit(live: Live) -> None:
+    page = Page(live)
+    page.ask("look", columns=[], fields=[], flows=[], follow={"species": "forager", "agent": 3})
+    page.ask("step", count=3)
+    arrays = page.shown(4)
+    lines, hit = arrays["feelers"].reshape(-1, 2, 3), arrays["feelers/hit"]
+    row = list(arrays["forager/id"]).index(3)
+    assert len(lines) == 3 and np.allclose(lines[:, 0], places(arrays, "forager")[row], atol=1e-3)
+    reach = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)
+    assert np.allclose(reach[hit == 0], 1.5 * arrays["forager/size"][row], rtol=1e-3)
+    # one that faces a wall a body ahead: the same agent, put before the stones, is asked for directly
+    population = live.session.world.populations["forager"]  # it stands still
+    stones = live.session.world.setting.obstacles["stones"].vertices - live.session.world.origin
+    at = int(population.rows_of(np.array([3]))[0])
+    population.position[at] = stones[0] - 2.0 * population.vector("heading")[at]
+    found = felt(live.session.world, live.session.shot.program, "forager", 3)
+    assert found["feelers/hit"].any()
+    met = np.linalg.norm(np.diff(found["feelers"].reshape(-1, 2, 3), axis=1)[:, 0], axis=1)
+    assert (met[found["feelers/hit"] == 1] < 1.5 * arrays["forager/size"][row]).all()
+
+
+def test_a_field_goes_with_ground_that_moves(live: Live, scene: Path) -> None:
+    scene.write_text(scene.read_text().replace(
+        "boulder: {mesh: boulder.ply}",
+        "boulder: {mesh: boulder.ply, keys: {1: {at: [0, 0, 0]}, 11: {at: [0, 50, 0], rotate: [0, 90, 0]}}}",
+    ))  # fmt: skip
+    page = Page(live)
+    page.ask("look", columns=[], fields=["trail"], flows=[], follow=None)
+    page.until(lambda: "mesh:boulder" in page.packets and unpack(page.packets["mesh:boulder"])[0]["moves"])
+    page.ask("step", count=10)
+    page.shown(11)
+    page.until(lambda: unpack(page.packets["field:trail"])[0]["frame"] == 11)
+    field = unpack(page.packets["fieldmesh:trail"])[1]["position"].reshape(-1, 3)
+    for name in ("ground", "boulder"):
+        mesh = unpack(page.packets[f"mesh:{name}"])[1]["position"].reshape(-1, 3)
+        assert all(np.linalg.norm(field - vertex, axis=1).min() < 0.01 for vertex in mesh[::97]), name
+
+
+@pytest.mark.parametrize(
+    "example", ["thesis/base.yaml", "tunnel/led.yaml", "minimal/scene.yaml", "alarm/scene.yaml", "flow/scene.yaml"]
+)
+def test_all_that_a_scene_has_is_told_and_shown(example: str) -> None:
+    live = Live.open(EXAMPLES / example, watch=False)
+    live.start()
+    try:
+        page = Page(live)
+        page.until(lambda: page.last("curves"))
+        scene, first = page.last("scene"), page.last("status")["first"]
+        columns = [{"species": each["name"], "name": a["name"]} for each in scene["species"] for a in each["attributes"]]
+        fields = [field["name"] for field in scene["fields"]]
+        follow = {"species": scene["species"][0]["name"], "agent": 1}
+        page.ask("look", columns=columns, fields=fields, flows=scene["flows"], follow=follow)
+        page.ask("step", count=3)
+        arrays = page.shown(first + 3)
+        page.hash_at(first + 3)
+        json.dumps(page.told, allow_nan=False)
+        assert not [message for message in page.told if message["op"] == "refused"]
+        for each in columns:
+            assert np.isfinite(arrays[f"{each['species']}/column/{each['name']}"]).all() or each["name"] == "max_turn"
+        wanted = {f"field:{name}" for name in fields} | {f"flow:{name}" for name in scene["flows"]}
+        wanted |= {f"curve:{name}" for name in scene["curves"]} | {f"body:{each['body']}" for each in scene["species"]}
+        page.until(lambda: wanted <= page.packets.keys())
+        for param in scene["params"]:
+            assert param["low"] is None or param["low"] <= param["number"] <= param["high"], param
+    finally:
+        live.stop()
