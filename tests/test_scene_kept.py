@@ -50,3 +50,17 @@ def test_a_scene_that_is_staged_again_is_given_the_same_meshes_and_another_scene
     assert wider is not None, [d.message for d in report.errors]
     np.testing.assert_allclose(wider.setting.surfaces["ground"].vertices, 1.5 * shots[0].setting.surfaces["ground"].vertices)
     assert wider.setting.items["food"][0].position[1] != shots[0].setting.items["food"][0].position[1], "laid on it anew"
+
+
+def test_a_scene_with_very_many_items_keeps_no_more_than_it_may() -> None:
+    done = []
+
+    @once_a_mesh
+    def work(what: MeshData, *, more: int) -> int:
+        done.append(more)
+        return more
+
+    fixed = mesh(False)
+    assert [work(fixed, more=k) for k in range(5000)] == list(range(5000))
+    assert work(fixed, more=4999) == 4999 and len(done) == 5000
+    assert work(fixed, more=0) == 0 and len(done) == 5001, "what was forgotten is worked out again"

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from functools import lru_cache, wraps
 from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 from numpy.typing import NDArray
+
+_MESHES, _ANSWERS = 16, 4096  # kept at most: meshes for each kind of work, and what was worked out about each
 
 
 class _Mesh(Protocol):
@@ -22,12 +24,20 @@ T = TypeVar("T")
 def once_a_mesh(work: Callable[Concatenate[M, P], T]) -> Callable[Concatenate[M, P], T]:
     """`work`, done once for a mesh and what goes with it. Only for meshes that nobody can change, which are those that are kept
     anyway; what is given back must not be changed either."""
-    kept = lru_cache(maxsize=64)(work)
+
+    @lru_cache(maxsize=_MESHES)
+    def kept(mesh: M) -> dict[Hashable, T]:
+        return {}
 
     @wraps(work)
     def ask(mesh: M, /, *words: P.args, **named: P.kwargs) -> T:
         if mesh.vertices.flags.writeable:
             return work(mesh, *words, **named)
-        return kept(mesh, *words, **named)  # type: ignore[arg-type]
+        known, key = kept(mesh), (words, tuple(sorted(named.items())))  # type: ignore[arg-type]
+        if key not in known:
+            if len(known) >= _ANSWERS:
+                known.clear()
+            known[key] = work(mesh, *words, **named)
+        return known[key]
 
     return ask
