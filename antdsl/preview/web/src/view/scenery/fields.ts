@@ -21,7 +21,7 @@ void main() {
   float v = clamp(vValue, 0.0, 1.0);
   if (v < 0.003) discard;
   float seen = pow(v, 0.55);
-  gl_FragColor = vec4(mix(colour, strong, smoothstep(0.45, 1.0, seen)), 0.82 * seen);
+  gl_FragColor = vec4(mix(colour, strong, smoothstep(0.45, 1.0, seen)), 0.72 * seen);
   #include <colorspace_fragment>
 }`;
 
