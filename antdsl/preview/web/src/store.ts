@@ -25,6 +25,7 @@ export interface Shared {
   feelers: boolean;
   neighbours: boolean;
   curvesShown: boolean;
+  glass: boolean; // what hides ants is seen through: solids, stones, things to walk on
   goto: { file: string; line: number } | null; // a place in the text to be shown
 }
 
@@ -48,6 +49,7 @@ export class Store {
     feelers: true,
     neighbours: true,
     curvesShown: true,
+    glass: false,
     goto: null,
   };
   private readonly listeners = new Map<Key, (() => void)[]>();

@@ -2,7 +2,7 @@
 // would only flicker.
 
 import * as THREE from "three";
-import type { Stage } from "./stage";
+import type { Sight } from "./sight";
 
 const GRAIN = /* glsl */ `
 float grainHash(vec3 p) {
@@ -28,12 +28,19 @@ float grain(vec3 p, float size) {
 
 export type Stuff = "ground" | "shape" | "obstacle" | "earth";
 
-/** A material of the palette; it follows dark and light. `grains`: mm that a grain is wide. */
-export function earth(stage: Stage, stuff: Stuff, grains: { value: number }): THREE.MeshLambertMaterial {
+/** A material of the palette; it follows dark and light, and all but the ground can be as glass. `grains`: mm that a grain is wide. */
+export function earth({ stage, store }: Sight, stuff: Stuff, grains: { value: number }): THREE.MeshLambertMaterial {
   const material = new THREE.MeshLambertMaterial({ side: THREE.DoubleSide });
   const dress = () => material.color.copy(stage.palette[stuff]);
   dress();
   stage.palette.onChange(dress);
+  store.on("glass", () => {
+    material.transparent = store.now.glass && stuff !== "ground";
+    material.opacity = material.transparent ? 0.3 : 1;
+    material.depthWrite = !material.transparent;
+    material.needsUpdate = true;
+    stage.wake();
+  });
   if (stage.software) return material; // the grain takes longer than all else together there
   material.onBeforeCompile = (shader) => {
     shader.uniforms.grains = grains;

@@ -66,7 +66,7 @@ function hidden(sight: Sight, found: Found): boolean {
   RAY.far = far - herd.size(found.row) * 0.4;
   const things: THREE.Object3D[] = [];
   sight.stage.scene.traverseVisible((each) => {
-    if (each.userData.hides) things.push(each);
+    if (each instanceof THREE.Mesh && each.userData.hides && !each.material.transparent) things.push(each);
   });
   return RAY.intersectObjects(things, false).length > 0;
 }

@@ -5,12 +5,13 @@ import type { Shared, Store } from "../../store";
 import { button, el, keyed, type Row, say } from "../dom";
 import type { Panel } from "../side";
 
-type Toggle = "trails" | "feelers" | "neighbours" | "curvesShown";
+type Toggle = "trails" | "feelers" | "neighbours" | "curvesShown" | "glass";
 const TOGGLES: [Toggle, string][] = [
   ["trails", "trails"],
   ["feelers", "feelers of the selected agent, and what they hit"],
   ["neighbours", "neighbours that it looked at"],
   ["curvesShown", "curves of the scene"],
+  ["glass", "solids, stones and shapes as of glass"],
 ];
 const CAMERAS: [Shared["camera"], string, string][] = [
   ["orbit", "free", "turn about with the pointer"],

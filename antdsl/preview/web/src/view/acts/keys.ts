@@ -5,7 +5,7 @@ import { machineOf } from "../colours";
 import type { Sight } from "../sight";
 
 const TURN = Math.PI / 24;
-const HELP = "Ants in space. Arrows turn, plus and minus come closer, n and p go from ant to ant, f shows all, g goes near the selected ant, 1, 2 and 3 choose the camera: free, follow, ride.";
+const HELP = "Ants in space. Arrows turn, plus and minus come closer, n and p go from ant to ant, f shows all, g goes near the selected ant, 1, 2 and 3 choose the camera: free, follow, ride, t shows trails, x sees through stones.";
 
 type Act = (sight: Sight) => void;
 
@@ -22,6 +22,8 @@ const KEYS = new Map<string, Act>([
   ["1", ({ store }) => store.set("camera", "orbit")],
   ["2", (sight) => keep(sight, "follow")],
   ["3", (sight) => keep(sight, "ride")],
+  ["x", ({ store }) => store.set("glass", !store.now.glass)],
+  ["t", ({ store }) => store.set("trails", !store.now.trails)],
   ["n", (sight) => next(sight, 1)],
   ["p", (sight) => next(sight, -1)],
   ["Escape", ({ store }) => store.set("selected", [])],

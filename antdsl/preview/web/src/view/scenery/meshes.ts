@@ -11,7 +11,7 @@ export function meshes(sight: Sight): Scenery {
   const { stage, herds } = sight;
   const grains = { value: 1 };
   const shown = new Map<string, THREE.Mesh>();
-  const stuff = new Map<Stuff, THREE.Material>(STUFFS.map((each) => [each, earth(stage, each, grains)]));
+  const stuff = new Map<Stuff, THREE.Material>(STUFFS.map((each) => [each, earth(sight, each, grains)]));
 
   let first: string | null = null;
 

@@ -8,7 +8,7 @@ export function solids(sight: Sight): Scenery {
   const { stage, herds } = sight;
   const grains = { value: 1 };
   const pieces = new Map<string, THREE.Mesh>();
-  const stuff = earth(stage, "earth", grains);
+  const stuff = earth(sight, "earth", grains);
   herds.onFrame(() => {
     for (const herd of herds.byName.values()) if (herd.count) grains.value = Math.max(herd.size(0) * 0.35, stage.extent / 3000);
   });
