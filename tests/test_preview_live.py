@@ -14,7 +14,7 @@ import pytest
 from live_client import EXAMPLES, Page, hashes
 
 from antdsl.pipeline import simulate
-from antdsl.preview import Busy, Compiler, Live, Session
+from antdsl.preview import Busy, Compiler, Live, Outcome, Session
 from antdsl.runtime import state_hash
 
 
@@ -285,3 +285,22 @@ def test_a_value_at_fault_pauses_and_is_told(live: Live, scene: Path) -> None:
     page.ask("play")
     fault = page.until(lambda: page.last("status")["fault"])
     assert "zeal" in fault and not page.last("status")["playing"] and page.last("status")["frame"] == 2
+
+
+def test_whoever_asks_without_end_does_not_hold_up_the_ants(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    page, eager = Page(live), Page(live)
+    page.ask("speed", times=0.0)
+    page.ask("play")
+    page.until(lambda: page.frames and page.frames[-1][0] > 5)
+    slow = Session.field
+
+    def slower(session: Session, name: str, on: bool) -> Outcome:
+        time.sleep(0.02)
+        return slow(session, name, on)
+
+    monkeypatch.setattr(Session, "field", slower)
+    frame = page.frames[-1][0]
+    for _ in range(200):
+        eager.ask("field", name="no", on=True)
+    page.until(lambda: page.frames[-1][0] > frame + 10)
+    assert len([message for message in eager.told if message["op"] == "outcome"]) < 200

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices
-from antdsl.preview.asks import Ask, Breaks, Look, Profile, Seek, Set
+from antdsl.preview.asks import Ask, Breaks, Explain, Look, Profile, Seek, Set
 from antdsl.preview.compiling import Compiler
 from antdsl.preview.observing import Observer, Stop
 from antdsl.preview.session import Session
@@ -29,6 +29,7 @@ _IDLE = 0.5  # seconds that the thread sleeps at most when there is nothing to d
 _BEHIND = 0.1  # seconds of steps that are caught up with; more are left out
 _NOTHING = Look(op="look", columns=(), fields=(), flows=())  # what a page looks at before it says so
 _AFTER_BUG = 0.25  # seconds of rest, lest the terminal run over
+_ASKING = 0.05  # seconds of doing what pages ask after which time goes on
 _SEEKING = 0.05  # seconds of going back after which others are heard
 _BUG = "this is a bug in antdsl: the terminal says more"
 O = TypeVar("O")  # noqa: E741
@@ -230,8 +231,11 @@ class Live:
                     self._changed.wait(_AFTER_BUG)
 
     def _turn(self) -> None:
+        until = monotonic() + _ASKING
         while self._queue and not self._over:
             self._do(*self._queue.popleft())
+            if monotonic() > until:
+                break  # whoever asks a lot does not keep the others from seeing the ants
         now = monotonic()
         if self._watch is not None and now >= self._poll:
             self._poll = now + _POLL
@@ -283,10 +287,12 @@ class Live:
             self._handle(what, client)
 
     def _overtaken(self, ask: Ask, client: Client) -> bool:
-        """Whether what comes next makes this needless: a slider on its way."""
+        """Whether what comes next makes this needless: a slider on its way, one agent after the other."""
         following, asker = self._queue[0] if self._queue else (None, None)
         if isinstance(ask, Set):
             return isinstance(following, Set) and following.name == ask.name and asker is client
+        if isinstance(ask, Explain | Look):
+            return type(following) is type(ask) and asker is client
         return isinstance(ask, Seek) and isinstance(following, Seek)
 
     def _handle(self, ask: Ask, client: Client) -> None:
