@@ -16,6 +16,7 @@ const SPEEDS: [number, string][] = [
   [0, "fastest"],
 ];
 const IDLE = "Edit the files in your own editor: each save goes on from this frame.";
+const BROKEN = "There are errors: mend them and save, and it starts by itself.";
 const REFUSED = 12_000; // ms that it stands there why something was refused
 
 export function bar(store: Store, place: HTMLElement): void {
@@ -27,6 +28,7 @@ export function bar(store: Store, place: HTMLElement): void {
 
 function title(store: Store): HTMLElement {
   const name = el("h1", { class: "scene", test: "scene" });
+  store.connection.on("hello", (hello) => store.now.scene || say(name, hello.scene));
   store.on("scene", () => {
     say(name, store.now.scene?.name ?? "");
     document.title = `${store.now.scene?.name ?? "antdsl"} · antdsl preview`;
@@ -84,6 +86,11 @@ function outcome(store: Store): HTMLElement {
     say(line, words);
   };
   tell(IDLE, "");
+  store.on("problems", () => {
+    const errors = store.now.problems?.problems.some((each) => each.severity === "error");
+    if (errors && !store.now.scene) tell(BROKEN, "bad");
+  });
+  store.on("scene", () => line.textContent === BROKEN && tell(IDLE, ""));
   store.connection.on("outcome", (message) => {
     const first = message.problems[0];
     if (!message.ok && message.of === "saved") goToFirst(store, message.problems);

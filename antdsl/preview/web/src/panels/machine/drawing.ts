@@ -4,6 +4,7 @@ import type { Chart, ChartArrow, ChartBox } from "../../protocol";
 import { css, say, svg, shown } from "../dom";
 
 const HEAD = 7;
+const LARGEST = 1.25; // small machines are not blown up beyond that
 
 export class ChartDrawing {
   readonly element: SVGSVGElement;
@@ -15,6 +16,7 @@ export class ChartDrawing {
   constructor(private readonly chart: Chart, chosen: (state: string) => void) {
     this.names = new Map(chart.boxes.map((box) => [box.key, box.name]));
     this.element = svg("svg", { viewBox: `-4 -4 ${chart.width + 8} ${chart.height + 8}`, class: "states", role: "group", "aria-label": chart.title });
+    this.element.style.maxWidth = `${(chart.width + 8) * LARGEST}px`;
     for (const arrow of chart.arrows) this.element.append(this.arrow(arrow));
     for (const box of chart.boxes) this.element.append(this.box(box, chosen));
   }

@@ -32,9 +32,9 @@ const look = EditorView.theme({
   ".pointed": { backgroundColor: "color-mix(in srgb, var(--mark) 20%, transparent)", boxShadow: "inset 3px 0 0 var(--mark)" },
   ".wrong": { textDecoration: "underline wavy 1.5px var(--warn)", textUnderlineOffset: "3px", textDecorationSkipInk: "none" },
   ".wrong.error": { textDecorationColor: "var(--bad)" },
+  ".below": { padding: "1px 6px 4px 6px" },
   ".complaint": {
     fontFamily: "system-ui, sans-serif",
-    margin: "1px 6px 4px 6px",
     padding: "3px 8px",
     borderLeft: "3px solid var(--warn)",
     backgroundColor: "color-mix(in srgb, var(--warn) 12%, transparent)",

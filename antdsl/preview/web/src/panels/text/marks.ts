@@ -22,7 +22,7 @@ class Complaint extends WidgetType {
     const { severity, message, help, code } = this.problem;
     const words = el("div", { class: `complaint ${severity}`, test: "complaint", title: code }, el("strong", { text: message }));
     if (help) words.append(el("span", { text: help }));
-    return words;
+    return el("div", { class: "below" }, words); // margins would not be counted in where the next lines stand
   }
 }
 

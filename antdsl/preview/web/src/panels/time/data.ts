@@ -35,9 +35,10 @@ export class CurveData {
     return [...this.now.values.keys()];
   }
 
+  /** The value at a frame; of one that was not told yet, which may come a moment later, the last one before. */
   valueAt(name: string, frame: number): number | null {
     const at = nearest(this.now.frames, frame);
-    return at < 0 || this.now.frames[at] !== frame ? null : (this.now.values.get(name)?.[at] ?? null);
+    return at < 0 ? null : (this.now.values.get(name)?.[at] ?? null);
   }
 
   private forget(from: number | undefined): void {
