@@ -209,9 +209,11 @@ def test_a_session_is_measured_across_edits_and_back_in_time(shot: Shot) -> None
     plain, _ = Session.open(Path(shot.scene.source.path))
     assert session is not None and plain is not None
     session.measure(True)
+    assert session.meter is not None
+    session.meter = Meter(None)  # however slow the machine is
     for _ in range(3):
         session.step()
-    assert session.meter is not None and session.meter.profile().frames == 3
+    assert session.meter.profile().frames == 3
     program = Path(shot.scene.source.path).with_name("life.ant")
     program.write_text(PROGRAM.replace("steer wander()", "steer wander() * 0.5"))
     assert session.reload().ok
