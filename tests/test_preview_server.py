@@ -6,6 +6,7 @@ import asyncio
 import json
 import socket
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from ipaddress import ip_address
 
 import pytest
@@ -345,6 +346,28 @@ def test_who_asks_too_fast_loses_asks_and_then_the_connection() -> None:
             took = asyncio.get_running_loop().time() - began
             assert client.close_code in (1006, 1013)
             assert 0 < len(made.live.asks) <= limits.PREVIEW_ASKS_A_SECOND * (took + 2) + 1
+        await still_well(made)
+
+    with_server(test)
+
+
+def test_who_asks_too_much_all_the_time_has_to_go_as_well() -> None:
+    """Though every so often an ask is in order."""
+
+    async def test(made: Served) -> None:
+        async with made.connect(max_queue=None) as client:
+            with pytest.raises(ConnectionClosed):
+                while True:
+                    for _ in range(5):
+                        await client.send('{"op": "pause"}')
+                    await asyncio.sleep(0.01)
+            said = []
+            with suppress(ConnectionClosed):
+                while True:
+                    said.append(json.loads(await client.recv()))
+            assert client.close_code == 1013
+            assert 1 <= sum(each["op"] == "refused" for each in said) <= 5
+            assert len(said) - 10 < len(made.live.asks)
         await still_well(made)
 
     with_server(test)

@@ -35,7 +35,7 @@ _OPEN = 10.0  # seconds for a request and its answer
 _CLOSE = 2.0  # seconds for a client to say goodbye
 _STUCK = 60.0  # seconds for one packet to go out
 _QUIET = 20.0  # seconds between pings, and for their answers
-_DEAF = 100  # refusals in a row after which a client that asks too fast has to go
+_PATIENCE = (5, 100)  # asks too many in a second, and at once, after which a client has to go
 
 # Whoever floods the server must not flood the terminal.
 _SILENT = logging.getLogger("antdsl.preview.serving")
@@ -112,10 +112,10 @@ class Server:
     async def _client(self, connection: ServerConnection) -> None:
         if not self._door.is_in(connection):
             # only a page can read why: a browser tells it nothing of an answer that is no socket
-            await connection.close(CloseCode.POLICY_VIOLATION, "wrong token")
+            await _let_go(connection, CloseCode.POLICY_VIOLATION, "wrong token")
             return
         if len(self._clients) >= limits.PREVIEW_CLIENTS:
-            await connection.close(CloseCode.TRY_AGAIN_LATER, "too many pages look on")
+            await _let_go(connection, CloseCode.TRY_AGAIN_LATER, "too many pages look on")
             return
         hello = {"build": self._pages.build}
         if self._door.is_invited(connection):
@@ -136,22 +136,20 @@ class Server:
 
     async def _hear(self, connection: ServerConnection, mailbox: Mailbox) -> None:
         """Read asks until the client has gone, or has to go."""
-        bucket, refused = Bucket(limits.PREVIEW_ASKS_A_SECOND, 2 * limits.PREVIEW_ASKS_A_SECOND), 0
+        bucket = Bucket(limits.PREVIEW_ASKS_A_SECOND, 2 * limits.PREVIEW_ASKS_A_SECOND)
+        patience, tell = Bucket(*_PATIENCE), Bucket(1, 1)
         with suppress(ConnectionClosed):
             async for message in connection:
                 if not isinstance(message, str):
-                    await connection.close(CloseCode.UNSUPPORTED_DATA, "only text is read")
+                    await _let_go(connection, CloseCode.UNSUPPORTED_DATA, "only text is read")
                     return
                 if bucket.take():
-                    refused = 0
                     self._pass_on(message, mailbox)
-                    continue
-                refused += 1
-                if refused == 1:
-                    mailbox.tell(Refused("", "this page asks too much at once: what it asked last is lost").message_out())
-                if refused > _DEAF:
-                    await connection.close(CloseCode.TRY_AGAIN_LATER, "asks too much")
+                elif not patience.take():
+                    await _let_go(connection, CloseCode.TRY_AGAIN_LATER, "asks too much")
                     return
+                elif tell.take():
+                    mailbox.tell(Refused("", "this page asks too much at once: what it asked last is lost").message_out())
 
     def _pass_on(self, message: str, mailbox: Mailbox) -> None:
         asked = read(message)
@@ -169,7 +167,7 @@ class Server:
             mailbox.tell(Refused(asked.op, "this is a bug in antdsl: the terminal has more").message_out())
 
     def _too_slow(self, connection: ServerConnection) -> None:
-        closing = asyncio.create_task(_let_go(connection, "too much waits for this page"))
+        closing = asyncio.create_task(_let_go(connection, CloseCode.TRY_AGAIN_LATER, "too much waits for this page"))
         self._closing.add(closing)
         closing.add_done_callback(self._closing.discard)
 
@@ -187,11 +185,11 @@ async def _send(connection: ServerConnection, mailbox: Mailbox) -> None:
         connection.transport.abort()
 
 
-async def _let_go(connection: ServerConnection, why: str) -> None:
+async def _let_go(connection: ServerConnection, code: CloseCode, why: str) -> None:
     """Say goodbye to a client that may not be listening."""
     with suppress(TimeoutError):
         async with asyncio.timeout(_CLOSE):
-            await connection.close(CloseCode.TRY_AGAIN_LATER, why)
+            await connection.close(code, why)
     connection.transport.abort()
 
 
