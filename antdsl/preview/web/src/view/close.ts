@@ -17,7 +17,8 @@ export class Close {
   private attributes = new Map<string, THREE.InstancedBufferAttribute>();
   private shape: Shape | null = null;
   private chosen: number[] = []; // rows, in order
-  private readonly found: { row: number; far: number }[] = [];
+  private readonly found: number[] = [];
+  private far = new Float32Array(0); // of each row, where it was measured
 
   constructor(
     private readonly stage: Stage,
@@ -71,16 +72,18 @@ export class Close {
   /** The rows that are seen large, the nearest ones where they are many. */
   private near(t: number): number[] {
     const { herd, found } = this;
+    if (this.far.length < herd.count) this.far = new Float32Array(herd.rows.capacity);
+    const { far } = this;
     const eye = this.stage.camera.position;
     const most = MOST[this.stage.software || this.stage.slow ? "software" : "hardware"];
     found.length = 0;
     for (let row = 0; row < herd.count; row++) {
       herd.place(row, t, POINT);
-      const far = POINT.distanceTo(eye);
-      if (far * LARGE < herd.size(row) * this.stage.focal) found.push({ row, far });
+      far[row] = POINT.distanceTo(eye);
+      if ((far[row] as number) * LARGE < herd.size(row) * this.stage.focal) found.push(row);
     }
-    if (found.length > most) found.sort((a, b) => a.far - b.far).length = most;
-    return found.map((each) => each.row).sort((a, b) => a - b);
+    if (found.length > most) found.sort((a, b) => (far[a] as number) - (far[b] as number)).length = most;
+    return found.slice().sort((a, b) => a - b);
   }
 
   private build(shape: Shape): void {

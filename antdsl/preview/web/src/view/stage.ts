@@ -7,6 +7,7 @@ import { Palette } from "./palette";
 export type Task = (now: number) => boolean;
 
 const SLOW = 90; // ms between pictures from which on bodies are drawn with less detail
+const OFTEN = 40; // so many slow pictures on end: not only the first ones, for which much is made
 const SUN = new THREE.Vector3(0.45, 0.8, 0.4);
 
 export class Stage {
@@ -29,7 +30,7 @@ export class Stage {
   private readonly resized: (() => void)[] = [];
   private asked = false;
   private before = 0;
-  private pace = 16;
+  private late = 0; // slow pictures on end
 
   constructor(readonly place: HTMLElement) {
     const canvas = document.createElement("canvas");
@@ -48,6 +49,7 @@ export class Stage {
     this.palette.onChange(() => this.dress());
     new ResizeObserver(() => this.resize()).observe(place);
     document.addEventListener("visibilitychange", () => this.wake());
+    canvas.addEventListener("webglcontextrestored", () => this.relight());
     this.resize();
     this.dress();
   }
@@ -116,10 +118,8 @@ export class Stage {
     this.asked = false;
     const gap = now - this.before;
     this.before = now;
-    if (gap < 1000) {
-      this.pace += (Math.max(gap, 1) - this.pace) * 0.15;
-      if (this.pace > SLOW) this.slow = true;
-    }
+    this.late = gap > SLOW && gap < 1000 ? this.late + 1 : 0;
+    if (this.late >= OFTEN) this.slow = true;
     let moving = false;
     for (const task of this.tasks) moving = task(now) || moving;
     this.renderer.render(this.scene, this.camera);
