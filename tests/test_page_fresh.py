@@ -33,7 +33,16 @@ def test_the_page_loads_nothing_from_elsewhere() -> None:
     html = (PAGE / "index.html").read_text(encoding="utf-8")
     assert not re.findall(r"""(?:src|href)=["'](?!\./|data:,)""", html)
     assert "style=" not in html and not re.search(r"<script(?![^>]*\bsrc=)", html)
-    assert sorted(path.name for path in PAGE.iterdir()) == ["app.css", "app.js", "index.html", "sources.sha256"]
+    assert sorted(path.name for path in PAGE.iterdir()) == ["app.css", "app.js", "index.html", "licences.txt", "sources.sha256"]
+
+
+def test_the_licences_of_what_is_built_in_are_handed_on() -> None:
+    words = (PAGE / "licences.txt").read_text(encoding="utf-8")
+    package = json.loads((WEB / "package.json").read_text(encoding="utf-8"))
+    parts = {part.lstrip("\n").split("\n")[0]: part for part in re.split(r"\n-{80}\n", words)}
+    used = {name for name in package["dependencies"] if any(f'"{name}"' in f.read_text() for f in (WEB / "src").rglob("*.ts"))}
+    assert used <= parts.keys()
+    assert all("copyright" in part.lower() for part in parts.values())
 
 
 def test_dependencies_are_pinned() -> None:

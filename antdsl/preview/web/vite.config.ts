@@ -1,5 +1,5 @@
 import { createHash } from "node:crypto";
-import { readdirSync, readFileSync } from "node:fs";
+import { existsSync, readdirSync, readFileSync } from "node:fs";
 import { join } from "node:path";
 import { defineConfig, type Plugin } from "vite";
 
@@ -26,10 +26,30 @@ function stamp(): Plugin {
   };
 }
 
+/** The licences of what is built in, which ask to be handed on with it. */
+function licences(): Plugin {
+  return {
+    name: "licences",
+    generateBundle() {
+      const folders = new Map<string, string>();
+      for (const id of this.getModuleIds()) {
+        const found = /^(.*\/node_modules\/((?:@[^/]+\/)?[^/]+))\//.exec(id.replaceAll("\\", "/"));
+        if (found) folders.set(found[2] as string, found[1] as string);
+      }
+      const parts = [...folders].sort().map(([name, folder]) => {
+        const path = ["LICENSE", "LICENSE.md", "LICENSE.txt", "license"].map((file) => join(folder, file)).find(existsSync);
+        if (!path) throw new Error(`${name} has no licence`);
+        return `${name}\n\n${readFileSync(path, "utf8").replaceAll("\r\n", "\n").trim()}\n`;
+      });
+      this.emitFile({ type: "asset", fileName: "licences.txt", source: parts.join(`\n${"-".repeat(80)}\n\n`) });
+    },
+  };
+}
+
 // Fixed names and no maps: what ships is listed by name on the server, and comes out the same wherever it is built.
 export default defineConfig({
   base: "./",
-  plugins: [stamp()],
+  plugins: [stamp(), licences()],
   build: {
     outDir: "../page",
     emptyOutDir: true,
