@@ -69,7 +69,7 @@ export function items(sight: Sight): Scenery {
       const top = Math.max(most.get(key) ?? 0, value);
       most.set(key, top);
       if (number === 0 && store.now.scene?.items.find((g) => g.name === item.group)?.kind !== "nest" && top > 0) part = value / top;
-      words.push(`${Number(value.toPrecision(4)).toLocaleString("en")} ${each.name}`);
+      words.push(`${Number(value.toPrecision(4)).toLocaleString("en")}${each.unit && ` ${each.unit}`} ${each.name}`);
     });
     return [part, words.join(" · ")];
   }
