@@ -53,6 +53,18 @@ def test_the_bar_says_where_it_is_and_plays(page: Stage) -> None:
     assert page.asked("speed") == [{"op": "speed", "times": 0}]
 
 
+def test_play_and_pause_go_by_what_was_asked_while_a_step_takes_long(page: Stage) -> None:
+    page.find("play").click()
+    assert "pause" in page.find("play").inner_text()  # nothing was told yet
+    page.find("play").click()
+    page.find("play").click()
+    page.drawn()
+    assert [each["op"] for each in page.asks if each["op"] != "look"] == ["play", "pause", "play"]
+    page.page.wait_for_timeout(450)
+    page.tell(status(21, paused_by="a breakpoint"))
+    assert "play" in page.find("play").inner_text()
+
+
 def test_an_edited_run_says_so_and_can_be_simulated_again(page: Stage) -> None:
     assert page.find("edited").is_hidden()
     page.tell(status(edited=True))
@@ -76,7 +88,7 @@ def test_keys_move_through_time_but_not_while_one_writes(page: Stage) -> None:
     page.page.locator("body").press("Shift+ArrowLeft")
     page.page.locator("body").press("Home")
     page.drawn()
-    assert [each["op"] for each in page.asks if each["op"] != "look"] == ["play", "seek", "seek", "seek"]
+    assert [each["op"] for each in page.asks if each["op"] != "look"] == ["play", "pause", "seek", "seek", "seek"]
     assert [each["frame"] for each in page.asked("seek")] == [21, 10, 1]
     page.tell(status(100))
     page.page.locator("body").press(".")

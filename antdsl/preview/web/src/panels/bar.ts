@@ -3,7 +3,7 @@
 import type { Problem } from "../protocol";
 import type { Store } from "../store";
 import { button, el, say, shown } from "./dom";
-import { listenToKeys, move, toggle } from "./playing";
+import { heedStatus, listenToKeys, move, playing, toggle } from "./playing";
 import { nextTheme, startTheme, themeWords } from "./theme";
 
 const SPEEDS: [number, string][] = [
@@ -21,6 +21,7 @@ const REFUSED = 12_000; // ms that it stands there why something was refused
 
 export function bar(store: Store, place: HTMLElement): void {
   startTheme();
+  heedStatus(store);
   listenToKeys(store);
   const above = el("div", { class: "bar-row" }, title(store), controls(store), clock(store), marks(store), themeButton());
   place.append(above, el("div", { class: "bar-row news" }, outcome(store), ...stops(store)));
@@ -44,9 +45,9 @@ function controls(store: Store): HTMLElement {
   for (const [times, words] of SPEEDS) speed.append(el("option", { value: times, text: words }));
   speed.addEventListener("change", () => store.connection.ask({ op: "speed", times: Number(speed.value) }));
   const show = () => {
-    const playing = store.now.status?.playing ?? false;
-    say(play, playing ? "❚❚ pause" : "▶ play");
-    play.title = playing ? "pause (space)" : "play (space)";
+    const now = playing(store);
+    say(play, now ? "❚❚ pause" : "▶ play");
+    play.title = now ? "pause (space)" : "play (space)";
     const times = String(store.now.status?.speed ?? 1);
     if (document.activeElement !== speed && speed.value !== times) {
       if (![...speed.options].some((option) => option.value === times)) speed.append(el("option", { value: times, text: `${times} ×` }));

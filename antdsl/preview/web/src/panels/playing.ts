@@ -2,8 +2,29 @@
 
 import type { Store } from "../store";
 
+const LATE = 400; // ms after which what is told comes from behind what was asked
+let wish: { playing: boolean; since: number } | null = null; // asked for, and not told yet: a long step may lie between
+
+/** Whether it plays, or will as soon as what was asked is done. */
+export function playing(store: Store): boolean {
+  return wish?.playing ?? store.now.status?.playing ?? false;
+}
+
 export function toggle(store: Store): void {
-  store.connection.ask({ op: store.now.status?.playing ? "pause" : "play" });
+  wish = { playing: !playing(store), since: performance.now() };
+  store.connection.ask({ op: wish.playing ? "play" : "pause" });
+  if (store.now.status) store.set("status", store.now.status); // the button shows it at once
+}
+
+/** Forget the wish once what is told is about it. */
+export function heedStatus(store: Store): void {
+  store.connection.on("status", (status) => {
+    if (!wish) return;
+    const done = status.playing === wish.playing;
+    if (!done && performance.now() - wish.since < LATE) return;
+    wish = null;
+    if (!done) store.set("status", status); // it was stopped otherwise, such as by a breakpoint
+  });
 }
 
 /** Some frames on or back. Past the last simulated one it simulates; before the first it stays. */
@@ -11,7 +32,7 @@ export function move(store: Store, frames: number): void {
   const status = store.now.status;
   if (!status) return;
   const to = Math.max(status.first, status.frame + frames);
-  if (status.playing) store.connection.ask({ op: "pause" });
+  if (playing(store)) toggle(store);
   if (to <= status.head) store.connection.ask({ op: "seek", frame: to, exact: true });
   else {
     if (status.frame < status.head) store.connection.ask({ op: "seek", frame: status.head, exact: true });
@@ -20,7 +41,7 @@ export function move(store: Store, frames: number): void {
 }
 
 export function seek(store: Store, frame: number, exact = true): void {
-  if (store.now.status?.playing) store.connection.ask({ op: "pause" });
+  if (playing(store)) toggle(store);
   store.connection.ask({ op: "seek", frame, exact });
 }
 

@@ -2,7 +2,7 @@
 
 import type { Store } from "../store";
 import { el, painted, say, throttled } from "./dom";
-import { seek } from "./playing";
+import { seek, toggle } from "./playing";
 import { Chart } from "./time/chart";
 import { CurveData } from "./time/data";
 import { chooser } from "./time/chooser";
@@ -86,7 +86,7 @@ function dragging(store: Store, slider: HTMLInputElement, draw: () => void): voi
   slider.addEventListener("keydown", (event) => {
     if (event.key !== " ") return;
     event.preventDefault();
-    store.connection.ask({ op: store.now.status?.playing ? "pause" : "play" });
+    toggle(store);
   });
 }
 

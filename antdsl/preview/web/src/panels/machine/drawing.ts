@@ -29,6 +29,8 @@ export class ChartDrawing {
     this.element.style.setProperty("--letter", `${Math.max(1, 1 / scale)}px`);
     this.element.classList.toggle("small", scale < 0.8);
     for (const fit of this.fitted) fit();
+    const all = this.element.getBBox(); // boxes may stand out by now
+    this.element.setAttribute("viewBox", [all.x - 4, all.y - 4, all.width + 8, all.height + 8].join(" "));
   }
 
   counts(counts: ReadonlyMap<string, number>): void {
