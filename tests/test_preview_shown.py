@@ -201,6 +201,20 @@ def test_what_moves_is_shown_where_it_is(live: Live, scene: Path) -> None:
     assert page.packets["mesh:ground"] is ground, "what stands still is not sent again"
 
 
+def test_a_mesh_that_an_edit_takes_away_is_gone(live: Live, scene: Path) -> None:
+    page = Page(live)
+    page.until(lambda: "mesh:boulder" in page.packets)
+    program = scene.parent / "forager.ant"
+    lines = [line for line in program.read_text().splitlines() if "surface  boulder" not in line]
+    scene.write_text(scene.read_text().replace("  boulder: {mesh: boulder.ply}\n", ""))
+    program.write_text("\n".join(lines).replace("trail on ground, boulder", "trail on ground") + "\n")
+    page.until(lambda: not unpack(page.packets["mesh:boulder"])[1]["face"].size)
+    assert unpack(page.packets["mesh:ground"])[1]["face"].size
+    later = Page(live)
+    later.until(lambda: "mesh:stones" in later.packets)
+    assert "mesh:boulder" not in later.packets or not unpack(later.packets["mesh:boulder"])[1]["face"].size
+
+
 def test_feelers_of_who_is_followed_end_where_they_hit(live: Live) -> None:
     page = Page(live)
     page.ask("look", columns=[], fields=[], flows=[], follow={"species": "forager", "agent": 3})
