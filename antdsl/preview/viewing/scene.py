@@ -13,12 +13,14 @@ from antdsl.preview.viewing.names import Names, text_of
 from antdsl.preview.viewing.units import base, colourable, unit_for, worth
 from antdsl.program.model import Param
 from antdsl.runtime import Population
+from antdsl.scene.model import Camera, millimetres
 from antdsl.scene.quantities import parse_quantity
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Live
 
 _PALETTE = ((0.98, 0.75, 0.24), (0.35, 0.75, 0.95), (0.62, 0.86, 0.42), (0.93, 0.47, 0.65), (0.70, 0.60, 0.96))
+_FOCAL = 35.0  # mm, as for pictures
 
 
 def scene(live: Live, charts: list[dict[str, Any]], charts_need: str) -> dict[str, Any]:
@@ -29,6 +31,7 @@ def scene(live: Live, charts: list[dict[str, Any]], charts_need: str) -> dict[st
     return {
         "op": "scene", "name": names.of(live.compiler.scene), "fps": float(world.setting.fps), "unit_mm": world.setting.unit_mm,
         "up": [float(x) for x in world.up], "low": low, "high": high,
+        "camera": _camera(session),
         "species": [_species(session, names, population) for population in world.populations.values()],
         "params": [_param(session, names, name, param) for name, param in program.params.items()],
         "fields": _fields(session), "flows": list(world.flows), "curves": list(world.setting.curves),
@@ -46,6 +49,19 @@ def _bounds(session: Session) -> tuple[list[float], list[float]]:
     parts = [part for part in parts if len(part)] or [np.array([[-100.0] * 3, [100.0] * 3])]
     low, high = np.min([part.min(axis=0) for part in parts], axis=0), np.max([part.max(axis=0) for part in parts], axis=0)
     return [float(x) for x in low], [float(x) for x in high]
+
+
+def _camera(session: Session) -> dict[str, Any] | None:
+    """The scene's own camera as it is in the first frame, in the world's own count."""
+    setting, origin, own = session.world.setting, session.world.origin, session.shot.scene.model.camera
+    if setting.camera is not None:
+        at, look_at, focal = setting.camera.at[0], setting.camera.look_at[0], float(setting.camera.focal[0]) or _FOCAL
+    elif isinstance(own, Camera):
+        at, look_at = (np.asarray(millimetres(point, setting.unit_mm)) for point in (own.at, own.look_at))
+        focal = own.focal.number if own.focal is not None else _FOCAL
+    else:
+        return None
+    return {"at": [float(x) for x in at - origin], "look_at": [float(x) for x in look_at - origin], "focal": focal}
 
 
 def _species(session: Session, names: Names, population: Population) -> dict[str, Any]:

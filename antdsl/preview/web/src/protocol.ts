@@ -117,6 +117,13 @@ export interface Chart {
   arrows: ChartArrow[];
 }
 
+/** A pinhole on a sensor 36 mm wide, with its focal length in millimetres. */
+export interface Camera {
+  at: Triple;
+  look_at: Triple;
+  focal: number;
+}
+
 export interface Scene {
   op: "scene";
   name: string;
@@ -125,6 +132,7 @@ export interface Scene {
   up: Triple;
   low: Triple; // of all ground and agents
   high: Triple;
+  camera: Camera | null; // the scene's own, as it is in the first frame
   species: Species[];
   params: Param[];
   fields: { name: string; unit: string; colour: Triple; on: boolean; full: number }[];

@@ -69,7 +69,7 @@ function clock(store: Store): HTMLElement {
     say(frame, `frame ${status.frame}`);
     const fps = store.now.scene?.fps ?? 0;
     say(seconds, fps ? `${(status.frame / fps).toFixed(2)} s` : "");
-    const agents = `${status.agents} agent${status.agents === 1 ? "" : "s"}`;
+    const agents = `${status.agents.toLocaleString("en")} agent${status.agents === 1 ? "" : "s"}`;
     say(rate, status.playing ? `${shown(Math.round(status.rate))} frames/s · ${agents}` : agents);
   });
   return el("div", { class: "clock" }, frame, seconds, rate);
@@ -93,7 +93,7 @@ function outcome(store: Store): HTMLElement {
   });
   store.on("scene", () => line.textContent === BROKEN && tell(IDLE, ""));
   store.connection.on("outcome", (message) => {
-    const first = message.problems[0];
+    const first = message.problems.find((each) => each.severity === "error") ?? message.problems[0];
     if (!message.ok && message.of === "saved") goToFirst(store, message.problems);
     const of = message.of === "saved" ? "saved: " : "";
     if (message.ok) tell(`${of}${message.line}`, "good");

@@ -10,6 +10,8 @@ import type { Stage } from "./stage";
 const EASE = 160; // ms in which a rider's look has come most of the way
 const FROM = new THREE.Vector3(0.2, 0.72, 0.8); // where one looks from at first, with y up
 const AROUND = 0.22; // of what one looks at is left free around it
+const WIDE = 16 / 9; // of the pictures that the scene's camera is meant for
+const ENOUGH = 0.5; // of the agents are seen by the scene's camera: it is a good one to begin with
 
 export class Eye {
   private controls: OrbitControls;
@@ -48,7 +50,40 @@ export class Eye {
     this.fit(this.stage.low, this.stage.high);
   }
 
-  /** At first: see the agents and the things they have to do with, which may be a small part of the ground. */
+  /** See what the scene's own camera sees, from as far as it takes in a view of another shape. Whether the scene has one. */
+  own(): boolean {
+    const camera = this.store.now.scene?.camera;
+    if (!camera) return false;
+    const target = new THREE.Vector3(...camera.look_at);
+    const off = new THREE.Vector3(...camera.at).sub(target);
+    const half = (18 / camera.focal) * off.length();
+    const tan = Math.tan((this.stage.camera.fov * Math.PI) / 360);
+    this.controls.target.copy(target);
+    this.stage.camera.position.copy(target).addScaledVector(off.normalize(), Math.max(half / WIDE, half / this.stage.camera.aspect) / tan);
+    if (this.store.now.camera !== "orbit") this.store.set("camera", "orbit");
+    this.controls.update();
+    this.stage.wake();
+    return true;
+  }
+
+  /** Which part of all agents lies within the view. */
+  private share(): number {
+    const { camera } = this.stage;
+    camera.updateMatrixWorld();
+    let seen = 0;
+    let all = 0;
+    for (const [name, place] of this.herds.packet?.arrays ?? []) {
+      if (!name.endsWith("/position")) continue;
+      for (let k = 0; k < place.length; k += 3, all++) {
+        this.here.fromArray(place, k).project(camera);
+        if (Math.abs(this.here.x) < 1 && Math.abs(this.here.y) < 1 && this.here.z < 1) seen++;
+      }
+    }
+    return all ? seen / all : 0;
+  }
+
+  /** At first: as the scene's camera, or else see the agents and the things they have to do with, which may be a small part of
+   * the ground. */
   private begin(): void {
     if (!this.fresh || this.herds.count === 0) return;
     this.fresh = false;
@@ -57,6 +92,7 @@ export class Eye {
       if (!name.endsWith("/position")) continue;
       for (let k = 0; k < place.length; k += 3) box.expandByPoint(this.here.fromArray(place, k));
     }
+    if (this.own() && this.share() >= ENOUGH) return;
     box.expandByScalar(box.getSize(this.here).length() * AROUND);
     box.intersect(new THREE.Box3(this.stage.low, this.stage.high));
     if (box.isEmpty()) this.all();

@@ -40,6 +40,7 @@ export class Labels {
   private make(key: string): Label {
     const [box, name, about] = ["div", "b", "span"].map((tag) => document.createElement(tag)) as [HTMLElement, HTMLElement, HTMLElement];
     box.append(name, about);
+    box.hidden = true; // until it is known where it stands
     this.layer.append(box);
     const label = { box, name, about, at: new THREE.Vector3(), shown: "" };
     this.all.set(key, label);

@@ -18,9 +18,19 @@ const CAMERAS: [Shared["camera"], string, string][] = [
   ["follow", "follow", "stay with the selected agent"],
   ["ride", "ride", "sit on the selected agent"],
 ];
+const KEYS: [string, string][] = [
+  ["n p", "the next ant, the one before"],
+  ["g f c", "near the selected ant, all of the ground, as the scene's camera"],
+  ["1 2 3", "free, follow, ride"],
+  ["t x", "trails; see through solids and stones"],
+  ["arrows + −", "turn, come closer"],
+  ["Esc", "select nobody"],
+  ["shift", "with a click: one more; dragged: all in a box"],
+  ["space , .", "play or pause; one frame back or on"],
+];
 
 export const look: Panel = (store, place) => {
-  place.append(colouring(store), camera(store), toggles(store), shownNames(store, "fields", "Fields on the ground"), shownNames(store, "flows", "Flows as arrows"));
+  place.append(colouring(store), camera(store), toggles(store), shownNames(store, "fields", "Fields on the ground"), shownNames(store, "flows", "Flows as arrows"), keys());
   askOnChange(store);
 };
 
@@ -60,6 +70,12 @@ function camera(store: Store): HTMLElement {
   store.on("camera", show);
   show();
   return el("section", { class: "row" }, el("span", { text: "Camera" }), el("span", { class: "segments", role: "group", "aria-label": "Camera" }, ...buttons.map(([, each]) => each)));
+}
+
+/** What can be done by keys while the view has the focus. */
+function keys(): HTMLElement {
+  const rows = KEYS.flatMap(([key, words]) => [el("dt", { class: "mono", text: key }), el("dd", { text: words })]);
+  return el("section", { test: "keys" }, el("h3", { text: "Keys, after a click into the view" }), el("dl", { class: "keys" }, ...rows));
 }
 
 function toggles(store: Store): HTMLElement {

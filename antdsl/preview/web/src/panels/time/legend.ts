@@ -34,7 +34,7 @@ function row(): Row<[Named, number | null]> {
       swatch.style.background = each.colour;
       say(words, each.words);
       words.title = each.name;
-      say(value, now === null ? "–" : each.group === "specs" ? (now ? "holds" : "fails") : shown(now));
+      say(value, now === null ? "–" : each.group === "specs" ? (now ? "holds" : "fails") : Number.isInteger(now) ? now.toLocaleString("en") : shown(now));
     },
   };
 }
