@@ -1,5 +1,5 @@
-"""Where the files that come with antdsl are: the grammar, the library of behaviours, the pages of the codes, the page of the preview.
-No other file knows."""
+"""Where the files that come with antdsl are: the grammar, the library of behaviours, the pages of the codes, the page of the
+preview. No other file knows."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ def test_scrubbing_shows_the_frame_asked_for(browser: Browser, tmp_path: Path) -
         scrub.dispatch_event("change")
         seen.until("a.frame === it && a.still", 10, here)
         assert [seen.now("position", "forager", each) for each in range(50)] == then
-        assert re.search(rf"\b{here}\b", seen.find("frame").text_content() or "")
+        seen.find("frame").filter(has_text=re.compile(rf"\b{here}\b")).wait_for(timeout=5000)
 
 
 def test_clicking_an_agent_explains_it(browser: Browser, tmp_path: Path) -> None:

@@ -155,8 +155,24 @@ def test_light_and_dark_are_both_drawn(browser: Browser, foraging: str) -> None:
     sky = {}
     for theme in ("light", "dark"):
         with opened(browser, foraging, color_scheme=theme) as seen:
+            keys(seen, "f")
             settled(seen)
             box = seen.page.locator("#view > canvas").bounding_box()
             assert box is not None
             sky[theme] = seen_at(seen, [box["width"] - 10, 10], 5).mean()
     assert sky["light"] > 200 > 60 > sky["dark"]
+
+
+def test_one_looks_first_as_the_camera_of_the_scene_does(browser: Browser, foraging: str) -> None:
+    with opened(browser, foraging) as seen:
+        settled(seen)
+        first = seen.now("screen", "forager", 7)
+        labels = seen.page.locator(".sight-labels > div")
+        assert labels.count() == 3
+        assert all(each.evaluate("it => it.hidden || it.style.transform !== ''") for each in labels.all())
+        keys(seen, "f")
+        settled(seen)
+        assert seen.now("screen", "forager", 7) != pytest.approx(first, abs=3)
+        keys(seen, "c")
+        settled(seen)
+        assert seen.now("screen", "forager", 7) == pytest.approx(first, abs=2)
