@@ -73,7 +73,7 @@ class Seen:
     def until(self, condition: str, seconds: float = 15.0, argument: Any = None) -> None:
         """Wait for a condition in the page's own language, with `a` for `window.antdsl` and `it` for the argument."""
         self.page.wait_for_function(
-            f"(it) => {{ const a = window.antdsl; return a && ({condition}); }}", arg=argument, timeout=1000 * seconds
+            f"(it) => {{ const a = window.antdsl; return a && ({condition}); }}", arg=argument, timeout=1000 * seconds, polling=50
         )
 
     def press(self, name: str) -> None:
