@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -13,9 +12,9 @@ from antdsl import syntax
 from antdsl.diagnostics import Report
 from antdsl.loading import Parsed
 from antdsl.pipeline import Choices, Shot, open_scene
-from antdsl.preview.foreseen import Foreseen, sources
+from antdsl.preview.foreseen import Foreseen
 from antdsl.runtime import BindError, Built, Taken, World, take_over
-from antdsl.scene.paths import PathRefused
+from antdsl.scene.paths import sought
 from antdsl.source import Source
 
 
@@ -27,7 +26,8 @@ class Compiler:
     instead: dict[Path, str] = field(default_factory=dict)
     built: Built = field(default_factory=Built)
     _parsed: Parsed = field(default_factory=dict)
-    _files: tuple[Path, ...] = ()
+    _files: tuple[Path, ...] = ()  # that the last shot was made of
+    _tried: tuple[Path, ...] = ()  # that were asked for last, also those that are not there
     _foreseen: Foreseen | None = None
 
     def foresee(self, choices: Choices | None = None) -> None:
@@ -44,10 +44,11 @@ class Compiler:
         foreseen, self._foreseen = self._foreseen, None
         if foreseen is not None and foreseen.holds(choices or Choices(), self.instead, self._parsed):
             return foreseen.shot, foreseen.report
-        with _without_pauses():
+        with _without_pauses(), sought() as found:
             shot, report = open_scene(self.scene, choices, parsed=self._parsed, thorough=False)
+        self._tried = tuple(found)
         if shot is not None:
-            self._files = _files(shot)
+            self._files = self._tried
         return shot, report
 
     def take_over(self, world: World, shot: Shot) -> tuple[World | None, Taken, Report]:
@@ -61,8 +62,8 @@ class Compiler:
         return made, taken, Report()
 
     def files(self) -> list[Path]:
-        """All files that the scene was last made of, and those that it was tried with since."""
-        return list(dict.fromkeys([self.scene, *self._files, *(Path(place) for place in self._parsed)]))
+        """All files that the scene was last made of, and those that it was tried with since: some may not be there yet."""
+        return list(dict.fromkeys([self.scene, *self._files, *self._tried, *(Path(place) for place in self._parsed)]))
 
     def _forget_changed(self) -> None:
         for path, text in self.instead.items():
@@ -86,14 +87,3 @@ def _without_pauses() -> Iterator[None]:
     finally:
         if was:
             gc.enable()
-
-
-def _files(shot: Shot) -> tuple[Path, ...]:
-    """The scenes and what they name, less the programs, which are known by their parsed texts."""
-    found = dict.fromkeys(Path(source.path) for source in sources(shot.scene.document))
-    for name in shot.inputs:
-        try:
-            found[shot.scene.roots.path(name)] = None
-        except PathRefused:
-            continue  # a value, or a file of the library
-    return tuple(path for path in found if os.path.isfile(path))

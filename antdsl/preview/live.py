@@ -178,6 +178,10 @@ class Live:
         if not session.leads_to(frame):
             session.seek(session.nearest(frame))
 
+    def pace(self, times: float) -> None:
+        """How fast the clock goes, from now on."""
+        self.speed, self._due = times, monotonic()
+
     def play(self) -> None:
         self.session.playing, self.stop_at, self._due = True, None, monotonic()
 

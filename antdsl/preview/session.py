@@ -144,7 +144,7 @@ class Session:
         try:
             step(self.world)
         except FaultStop as stop:
-            self.fault, self.playing = str(stop), False
+            self.fault, self.playing = stop.fault.brief, False
         if self.meter is not None:
             self.meter.end(self.world)
 
@@ -205,15 +205,15 @@ class Session:
 
     def field(self, name: str, on: bool) -> Outcome:
         """Let a field hold scent, or next to none: what is laid stays below a millionth and is gone a step later."""
-        off = {f"{name}.limit": "0.000001", f"{name}.keeps": "0 %/step"}
+        off = silenced(name)
         if name not in self.shot.plan.fields:
             return _unknown(f"no program has a field `{name}`")
-        params = {key: value for key, value in self.choices.params.items() if key not in off}
+        params = {key: value for key, value in self.choices.params.items() if off.get(key) != value}
         text = "" if on else f"set: {{{', '.join(f'{key}: {value}' for key, value in off.items())}}}"
         return self._with(replace(self.choices, params=params if on else {**params, **off}), self._stretch.off, text)
 
     def layer(self, species: str, layer: str, on: bool) -> Outcome:
-        """Switch a layer of a species, by its text, off or on again. The text is its line, commented out."""
+        """Switch a layer of a species, by its text, off or on again. The text is its lines, commented out."""
         key, off = (species, layer), dict(self._stretch.off)
         if on:
             if off.pop(key, None) is None:
@@ -224,7 +224,7 @@ class Session:
         if found is None:
             return _unknown(f"no layer of `{species}` is `{layer}`")
         off[key] = Path(os.path.realpath(found.span.source.path))
-        return self._with(self.choices, off, f"# {layer}")
+        return self._with(self.choices, off, "\n".join(f"# {line.strip()}" for line in layer.splitlines()))
 
     def restart(self) -> Outcome:
         """Simulate the files as they are, with what was set by hand, from the first frame: a clean run, whose hashes are those of
@@ -263,7 +263,7 @@ class Session:
         if shot is None or not report.ok:
             return Outcome(report)
         if unless_same and shot.inputs == self.shot.inputs:
-            return Outcome(report, "nothing has changed")
+            return Outcome(report, self._undone() or "nothing has changed")
         world, taken, findings = self.compiler.take_over(self.world, shot)
         report.extend(findings)
         if world is None:
@@ -276,6 +276,15 @@ class Session:
         self._enter(world, stretch)
         return Outcome(report, line, text)
 
+    def _undone(self) -> str:
+        """Where the files are again what they were at this frame, forget what came of the edit that they no longer have."""
+        later = [each for each in self.timeline.stretches if each.first > self.frame and each.off == self._stretch.off]
+        if all(_files(each.shot) == _files(self.shot) for each in later):
+            return ""
+        line = "the files are again what they were at this frame: what came after is simulated anew"
+        self.timeline.cut(self.frame, line)
+        return line
+
     def _known(self, choices: Choices, off: Off) -> tuple[Choices, list[str]]:
         """The choices less the values that the files as they are have no use for, with words about those."""
         shot, report, _ = self._opened(replace(choices, params={}), off)
@@ -284,6 +293,16 @@ class Session:
         fits = {name: value for name, value in choices.params.items() if _quantity(shot, name, value)[0] is not None}
         dropped = [f"`{name}: {value}` fits no more" for name, value in choices.params.items() if name not in fits]
         return replace(choices, params=fits), dropped
+
+
+def silenced(field: str) -> dict[str, str]:
+    """What is set to have a field hold next to nothing."""
+    return {f"{field}.limit": "0.000001", f"{field}.keeps": "0 %/step"}
+
+
+def _files(shot: Shot) -> dict[str, str]:
+    """What a shot was made of, less what was set by hand."""
+    return {name: known for name, known in shot.inputs.items() if not name.startswith("--set ")}
 
 
 def _quantity(shot: Shot, name: str, value: str) -> tuple[Quantity | None, Report]:

@@ -16,6 +16,9 @@ from antdsl.preview.turns import turn
 from antdsl.runtime import Built, Options, Population, World, checkpoint, restore, set_param
 from antdsl.runtime.binding import unpeopled
 
+_LIGHT = 0.25  # of the budget, that light frames keep
+_CURVES = 50_000  # frames
+_BRANCHES = 8
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -126,7 +129,8 @@ class Branch:
 
 class Timeline:
     """Stretches in order of time. A checkpoint each `every` frames; `budget` bytes in all, above which light frames go first,
-    the oldest ones, then every other checkpoint but the first of a stretch, then whole stretches, the oldest ones."""
+    the oldest ones, until they take a quarter; then checkpoints between others, where they are closest; then whole stretches,
+    the oldest ones. `curves` are in order of frames, the last 50,000 of them; `branches` the last 8."""
 
     def __init__(self, every: int, budget: int) -> None:
         self.every, self.budget = every, budget
@@ -139,7 +143,7 @@ class Timeline:
     @property
     def head(self) -> int:
         """The last frame that was simulated."""
-        return max(self.curves, default=self.stretches[-1].first if self.stretches else 0)
+        return next(reversed(self.curves), self.stretches[-1].first if self.stretches else 0)
 
     @property
     def nbytes(self) -> int:
@@ -157,6 +161,7 @@ class Timeline:
     def start(self, stretch: Stretch, world: World) -> None:
         """Go on with another stretch from its first frame; what was there from that frame on becomes a branch."""
         self.cut(stretch.first, stretch.line)
+        self.curves.pop(stretch.first, None)  # to be measured anew
         for each in [each for each in self.stretches if each.first == stretch.first]:
             self._drop(each)
         self.stretches.append(stretch)
@@ -166,7 +171,7 @@ class Timeline:
         """Forget what comes after a frame but for its curves."""
         old = {each: values for each, values in self.curves.items() if each > frame}
         if old:
-            self.branches.append(Branch(frame, line, old))
+            self.branches = [*self.branches[1 - _BRANCHES :], Branch(frame, line, old)]
         for each_stretch in [each for each in self.stretches if each.first > frame]:
             self._drop(each_stretch)
         for stretch in self.stretches:
@@ -176,13 +181,17 @@ class Timeline:
         for each in old:
             del self.curves[each]
             self.light.drop(each)
+        if old:
+            self.curves.setdefault(frame, {})  # it may be older than all that there are
 
     def note(self, stretch: Stretch, world: World) -> None:
         """Keep what a world is like at its frame: once for a frame, however often it is gone through again."""
         frame = world.frame
-        fresh = frame not in self.curves or frame == stretch.first
+        fresh = not self.curves or frame > self.head
         if fresh:
             self.curves[frame] = measured(world)
+            if len(self.curves) > _CURVES:
+                del self.curves[next(iter(self.curves))]
         if (frame == stretch.first and frame not in stretch.checkpoints) or (fresh and frame % self.every == 0):
             self._bytes -= _size(stretch.checkpoints.get(frame, {}))
             stretch.checkpoints[frame] = checkpoint(world)
@@ -197,18 +206,33 @@ class Timeline:
         self._bytes -= sum(_size(arrays) for arrays in stretch.checkpoints.values())
 
     def _keep_to_budget(self, current: Stretch) -> None:
-        for frame in sorted(self.light):
-            if self.nbytes <= self.budget:
-                return
-            self.light.drop(frame)
-        for stretch in self.stretches:
-            rest = [frame for frame in sorted(stretch.checkpoints) if frame != stretch.first]
-            for frame in rest[::2]:
-                if self.nbytes <= self.budget:
-                    return
+        while self.nbytes > self.budget and self._let_go(current):
+            pass
+
+    def _let_go(self, current: Stretch) -> bool:
+        """Of what is missed least; False where only one light frame and the checkpoints that stretches begin with are left."""
+        if self.light.nbytes <= _LIGHT * self.budget:
+            between = [found for each in self.stretches for found in _between(each)]
+            if between:
+                _, _, frame, stretch = min(between, key=lambda each: each[:3])
                 self._bytes -= _size(stretch.checkpoints.pop(frame))
-        while self.nbytes > self.budget and self.stretches[0] is not current:
-            self._drop(self.stretches[0])
+                return True
+            if self.stretches[0] is not current:
+                self._drop(self.stretches[0])
+                for frame in [each for each in self.light if each < self.stretches[0].first]:
+                    self.light.drop(frame)
+                return True
+        if len(self.light) > 1:
+            self.light.drop(next(iter(self.light)))
+        return len(self.light) > 1
+
+
+def _between(stretch: Stretch) -> Iterator[tuple[bool, int, int, Stretch]]:
+    """Checkpoints of a stretch but the first: whether it is the last one, how long one would simulate at most without it, its
+    frame."""
+    frames = sorted(stretch.checkpoints)
+    for before, frame, after in zip(frames, frames[1:], [*frames[2:], None], strict=False):
+        yield after is None, (frame if after is None else after) - before, frame, stretch
 
 
 def measured(world: World) -> dict[str, float]:

@@ -6,6 +6,7 @@ The agent is run again, alone, by the reference backend, which knows every value
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import PurePath
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +32,17 @@ class Fault:
     operands: tuple[tuple[str, str], ...]
 
     def __str__(self) -> str:
-        place = "" if self.span is None else f"{self.span}: "
+        return self._told("" if self.span is None else f"{self.span}: ")
+
+    @property
+    def brief(self) -> str:
+        """The same with the name of the file alone, for whoever need not know where on this machine it is."""
+        if self.span is None:
+            return self._told("")
+        line, column = self.span.source.line_column(self.span.start)
+        return self._told(f"{PurePath(self.span.source.path).name}:{line}:{column}: ")
+
+    def _told(self, place: str) -> str:
         values = ", ".join(f"{text} = {value}" for text, value in self.operands)
         return f"{place}{self.species} {self.agent} at frame {self.frame}: `{self.what}` is not finite" + (
             f" ({values})" if values else ""

@@ -7,7 +7,9 @@ from __future__ import annotations
 import os
 import re
 import stat
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,6 +17,7 @@ _DEVICES = frozenset(["con", "prn", "aux", "nul", *(f"com{i}" for i in range(10)
 _PART = re.compile(r"[A-Za-z0-9_.,+@() \u00a1-\uffff\-]+")
 _GRANTED = re.compile(r"([A-Za-z][A-Za-z0-9_]{1,31}):(?!//)(.*)", re.DOTALL)
 _PATH_CHARACTERS = 500
+_sought: ContextVar[dict[Path, None] | None] = ContextVar("sought", default=None)
 _SEQUENCE = re.compile("([^#]*?)(#{1,9})([^#/]*)")
 
 
@@ -24,6 +27,17 @@ class PathRefused(Exception):
     def __init__(self, code: str, message: str, help: str | None = None) -> None:
         super().__init__(message)
         self.code, self.message, self.help = code, message, help
+
+
+@contextmanager
+def sought() -> Iterator[dict[Path, None]]:
+    """All files that are asked for at this door meanwhile, in order, whether they are there or not."""
+    found: dict[Path, None] = {}
+    before = _sought.set(found)
+    try:
+        yield found
+    finally:
+        _sought.reset(before)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +70,14 @@ class Roots:
     def read(self, text: str, cap: int) -> bytes:
         """The bytes of a regular file of at most `cap` bytes; PathRefused says why not."""
         root, parts = self.locate(text)
+        _note(root.joinpath(*parts))
         handle = _open_below(root, parts, text)
         return _bytes(handle, text, cap)
 
     def exists(self, text: str) -> int:
         """The size of a regular file in bytes, without reading it; PathRefused says why not."""
         root, parts = self.locate(text)
+        _note(root.joinpath(*parts))
         handle = _open_below(root, parts, text)
         try:
             return _regular(handle, text)
@@ -90,6 +106,7 @@ class Roots:
 def read_named(path: Path, cap: int) -> bytes:
     """The bytes of a file that the person named on the command line: links are followed, anything but a regular file refused."""
     shown = str(path)
+    _note(path)
     try:
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except FileNotFoundError:
@@ -97,6 +114,12 @@ def read_named(path: Path, cap: int) -> bytes:
     except OSError as problem:
         raise PathRefused("no-such-file", f"cannot open `{shown}`: {(problem.strerror or 'it is refused').lower()}") from None
     return _bytes(handle, shown, cap)
+
+
+def _note(path: Path) -> None:
+    found = _sought.get()
+    if found is not None:
+        found[path] = None
 
 
 def _bytes(handle: int, shown: str, cap: int) -> bytes:

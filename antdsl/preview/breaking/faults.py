@@ -18,4 +18,4 @@ class FaultWaits:
 
     def look(self, session: Session) -> Stop | None:
         fault = session.world.faults.latest
-        return None if fault is None else Stop(str(fault), fault.species, (fault.agent,))
+        return None if fault is None else Stop(fault.brief, fault.species, (fault.agent,))

@@ -28,7 +28,7 @@ def step(live: Live, ask: asks.Step, client: Client) -> None:
 
 
 def speed(live: Live, ask: asks.Speed, client: Client) -> None:
-    live.speed = ask.times
+    live.pace(ask.times)
 
 
 def seek(live: Live, ask: asks.Seek, client: Client) -> None:

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from antdsl.preview.timeline import Timeline
+from antdsl.preview.timeline import Branch, Timeline
 
-_MOST = 4000  # points of a history: of a longer one every so many frames are told
+_MOST, _BESIDE = 4000, 1000  # points of a history, and of a branch: of a longer one every so many frames are told
 
 
 class Told:
@@ -18,7 +18,7 @@ class Told:
         self._timeline: Timeline | None = None
         self._upto: int | None = None
         self._had = 0  # the last frame that was told, anew or not
-        self._branches = 0
+        self._branches: list[Branch] = []
 
     def forget_from(self, frame: int) -> None:
         """A frame and what follows are measured anew."""
@@ -27,10 +27,10 @@ class Told:
 
     def news(self, timeline: Timeline) -> dict[str, Any] | None:
         """What pages do not have yet; None when there is nothing."""
-        if timeline is not self._timeline or len(timeline.branches) != self._branches or self._upto is None:
+        if timeline is not self._timeline or timeline.branches != self._branches or self._upto is None:
             return self.all_of_it(timeline)
         fresh = []
-        for frame in reversed(timeline.curves):  # they are in order, but for frames measured anew
+        for frame in reversed(timeline.curves):
             if frame <= self._upto:
                 break
             fresh.append(frame)
@@ -42,12 +42,13 @@ class Told:
 
     def all_of_it(self, timeline: Timeline) -> dict[str, Any]:
         """The whole history with its branches; from now on pages have it."""
-        self._timeline, self._branches = timeline, len(timeline.branches)
+        self._timeline, self._branches = timeline, list(timeline.branches)
         self._upto = self._had = timeline.head
         branches = [
-            {"first": branch.first, "line": branch.line, **_columns(thinned(branch.curves))} for branch in timeline.branches
+            {"first": branch.first, "line": branch.line, **_columns(thinned(branch.curves, _BESIDE))}
+            for branch in timeline.branches
         ]
-        return _message(True, thinned(dict(sorted(timeline.curves.items()))), branches)
+        return _message(True, thinned(timeline.curves, _MOST), branches)
 
 
 def _message(reset: bool, curves: Mapping[int, Mapping[str, float]], branches: list[dict[str, Any]] | None) -> dict[str, Any]:
@@ -64,10 +65,10 @@ def _told(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else round(value, 6)
 
 
-def thinned(curves: Mapping[int, Mapping[str, float]]) -> Mapping[int, Mapping[str, float]]:
+def thinned(curves: Mapping[int, Mapping[str, float]], most: int) -> Mapping[int, Mapping[str, float]]:
     """At most so many of them, evenly, the last among them."""
-    if len(curves) <= _MOST:
+    if len(curves) <= most:
         return curves
     frames = list(curves)
-    step = -(-len(frames) // _MOST)
+    step = -(-len(frames) // most)
     return {frame: curves[frame] for frame in sorted({*frames[::step], frames[-1]})}

@@ -31,6 +31,7 @@ class Names:
             name = real.relative_to(self._folder).as_posix() if real.is_relative_to(self._folder) else real.name
             if is_library(real):
                 name = f"<{real.stem}>"
+            name = name.encode("utf-8", "replace").decode()  # a name need not be text, and what is sent has to be
             taken, number, plain = set(self._names.values()), 1, name
             while name in taken:
                 number += 1

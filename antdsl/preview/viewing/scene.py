@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from antdsl.outputs.feelers import feelers_of
-from antdsl.preview.session import Session
+from antdsl.preview.session import Session, silenced
 from antdsl.preview.viewing.bodies import body_name
 from antdsl.preview.viewing.names import Names, text_of
 from antdsl.preview.viewing.units import base, colourable, unit_for, worth
@@ -94,7 +95,8 @@ def _layers(session: Session, names: Names, population: Population) -> list[dict
     for (species, text), path in session.off.items():
         if species == population.name:
             whole = text_of(path) or ""
-            line = whole.count("\n", 0, max(whole.find(text), 0)) + 1
+            own = re.search(rf"^\s*species\s+{re.escape(species)}\b", whole, re.MULTILINE)
+            line = whole.count("\n", 0, max(whole.find(text, own.start() if own else 0), 0)) + 1
             found.append({"text": text, "file": names.of(path), "line": line, "on": False})
     return sorted(found, key=lambda each: (each["file"], each["line"]))
 
@@ -119,11 +121,11 @@ def _param(session: Session, names: Names, name: str, param: Param) -> dict[str,
 
 
 def _fields(session: Session) -> list[dict[str, Any]]:
-    off = session.choices.params
+    chosen = session.choices.params
     return [
         {
             "name": name, "unit": "", "colour": list(_PALETTE[number % len(_PALETTE)]),
-            "on": not (f"{name}.limit" in off and f"{name}.keeps" in off),
+            "on": not chosen.items() >= silenced(name).items(),
             "full": float(field.limit) if np.isfinite(field.limit) else 1.0,
         }
         for number, (name, field) in enumerate(session.world.fields.items())

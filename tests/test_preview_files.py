@@ -1,0 +1,144 @@
+"""What becomes of files in a preview: missing ones that come, edits that are undone, things that go, names that are no text."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from live_client import EXAMPLES, Page
+
+from antdsl.preview import Live, Session
+from antdsl.preview.packing import unpack
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A copy of the walkers, with a stone in their way, in a scene that extends another."""
+    shutil.copytree(EXAMPLES / "minimal", tmp_path / "walkers")
+    shutil.copy(EXAMPLES / "moods" / "stones.ply", tmp_path / "walkers")
+    folder = tmp_path / "walkers"
+    edit(folder / "walker.ant", "surface ground", "surface ground; obstacle stones")
+    edit(folder / "scene.yaml", "{mesh: ground.ply}", "{mesh: ground.ply}\n  stones: {mesh: stones.ply}")
+    (folder / "scene.yaml").rename(folder / "base.yaml")
+    (folder / "scene.yaml").write_text("antdsl: 1\nextends: base.yaml\n")
+    return folder
+
+
+@pytest.fixture
+def made() -> Iterator[list[Live]]:
+    lives: list[Live] = []
+    yield lives
+    for each in lives:
+        each.stop()
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def started(made: list[Live], scene: Path) -> Page:
+    made.append(Live.open(scene))
+    made[-1].start()
+    return Page(made[-1])
+
+
+@pytest.mark.parametrize("name", ["base.yaml", "walker.ant", "ground.ply"])
+@pytest.mark.parametrize("broken", [False, True])
+def test_it_opens_once_a_file_is_mended_or_comes(folder: Path, made: list[Live], name: str, broken: bool) -> None:
+    good = (folder / name).read_bytes()
+    if broken:
+        (folder / name).write_text("{")
+    else:
+        (folder / name).unlink()
+    page = started(made, folder / "scene.yaml")
+    assert page.until(lambda: page.last("problems"))["problems"]
+    (folder / name).write_bytes(good)
+    page.status(frame=1, agents=50)
+
+
+def test_a_file_that_an_edit_names_may_come_later(folder: Path, made: list[Live]) -> None:
+    page = started(made, folder / "scene.yaml")
+    page.status(frame=1)
+    edit(folder / "base.yaml", "ground.ply", "soil.ply")
+    assert not page.until(lambda: page.last("outcome"))["ok"]
+    shutil.copy(folder / "ground.ply", folder / "soil.ply")
+    page.until(lambda: page.last("outcome")["ok"])
+
+
+def test_an_edit_that_is_undone_at_an_earlier_frame_does_not_come_back(folder: Path) -> None:
+    session, _ = Session.open(folder / "scene.yaml")
+    assert session is not None
+    for _ in range(10):
+        session.step()
+    edit(folder / "walker.ant", "30 mm/s", "60 mm/s")
+    assert session.reload().ok
+    session.step()
+    session.seek(5)
+    edit(folder / "walker.ant", "60 mm/s", "30 mm/s")
+    assert session.reload().line.startswith("the files are again what they were")
+    fresh, _ = Session.open(folder / "scene.yaml")
+    assert fresh is not None
+    for _ in range(14):
+        fresh.step()
+    while session.frame < fresh.frame:
+        session.step()
+    assert session.hash == fresh.hash
+    assert session.reload().line == "nothing has changed"
+
+
+def test_what_is_set_by_hand_ahead_is_no_edit_of_files(folder: Path) -> None:
+    session, _ = Session.open(EXAMPLES / "foraging" / "scene.yaml")
+    assert session is not None
+    session.step()
+    assert session.field("trail", on=False).ok
+    session.step()
+    session.seek(1)
+    assert session.reload().line == "nothing has changed"
+    assert session.head == 3
+
+
+def test_a_mesh_that_is_gone_is_taken_away(folder: Path, made: list[Live]) -> None:
+    page = started(made, folder / "scene.yaml")
+    page.until(lambda: "mesh:stones" in page.packets)
+    stones = unpack(page.packets["mesh:stones"])[1]
+    edit(folder / "walker.ant", "; obstacle stones", "")
+    edit(folder / "base.yaml", "\n  stones: {mesh: stones.ply}", "")
+    page.until(lambda: not len(unpack(page.packets["mesh:stones"])[1]["face"]))
+    later = Page(made[0])
+    later.until(lambda: "mesh:ground" in later.packets and "frame" in later.packets)
+    assert "mesh:stones" not in later.packets or not len(unpack(later.packets["mesh:stones"])[1]["face"])
+    page.ask("seek", frame=1, exact=True)
+    edit(folder / "walker.ant", "surface ground", "surface ground; obstacle stones")
+    edit(folder / "base.yaml", "{mesh: ground.ply}", "{mesh: ground.ply}\n  stones: {mesh: stones.ply}")
+    page.until(lambda: len(unpack(page.packets["mesh:stones"])[1]["face"]))
+    again = unpack(page.packets["mesh:stones"])[1]
+    assert (again["position"] == stones["position"]).all()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="names are text there")
+def test_a_name_that_is_no_text_is_told_as_near_to_it_as_can_be(folder: Path, made: list[Live]) -> None:
+    odd = Path(os.fsdecode(os.fsencode(folder) + b"/sc\xffne.yaml"))
+    try:
+        (folder / "scene.yaml").rename(odd)
+    except OSError:
+        pytest.skip("this disk has no such names")
+    page = started(made, odd)
+    page.status(frame=1)
+    assert [each["message"] for each in page.told if each["op"] == "refused"] == []
+    assert page.last("scene")["name"] == "sc?ne.yaml"
+    assert "\\udc" not in ascii(page.told)
+
+
+def test_a_fault_tells_the_page_no_path_of_this_machine(folder: Path, made: list[Live]) -> None:
+    edit(folder / "walker.ant", "max_speed 30 mm/s", "max_speed 30 mm/s\n  load = 0")
+    edit(folder / "walker.ant", "wander()", "wander() * (1 / load)")
+    page = started(made, folder / "scene.yaml")
+    page.ask("step", count=3)
+    fault = page.until(lambda: (page.last("status") or {}).get("fault"))
+    assert fault.startswith("walker.ant:") and "not finite" in fault
+    assert str(folder) not in str([each for each in page.told if each["op"] == "status"])
