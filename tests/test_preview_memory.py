@@ -138,3 +138,61 @@ def test_another_pace_holds_at_once(scene: Path) -> None:
     page.ask("speed", times=0)
     page.until(lambda: page.last("status")["frame"] > 5)
     live.stop()
+
+
+def test_frames_of_before_an_edit_are_shown_with_the_words_of_then(scene: Path) -> None:
+    """Where an edit put a state before the others, their numbers are other ones."""
+    live = Live.open(scene, watch=False)
+    live.start()
+    page = Page(live)
+
+    def seen(frame: int, *, light: bool) -> tuple[list[str], set[str]]:
+        """The states that the page knows, and those that it sees ants in."""
+        states = page.shown(frame, light=light)["forager/state/main"]
+        known = next(each for each in page.last("scene")["species"] if each["name"] == "forager")["machines"][0]["states"]
+        return known, {known[state] if state < len(known) else "" for state in set(states.tolist())}
+
+    try:
+        page.ask("step", count=10)
+        page.hash_at(11)
+        before, there = seen(11, light=False)
+        program = scene.with_name("forager.ant")
+        head, sign, rest = program.read_text().partition("  state ")
+        program.write_text(f"{head}  state dance {{ steer wander() }}\n{sign}{rest}")
+        assert page.done("reload")["ok"]
+        page.ask("step", count=5)
+        page.hash_at(16)
+        assert seen(16, light=False)[0] == ["dance", *before]
+        page.ask("seek", frame=5, exact=False)
+        assert seen(5, light=True) == (["dance", *before], there)
+        page.ask("seek", frame=5, exact=True)
+        page.hash_at(5)
+        assert seen(5, light=False) == (before, there)
+        page.ask("seek", frame=14, exact=False)
+        assert seen(14, light=True) == (before, there)
+        page.ask("step", count=1)
+        page.hash_at(15)
+        assert seen(15, light=False) == (["dance", *before], there)
+    finally:
+        live.stop()
+
+
+def test_sliders_stand_where_they_stood_at_the_frame_one_goes_to(scene: Path) -> None:
+    live = Live.open(scene, watch=False)
+    live.start()
+    page = Page(live)
+
+    def smell() -> str:
+        return next(each["value"] for each in page.last("scene")["params"] if each["name"] == "forager.smell")
+
+    page.ask("step", count=3)
+    page.hash_at(4)
+    assert page.done("set", name="forager.smell", value="55 mm")["ok"]
+    page.ask("step", count=3)
+    page.hash_at(7)
+    assert smell() == "55 mm"
+    page.ask("seek", frame=2, exact=True)
+    page.until(lambda: smell() == "40 mm")
+    page.ask("seek", frame=6, exact=True)
+    page.until(lambda: smell() == "55 mm")
+    live.stop()

@@ -161,6 +161,7 @@ class Live:
         self.light = self._target = None
         if frame is not None:
             self.session.seek(frame)
+            self.screen.arrived()
 
     def show_light(self, frame: int) -> None:
         """Show what is remembered of a frame, or of the nearest one that is, and simulate nothing."""
@@ -262,7 +263,7 @@ class Live:
                 session.seek(session.frame + 1)
             if session.frame == self._target:
                 self.light = self._target = None
-                self.screen.touched()
+                self.screen.arrived()
         elif self._steps:
             self._steps = self._steps - 1 if self.step() else 0
         elif session.playing and monotonic() >= self._due and self.step():

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.plan.ir import Plan
 from antdsl.preview.packing import pack
 from antdsl.preview.timeline import Light
 from antdsl.preview.viewing.feelers import felt
@@ -17,6 +18,7 @@ from antdsl.program.model import Program
 from antdsl.runtime import Population, World
 from antdsl.runtime.world import AXES
 
+_GONE = 255
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -35,7 +37,8 @@ class Agents:
         if seen.light is not None:  # also while the session is on its way there
             lights = seen.session.shown(seen.light)
             if lights is not None:
-                yield "frame", pack("frame", _remembered(lights), frame=seen.light, light=True)
+                then = seen.session.timeline.at(seen.light).shot.plan
+                yield "frame", pack("frame", _renumbered(_remembered(lights), then, seen.shot.plan), frame=seen.light, light=True)
             return
         arrays: Arrays = {}
         factors = _factors(world, seen.shot.program, seen.wanted)
@@ -84,6 +87,18 @@ def _items(world: World, program: Program) -> Arrays:
             if declared.name in items.amounts:
                 one = worth(unit_for(declared), world.setting.unit_mm, world.dt)
                 arrays[f"item/{name}/amount/{declared.name}"] = (items.amounts[declared.name] / one).astype(np.float32)
+    return arrays
+
+
+def _renumbered(arrays: Arrays, then: Plan, now: Plan) -> Arrays:
+    """States by their numbers in the program that pages know, which may be another than the one that they are remembered of; 255
+    for those that it does not have."""
+    for name, species in then.species.items() if then is not now else ():
+        known = {machine.name: machine.states for machine in now.species[name].machines} if name in now.species else {}
+        for machine in species.machines:
+            states = known.get(machine.name, ())
+            table = np.array([states.index(each) if each in states else _GONE for each in machine.states], np.uint8)
+            arrays[f"{name}/state/{machine.name}"] = table[arrays[f"{name}/state/{machine.name}"]]
     return arrays
 
 

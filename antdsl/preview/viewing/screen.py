@@ -59,7 +59,13 @@ class Screen:
         self._moved = True
 
     def entered(self) -> None:
-        self._moved = True
+        """Another world, maybe of another program or with other values: one has gone back in time, or on to an edit."""
+        self._program = self._moved = True
+
+    def arrived(self) -> None:
+        """Where one was going to in time: what was set by hand may be otherwise than where one set out."""
+        self._program = True
+        self.touched()
 
     def touched(self) -> None:
         """Something was done that pages may have to hear of."""
