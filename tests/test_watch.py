@@ -137,3 +137,18 @@ def test_a_file_that_begins_to_change_stirs_once_before_it_is_told(file: Path) -
     assert watch.look() == (file,) and not watch.stirs()
     file.write_text("")
     assert watch.look() == () and not watch.stirs(), "half of a save"
+
+
+def test_what_somebody_has_read_in_the_middle_of_a_change_is_told_though_it_is_taken_back(file: Path) -> None:
+    clock = Clock()
+    watch = Watch(lambda: [file], clock=clock)
+    watch.doubt()
+    assert told(watch, clock, 1.2) == [], "nobody was changing it"
+    file.write_text("two")
+    watch.doubt()
+    file.write_text("one")
+    assert told(watch, clock, 0.1) == [file]
+    file.write_text("two")
+    watch.look()
+    file.write_text("one")
+    assert told(watch, clock, 2.0) == [], "nobody has read it meanwhile"

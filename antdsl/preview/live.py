@@ -216,9 +216,15 @@ class Live:
             return
         self.be_exact()
         done = self._session.reload()
-        self.report = done.report
+        self.took(done.report)
         self.tell_all(outcome(self, of, done))
         self.screen.edited(files=True)
+
+    def took(self, report: Report) -> None:
+        """The files were read as they are, with this to complain about; one that was just being saved will be read again."""
+        self.report = report
+        if self._watch is not None:
+            self._watch.doubt()
 
     # --- the thread --------------------------------------------------------------------------------------------------
 
@@ -319,7 +325,8 @@ class Live:
 
     def _try_to_open(self) -> None:
         choices, options, how = self._how
-        self._session, self.report = Session.open(self.compiler.scene, choices, options, compiler=self.compiler, **how)
+        self._session, report = Session.open(self.compiler.scene, choices, options, compiler=self.compiler, **how)
+        self.took(report)
         self._adopt()
         self.screen.edited(files=True)
         if self._session is not None:

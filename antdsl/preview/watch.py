@@ -16,6 +16,7 @@ _ABSENT = 0.3  # the same for one that is not there or empty: half of a save by 
 _AGAIN = 1.0  # seconds after which small files are read though nothing tells of a change: clocks of disks can be coarse
 _SMALL = 1 << 20
 _BLOCK = 1 << 20
+_UNKNOWN = b""  # no hash of any contents
 
 Stamp = tuple[int, int, int] | None
 
@@ -24,6 +25,7 @@ Stamp = tuple[int, int, int] | None
 class _File:
     stamp: Stamp
     contents: bytes | None  # a hash; None for a file that is not there
+    held: Stamp  # when that was read
     since: float | None = None  # when it was found other than before; None: nothing is up
     read: float = 0.0
     stirred: bool = False  # nobody has heard of that yet
@@ -43,10 +45,17 @@ class Watch:
         changed = [path for path in paths if path in self._files and self._changed(path, self._files[path], now)]
         for path in paths:
             if path not in self._files:
-                self._files[path] = _File(_stamp(path), _contents(path), read=now)
+                self._files[path] = _File(stamp := _stamp(path), _contents(path), stamp, read=now)
         for path in set(self._files) - set(paths):
             del self._files[path]
         return tuple(changed)
+
+    def doubt(self) -> None:
+        """Somebody has read the files besides: those that are changing right now count as changed once they rest, also if they
+        are then what they were at first."""
+        for path, file in self._files.items():
+            if _stamp(path) != file.held:
+                file.contents = _UNKNOWN
 
     def stirs(self) -> bool:
         """Whether a file was found other than before and may still be being written. Says so once for each time that happens."""
@@ -75,7 +84,7 @@ class Watch:
             known.since = now
             return False
         known.since, known.read, known.stirred = None, now, False
-        other, known.contents = contents != known.contents, contents
+        other, known.contents, known.held = contents != known.contents, contents, stamp
         return other
 
 

@@ -46,6 +46,6 @@ def restart(live: Live, ask: asks.Restart, client: Client) -> None:
     live.pause()
     live.show_light(live.session.frame)
     done = live.session.restart()
-    live.report = done.report
+    live.took(done.report)
     live.tell_all(outcome(live, "restart", done))
     live.screen.edited(files=True)
