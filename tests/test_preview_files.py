@@ -142,3 +142,12 @@ def test_a_fault_tells_the_page_no_path_of_this_machine(folder: Path, made: list
     fault = page.until(lambda: (page.last("status") or {}).get("fault"))
     assert fault.startswith("walker.ant:") and "not finite" in fault
     assert str(folder) not in str([each for each in page.told if each["op"] == "status"])
+
+
+def test_a_scene_that_is_gone_is_told_of_by_its_name(folder: Path, made: list[Live]) -> None:
+    page = started(made, folder / "scene.yaml")
+    page.status(frame=1)
+    (folder / "scene.yaml").unlink()
+    [problem] = page.until(lambda: page.last("outcome"))["problems"]
+    assert problem["message"] == "there is no file `scene.yaml`"
+    page.until(lambda: page.last("problems")["problems"] == [problem])

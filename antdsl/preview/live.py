@@ -310,7 +310,8 @@ class Live:
         from antdsl.preview.doing import HANDLERS, WITHOUT_SESSION
 
         if self._session is None and isinstance(ask, Breaks | Profile):
-            self._later.append((ask, client))
+            held = [each for each in self._later if each[1] in self.clients and (type(each[0]), each[1]) != (type(ask), client)]
+            self._later = [*held, (ask, client)]
             return
         try:
             if self._session is None and type(ask) not in WITHOUT_SESSION:

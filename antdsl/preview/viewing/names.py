@@ -19,6 +19,7 @@ class Names:
 
     def __init__(self, scene: Path) -> None:
         self._folder = Path(os.path.realpath(scene)).parent
+        self._ways = [os.path.join(each, "") for each in (self._folder, scene.parent) if os.path.isabs(each)]
         self._names: dict[Path, str] = {}
 
     def of(self, path: str | Path) -> str:
@@ -42,7 +43,8 @@ class Names:
     def problem(self, found: Diagnostic) -> dict[str, Any]:
         """A complaint with its place; where it has none, the file is null."""
         told: dict[str, Any] = {
-            "code": found.code, "severity": found.severity, "message": found.message, "help": found.help or "",
+            "code": found.code, "severity": found.severity, "message": self._brief(found.message),
+            "help": self._brief(found.help or ""),
             "file": None, "start": 0, "end": 0, "line": 0, "column": 0,
         }  # fmt: skip
         if found.span is not None:
@@ -53,6 +55,12 @@ class Names:
                 "end": utf16(text[: found.span.end]), "line": line, "column": column,
             }  # fmt: skip
         return told
+
+    def _brief(self, words: str) -> str:
+        """Words less the way to the scene's folder."""
+        for way in self._ways:
+            words = words.replace(way, "")
+        return words
 
 
 def is_library(path: Path) -> bool:
