@@ -14,6 +14,7 @@ from live_client import EXAMPLES, Page
 from antdsl.preview import Live, Session, timeline
 from antdsl.preview.judging import Specs
 from antdsl.preview.viewing.curves import Told
+from antdsl.preview.viewing.scene import Box
 
 
 @pytest.fixture
@@ -196,3 +197,15 @@ def test_sliders_stand_where_they_stood_at_the_frame_one_goes_to(scene: Path) ->
     page.ask("seek", frame=6, exact=True)
     page.until(lambda: smell() == "55 mm")
     live.stop()
+
+
+def test_the_box_about_all_stays_while_agents_fly_out_of_it(scene: Path) -> None:
+    """The page looks at the whole again where the box is another one: not each time that a slider is moved."""
+    session, box = opened(scene), Box()
+    first = box.of(session)
+    ants = session.world.populations["forager"]
+    ants.position[0] = 1e5
+    assert box.of(session) == first and Box().of(session)[1] == pytest.approx([1e5] * 3)
+    scene.write_text(scene.read_text().replace("mesh: boulder.ply", "mesh: boulder.ply, at: [0, 900, 0]"))
+    assert session.reload().ok
+    assert box.of(session) != first

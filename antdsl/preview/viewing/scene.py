@@ -24,11 +24,11 @@ _PALETTE = ((0.98, 0.75, 0.24), (0.35, 0.75, 0.95), (0.62, 0.86, 0.42), (0.93, 0
 _FOCAL = 35.0  # mm, as for pictures
 
 
-def scene(live: Live, charts: list[dict[str, Any]], charts_need: str) -> dict[str, Any]:
+def scene(live: Live, box: Box, charts: list[dict[str, Any]], charts_need: str) -> dict[str, Any]:
     """All of it as the session's program is now."""
     session, names = live.session, live.screen.names
     world, program = session.world, session.shot.program
-    low, high = _bounds(session)
+    low, high = box.of(session)
     return {
         "op": "scene", "name": names.of(live.compiler.scene), "fps": float(world.setting.fps), "unit_mm": world.setting.unit_mm,
         "up": [float(x) for x in world.up], "low": low, "high": high,
@@ -41,15 +41,27 @@ def scene(live: Live, charts: list[dict[str, Any]], charts_need: str) -> dict[st
     }  # fmt: skip
 
 
-def _bounds(session: Session) -> tuple[list[float], list[float]]:
-    """The box about all ground, solids and agents, in the world's own count."""
-    world = session.world
-    meshes = [mesh.vertices for mesh in (*world.setting.surfaces.values(), *world.setting.obstacles.values())]
-    meshes += [solid.mesh.vertices for solid in world.setting.solids.values()]
-    parts = [mesh - world.origin for mesh in meshes] + [population.position for population in world.populations.values()]
-    parts = [part for part in parts if len(part)] or [np.array([[-100.0] * 3, [100.0] * 3])]
-    low, high = np.min([part.min(axis=0) for part in parts], axis=0), np.max([part.max(axis=0) for part in parts], axis=0)
-    return [float(x) for x in low], [float(x) for x in high]
+class Box:
+    """The box about all ground, solids and agents, in the world's own count. It stays what it was while ground and solids do: a
+    page looks at the whole again where it is another one."""
+
+    def __init__(self) -> None:
+        self._about: tuple[list[list[float]], bool] = [], False
+        self._box: tuple[list[float], list[float]] | None = None
+
+    def of(self, session: Session) -> tuple[list[float], list[float]]:
+        world = session.world
+        meshes = [mesh.vertices for mesh in (*world.setting.surfaces.values(), *world.setting.obstacles.values())]
+        meshes += [solid.mesh.vertices for solid in world.setting.solids.values()]
+        ends = [end - world.origin for mesh in meshes if len(mesh) for end in (mesh.min(axis=0), mesh.max(axis=0))]
+        people = [population.position for population in world.populations.values() if len(population)]
+        about = [[float(x) for x in end] for end in ends], bool(people)
+        if self._box is None or about != self._about:
+            ends += [end for places in people for end in (places.min(axis=0), places.max(axis=0))]
+            ends = ends or [np.full(3, -100.0), np.full(3, 100.0)]
+            low, high = np.min(ends, axis=0), np.max(ends, axis=0)
+            self._about, self._box = about, ([float(x) for x in low], [float(x) for x in high])
+        return self._box
 
 
 def _camera(session: Session) -> dict[str, Any] | None:

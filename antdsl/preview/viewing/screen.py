@@ -21,7 +21,7 @@ from antdsl.preview.viewing.fields import Fields
 from antdsl.preview.viewing.lines import Curves, Flows
 from antdsl.preview.viewing.meshes import Meshes
 from antdsl.preview.viewing.names import Names
-from antdsl.preview.viewing.scene import scene
+from antdsl.preview.viewing.scene import Box, scene
 from antdsl.preview.viewing.seen import Seen, View, Wanted
 from antdsl.preview.viewing.solids import Solids
 
@@ -43,6 +43,7 @@ class Screen:
         self.due = inf
         self._views = [make() for make in VIEWS]
         self._charts, self._curves = Charts(), Told()
+        self._box = Box()
         self._wanted = Wanted()
         self._standing: dict[str, bytes] = {}  # the latest packet of each slot
         self._steps: deque[float] = deque()
@@ -159,15 +160,14 @@ class Screen:
     def _tell_scene(self, laid: bool) -> bool:
         """Tell the scene if it is another than pages have, with charts only where these are `laid` out; whether they are."""
         told = self._scene_message(laid)
-        still = ("low", "high")  # agents move: no reason to tell it again
-        if {k: v for k, v in told.items() if k not in still} != {k: v for k, v in self._scene.items() if k not in still}:
+        if told != self._scene:
             self._scene = told
             self.live.tell_all(told)
         return laid
 
     def _scene_message(self, laid: bool = True) -> dict[str, Any]:
         charts = self._charts.of(self.live.session.shot.program) if laid else self._scene.get("charts", [])
-        return scene(self.live, charts, self._charts.need)
+        return scene(self.live, self._box, charts, self._charts.need)
 
     def _tell_progress(self, session: Session | None) -> None:
         told = telling.status(self.live, self._rate(), self._hash_now())
