@@ -8,11 +8,13 @@ import time
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
-from live_client import EXAMPLES, Page
+from live_client import EXAMPLES, Page, places
 
 from antdsl.preview import Live, Session, timeline
 from antdsl.preview.judging import Specs
+from antdsl.preview.packing import unpack
 from antdsl.preview.viewing.curves import Told
 from antdsl.preview.viewing.scene import Box
 
@@ -209,3 +211,22 @@ def test_the_box_about_all_stays_while_agents_fly_out_of_it(scene: Path) -> None
     scene.write_text(scene.read_text().replace("mesh: boulder.ply", "mesh: boulder.ply, at: [0, 900, 0]"))
     assert session.reload().ok
     assert box.of(session) != first
+
+
+def test_each_page_is_told_whose_feelers_are_whose(scene: Path) -> None:
+    live = Live.open(scene, watch=False)
+    live.start()
+    pages = [Page(live), Page(live)]
+    for page, agent in zip(pages, (3, 7), strict=True):
+        page.ask("look", columns=(), fields=(), flows=(), solids=True, follow={"species": "forager", "agent": agent})
+    pages[0].ask("step", count=2)
+    arrays = pages[0].shown(3)
+    live.stop()
+    header, _ = unpack(pages[0].packets["frame"])
+    assert [each[:2] for each in header["felt"]] == [["forager", 3], ["forager", 7]]
+    lines, at = arrays["feelers"].reshape(-1, 2, 3), 0
+    for _, agent, count in header["felt"]:
+        place = places(arrays, "forager")[list(arrays["forager/id"]).index(agent)]
+        assert count > 0 and np.allclose(lines[at : at + count, 0], place, atol=1e-3)
+        at += count
+    assert at == len(lines) == len(arrays["feelers/hit"])

@@ -1,4 +1,4 @@
-"""The packet of each frame: agents by id, items with their amounts, and the feelers of who is followed."""
+"""The packet of each frame: agents by id, items with their amounts, and the feelers of those who are followed."""
 
 from __future__ import annotations
 
@@ -47,9 +47,8 @@ class Agents:
             light = lights[name] if name in lights else Light.of(population)
             arrays |= _remembered({name: light}) | _now(population, factors)
         arrays |= _items(world, seen.shot.program)
-        if seen.wanted.follow is not None:
-            arrays |= felt(world, seen.shot.program, seen.wanted.follow.species, seen.wanted.follow.agent)
-        yield "frame", pack("frame", arrays, frame=world.frame, light=False)
+        feelers, whose = _feelers(world, seen.shot.program, seen.wanted)
+        yield "frame", pack("frame", arrays | feelers, frame=world.frame, light=False, felt=whose)
 
 
 def _now(population: Population, factors: Mapping[tuple[str, str], float]) -> Arrays:
@@ -76,6 +75,14 @@ def _factors(world: World, program: Program, wanted: Wanted) -> dict[tuple[str, 
         if name in declared and species in world.populations and name in world.populations[species].now:
             found[species, name] = 1 / worth(unit_for(declared[name]), world.setting.unit_mm, world.dt)
     return found
+
+
+def _feelers(world: World, program: Program, wanted: Wanted) -> tuple[Arrays, list[tuple[str, int, int]]]:
+    """Those of all who are followed, one after the other; and whose they are, with how many."""
+    found = [(who, felt(world, program, who.species, who.agent)) for who in wanted.followed]
+    found = [(who, arrays) for who, arrays in found if arrays]
+    whose = [(who.species, who.agent, len(arrays["feelers"])) for who, arrays in found]
+    return {name: np.concatenate([arrays[name] for _, arrays in found]) for name in (found[0][1] if found else ())}, whose
 
 
 def _items(world: World, program: Program) -> Arrays:

@@ -22,18 +22,18 @@ class Wanted:
     fields: frozenset[str] = frozenset()
     flows: frozenset[str] = frozenset()
     solids: bool = True
-    follow: Who | None = None  # the one followed last
+    followed: tuple[Who, ...] = ()  # each once
 
     @classmethod
     def by(cls, looks: Iterable[Look]) -> Wanted:
         looks = list(looks)
-        followed = [look.follow for look in looks if look.follow is not None]
+        followed = dict.fromkeys(look.follow for look in looks if look.follow is not None)
         return cls(
             frozenset((column.species, column.name) for look in looks for column in look.columns),
             frozenset(name for look in looks for name in look.fields),
             frozenset(name for look in looks for name in look.flows),
             any(look.solids for look in looks),
-            followed[-1] if followed else None,
+            tuple(followed),
         )
 
 

@@ -334,7 +334,8 @@ export interface Explanation {
 // frame           NAME/id i32[n] NAME/position f32[n,3] NAME/heading i8[n,3] NAME/up i8[n,3] NAME/size f32[n] NAME/speed f32[n]
 //                 NAME/born i32[n] NAME/state/MACHINE u8[n] NAME/column/ATTRIBUTE f32[n];
 //                 item/NAME/position f32[m,3] item/NAME/size f32[m] item/NAME/amount/ATTRIBUTE f32[m];
-//                 feelers f32[k,2,3] feelers/hit u8[k] (of who is followed); rows by id. header: frame, light.
+//                 feelers f32[k,2,3] feelers/hit u8[k] of those who are followed; rows by id. header: frame, light,
+//                 felt (whose feelers: lists of species, agent and how many, one after the other).
 //                 A light one has id, position, heading, up, size and state alone. Turns: 127 is 1
 // mesh:NAME       position f32[n,3] face u32[m,3]; header: role `ground`, `obstacle`; moves: comes each frame
 // body:NAME       poses f32[p,n,3] normal f32[n,3] face u32[m,3] tint f32[n]; header: stride. Length 1 along +x, up +y.
@@ -347,7 +348,7 @@ export interface Explanation {
 // solid:NAME:N    position f32[n,3] normal f32[n,3] face u32[m,3]; an empty one takes a piece away
 export interface Packet {
   slot: string;
-  header: Record<string, unknown> & { slot: string; frame?: number; light?: boolean };
+  header: Record<string, unknown> & { slot: string; frame?: number; light?: boolean; felt?: [string, number, number][] };
   arrays: Map<string, NumberArray>;
 }
 

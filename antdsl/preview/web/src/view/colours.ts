@@ -37,7 +37,10 @@ export function paint(herd: Herd, colour: string, range: Range | null): void {
   const states = machine && herd.column(`state/${machine.name}`);
   if (machine && states) {
     const table = Uint8Array.from(machine.colours.flat(), (part) => Math.round(255 * part));
-    for (let row = 0; row < herd.count; row++) copy(tone, row, table, states[row] as number);
+    const plain = PLAIN.map((part) => Math.round(255 * part));
+    const entries = Uint8Array.from([...table, ...plain]); // the last for states of a program that is another one now
+    const known = machine.colours.length;
+    for (let row = 0; row < herd.count; row++) copy(tone, row, entries, Math.min(states[row] as number, known));
     return;
   }
   const found = range && numbersOf(herd, colour);

@@ -23,13 +23,25 @@ export function feelers(sight: Sight): void {
     return Float32Array.from(lines, (part, k) => part + UP.getComponent(k % 3) * 0.16 * herd.size(row));
   }
 
+  /** Which of the feelers are those of the agent that this page follows: other pages may follow others. */
+  function own(felt: [string, number, number][]): [number, number] {
+    const agent = eye.follows;
+    let first = 0;
+    for (const [species, id, count] of felt) {
+      if (species === agent?.species && id === agent.id) return [first, first + count];
+      first += count;
+    }
+    return [0, 0];
+  }
+
   function draw(): void {
     strokes.clear();
     const lines = herds.packet?.arrays.get("feelers");
     const hit = herds.packet?.arrays.get("feelers/hit");
     if (store.now.feelers && store.now.selected.length && lines && hit) {
       const raised = raise(lines);
-      for (let k = 0; k < hit.length; k++) {
+      const [first, last] = own(herds.packet?.header.felt ?? []);
+      for (let k = first; k < last; k++) {
         const colour = hit[k] ? struck : free;
         strokes.add(raised, 6 * k, raised, 6 * k + 3, 1.8, 1.8, colour, 0.95);
         if (hit[k]) strokes.add(raised, 6 * k + 3, raised, 6 * k + 3, 8, 8, colour, 1); // of no length: drawn as a dot
