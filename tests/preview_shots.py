@@ -114,9 +114,9 @@ def states(browser: Browser) -> None:
 def digging(browser: Browser) -> None:
     """A tunnel while it is dug, seen from beside the diggers."""
     with previewed(EXAMPLES / "tunnel" / "scene.yaml") as address, opened(browser, address, color_scheme="light") as seen:
-        go(seen, 110)
+        go(seen, 92)
         seen.press("legend-forager-main-dig")
-        keys(seen, "g", "ArrowLeft", "ArrowLeft", "ArrowDown", "+", "+")
+        keys(seen, "x", "g", *["ArrowRight"] * 8, "ArrowDown", "ArrowDown", "+", "+")
         rest(seen)
         keep(seen, "preview_digging")
 

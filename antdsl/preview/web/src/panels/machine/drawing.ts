@@ -4,12 +4,13 @@ import type { Chart, ChartArrow, ChartBox } from "../../protocol";
 import { css, say, svg, shown } from "../dom";
 
 const HEAD = 7;
+const RATE = 21; // px that half of a rate is wide
 const LARGEST = 1.25; // small machines are not blown up beyond that
 
 export class ChartDrawing {
   readonly element: SVGSVGElement;
   private readonly boxes = new Map<string, { count: SVGTextElement; group: SVGGElement }>();
-  private readonly arrows: { arrow: ChartArrow; line: SVGPolylineElement; rate: SVGTextElement; title: SVGTitleElement }[] = [];
+  private readonly arrows: { arrow: ChartArrow; line: SVGPolylineElement; rate: SVGTextElement; x: number; title: SVGTitleElement }[] = [];
   private readonly names: Map<string, string>;
   private readonly fitted: (() => void)[] = []; // each fits one thing to the size of letters
 
@@ -26,11 +27,14 @@ export class ChartDrawing {
     const shown = this.element.getBoundingClientRect();
     if (!shown.width) return;
     const scale = Math.min(shown.width / (this.chart.width + 8), shown.height / (this.chart.height + 8));
-    this.element.style.setProperty("--letter", `${Math.max(1, 1 / scale)}px`);
+    const letter = Math.max(1, 1 / scale);
+    this.element.style.setProperty("--letter", `${letter}px`);
     this.element.classList.toggle("small", scale < 0.8);
     for (const fit of this.fitted) fit();
     const all = this.element.getBBox(); // boxes may stand out by now
     this.element.setAttribute("viewBox", [all.x - 4, all.y - 4, all.width + 8, all.height + 8].join(" "));
+    const [least, most] = [all.x + RATE * letter, all.x + all.width - RATE * letter];
+    for (const { rate, x } of this.arrows) rate.setAttribute("x", String(Math.min(Math.max(x, least), most)));
   }
 
   counts(counts: ReadonlyMap<string, number>): void {
@@ -126,7 +130,7 @@ export class ChartDrawing {
       rate.style.setProperty("--below", `${words.height / 2 + 8}px`);
     }
     group.append(rate);
-    this.arrows.push({ arrow, line, rate, title });
+    this.arrows.push({ arrow, line, rate, x, title });
     return group;
   }
 }
