@@ -126,7 +126,9 @@ def test_a_field_that_is_set_to_other_values_is_not_off(scene: Path) -> None:
     assert [each["on"] for each in page.last("scene")["fields"]] == [True]
     assert page.done("field", name="trail", on=False)["ok"]
     page.until(lambda: [each["on"] for each in page.last("scene")["fields"]] == [False])
+    assert page.done("field", name="trail", on=True)["ok"]
     live.stop()
+    assert live.session.choices.params == {"trail.limit": "0.5", "trail.keeps": "90 %/step"}, "it is as it was before"
 
 
 def test_another_pace_holds_at_once(scene: Path) -> None:

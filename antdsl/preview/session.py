@@ -47,6 +47,7 @@ class Session:
         self.playing = False
         self.edited = False  # something was changed while it ran: not what a fresh run gives
         self.fault: str | None = None  # of the last step
+        self._before_off: dict[str, dict[str, str]] = {}  # what was set of fields that are off
         self.meter: Meter | None = None  # measures each step while there is one; see `measure`
         self.on_world: Callable[[Session], None] | None = None  # called when `world` is another one than before
         self._stretch: Stretch
@@ -208,7 +209,11 @@ class Session:
         off = silenced(name)
         if name not in self.shot.plan.fields:
             return _unknown(f"no program has a field `{name}`")
-        params = {key: value for key, value in self.choices.params.items() if off.get(key) != value}
+        chosen = self.choices.params
+        if not on and not chosen.items() >= off.items():
+            self._before_off[name] = {key: chosen[key] for key in off if key in chosen}
+        params = {key: value for key, value in chosen.items() if off.get(key) != value}
+        params |= self._before_off.pop(name, {}) if on else {}
         text = "" if on else f"set: {{{', '.join(f'{key}: {value}' for key, value in off.items())}}}"
         return self._with(replace(self.choices, params=params if on else {**params, **off}), self._stretch.off, text)
 
