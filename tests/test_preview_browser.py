@@ -95,6 +95,23 @@ def test_an_error_is_underlined_and_the_ants_go_on(browser: Browser, tmp_path: P
         marked.first.wait_for(state="detached", timeout=5000)
 
 
+def test_a_file_that_is_gone_for_a_moment_keeps_its_tab(browser: Browser, tmp_path: Path) -> None:
+    folder = copied("foraging", tmp_path)
+    program = folder / "forager.ant"
+    with previewed(folder / "scene.yaml") as address, opened(browser, address) as seen:
+        chosen = seen.page.locator("[role=tab][aria-selected=true][data-test^=file-tab]")
+        assert chosen.get_attribute("data-test") == "file-tab-forager.ant"
+        program.rename(folder / "away.ant")
+        seen.find("errors").get_by_text("1 error").wait_for(timeout=5000)
+        (folder / "away.ant").rename(program)
+        seen.find("errors").wait_for(state="hidden", timeout=5000)
+        seen.page.locator("[data-test='file-tab-forager.ant'][aria-selected=true]").wait_for(timeout=3000)
+        row = seen.find("legend-forager-main-search")
+        assert row.is_visible()
+        seen.page.locator(".sight-legend summary").click()
+        assert not row.is_visible(), "the legend can be folded"
+
+
 def test_a_slider_acts_and_shows_its_line(browser: Browser, tmp_path: Path) -> None:
     scene = copied("foraging", tmp_path) / "scene.yaml"
     with previewed(scene) as address, opened(browser, address) as seen:

@@ -12,6 +12,8 @@ export class Tabs {
   readonly list: HTMLElement;
   private readonly buttons = new Map<string, HTMLButtonElement>();
   private shown = "";
+  private wanted = ""; // what was chosen by a person
+  private missed = ""; // the same, while there is no such tab: a file that is gone for a moment
 
   constructor(
     label: string,
@@ -32,6 +34,7 @@ export class Tabs {
       if (tabs.some((tab) => tab.id === id)) continue;
       button.remove();
       this.buttons.delete(id);
+      if (id === this.wanted || (id === this.shown && !this.missed)) this.missed = id;
     }
     for (const [number, tab] of tabs.entries()) {
       const button = this.buttons.get(tab.id) ?? this.made(tab.id);
@@ -39,7 +42,8 @@ export class Tabs {
       if (tab.title) button.title = tab.title;
       if (this.list.children[number] !== button) this.list.insertBefore(button, this.list.children[number] ?? null);
     }
-    if (!this.buttons.has(this.shown) && tabs[0]) this.choose(tabs[0].id);
+    if (this.buttons.has(this.missed)) this.want(this.missed);
+    else if (!this.buttons.has(this.shown) && tabs[0]) this.choose(tabs[0].id);
   }
 
   /** Hang a mark on a tab, such as how many errors there are; an empty one is none. */
@@ -60,6 +64,13 @@ export class Tabs {
     this.chosen(id);
   }
 
+  /** Choose as a person does: it is come back to when it was gone for a moment. */
+  want(id: string): void {
+    this.wanted = id;
+    this.missed = "";
+    this.choose(id);
+  }
+
   private made(id: string): HTMLButtonElement {
     const button = el("button", {
       type: "button",
@@ -68,7 +79,7 @@ export class Tabs {
       test: `${this.prefix}-tab-${id}`,
       "aria-controls": this.panel(id),
       "aria-selected": "false",
-      on: { click: () => this.choose(id) },
+      on: { click: () => this.want(id) },
     });
     button.tabIndex = -1;
     this.buttons.set(id, button);
@@ -81,7 +92,7 @@ export class Tabs {
     const to = { ArrowRight: at + 1, ArrowLeft: at - 1, Home: 0, End: all.length - 1 }[event.key];
     if (to === undefined) return;
     const id = all[(to + all.length) % all.length] as string;
-    this.choose(id);
+    this.want(id);
     this.buttons.get(id)?.focus();
     event.preventDefault();
   }

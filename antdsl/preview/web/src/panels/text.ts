@@ -26,18 +26,14 @@ export function text(store: Store, place: HTMLElement): void {
     const fresh = tabs.now === "";
     tabs.renew(texts.map(({ file, kind }) => ({ id: file, label: shortName(file), title: kind === "library" ? `${file} (library)` : file })));
     const program = texts.find((each) => each.kind === "ant");
-    if (fresh && program) tabs.choose(program.file);
+    if (fresh && program) tabs.want(program.file);
     showProblems(store, editor, tabs);
   });
-  let known = new Set<string>();
   store.on("problems", () => {
     const problems = store.now.problems?.problems ?? [];
     list.hidden = problems.length === 0;
     rows(problems);
     showProblems(store, editor, tabs);
-    const fresh = problems.find((each) => each.severity === "error" && each.file && !known.has(problemKey(each)));
-    known = new Set(problems.map(problemKey));
-    if (fresh?.file) store.set("goto", { file: fresh.file, line: fresh.line }); // what one has just broken is to be seen
   });
   list.hidden = true;
   store.on("goto", () => {

@@ -17,6 +17,7 @@ export function legend(sight: Sight): void {
   box.setAttribute("role", "group");
   box.setAttribute("aria-label", "Colours");
   stage.place.append(box);
+  const folded = new Set<string>();
   let made = "";
   let counts: (() => void)[] = [];
   let next = 0;
@@ -55,11 +56,16 @@ export function legend(sight: Sight): void {
   }
 
   function states(herd: Herd, machine: Machine): void {
-    const title = document.createElement("h3");
-    box.append(title);
+    const part = document.createElement("details");
+    const title = document.createElement("summary");
+    const id = `${herd.species.name} ${machine.name}`;
+    part.open = !folded.has(id);
+    part.addEventListener("toggle", () => (part.open ? folded.delete(id) : folded.add(id)));
+    part.append(title);
+    box.append(part);
     const several = herd.species.machines.length > 1 ? ` · ${machine.name}` : "";
     const rows = machine.states.map((state, number) => row(herd.species, machine, state, number));
-    for (const each of rows) box.append(each.button);
+    for (const each of rows) part.append(each.button);
     counts.push(() => {
       const now = herds.byName.get(herd.species.name) ?? herd; // an edit makes herds anew, with the same states
       title.textContent = `${herd.species.name}${several} · ${now.count.toLocaleString("en")}`;
