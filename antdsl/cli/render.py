@@ -53,6 +53,7 @@ def render(
 ) -> None:
     """Draw frames of a cache."""
     from antdsl.cli.arguments import frame_range
+    from antdsl.cli.run import cores
 
     gallery = _gallery(cache, _cut(cut))
     wanted = _frames(gallery, frame_range(frames), every, sheet, film)
@@ -62,7 +63,7 @@ def render(
     folder.mkdir(parents=True, exist_ok=True)
     if film:
         _ready_for_films()
-    drawn = _draw(gallery, wanted, camera, followed, words, width, height, threads or _cores(), rest=film and not followed)
+    drawn = _draw(gallery, wanted, camera, followed, words, width, height, threads or cores(), rest=film and not followed)
     if film:
         _film(drawn, gallery, folder)
     elif sheet:
@@ -70,12 +71,6 @@ def render(
     else:
         for frame, image in drawn:
             _still(frame, image, folder)
-
-
-def _cores() -> int:
-    import os
-
-    return os.cpu_count() or 1
 
 
 def _cut(text: str | None) -> Cut | None:
