@@ -27,6 +27,13 @@ def copied(example: str, place: Path) -> Path:
     return place / example
 
 
+def few(place: Path, count: int) -> Path:
+    """The scene of a copy of the foraging ants, with fewer of them."""
+    scene = copied("foraging", place) / "scene.yaml"
+    scene.write_text(scene.read_text().replace("count: 500", f"count: {count}"))
+    return scene
+
+
 @contextmanager
 def previewed(scene: Path, *flags: str) -> Iterator[str]:
     """The address of a preview of a scene. It must end well when it is asked to."""

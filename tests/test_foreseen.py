@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from preview_page import few
 
 from antdsl.preview import Session, compiling
 
@@ -16,10 +17,7 @@ FORAGING = Path(__file__).parents[1] / "examples" / "foraging"
 @pytest.fixture
 def session(tmp_path: Path) -> Session:
     """Forty foraging ants; the scene extends one that has the meshes."""
-    shutil.copytree(FORAGING, tmp_path / "foraging")
-    base = tmp_path / "foraging" / "scene.yaml"
-    base.write_text(base.read_text().replace("count: 500", "count: 40"))
-    scene = base.with_name("shot.yaml")
+    scene = few(tmp_path, 40).with_name("shot.yaml")
     scene.write_text("antdsl: 1\nextends: scene.yaml\nseed: 3\n")
     session, report = Session.open(scene)
     assert session is not None, [d.message for d in report.errors]

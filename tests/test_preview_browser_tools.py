@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from browsing import chromium
-from preview_page import copied, opened, previewed
+from preview_page import few, opened, previewed
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, WebSocketRoute
@@ -21,15 +21,8 @@ def browser() -> Iterator[Browser]:
         yield found
 
 
-def few(place: Path, count: int = 100) -> Path:
-    """The foraging scene with few ants."""
-    scene = copied("foraging", place) / "scene.yaml"
-    scene.write_text(scene.read_text().replace("count: 500", f"count: {count}"))
-    return scene
-
-
 def test_it_stops_where_an_agent_enters_a_state(browser: Browser, tmp_path: Path) -> None:
-    with previewed(few(tmp_path)) as address, opened(browser, address) as seen:
+    with previewed(few(tmp_path, 100)) as address, opened(browser, address) as seen:
         seen.press("side-tab-breaks")
         seen.find("break-state").select_option(label="approach")
         seen.find("break-state-form").get_by_role("button").click()
@@ -45,7 +38,7 @@ def test_it_stops_where_an_agent_enters_a_state(browser: Browser, tmp_path: Path
 
 
 def test_a_state_of_the_graph_selects_its_agents(browser: Browser, tmp_path: Path) -> None:
-    with previewed(few(tmp_path)) as address, opened(browser, address) as seen:
+    with previewed(few(tmp_path, 100)) as address, opened(browser, address) as seen:
         seen.press("side-tab-machine")
         assert (seen.find("count-search").text_content() or "") == "100"
         seen.find("state-search").focus()
@@ -54,7 +47,7 @@ def test_a_state_of_the_graph_selects_its_agents(browser: Browser, tmp_path: Pat
 
 
 def test_an_edit_at_an_earlier_frame_begins_a_branch(browser: Browser, tmp_path: Path) -> None:
-    scene = few(tmp_path)
+    scene = few(tmp_path, 100)
     program = scene.parent / "forager.ant"
     with previewed(scene) as address, opened(browser, address) as seen:
         seen.press("play")
@@ -75,7 +68,7 @@ def test_an_edit_at_an_earlier_frame_begins_a_branch(browser: Browser, tmp_path:
 
 
 def test_costs_are_told_by_phase_and_line(browser: Browser, tmp_path: Path) -> None:
-    with previewed(few(tmp_path)) as address, opened(browser, address) as seen:
+    with previewed(few(tmp_path, 100)) as address, opened(browser, address) as seen:
         seen.press("side-tab-profile")
         seen.find("profile-on").check()
         seen.press("play")
@@ -85,7 +78,7 @@ def test_costs_are_told_by_phase_and_line(browser: Browser, tmp_path: Path) -> N
 
 
 def test_keys_reach_everything(browser: Browser, tmp_path: Path) -> None:
-    with previewed(few(tmp_path)) as address, opened(browser, address) as seen:
+    with previewed(few(tmp_path, 100)) as address, opened(browser, address) as seen:
         seen.press("play")
         seen.until("a.frame > 10", 20)
         seen.press("play")
@@ -112,7 +105,7 @@ def test_keys_reach_everything(browser: Browser, tmp_path: Path) -> None:
 
 
 def test_markup_in_words_of_users_is_shown_as_words(browser: Browser, tmp_path: Path) -> None:
-    scene = few(tmp_path)
+    scene = few(tmp_path, 100)
     program = scene.parent / "forager.ant"
     bad = "<img src=x onerror=window.hacked=1>"
     text = program.read_text().replace("How far an ant smells food", bad).replace("Looking for anything", bad)
@@ -135,7 +128,7 @@ def test_a_name_with_markup_is_shown_as_words(browser: Browser, tmp_path: Path) 
         server = socket.connect_to_server()
         server.on_message(lambda said: socket.send(said.replace("turn_home", bad) if isinstance(said, str) else said))
 
-    with previewed(few(tmp_path)) as address:
+    with previewed(few(tmp_path, 100)) as address:
         page = browser.new_page()
         page.route_web_socket("**/ws", other_names)
         page.goto(address)
@@ -148,7 +141,7 @@ def test_a_name_with_markup_is_shown_as_words(browser: Browser, tmp_path: Path) 
 
 
 def test_a_page_that_lost_its_preview_says_so_and_comes_back(browser: Browser, tmp_path: Path) -> None:
-    scene = few(tmp_path)
+    scene = few(tmp_path, 100)
     with previewed(scene) as address:
         port = re.search(r":(\d+)/", address)
         assert port is not None

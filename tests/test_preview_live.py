@@ -4,14 +4,14 @@ run is what it is without them."""
 from __future__ import annotations
 
 import contextlib
-import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from live_client import EXAMPLES, Page, hashes
+from live_client import Page, hashes
+from preview_page import few
 
 from antdsl.pipeline import simulate
 from antdsl.preview import Busy, Compiler, Live, Outcome, Session
@@ -21,11 +21,7 @@ from antdsl.runtime import state_hash
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     """A copy of the foraging ants, forty of them."""
-    folder = tmp_path / "foraging"
-    shutil.copytree(EXAMPLES / "foraging", folder)
-    scene = folder / "scene.yaml"
-    scene.write_text(scene.read_text().replace("count: 500", "count: 40"))
-    return scene
+    return few(tmp_path, 40)
 
 
 @pytest.fixture

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import shutil
 import time
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from live_client import EXAMPLES, Page, places
+from live_client import Page, places
+from preview_page import few
 
 from antdsl.preview import Live, Session, timeline
 from antdsl.preview.judging import Specs
@@ -22,10 +22,7 @@ from antdsl.preview.viewing.scene import Box
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     """A copy of the foraging ants, forty of them."""
-    shutil.copytree(EXAMPLES / "foraging", tmp_path / "foraging")
-    scene = tmp_path / "foraging" / "scene.yaml"
-    scene.write_text(scene.read_text().replace("count: 500", "count: 40"))
-    return scene
+    return few(tmp_path, 40)
 
 
 def opened(scene: Path, **how: int) -> Session:

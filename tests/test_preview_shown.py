@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from live_client import EXAMPLES, Page, hashes, places
+from preview_page import few
 
 from antdsl.preview import Live, Session
 from antdsl.preview.packing import unpack
@@ -19,11 +20,7 @@ from antdsl.preview.viewing.feelers import felt
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     """A copy of the foraging ants, forty of them."""
-    folder = tmp_path / "foraging"
-    shutil.copytree(EXAMPLES / "foraging", folder)
-    scene = folder / "scene.yaml"
-    scene.write_text(scene.read_text().replace("count: 500", "count: 40"))
-    return scene
+    return few(tmp_path, 40)
 
 
 @pytest.fixture

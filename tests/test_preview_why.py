@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from explained_live import EXAMPLES, Notes, session_of
+from explained_live import Notes, session_of
 from live_client import Page
+from preview_page import few
 
 from antdsl.preview import Live, Session
 
@@ -66,10 +66,7 @@ def test_what_is_explained_is_what_happened_a_thousand_times(name: str, tmp_path
 
 @pytest.fixture
 def live(tmp_path: Path) -> Iterator[Live]:
-    shutil.copytree(EXAMPLES / "foraging", tmp_path / "foraging")
-    scene = tmp_path / "foraging" / "scene.yaml"
-    scene.write_text(scene.read_text().replace("count: 500", "count: 40"))
-    live = Live.open(scene)
+    live = Live.open(few(tmp_path, 40))
     live.start()
     yield live
     live.stop()

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
+from preview_page import few
 
 from antdsl.pipeline import open_scene, simulate
 from antdsl.preview import Session
 from antdsl.runtime import state_hash
 
-FORAGING = Path(__file__).parents[1] / "examples" / "foraging"
-
 
 @pytest.fixture
 def shot(tmp_path: Path) -> Path:
     """A copy of the foraging ants, forty of them."""
-    folder = tmp_path / "foraging"
-    shutil.copytree(FORAGING, folder)
-    scene = folder / "scene.yaml"
-    scene.write_text(scene.read_text().replace("count: 500", "count: 40"))
-    return scene
+    return few(tmp_path, 40)
 
 
 def opened(scene: Path, **how: int) -> Session:
