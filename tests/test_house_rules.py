@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -59,49 +60,60 @@ def imports(tree: ast.AST) -> list[tuple[str, int]]:
     return found
 
 
+@cache
 def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_rooms_import_lower_rooms_only(path: Path) -> None:
-    own = room(path)
-    assert own in ROOMS, f"{own} has no place among the rooms"
-    for name, line in imports(parsed(path)):
-        if name.split(".")[0] != "antdsl" or name == "antdsl":
-            continue
-        other = name.split(".")[1]
-        if other not in ROOMS or other == own:  # a name of the package itself, such as __version__
-            continue
-        if own in GROUND:
-            assert other in GROUND, f"{path}:{line} imports {name}"
-        elif own != "__init__":
-            assert ROOMS.index(other) < ROOMS.index(own), f"{path}:{line} imports {name}"
+def test_rooms_import_lower_rooms_only() -> None:
+    offenders = []
+    for path in FILES:
+        own = room(path)
+        assert own in ROOMS, f"{own} has no place among the rooms"
+        for name, line in imports(parsed(path)):
+            if name.split(".")[0] != "antdsl" or name == "antdsl":
+                continue
+            other = name.split(".")[1]
+            if other not in ROOMS or other == own:  # a name of the package itself, such as __version__
+                continue
+            lower = other in GROUND if own in GROUND else own == "__init__" or ROOMS.index(other) < ROOMS.index(own)
+            if not lower:
+                offenders.append(f"{path}:{line} imports {name}")
+    assert not offenders
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_no_file_runs_text_or_reads_what_could(path: Path) -> None:
-    tree = parsed(path)
-    for name, line in imports(tree):
-        assert name.split(".")[0] not in FORBIDDEN_MODULES, f"{path}:{line} imports {name}"
-        if name.split(".")[0] == "open3d":
-            assert path == OPEN3D_DOOR, f"{path}:{line}: Open3D has one door"
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-            assert node.func.id not in FORBIDDEN_CALLS, f"{path}:{node.lineno} calls {node.func.id}"
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            assert (node.value.id, node.attr) not in FORBIDDEN_ATTRIBUTES, (
-                f"{path}:{node.lineno} uses {node.value.id}.{node.attr}"
-            )
+def test_no_file_runs_text_or_reads_what_could() -> None:
+    offenders = []
+    for path in FILES:
+        tree = parsed(path)
+        for name, line in imports(tree):
+            if name.split(".")[0] in FORBIDDEN_MODULES:
+                offenders.append(f"{path}:{line} imports {name}")
+            if name.split(".")[0] == "open3d" and path != OPEN3D_DOOR:
+                offenders.append(f"{path}:{line}: Open3D has one door")
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in FORBIDDEN_CALLS:
+                offenders.append(f"{path}:{node.lineno} calls {node.func.id}")
+            if (
+                isinstance(node, ast.Attribute)
+                and isinstance(node.value, ast.Name)
+                and (node.value.id, node.attr) in FORBIDDEN_ATTRIBUTES
+            ):
+                offenders.append(f"{path}:{node.lineno} uses {node.value.id}.{node.attr}")
+    assert not offenders
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_files_are_short_named_for_what_they_do_and_say_what_they_are(path: Path) -> None:
-    lines = path.read_text(encoding="utf-8").splitlines()
-    if str(path.relative_to(PACKAGE)) not in LONG:
-        assert len(lines) <= 400, f"{path} has {len(lines)} lines: it is usually two things"
-    assert path.stem not in FORBIDDEN_NAMES
-    assert not lines or ast.get_docstring(parsed(path)), f"{path} does not say what it takes and gives"
+def test_files_are_short_named_for_what_they_do_and_say_what_they_are() -> None:
+    offenders = []
+    for path in FILES:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        if str(path.relative_to(PACKAGE)) not in LONG and len(lines) > 400:
+            offenders.append(f"{path} has {len(lines)} lines: it is usually two things")
+        if path.stem in FORBIDDEN_NAMES:
+            offenders.append(f"{path} is not named for what it does")
+        if lines and not ast.get_docstring(parsed(path)):
+            offenders.append(f"{path} does not say what it takes and gives")
+    assert not offenders
 
 
 def test_heavy_packages_are_imported_late_below_the_pictures() -> None:
