@@ -12,9 +12,9 @@ from antdsl.program.behaviours import check_behaviour
 from antdsl.program.checks import CHECKS, OF_EACH, OF_SOUND, OF_STATES, Check, Checked
 from antdsl.program.collect import Library, Loader, declare
 from antdsl.program.consequences import without_consequences
-from antdsl.program.memo import Memo, part
+from antdsl.program.memo import Memo, part, seen
 from antdsl.program.rules import RULES
-from antdsl.program.scope import Declared, FileNames
+from antdsl.program.scope import Declared, FileNames, SpeciesNames
 from antdsl.program.species import complete, draft
 from antdsl.program.specs import check_spec
 from antdsl.program.world import check_brought, check_field, declare_fields, declare_world
@@ -49,7 +49,7 @@ def check(
     for each in names:
         declare_world(declared, each)
     fields = [(each, field) for each in names for field in declare_fields(declared, each)]
-    declared.outside = outside = _outside(declared, loader)
+    outside = seen(declared, _outside(declared, loader))
     program = _program(declared, names, fields)
     declared.outside = outside
     _behaviours(declared, [*names, *_modules(names)])
@@ -119,9 +119,9 @@ def _outside(declared: Declared, loader: Loader) -> Hashable:
     return declared.strict, *map(tuple, (things, machines, called, fields, declared.events, declared.unclear))
 
 
-def _types(declared: Declared) -> Hashable:
-    """The types of what the species have, as far as they are known."""
-    return tuple((s.name, *s.attributes.items(), *s.each.items(), *s.params.items()) for s in declared.species.values())
+def _types(species: SpeciesNames) -> Hashable:
+    """The types of what a species has, as far as they are known."""
+    return (species.name, *species.attributes.items(), *species.each.items(), *species.params.items())
 
 
 def _program(
@@ -129,14 +129,13 @@ def _program(
 ) -> model.Program:
     made_fields = {node.name.text: field for file, node in fields if (field := check_field(declared, file, node)) is not None}
     drafts = []
-    outside = declared.outside
     for file in names:
         for item in file.node.items:
             if isinstance(item, nodes.Species) and declared.species[item.name.text].node is item:
                 drafts.append(draft(declared, file, item))
-            declared.outside = outside, _types(declared)
+                seen(declared, (declared.outside, _types(drafts[-1].names)))
     check_brought(declared)
-    declared.outside = outside, _types(declared)
+    seen(declared, (declared.outside, *map(_types, declared.species.values())))
     species = {work.names.name: complete(work) for work in drafts}
     params = {param.name: param for each in species.values() for param in each.params}
     written = [(file, item) for file in names for item in file.node.items if isinstance(item, nodes.Spec)]
@@ -152,14 +151,14 @@ def _program(
 
 def _modules(names: Sequence[FileNames]) -> list[FileNames]:
     """Every file that is used by path, once."""
-    found: list[FileNames] = []
+    found: dict[int, FileNames] = {}
     stack = list(names)
     while stack:
         for module in stack.pop().aliases.values():
-            if module not in found:
-                found.append(module)
+            if id(module) not in found:
+                found[id(module)] = module
                 stack.append(module)
-    return found
+    return list(found.values())
 
 
 def _behaviours(declared: Declared, names: Sequence[FileNames]) -> None:

@@ -20,6 +20,13 @@ def part(declared: Declared, key: Hashable, make: Callable[[], T]) -> T:
     return make() if declared.memo is None else declared.memo.part(declared, (key, declared.outside), make)
 
 
+def seen(declared: Declared, outside: Hashable) -> int:
+    """Sets `declared.outside` to a number for all that parts can see of the others from here on, and gives it. What there is to
+    see may be long: it is looked at once, not with each part's key."""
+    declared.outside = 0 if declared.memo is None else declared.memo.number(outside)
+    return declared.outside
+
+
 @dataclass(frozen=True, slots=True)
 class _Known:
     """What came out of a part. `expanded`: the operations of behaviours that were put in place for it."""
@@ -46,8 +53,19 @@ class Memo:
     """Results of parts by all that they depend on. What was not asked for in a whole check is forgotten after it."""
 
     def __init__(self) -> None:
-        self.known: dict[Hashable, _Known] = {}
+        self.known: dict[tuple[Any, int], _Known] = {}
         self.asked: set[Hashable] = set()
+        self.numbers: dict[Hashable, int] = {}
+        self.seen: set[int] = set()
+        self.given = 0
+
+    def number(self, value: Hashable) -> int:
+        """A number for a value: the same for an equal one, as long as neither it nor a part that saw it is forgotten."""
+        if value not in self.numbers:
+            self.given += 1
+            self.numbers[value] = self.given
+        self.seen.add(self.numbers[value])
+        return self.numbers[value]
 
     def part(self, declared: Declared, key: Hashable, make: Callable[[], T]) -> T:
         """What `make` gives, or gave for the same key; with it goes what it complained about, and what it counted as used and
@@ -84,4 +102,6 @@ class Memo:
     def forget(self) -> None:
         """Drop what the check that has ended did not ask for."""
         self.known = {key: value for key, value in self.known.items() if key in self.asked}
-        self.asked = set()
+        seen = self.seen.union(outside for _, outside in self.known)
+        self.numbers = {value: number for value, number in self.numbers.items() if number in seen}
+        self.asked, self.seen = set(), set()

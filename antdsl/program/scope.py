@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -96,7 +96,7 @@ class Declared:
     told: set[tuple[str, ...]] = field(default_factory=set)  # unknown names, by where they are missing
     expanded: int = 0  # operations of all behaviours that were put in place
     memo: Memo | None = None  # what an earlier check found
-    outside: Hashable = None  # all that a part of the program can see of the others, as far as it is known
+    outside: int = 0  # stands for all that a part of the program can see of the others, as far as it is known
 
 
 def told_before(scope: Scope, kind: str, name: str) -> bool:

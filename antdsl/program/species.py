@@ -118,7 +118,11 @@ def complete(work: Draft) -> model.Species:
 
 def _completed(work: Draft) -> model.Species:
     scope, node, names = work.scope, work.node, work.names
-    attributes = [_relaxing(scope, a, _declaration(node, a.name)) for a in work.attributes]
+    declarations: dict[str, nodes.Declaration] = {}
+    for member in node.members:
+        if isinstance(member, nodes.Declaration):
+            declarations.setdefault(member.name.text, member)
+    attributes = [_relaxing(scope, a, declarations.get(a.name)) for a in work.attributes]
     named = tuple(_members(node, nodes.Let, nodes.Latch, nodes.Fuzzy))
     bindings = part(scope.declared, ("bindings", names.name, named), lambda: _bindings(scope, node))
     names.bindings = {binding.name: binding for binding in bindings}
@@ -134,10 +138,6 @@ def _completed(work: Draft) -> model.Species:
         tuple(b for b in bindings if b.role == "let"), tuple(b for b in bindings if b.role == "latch"),
         tuple(handlers), tuple(machines), layers, node.name.span,
     )  # fmt: skip
-
-
-def _declaration(node: nodes.Species, name: str) -> nodes.Declaration | None:
-    return next((m for m in node.members if isinstance(m, nodes.Declaration) and m.name.text == name), None)
 
 
 def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declaration | None) -> model.AttributeDecl:

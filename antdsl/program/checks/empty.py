@@ -8,6 +8,8 @@ from antdsl.diagnostics import Report
 from antdsl.program.checks.checked import Checked
 from antdsl.syntax import nodes
 
+_DECLARING = re.compile(r"\b(species|behaviour)\b")
+
 
 def empty(checked: Checked, report: Report) -> None:
     for file in checked.files:
@@ -15,5 +17,5 @@ def empty(checked: Checked, report: Report) -> None:
         if not items or any(isinstance(item, (nodes.Species, nodes.Behaviour)) for item in items):
             continue
         # where the word stands, there is one that could not be read, which was told already
-        if not re.search(r"^[^#]*\b(species|behaviour)\b", source.text, re.MULTILINE):
+        if not any(_DECLARING.search(line.partition("#")[0]) for line in source.text.splitlines()):
             report.error("empty-program", "no species and no behaviour is declared", items[0].span, "write `species ant { … }`")
