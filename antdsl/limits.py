@@ -16,6 +16,7 @@ USE_DEPTH: Final = 16
 LINE_CHARACTERS: Final = 2000
 NAME_CHARACTERS: Final = 64
 NUMBER_DIGITS: Final = 32
+LARGEST: Final = 3.0e38  # number that can be kept; a little further a float32 is endless
 NESTING: Final = 64  # brackets of any kind, open at once
 EXPRESSION_DEPTH: Final = 200  # operations inside operations, `1 + 1 + 1` being two deep; keeps recursion over a tree safe
 DIAGNOSTICS_SHOWN: Final = 50
@@ -43,6 +44,7 @@ FRAMES: Final = 1_000_000
 
 # senses and fields
 NEIGHBOURS: Final = 256  # of one agent in one question, the nearest
+WITHIN_RADIUS: Final = 8192  # others within the radius of one agent in one question, from whom the nearest are chosen
 FIELD_CELLS: Final = 20_000_000  # of one field
 FLOW_POINTS: Final = 4_000_000  # in which one flow is worked out
 

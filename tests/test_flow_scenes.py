@@ -194,6 +194,8 @@ def test_what_does_not_fit_is_told_at_its_place(folder: Path, old: str, new: str
 def test_paint_that_is_no_paint(folder: Path) -> None:
     np.savez(folder / "damp.npz", damp=np.full(POINTS, np.nan))
     assert [d.message for d in opened(folder)[1].errors] == ["`damp.npz` has a value (number 0) that is not finite"]
+    np.savez(folder / "damp.npz", damp=np.full(POINTS, 1e300))
+    assert [d.message for d in opened(folder)[1].errors] == ["`damp.npz` has a value (number 0) that is too large to keep"]
     np.savez_compressed(folder / "damp.npz", damp=np.zeros(POINTS))
     assert "not compressed" in str(opened(folder)[1].errors[0].help)
     np.savez(folder / "damp.npz", damp=np.array([{"a": 1}], dtype=object), allow_pickle=True)

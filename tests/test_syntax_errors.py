@@ -65,7 +65,6 @@ def test_every_code_of_this_room_is_in_a_case() -> None:
     codes = {code for part in mine for code in re.findall(r'^    "([a-z0-9-]+)":', part, re.MULTILINE)}
     seen = {expected.code for chunk in _chunks().values() for expected in _expected(chunk)}
     python_cases = {
-        "control-character",
         "hidden-direction",
         "odd-blank",
         "line-too-long",

@@ -131,7 +131,7 @@ def _go(recording: Recording, quiet: bool, again: str) -> None:
     from antdsl.cli.progress import progress
     from antdsl.outputs.lock import Locked
     from antdsl.outputs.recording import record
-    from antdsl.runtime import FaultStop
+    from antdsl.runtime import FaultStop, LimitStop
 
     def ask_to_stop(number: int, frame: object) -> None:
         if recording.stop:
@@ -145,6 +145,9 @@ def _go(recording: Recording, quiet: bool, again: str) -> None:
                 watch.frame()
     except Locked as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "wait for it, or name another folder with `--out`") from None
+    except LimitStop as why:
+        words = f"mend the program; the frames before are in {recording.folder}"
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", words) from None
     except FaultStop as why:
         raise Stop(
             Exit.FINDINGS,

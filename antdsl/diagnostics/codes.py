@@ -127,6 +127,7 @@ CODES: dict[str, str] = {
     "unused-latch": "a latch is never used",
     "unused-let": "a `let` is never used",
     "unused-param": "a param is never used",
+    "wide-radius": "neighbours are looked for in a radius that reaches everybody",
     # --- scenes ---
     "bad-mesh": "a mesh file cannot be read, has no faces, has values that no mesh can have, or is a solid that is not closed",
     "bad-paint": "a file does not hold the painted values that a flow or map wants, or not as many as the surface has",

@@ -16,7 +16,7 @@ from antdsl.preview.binding_params import asked_before_the_first_step
 from antdsl.preview.compiling import Compiler
 from antdsl.preview.layers import Off, texts_without
 from antdsl.preview.timeline import Change, Light, Stretch, Timeline, nearest_checkpoint
-from antdsl.runtime import BindError, FaultStop, Options, World, bind, set_param, state_hash, step, taken_line
+from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, set_param, state_hash, step, taken_line
 from antdsl.runtime.profiling import Meter
 from antdsl.scene.adjusting import settable
 from antdsl.scene.matching import check_param
@@ -142,8 +142,14 @@ class Session:
         self._stretch.before_step(self.world)
         if self.meter is not None:
             self.meter.begin(self.world)
+        frame = self.world.frame
         try:
             step(self.world)
+        except LimitStop as stop:  # the world is in the middle of a step
+            self._restore(self._stretch, nearest_checkpoint(self._stretch, frame))
+            while self.frame < frame:
+                self._step()
+            self.fault, self.playing = stop.fault.brief, False
         except FaultStop as stop:
             self.fault, self.playing = stop.fault.brief, False
         if self.meter is not None:

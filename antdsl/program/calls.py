@@ -313,4 +313,22 @@ def _clamp(scope: Scope, node: nodes.Call, made: Op) -> None:
         scope.report.error("empty-range", "the range ends before it begins", span, "write the lesser end first")
 
 
-_EXTRA: dict[str, Callable[[Scope, nodes.Call, Op], None]] = {"first": _first, "pick": _pick, "clamp": _clamp}
+def _uniform(scope: Scope, node: nodes.Call, made: Op) -> None:
+    low, high = (constant_behind(a) if a is not None else None for a in made.args)
+    if low and high and (low.u, low.step) == (high.u, high.step) and low.number > high.number:
+        lesser, greater = (" ".join(arg.value.span.text.split()) for arg in reversed(node.arguments))
+        better = f"uniform({lesser}, {greater})"
+        fix = None if any(arg.name for arg in node.arguments) else Fix(node.span, better)
+        scope.report.error("empty-range", f"{quoted(node.span)} ends before it begins", node.span, f"write `{better}`", fix=fix)
+
+
+def _normal(scope: Scope, node: nodes.Call, made: Op) -> None:
+    deviation = constant_behind(made.args[1]) if made.args[1] is not None else None
+    if deviation is not None and deviation.number < 0:
+        span = node.arguments[-1].span
+        scope.report.error("out-of-range", "a deviation below 0", span, "write a width above 0, as in `normal(0 deg, 20 deg)`")
+
+
+_EXTRA: dict[str, Callable[[Scope, nodes.Call, Op], None]] = {
+    "first": _first, "pick": _pick, "clamp": _clamp, "uniform": _uniform, "normal": _normal,
+}  # fmt: skip

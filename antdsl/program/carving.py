@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from antdsl.program import model
+from antdsl.program.folding import constant_behind
 from antdsl.program.model import Dim, Kind, Type
 from antdsl.program.operators import wanted
 from antdsl.program.scope import LENGTH, PUSH, Scope, did_you_mean
@@ -44,6 +45,10 @@ def carve(scope: Scope, line: nodes.Carve, block: object) -> model.Statement | N
                 "missing-argument", "`carve` wants a radius", line.span, f"write `carve {thing.name}(radius: size / 2)`"
             )
         return None
+    known = constant_behind(radius)
+    if known is not None and known.number <= 0:
+        words = f"{quoted(radius.span)} is no radius of a ball to dig"
+        scope.report.error("out-of-range", words, radius.span, f"write a length above 0: `carve {thing.name}(radius: size / 2)`")
     if radius.type.kind is Kind.BAD or (toward is not None and toward.type.kind is Kind.BAD):
         return None
     return model.Carve(thing.name, radius, line.span, toward, into)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from antdsl import limits
 from antdsl.program.model import (
     Attribute,
     Binding,
@@ -44,6 +45,9 @@ def number_of(scope: Scope, node: nodes.Number, want: Type | None) -> Expr:
 def quantity_of(scope: Scope, node: nodes.Quantity, want: Type | None) -> Expr:
     found = constant(node.value, node.unit, node.span)
     if found is not None:
+        if abs(found.number) > limits.LARGEST:
+            message = f"{quoted(node.span)} is too large to keep"
+            scope.report.error("number-too-large", message, node.span, "write a smaller number")
         return found
     units = ", ".join(f"`{unit}`" for unit in UNITS)
     scope.report.error(

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.program.model import Const, Expr, Local, Op, Rate, Type
-
-_LIMIT = 3.0e38  # beyond this a float32 is endless
 
 _FOLDED = ("neg", "add", "sub", "mul", "div", "pow")
 _SAME: dict[str, Callable[[float, float], float]] = {"add": lambda a, b: a + b, "sub": lambda a, b: a - b}
@@ -26,7 +25,7 @@ def fold(report: Report, op: Op) -> Expr:
     folded = _folded(op, [v for v in values if v is not None]) if op.name in _FOLDED and all(values) else None
     if folded is None:
         return op
-    if not math.isfinite(folded.number) or abs(folded.number) > _LIMIT:
+    if not math.isfinite(folded.number) or abs(folded.number) > limits.LARGEST:
         report.error("number-too-large", "this comes to a number that is too large to keep", op.span, "write a smaller number")
         return op
     return folded

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+from antdsl import limits
 from antdsl.diagnostics import Fix, Label
 from antdsl.program import model
 from antdsl.program.colours import COLOURS, default_rgb, rgb
@@ -145,6 +146,13 @@ def _duration(scope: Scope, node: nodes.Expr | None, who: str) -> Expr | None:
             f"{who} wants a time, and {quoted(node.span)} is before now",
             node.span,
             "write a time of `0 s` or more",
+        )
+    elif constant is not None and not constant.u and constant.number > limits.FRAMES:
+        scope.report.warning(
+            "never-fires",
+            f"{quoted(node.span)} is longer than any run",
+            node.span,
+            f"write a shorter time: a run has {limits.FRAMES:,} frames at most",
         )
     return found
 

@@ -3,7 +3,7 @@
 from antdsl.runtime.binding import BindError, bind, set_flow, set_param
 from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore, show, solid_state, state
 from antdsl.runtime.digging import dig_again, handed_over
-from antdsl.runtime.faults import Fault, FaultStop
+from antdsl.runtime.faults import Fault, FaultStop, LimitStop
 from antdsl.runtime.hashing import state_hash
 from antdsl.runtime.reuse import Built
 from antdsl.runtime.snapshots import snapshot
@@ -23,6 +23,7 @@ __all__ = [
     "FieldStart",
     "ItemData",
     "Items",
+    "LimitStop",
     "MeshData",
     "Options",
     "PlaceData",

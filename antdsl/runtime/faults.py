@@ -22,7 +22,8 @@ _TOLD = 20  # faults told in full; the others are only counted
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One refused value. `operands`: text (or operation) and value of what went into it."""
+    """One refused value, of one agent or of a whole species (`agent` -1). `operands`: text (or operation) and value of what
+    went into it; `why` follows what is refused."""
 
     frame: int
     species: str
@@ -30,6 +31,7 @@ class Fault:
     what: str
     span: Span | None
     operands: tuple[tuple[str, str], ...]
+    why: str = "is not finite"
 
     def __str__(self) -> str:
         return self._told("" if self.span is None else f"{self.span}: ")
@@ -44,7 +46,8 @@ class Fault:
 
     def _told(self, place: str) -> str:
         values = ", ".join(f"{text} = {value}" for text, value in self.operands)
-        return f"{place}{self.species} {self.agent} at frame {self.frame}: `{self.what}` is not finite" + (
+        whose = self.species if self.agent < 0 else f"{self.species} {self.agent}"
+        return f"{place}{whose} at frame {self.frame}: `{self.what}` {self.why}" + (
             f" ({values})" if values else ""
         )
 
@@ -65,6 +68,10 @@ class FaultStop(RuntimeError):
     def __init__(self, fault: Fault) -> None:
         super().__init__(str(fault))
         self.fault = fault
+
+
+class LimitStop(FaultStop):
+    """The run stops in the middle of a step, which would take more than the limits allow: the world is good for nothing more."""
 
 
 def gather(world: World) -> None:

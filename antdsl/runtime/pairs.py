@@ -12,10 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl import limits
 from antdsl.plan import ir
+from antdsl.plan.walk import blocks, needed, operands, statements
 from antdsl.runtime import compiled, exact
-from antdsl.runtime.senses.neighbours import CellGrid, View, seen
+from antdsl.runtime.faults import Fault, LimitStop
+from antdsl.runtime.senses.neighbours import CellGrid, TooManyWithin, View, seen
 from antdsl.runtime.world import AXES, Items, Population, World
+from antdsl.source import Span
 
 Floats = NDArray[np.float32]
 Index = NDArray[np.integer[Any]]
@@ -112,6 +116,36 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
         return _every(other, own, ids)
     radius, cosine = args
     view = None if node.attrs[1] else _view(population, rows, cosine, len(own[0]))
+    try:
+        return _neighbours(world, other, own, ids, rows, (radius, view), nearby)
+    except TooManyWithin:
+        span = _asked_at(world.plan.species[population.name], node)
+        what = "neighbours" if span is None else " ".join(span.text.split())
+        why = f"has more than {limits.WITHIN_RADIUS:,} others in its radius, of whom the {limits.NEIGHBOURS} nearest count"
+        raise LimitStop(Fault(world.frame, population.name, -1, what, span, (), f"{why}: write a smaller one")) from None
+
+
+def _asked_at(species: ir.SpeciesPlan, node: ir.Node) -> Span | None:
+    """Where the species' own text asks for a set: the first line that needs it, as the set itself may stand in a library."""
+    for _, block in blocks(species):
+        for _, statement in statements(block):
+            span = statement.span
+            if span is not None and not span.source.path.startswith("<") and node in needed(operands(statement)):
+                return span
+    return node.span
+
+
+def _neighbours(
+    world: World,
+    other: Population,
+    own: tuple[Floats, ...],
+    ids: NDArray[np.int64] | None,
+    rows: Any,
+    asked: tuple[Any, View | None],
+    nearby: NearbySets,
+) -> PairRows:
+    """Others within radii, in a field of view; from what is known of the chunk where that holds them."""
+    radius, view = asked
     if compiled.wanted(max(len(other), len(own[0]))):  # asking again costs less than sharing
         return _near(world, other, own, ids, radius, view, nearby.threads)
     reaches = np.full(len(own[0]), radius) if np.ndim(radius) == 0 else radius
@@ -141,7 +175,7 @@ def _near(
     widest = float(np.max(radius, initial=0.0)) if np.size(radius) else 0.0
     widest = widest if np.isfinite(widest) and widest > 0 else 1.0
     grid = _grid(world, other, widest)
-    p = grid.pairs(None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, view=view, threads=threads)
+    p = grid.pairs(None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, view=view, threads=threads, limit=limits.WITHIN_RADIUS)
     return PairRows(other, len(own[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
 
 

@@ -10,7 +10,8 @@ from antdsl.runtime.world import World
 
 
 def step(world: World) -> None:
-    """Go on by one frame. Raises FaultStop after a whole step in which a value was at fault, if the options say `stop`."""
+    """Go on by one frame. Raises FaultStop after a whole step in which a value was at fault, if the options say `stop`,
+    and LimitStop in the middle of one that would take more than the limits allow."""
     started = perf_counter()
     for name, phase in PHASES:
         phase(world)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl import limits
 from antdsl.scene.arrays import ArrayFileError, read_arrays
 from antdsl.scene.ply import Element, Header, HeaderError, read_columns, read_header
 
@@ -34,6 +35,9 @@ def read_painted(data: bytes, name: str, attribute: str | tuple[str, ...], width
     wrong = np.flatnonzero(~np.isfinite(rows).all(axis=1))
     if len(wrong):
         raise PaintError(f"has a value (number {wrong[0]}) that is not finite")
+    wrong = np.flatnonzero((np.abs(rows) > limits.LARGEST).any(axis=1))
+    if len(wrong):
+        raise PaintError(f"has a value (number {wrong[0]}) that is too large to keep", "paint numbers below 3e38")
     return rows
 
 

@@ -179,7 +179,10 @@ def _frames(value: Any) -> FrameRange:
 
 
 def _path(value: Any) -> str:
-    return _text(value, "the path of a file")
+    text = _text(value, "the path of a file")
+    if text != value:
+        raise refuse(f"the path {_shown(value)} begins or ends with a blank", f"write `{text}`")
+    return text
 
 
 def _word(value: Any) -> str:

@@ -111,7 +111,7 @@ def _faulted(run: Run, why: FaultStop) -> None:
 def _fault(why: FaultStop, where: str) -> Failure:
     found = why.fault
     whose = (found.species, found.agent)
-    words = f"{where}`{found.what}` is not finite"
+    words = f"{where}`{found.what}` {found.why}"
     return Failure(words, found.span, found.frame, None, found.operands, whose, 0, (found.agent,))
 
 

@@ -4,6 +4,7 @@ reported and blanked, so that the words around it can be read."""
 from __future__ import annotations
 
 import re
+import unicodedata
 from typing import TYPE_CHECKING
 
 from antdsl import limits
@@ -12,6 +13,11 @@ if TYPE_CHECKING:
     from antdsl.syntax.scan import Scan
 
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+_UNSEEN = re.compile(
+    "[\u00ad\u034f\u061c\u115f\u1160\u180e\u200b\u200e\u200f\u2060-\u2065\u206a-\u206f\u2800\u3164\ufeff\uffa0\ufff0-\ufffb"
+    "\U000e0000-\U000e007f]"
+)
+_SAID = re.compile(r'"[^"\n]*"?|#[^\n]*')
 _CONFLICT = re.compile(r"^(<{7}|\|{7}|={7}|>{7})(?=[ \r\n]|$).*$", re.MULTILINE)
 _FENCE = re.compile(r"^[ \t]*(```|~~~).*$", re.MULTILINE)
 
@@ -19,6 +25,7 @@ _FENCE = re.compile(r"^[ \t]*(```|~~~).*$", re.MULTILINE)
 def look_over(found: Scan) -> None:
     """Complain about what no text may hold, wherever it stands."""
     _forbidden(found)
+    _unseen(found)
     _markers(found)
     _long_lines(found)
 
@@ -33,6 +40,17 @@ def _forbidden(found: Scan) -> None:
         else:
             found.error("control-character", f"control character {name}", match.start(), match.end(), "delete it", "")
         found.blank(match.start(), match.end())
+
+
+def _unseen(found: Scan) -> None:
+    """Complain about characters of comments and texts that do not show. Those that join letters or keep them apart belong to the
+    spelling of some languages."""
+    text = found.source.text
+    for said in _SAID.finditer(text) if not text.isascii() else ():
+        for match in _UNSEEN.finditer(text, said.start(), said.end()):
+            name = unicodedata.name(match.group(), "character").lower()
+            message = f"{name} (U+{ord(match.group()):04X}), which does not show"
+            found.error("control-character", message, match.start(), match.end(), "delete it", "")
 
 
 def _markers(found: Scan) -> None:

@@ -17,6 +17,7 @@ from antdsl.program.checks.one_way import one_way
 from antdsl.program.checks.reachability import reachability
 from antdsl.program.checks.shadowed import shadowed
 from antdsl.program.checks.unused import unused
+from antdsl.program.checks.wide_radius import wide_radius
 from antdsl.program.checks.writers import writers
 
 Check = Callable[[Checked, Report], None]
@@ -35,12 +36,13 @@ OF_SOUND: tuple[Check, ...] = (
     firing,  # changes whose condition never holds, or always
     flicker,  # two states that send the animal to each other
     draws,  # numbers drawn in a condition
+    wide_radius,  # neighbours among whom is everybody
     idle_layers,  # lines that no strength is left for
     one_way,  # attributes and fields that are only set, or only read
 )
 
 # Those that look at each species by itself, at nothing but its own parts and the params.
-OF_EACH = frozenset((shadowed, writers, layering, firing, flicker, draws, idle_layers))
+OF_EACH = frozenset((shadowed, writers, layering, firing, flicker, draws, idle_layers, wide_radius))
 # And of these, those that look at each state by itself, and at the layers.
 OF_STATES = frozenset((firing, draws))
 

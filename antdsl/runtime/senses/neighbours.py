@@ -26,6 +26,10 @@ _LAYERS_PER_COLUMN = 2
 _SLACK = 1.0 + 1e-6  # float32 distances err by a few 2**-24; candidates must be a superset
 
 
+class TooManyWithin(Exception):
+    """More others lie within the radius of one query than were to be looked through."""
+
+
 @dataclass(frozen=True, slots=True)
 class Pairs:
     """Pairs within reach, sorted by `i`, then the neighbour's cell, then its id. All arrays have one length.
@@ -119,13 +123,15 @@ class CellGrid:
         qid: NDArray[np.int64] | None = None,
         view: View | None = None,
         threads: int = 1,
+        limit: int | None = None,
     ) -> Pairs:
         """Neighbours of the agents `rows` (all when None) within `radius` (one, or one for each of `rows`).
 
         Without `qx qy qz` the grid's own agents ask, and nobody is their own neighbour. With them those agents ask: `rows`
         selects from them, and `qid` says who they are when they are the grid's own, where the grid has them. At most
         `limits.NEIGHBOURS` of an agent are kept, the nearest by (distance, id). `view`, one value for each query, leaves
-        those of them in its field of view.
+        those of them in its field of view. Raises TooManyWithin, before much is spent, where more than `limit` others lie
+        within the radius of one.
         """
         if qx is None or qy is None or qz is None:
             qx, qy, qz, qid = self.x, self.y, self.z, self.ids
@@ -138,7 +144,7 @@ class CellGrid:
             pairs = self._compiled((qx, qy, qz), reach, qid, view, threads)
             if pairs is not None:
                 return pairs
-        pairs = self._searched((qx, qy, qz), reach, qid, threads)
+        pairs = self._searched((qx, qy, qz), reach, qid, threads, limit)
         return pairs if view is None else pairs.pick(seen(pairs, view))
 
     def _compiled(
@@ -166,7 +172,9 @@ class CellGrid:
             return None
         return Pairs(*good[0]) if len(good) == 1 else Pairs(*(np.concatenate(column) for column in zip(*good, strict=True)))
 
-    def _searched(self, query: tuple[Floats, ...], reach: Floats, qid: NDArray[np.int64] | None, threads: int) -> Pairs:
+    def _searched(
+        self, query: tuple[Floats, ...], reach: Floats, qid: NDArray[np.int64] | None, threads: int, limit: int | None
+    ) -> Pairs:
         """`pairs` with NumPy, chunk by chunk."""
         qx, qy, qz = query
         jobs: list[tuple[Any, ...]] = []
@@ -178,11 +186,11 @@ class CellGrid:
             ends = np.cumsum(each)
             b = 0
             while b < ends.size:
-                limit = (ends[b - 1] if b else 0) + _CANDIDATES_PER_CHUNK
-                e = max(b + 1, int(np.searchsorted(ends, limit, side="right")))
+                last = (ends[b - 1] if b else 0) + _CANDIDATES_PER_CHUNK
+                e = max(b + 1, int(np.searchsorted(ends, last, side="right")))
                 sub = tuple(q[b:e] for q in query)
                 who = None if qid is None else qid[part][b:e]
-                jobs.append((a + b, sub, reach[part][b:e], who, first[b:e], count[b:e], each[b:e]))
+                jobs.append((a + b, sub, reach[part][b:e], who, first[b:e], count[b:e], each[b:e], limit))
                 b = e
         if threads > 1 and len(jobs) > 1:
             found = list(compiled.workers(threads).map(lambda job: self._within(*job), jobs))
@@ -263,6 +271,7 @@ class CellGrid:
         first: NDArray[np.int32],
         count: NDArray[np.int32],
         each: NDArray[np.int64],
+        limit: int | None,
     ) -> tuple[NDArray[Any], ...]:
         """Measure the candidates of some queries, that come after `before` others, and keep those in reach."""
         flat = count.ravel()
@@ -279,15 +288,18 @@ class CellGrid:
             inside[here[self.ids.take(self._rows.take(at.take(here))) == who.take(i.take(here))]] = False
         keep = np.flatnonzero(inside)
         i, j = i.take(keep), self._rows.take(at.take(keep))
-        chosen = self._nearest(i, j, distance.take(keep)) if int(each.max(initial=0)) > NEIGHBOURS else None
+        chosen = self._nearest(i, j, distance.take(keep), limit) if int(each.max(initial=0)) > NEIGHBOURS else None
         if chosen is not None:
             keep, i, j = keep[chosen], i[chosen], j[chosen]
         i += before
         return i, j, dx.take(keep), dy.take(keep), dz.take(keep), distance.take(keep)
 
-    def _nearest(self, i: Rows, j: Rows, distance: Floats) -> NDArray[np.int64] | None:
+    def _nearest(self, i: Rows, j: Rows, distance: Floats, limit: int | None) -> NDArray[np.int64] | None:
         """Which pairs stay when a query has more than the cap: its nearest by (distance, id); None when all stay."""
-        if i.size == 0 or int(np.bincount(i).max()) <= NEIGHBOURS:
+        most = int(np.bincount(i).max(initial=0))
+        if limit is not None and most > limit:
+            raise TooManyWithin
+        if most <= NEIGHBOURS:
             return None
         order = np.lexsort((self.ids[j], distance, i))
         return np.sort(order[_rank(i[order]) < NEIGHBOURS])
