@@ -109,7 +109,7 @@ def test_uniform_conditions_and_values():
         for _ in range(4):
             step(world)
         now = world.populations["ant"].now
-        assert now["mood"].tolist() == [3.0 + 4.0] * 5 and now["first"].tolist() == [4.0] * 5 and now["second"].tolist() == [1.0] * 5
+        assert now["mood"].tolist() == [7.0] * 5 and now["first"].tolist() == [4.0] * 5 and now["second"].tolist() == [1.0] * 5
 
 
 def test_nobody_at_all():

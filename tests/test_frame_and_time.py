@@ -1,5 +1,5 @@
-"""`frame` and `time` are those of the frame that a step makes: in states, at birth, in specs, in what `explain` tells, and of a run
-that goes on from a checkpoint."""
+"""`frame` and `time` are those of the frame that a step makes: in states, at birth, in specs, in what `explain` tells, and after
+a checkpoint."""
 
 from __future__ import annotations
 

@@ -56,9 +56,7 @@ def move(world: World, population: Population, substep: int) -> None:
     population.footing, population.position = moved.footing, moved.position
 
 
-def _arrive(
-    population: Population, velocity: Vector, step: Vector, moved: MoveResult, dt: np.float32, whole: np.float32
-) -> None:
+def _arrive(population: Population, velocity: Vector, step: Vector, moved: MoveResult, dt: np.float32, whole: np.float32) -> None:
     """Velocity and heading where the walk of a substep has led, with place and up; `whole` is the time of all substeps."""
     now = population.now
     if compiled.wanted(len(population)):
