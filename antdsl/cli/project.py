@@ -30,7 +30,7 @@ species walker {
   }
 }
 
-spec "walkers keep moving, none too fast, and rest where they are" on "scene.yaml" {
+spec "walkers keep moving, none too fast" on "scene.yaml" {
   for 5 s
   always: share(state == rest) < 50 %
   always: motion.circling < 10 %
