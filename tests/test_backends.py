@@ -97,7 +97,7 @@ def test_a_value_used_before_and_after_a_store_is_read_before_it():
 
 def test_uniform_conditions_and_values():
     t = plans.Text()
-    late = t("gt", t("step", attrs=("frame",)), 1.0)
+    late = t("gt", t("step", attrs=("frame",)), 2.0)
     act = plans.block(
         plans.when(
             late, plans.store("mood", t("add", t.snap("mood"), t("step", attrs=("frame",)))), plans.store("first", t.b.number(4))
@@ -109,7 +109,7 @@ def test_uniform_conditions_and_values():
         for _ in range(4):
             step(world)
         now = world.populations["ant"].now
-        assert now["mood"].tolist() == [5.0] * 5 and now["first"].tolist() == [4.0] * 5 and now["second"].tolist() == [1.0] * 5
+        assert now["mood"].tolist() == [7.0] * 5 and now["first"].tolist() == [4.0] * 5 and now["second"].tolist() == [1.0] * 5
 
 
 def test_nobody_at_all():

@@ -68,6 +68,19 @@ async def test_hover_tells_what_a_word_is(client, word: str, nth: int, wanted: l
     assert hover is not None and not [each for each in wanted if each not in hover.contents.value], hover and hover.contents.value
 
 
+async def test_hover_says_which_states_stand_still(client) -> None:
+    path = client.folder / "rest.ant"
+    text = "ant 1\nuse steering\nspecies bug {\n  start go\n  state go { steer wander(); when after 1 s -> rest }\n"
+    text += "  state rest { when after 1 s -> drift }\n  state drift { steer coast(); when after 1 s -> go }\n}\n"
+    path.write_text(text)
+    await Editor(client).open(path, text)
+    for word, still in (("rest {", True), ("drift {", False), ("go {", False)):
+        hover = await client.text_document_hover_async(lsp.HoverParams(**ask(path.resolve().as_uri(), place_of(text, word))))
+        assert hover is not None and ("stands still" in hover.contents.value) is still
+    hover = await client.text_document_hover_async(lsp.HoverParams(**ask(path.resolve().as_uri(), place_of(text, "coast"))))
+    assert hover is not None and "Go on as it goes" in hover.contents.value
+
+
 async def test_hover_in_a_scene_knows_the_program_and_the_keys(client) -> None:
     async def said(word: str) -> str:
         found = await client.text_document_hover_async(lsp.HoverParams(**ask(client.scene, place_of(SCENE, word))))

@@ -12,18 +12,18 @@ def test_interrupt_before_from_any_before_the_others_and_never_into_the_own_stat
     text = """species a {{
 n = 0
 start p
-from any except r when frame == 1 -> q {{ n += 100 }}
+from any except r when frame == 2 -> q {{ n += 100 }}
 state p {{
-  when frame == 1 -> r {{ n += 1 }}
+  when frame == 2 -> r {{ n += 1 }}
   {line}
 }}
-state q {{ when frame == 3 -> r {{ n += 10 }} }}
-state r {{ enter {{ n += 1000 }}; when frame == 5 -> previous; when false -> p }}
+state q {{ when frame == 4 -> r {{ n += 10 }} }}
+state r {{ enter {{ n += 1000 }}; when frame == 6 -> previous; when false -> p }}
 }}"""
     plain = play(text.format(line=""), steps=7)
     assert plain.states() == ["p", "p", "q", "q", "r", "r", "q", "q"]
     assert plain["n"] == [1110]
-    sudden = play(text.format(line="interrupt when frame == 1 -> r { n += 7 }"), steps=7)
+    sudden = play(text.format(line="interrupt when frame == 2 -> r { n += 7 }"), steps=7)
     assert sudden.states() == ["p", "p", "r", "r", "r", "r", "p", "p"]
     assert sudden["n"] == [1007]
 
@@ -31,8 +31,8 @@ state r {{ enter {{ n += 1000 }}; when frame == 5 -> previous; when false -> p }
 @pytest.mark.parametrize("target", ["previous", "choose { p: 1; q: 0 }"])
 def test_from_any_does_not_enter_the_own_state_by_a_target_that_only_the_run_knows(target):
     seen = play(
-        f"species a {{ n = 0\nstart p\nfrom any when frame == 1 or frame == 4 -> {target} {{ n += 1 }}\n"
-        "state p { when frame == 2 -> q }\nstate q { when false -> p } }",
+        f"species a {{ n = 0\nstart p\nfrom any when frame == 2 or frame == 5 -> {target} {{ n += 1 }}\n"
+        "state p { when frame == 3 -> q }\nstate q { when false -> p } }",
         steps=6,
     )
     assert seen.states() == ["p", "p", "p", "q", "q", "p", "p"]
@@ -49,7 +49,7 @@ on ping { n += 1 }
 start p
 state p {
   exit { log = log * 10 + n }
-  when frame == 0 -> p2
+  when frame == 1 -> p2
   when ping -> q { n = n * 2; log = log * 10 + n }
 }
 state p2 { enter { emit ping }; when false -> q }
@@ -77,7 +77,7 @@ machine one {{ start p
   state p {{ when after {seconds} s -> q }}
   state q {{ when false -> p }} }}
 machine two {{ start p2
-  state p2 {{ when frame >= 2 held {seconds} s -> q2 }}
+  state p2 {{ when frame >= 3 held {seconds} s -> q2 }}
   state q2 {{ when false -> p2 }} }}
 machine three {{ start p3
   state p3 for at least {seconds} s {{ when true -> q3 }}
@@ -95,8 +95,8 @@ def test_a_break_starts_held_again_and_at_least_is_left_by_interrupt_only():
     seen = play(
         """species a {
 start p
-state p { when frame != 3 held 0.3 s -> q }
-state q for at least 0.4 s { when true -> r; interrupt when frame == 9 -> s }
+state p { when frame != 4 held 0.3 s -> q }
+state q for at least 0.4 s { when true -> r; interrupt when frame == 10 -> s }
 state r { when false -> s }
 state s { when false -> p } }""",
         steps=12,
@@ -115,7 +115,7 @@ machine one { start p
   state p { x += 10 /s; when two.state == r -> q }
   state q { y += 10 /s; steer vector(0.25, 0, 0); when false -> p } }
 machine two { start s
-  state s { when frame == 2 -> r }
+  state s { when frame == 3 -> r }
   state r { when one.state == q -> s2 }
   state s2 { steer vector(0, 0, 0.25); when false -> s } }
 on spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s) }
@@ -139,7 +139,7 @@ calm = 0 relax to 1 over 1 s
 latch high = n > 2.5 until n < 0.5
 on ping { heard += 1 }
 start up
-state up { n += 10 /s; when high -> down; when frame == 1 -> up2 { emit ping(within: 5 mm) } }
+state up { n += 10 /s; when high -> down; when frame == 2 -> up2 { emit ping(within: 5 mm) } }
 state up2 { n += 10 /s; when high -> down }
 state down { n -= 10 /s; when not high -> up }
 from any except up, up2, down when ping -> up
@@ -181,8 +181,8 @@ species a {
 x = 0
 y = 0
 start p
-state p { x = tally(); when frame == 3 -> q }
-state q { y = tally() + tally(); when frame == 5 -> p } }""",
+state p { x = tally(); when frame == 4 -> q }
+state q { y = tally() + tally(); when frame == 6 -> p } }""",
         steps=8,
     )
     assert seen.every("x") == [0, 1, 2, 3, 3, 3, 4, 5, 6]
@@ -259,8 +259,8 @@ on ping { y += uniform(0, 1) }
 start p
 from any except q when chance 500 %/s -> any { n += 1 }
 from any except any when chance 500 %/s -> any { n += 10 }
-from any except q, any when frame < 5 held 0.2 s -> q { n += 100 }
-from any except p, any when frame > 99 held 0.2 s -> q
+from any except q, any when frame < 6 held 0.2 s -> q { n += 100 }
+from any except p, any when frame > 100 held 0.2 s -> q
 state p { emit ping; when false -> q }
 state q { when false -> p }
 state any { when false -> previous }

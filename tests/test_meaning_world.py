@@ -132,7 +132,7 @@ def test_curves_and_numbers_of_the_run():
         steps=3,
     )
     assert (seen["off"], seen["along"], seen["side"]) == (pytest.approx([10]), pytest.approx([1]), pytest.approx([10]))
-    assert seen["now"] == pytest.approx([6 + 6]) and seen["mixed"] == [12] and seen["turned"] == pytest.approx([30], rel=1e-4)
+    assert seen["now"] == pytest.approx([7 + 7]) and seen["mixed"] == [12] and seen["turned"] == pytest.approx([30], rel=1e-4)
 
 
 # --- fields -----------------------------------------------------------------------------------------------------------
@@ -153,7 +153,7 @@ def test_what_is_laid_is_there_whole_in_the_next_step_and_fades_from_then_on():
     text = f"species a {{ {STILL}" + "".join(f"x{n} = 0\n" for n in names)
     reads = "; ".join(f"x{n} = {n}" for n in names)
     lays = "; ".join(f"deposit {n} {'1 + id' if n == 'most' else 4}" for n in names)
-    text += f"start p\nstate p {{ {reads}; when frame == 2 -> q {{ {lays} }} }}\nstate q {{ {reads}; when false -> p }} }}"
+    text += f"start p\nstate p {{ {reads}; when frame == 3 -> q {{ {lays} }} }}\nstate q {{ {reads}; when false -> p }} }}"
     seen = play(text, crowd(3), steps=14, world=FIELDS, surfaces=GROUND)
     first, last = ({n: seen.every(f"x{n}")[k] for n in names} for k in (4, 14))
     assert first == {"half": 12, "kept": 12, "gone": 12, "most": 3, "full": 5, "wide": 12}
@@ -167,7 +167,7 @@ def test_a_field_has_a_starting_value_also_for_those_just_born():
     text = """species a { seen = 0
 on spawn { seen = half }
 start p
-state p { when frame == 2 -> q { spawn a } }
+state p { when frame == 3 -> q { spawn a } }
 state q { when age > 100 s -> p } }"""
     seen = play(text, crowd(2, at=[(0, 0), (90, 0)]), steps=4, world=FIELDS, surfaces=GROUND,
                 field_start={"half": FieldStart(2.0, (0.0, 0.0, 0.0), 50.0)})  # fmt: skip
@@ -188,7 +188,7 @@ def test_a_push_is_cut_to_what_is_left():
     north, south = "vector(0, 0, 0.8)", "vector(0, 0, -0.9)"
     assert pushes(f"{{ {north}; state; {south} }}") == pytest.approx([0.2, 0.8])
     assert pushes(f"{{ state; {north}; {south} }}") == pytest.approx([0.5, 0.5])
-    assert pushes(f"{{ state; {north} when frame > 5; {south} }}") == pytest.approx([0.5, -0.5])
+    assert pushes(f"{{ state; {north} when frame > 6; {south} }}") == pytest.approx([0.5, -0.5])
     assert pushes("{ vector(0, 0, 3); state }") == pytest.approx([0, 1])
     assert pushes(f"first {{ vector(0, 0, 0); {north}; state }}") == pytest.approx([0, 0.8])
     assert pushes("sum { vector(0, 0, 0.1); state }") == pytest.approx([0.5, 0.1])
@@ -229,7 +229,7 @@ max_speed 50 mm/s
 on spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s) }
 on ping { velocity = vector(0 mm/s, 0 mm/s, 7 mm/s) }
 start s
-state s { when frame == 1 -> t { emit ping } }
+state s { when frame == 2 -> t { emit ping } }
 state t { enter { velocity = vector(5 mm/s, 0 mm/s, 0 mm/s); heading = vector(0, 0, 4) }; when false -> s } }"""
     seen = play(text, steps=4)
     assert seen.every("velocity.x") == pytest.approx([0, 0, 5, 0, 0])
@@ -251,8 +251,8 @@ start p
 on spawn { seen = count(neighbours(500 mm)) }
 state p {
   now = count(neighbours(500 mm))
-  when frame == 2 and id < 4 -> q { die }
-  when frame == 2 and id == 5 -> q { spawn a; spawn a }
+  when frame == 3 and id < 4 -> q { die }
+  when frame == 3 and id == 5 -> q { spawn a; spawn a }
 }
 state q { when age > 100 s -> p } }"""
     seen = play(text, crowd(10, radius=5, group=3), steps=4)
@@ -269,7 +269,7 @@ has = 0
 start p
 on spawn { pal = nearest(a); had = random(a) }
 state p { has = if pal then 1 + distance(pal) / 1 mm else 0
-  when frame == 2 and id >= 2 or frame == 4 -> q { die } }
+  when frame == 3 and id >= 2 or frame == 5 -> q { die } }
 state q { when age > 100 s -> p } }
 species b { prey = none of a
 on spawn { prey = nearest(a) }
@@ -326,7 +326,7 @@ def test_a_fault_is_told_in_the_words_of_the_text_and_nothing_is_kept(line, what
         with pytest.raises(FaultStop) as stop:
             play(text, crowd(3), steps=2, ways=[way])
         fault = stop.value.fault
-        assert (fault.what, fault.agent, fault.frame) == (what, 0, 0) and fault.span.text in line
+        assert (fault.what, fault.agent, fault.frame) == (what, 0, 1) and fault.span.text in line
         assert any(operand in text.strip("()") for text, _ in fault.operands), fault
     ways = [Options(on_fault="quarantine"), Options(on_fault="quarantine", backend="reference", shuffle_rows=1)]
     seen = play(text, crowd(3), steps=3, ways=ways)
@@ -337,12 +337,12 @@ def test_a_fault_at_birth_is_told_of_the_one_that_was_born():
     text = """species a { x = 0
 on spawn { x = 1 / (id - 3) }
 start p
-state p { when frame == 2 and id == 1 -> q { spawn a } }
+state p { when frame == 3 and id == 1 -> q { spawn a } }
 state q { when age > 100 s -> p } }"""
     for way in (Options(), Options(backend="reference", shuffle_rows=1)):
         with pytest.raises(FaultStop) as stop:
             play(text, crowd(3), steps=6, ways=[way])
-        assert (stop.value.fault.agent, stop.value.fault.frame, stop.value.fault.what) == (3, 2, "x")
+        assert (stop.value.fault.agent, stop.value.fault.frame, stop.value.fault.what) == (3, 3, "x")
         assert ("(id - 3)", "0") in stop.value.fault.operands
 
 

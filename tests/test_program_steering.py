@@ -35,9 +35,11 @@ def crowd(species: str, *points: tuple[float, float]) -> CrowdData:
     return CrowdData(species, len(points), PlaceData(points=places))
 
 
-def scene(steer: str, *crowds: CrowdData, food: tuple[float, float] = (60, 0), fps: int = 24, turned: str = "0 deg") -> World:
+def scene(
+    steer: str, *crowds: CrowdData, food: tuple[float, float] = (60, 0), fps: int = 24, turned: str = "0 deg", more: str = ""
+) -> World:
     """Animals that wish `steer` and set out along x, on a plane with a rock at (40, 0), a road and one item of food."""
-    turn = f"  on spawn {{ heading = rotate(vector(1, 0, 0), about: up, by: {turned}); velocity = heading * 20 mm/s }}\n"
+    turn = more + f"  on spawn {{ heading = rotate(vector(1, 0, 0), about: up, by: {turned}); velocity = heading * 20 mm/s }}\n"
     text = HEAD + f"species ant {{\n{turn}  state s {{ steer {steer} }}\n}}\n"
     program, report = checked(text)
     assert report.ok, complaints(report)
@@ -212,6 +214,26 @@ def test_align_makes_them_go_the_same_way() -> None:
 def test_halt_stands_still() -> None:
     _, speeds = run(scene("halt()", crowd("ant", (0, 0))), 30)
     assert np.linalg.norm(speeds[-1]) < 0.2
+
+
+def test_coast_goes_on_as_it_goes() -> None:
+    _, speeds = run(scene("coast()", crowd("ant", (0, 60))), 30)
+    assert np.linalg.norm(speeds[-1, 0] - (20, 0, 0)) < 1e-3
+
+
+@pytest.mark.parametrize("response", ["1 step", "0.001 s", "1.5 step"])
+def test_who_answers_within_a_step_does_not_overshoot(response: str) -> None:
+    """An animal that may turn right round in a step has twice the strength, of which these ask for no more than they need."""
+    more = f"  response {response}\n"
+    exact = response != "1.5 step"
+    _, speeds = run(scene("halt()", crowd("ant", (0, 60)), more=more), 12)
+    assert np.linalg.norm(speeds, axis=2).max(axis=1)[0 if exact else -1] < (1e-4 if exact else 0.01)
+    _, speeds = run(scene("seek(nearest(food))", crowd("ant", (60, 90)), more=more), 20)
+    assert np.all(speeds[4:, 0, 2] < -29) and np.all(np.abs(speeds[4:, 0, 0]) < 0.5)  # straight there, not in zigzag
+    _, speeds = run(scene("adjust(vector(0, 0, 0.5))", crowd("ant", (0, 60)), more=more), 1)
+    assert speeds[0, 0] == pytest.approx((20, 0, 15 if exact else 10), abs=1e-3)
+    _, speeds = run(scene("wander(swing: 60 deg)", crowd("ant", (0, 60)), more=more), 24)
+    assert np.ptp(np.linalg.norm(speeds[6:, 0], axis=1)) < 0.5  # one pace, instead of a short and a long step in turn
 
 
 def test_every_behaviour_of_the_library_has_help_and_a_test() -> None:

@@ -106,7 +106,7 @@ def test_claims_on_nothing_win_nothing():
 
 def test_an_event_is_seen_once_a_step_later_by_those_in_reach():
     t = plans.Text()
-    first = t("and", t("eq", t("step", attrs=("frame",)), 0.0), t("eq", t("id"), t.b.agent(0)))
+    first = t("and", t("eq", t("step", attrs=("frame",)), 1.0), t("eq", t("id"), t.b.agent(0)))
     act = plans.block(
         plans.when(first, ir.Emit("alarm", t.b.number(20), None), ir.Emit("self", None, None)),
         plans.when(t("event", attrs=("alarm",)), plans.store("heard", t("add", t.snap("heard"), 1.0))),
@@ -128,16 +128,16 @@ def test_an_event_is_seen_once_a_step_later_by_those_in_reach():
 
 
 def breeders() -> ir.Plan:
-    """Even ids bear two at frame 1, ids that are a multiple of 3 die at frame 2; everybody has a friend."""
+    """Even ids bear two at frame 2, ids that are a multiple of 3 die at frame 3; everybody has a friend."""
     t = plans.Text()
     from dataclasses import replace
 
     even = t("eq", t("snap", attrs=("parity",)), 0.0)
     frame = t("step", attrs=("frame",))
     act = plans.block(
-        plans.when(t("and", even, t("eq", frame, 1.0)), ir.Spawn("ant", "one", None), ir.Spawn("ant", "two", None)),
-        plans.when(t("and", t("eq", t.snap("third"), 0.0), t("eq", frame, 2.0)), ir.Die(None)),
-        plans.when(t("eq", frame, 0.0), plans.store("friend", t.b.agent(3))),
+        plans.when(t("and", even, t("eq", frame, 2.0)), ir.Spawn("ant", "one", None), ir.Spawn("ant", "two", None)),
+        plans.when(t("and", t("eq", t.snap("third"), 0.0), t("eq", frame, 3.0)), ir.Die(None)),
+        plans.when(t("eq", frame, 1.0), plans.store("friend", t.b.agent(3))),
         plans.store("sees", t("number", t("agent.alive", t.snap("friend", L), attrs=("ant",)))),
     )
     number = t("number", t("id"))
@@ -259,4 +259,4 @@ def test_the_time_of_a_frame_is_not_added_up():
     for _ in range(4):
         step(world)
     now = world.populations["ant"].now
-    assert now["mood"][0] == np.float32(1004 / 25) and now["old"][0] == np.float32(3 / 25)
+    assert now["mood"][0] == np.float32(1005 / 25) and now["old"][0] == np.float32(3 / 25)

@@ -74,7 +74,7 @@ def test_a_turn_takes_its_time():
 def test_the_heading_follows_smoothly_whatever_the_fps(way):
     found = []
     for fps in (24, 48, 96):
-        world = world_of(store_plan(way, response=0.0, max_force=60.0 * fps, **STILL), fps=Fraction(fps))
+        world = world_of(store_plan(way, max_force=60.0 * fps, **STILL), fps=Fraction(fps))
         most, before = 0.0, np.array([1.0, 0.0, 0.0])
         for _ in range(fps // 4):
             step(world)
@@ -84,6 +84,28 @@ def test_the_heading_follows_smoothly_whatever_the_fps(way):
         assert most < 0.55 * 24 / fps
         found.append(before)
     assert found[0] @ found[2] > 0.97 and found[0] @ np.array(way) > 0.5
+
+
+@pytest.mark.parametrize("substeps", [1, 2])
+@pytest.mark.parametrize("way", [(-1.0, 0.0, 0.0), (-0.6, 0.0, 0.8), (0.96, 0.0, 0.28), (0.02, 0.0, 0.02)])
+def test_a_kinematic_animal_faces_at_once_where_it_goes(way, substeps):
+    plan = store_plan(way, response=1 / 24, max_force=60.0 * 24, **STILL)
+    world = world_of(plan, substeps=substeps)
+    for _ in range(2):
+        step(world)
+        assert read(world, "heading")[0] == pytest.approx(np.array(way) / np.linalg.norm(way), abs=1e-5)
+
+
+def test_a_kinematic_animal_turns_no_faster_than_it_may_and_its_heading_goes_with_it():
+    turned = np.radians(16.3)
+    start = {**STILL, "velocity.x": 10.0}
+    plan = store_plan((0.0, 0.0, 1.0), response=1 / 24, max_force=60.0 * 24, max_turn=turned * 24, **start)
+    world = world_of(plan)
+    for number in range(1, 5):
+        step(world)
+        for name in ("velocity", "heading"):
+            x, _, z = read(world, name)[0]
+            assert np.arctan2(z, x) == pytest.approx(number * turned, abs=1e-4)
 
 
 def test_who_hardly_moves_does_not_turn():

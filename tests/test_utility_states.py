@@ -16,7 +16,7 @@ state dig for at least 0.2 s {
   enter { digs += 1; was_next = if next == dig then 1 else 0; was_previous = if previous == carry then 1 else 0 }
   when true -> previous
 }
-from any except dig when frame == 4 or frame == 10 -> dig
+from any except dig when frame == 5 or frame == 11 -> dig
 }"""
 
 

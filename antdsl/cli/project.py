@@ -25,7 +25,7 @@ species walker {
   }
 
   layers {
-    separate(radius: 2 * size)
+    separate(radius: 2 * size) when state == stroll
     state
   }
 }
@@ -34,7 +34,10 @@ spec "walkers keep moving, none too fast" on "scene.yaml" {
   for 5 s
   always: share(state == rest) < 50 %
   always: motion.circling < 10 %
-  each walker { always: speed < 1.01 * pace }
+  each walker {
+    always: speed < 1.01 * pace
+    always: time_in_state < 0.8 s or state == stroll or speed < 0.1 mm/s
+  }
 }
 """
 

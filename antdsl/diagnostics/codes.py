@@ -94,6 +94,7 @@ CODES: dict[str, str] = {
     "not-commuting": "a handler sets a value that several events at once could set differently",
     "not-own": "an agent sets a value of another",
     "not-settable": "a value that cannot be set is set",
+    "per-frame": "a value changes by so much in every step, so it depends on the frames per second",
     "per-step": "a value depends on the frames per second (only with `--strict`)",
     "set-in-body": "`velocity` or `heading` is set in every step",
     "too-many": "there are more states, layers, fields or names than the limit",

@@ -16,6 +16,8 @@ from antdsl.explain.replaying import Replay
 from antdsl.explain.sensing import draws, fields, seen, senses
 from antdsl.explain.tracing import Trace
 from antdsl.explain.values import place, triple
+from antdsl.plan.noting import resting_site
+from antdsl.program.model import Species
 from antdsl.runtime.world import AXES, Population, World
 
 PLACES = 256  # of each set
@@ -89,7 +91,7 @@ def _account(replay: Replay, frame: int, world: World, population: Population, t
         notes=(),
         machines=machines,
         handlers=handlers,
-        steers=steers(population.name, notes, trace, _sites(population.name, machines)),
+        steers=steers(population.name, notes, trace, _sites(program, machines)),
         layers=layers(world, program.layers.mode, notes, trace),
         push=triple(pushed(trace)),
         velocity=(velocity, None),
@@ -103,10 +105,17 @@ def _account(replay: Replay, frame: int, world: World, population: Population, t
     )
 
 
-def _sites(species: str, machines: Sequence[MachineStep]) -> tuple[str, ...]:
-    """Where lines of text run for this agent in this step: the bodies of the states that it is in."""
-    found = [f"{species}.{m.machine}.{m.after}#" for m in machines]
-    found += [f"{species}.{m.machine}.{m.after}.enter#" for m in machines if m.changed]
+def _sites(species: Species, machines: Sequence[MachineStep]) -> tuple[str, ...]:
+    """Where lines of text run for this agent in this step: the bodies of the states that it is in, or what stands in for a
+    `steer` line where none of them has one."""
+    found = [f"{species.name}.{m.machine}.{m.after}#" for m in machines]
+    found += [f"{species.name}.{m.machine}.{m.after}.enter#" for m in machines if m.changed]
+    rest = species.rest
+    if rest is not None:
+        states = {m.name: [state.name for state in m.states] for m in species.machines}
+        here = {m.machine: states[m.machine].index(m.after) for m in machines}
+        if all(here[name] in silent for name, silent in rest.silent.items()):
+            found.append(resting_site(species.name))
     return tuple(found)
 
 

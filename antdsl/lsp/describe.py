@@ -155,7 +155,17 @@ def _state(workspace: Workspace, document: Document, key: Key) -> str | None:
             ways += [line.target.name.text] if line.target.name is not None else [c.target.text for c in line.target.choices]
     leads = "leads to " + ", ".join(f"`{way}`" for way in dict.fromkeys(ways)) if ways else "nothing leads out of it"
     where = f"state of `{key[1]}`" + (f", machine `{key[2]}`" if key[2] != "main" else "")
-    return markdown(f"state {node.name.text}{label}{colour}", least, leads, where)
+    still = "stands still: no line of it steers" if _rests(workspace, document, key, node) else ""
+    return markdown(f"state {node.name.text}{label}{colour}", least, leads, still, where)
+
+
+def _rests(workspace: Workspace, document: Document, key: Key, state: nodes.State) -> bool:
+    """Whether a state steers nothing where another state of its machine steers."""
+    found = declared(workspace, document, ("species", key[1]))
+    members = found[1].node.members if found is not None else ()
+    beside = next((m.members for m in members if isinstance(m, nodes.Machine) and m.name.text == key[2]), members)
+    silent = not any(isinstance(line, nodes.Steer) for line in state.body)
+    return silent and any(isinstance(line, nodes.Steer) for m in beside if isinstance(m, nodes.State) for line in m.body)
 
 
 def signature(node: nodes.Behaviour) -> str:

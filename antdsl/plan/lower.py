@@ -16,6 +16,7 @@ from antdsl.plan.ir import Block, Kind, Node
 from antdsl.plan.lazy import lazy
 from antdsl.plan.machines import MachineWriter
 from antdsl.plan.noting import Notes, NotingWriter
+from antdsl.plan.resting import stand_still
 from antdsl.plan.values import Vec, scale, sub
 from antdsl.plan.values import add as add_vectors
 from antdsl.plan.walk import needed, operands, statements
@@ -83,6 +84,7 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
     with w.block() as done:
         for machine in machines:
             machine.act()
+        stand_still(w, machines)
         act = done()
     with w.block() as done:
         layers = blending.blend(w, order)

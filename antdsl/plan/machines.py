@@ -68,6 +68,14 @@ class MachineWriter:
             return self.w.b.true
         return self.w.b("eq", self.w.read(f"{self.name}.state"), self.w.b.row(state.index))
 
+    def among(self, states: Iterable[int]) -> Node:
+        """Whether it is in one of these states by now."""
+        here = self.w.read(f"{self.name}.state")
+        found = self.w.b.false
+        for index in states:
+            found = self.w.b("or", found, self.w.b("eq", here, self.w.b.row(index)))
+        return found
+
     # --- birth -------------------------------------------------------------------------------------------------------
 
     def begin(self) -> None:

@@ -85,9 +85,17 @@ class LayerNote:
     push: tuple[Node, Node, Node]
 
 
+RESTS = "no line steers, so it stands still: halt()"
+
+
+def resting_site(species: str) -> str:
+    """The place of the push of those who stand still since no state steers."""
+    return f"{species}.rest#1"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SteerNote:
-    """A `steer` line; `site` is its place: `SPECIES.MACHINE.STATE#1`."""
+    """A `steer` line; `site` is its place: `SPECIES.MACHINE.STATE#1`, or `resting_site`."""
 
     site: str
     text: str
@@ -143,6 +151,9 @@ class NotingWriter(Writer):
 
     def steered(self, s: model.Steer, site: str, push: values.Vec) -> None:
         self.notes.steers.append(SteerNote(site, _line(s.span.text), (push.x, push.y, push.z)))
+
+    def rested(self, rest: model.Rest, push: values.Vec) -> None:
+        self.notes.steers.append(SteerNote(resting_site(self.species.name), RESTS, (push.x, push.y, push.z)))
 
     # --- parts -------------------------------------------------------------------------------------------------------
 

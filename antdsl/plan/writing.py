@@ -150,6 +150,9 @@ class Writer:
     def steered(self, s: model.Steer, site: str, push: Vec) -> None:
         """A `steer` line."""
 
+    def rested(self, rest: model.Rest, push: Vec) -> None:
+        """What stands in for the `steer` line of those who have none."""
+
     # --- statements --------------------------------------------------------------------------------------------------
 
     def add(self, statement: Statement) -> None:

@@ -248,6 +248,13 @@ def call_behaviour(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
     return _in_place(scope, info, node, {slot: arguments[0].value for slot, arguments in found.items()})
 
 
+def call_unwritten(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> Expr:
+    """A behaviour without arguments in place of a call that the language makes itself; `node` says where."""
+    if not check_behaviour(scope.declared, info) or not _allowed(scope, info, node):
+        return bad(node.span)
+    return _in_place(scope, info, node, {})
+
+
 def _called(scope: Scope, function: nodes.Expr) -> BehaviourInfo | None:
     if isinstance(function, nodes.NameRef):
         return scope.file.behaviour(function.name.text)

@@ -42,7 +42,7 @@ def check(
     report = Report()
     declared = Declared(RULES, report, strict, memo=memo)
     loader = Loader(report, library, modules)
-    declared.home = loader.home
+    declared.home, declared.shipped = loader.home, loader.shipped
     names = [loader.file(file) for file in files]
     for each in names:
         declare(declared, each)

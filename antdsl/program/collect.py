@@ -59,6 +59,13 @@ class Loader:
                 return name
         return None
 
+    def shipped(self, library: str, behaviour: str) -> BehaviourInfo | None:
+        """A behaviour of a library that the language itself needs, whether the library is used or not."""
+        names = self.libraries.get(library)
+        if names is None and (node := self.library(library)) is not None:
+            names = self.libraries[library] = self.file(node)
+        return None if names is None else names.own.get(behaviour)
+
     def _behaviour(self, names: FileNames, node: nodes.Behaviour) -> None:
         name = node.name.text
         if name in names.own:

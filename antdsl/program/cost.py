@@ -14,6 +14,7 @@ from antdsl.program.model import (
     Emit,
     Expr,
     Local,
+    Machine,
     Op,
     Program,
     Reduce,
@@ -62,7 +63,10 @@ class Part:
 def costs(program: Program, species: Species) -> list[Part]:
     """Every state of a species in the order of the text, and last what is done whatever the state."""
     found = [
-        Part(state.name if len(species.machines) == 1 else f"{machine.name}.{state.name}", *_uses(program, _of(state)))
+        Part(
+            state.name if len(species.machines) == 1 else f"{machine.name}.{state.name}",
+            *_uses(program, _of(species, machine, state)),
+        )
         for machine in species.machines
         for state in machine.states
     ]
@@ -76,10 +80,11 @@ def costs(program: Program, species: Species) -> list[Part]:
     return [*found, Part("every state", *_uses(program, always))]
 
 
-def _of(state: State) -> object:
+def _of(species: Species, machine: Machine, state: State) -> object:
     """What is worked out in each step in which somebody is in the state; what is done once, on the way in or out, is not."""
+    still = species.rest.push if species.rest is not None and state.index in species.rest.silent.get(machine.name, ()) else None
     changes = [(change.condition, change.after, change.held, change.take) for change in state.transitions]
-    return state.body, changes
+    return state.body, still, changes
 
 
 def _uses(program: Program, root: object) -> tuple[tuple[Use, ...], int]:

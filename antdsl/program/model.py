@@ -223,6 +223,16 @@ class Layers:
 
 
 @value
+class Rest:
+    """How those stand still for whom no state steers. `silent`: of each machine that steers in some state, by its name, the
+    indices of those states that steer nothing. Who is in silent states of all these machines asks for `push`."""
+
+    silent: dict[str, tuple[int, ...]]
+    push: Expr
+    span: Span
+
+
+@value
 class Species:
     name: str
     help: str
@@ -234,6 +244,7 @@ class Species:
     machines: tuple[Machine, ...]
     layers: Layers
     span: Span
+    rest: Rest | None = None  # None: every state steers, or none does
 
 
 @value

@@ -86,6 +86,7 @@ class Declared:
     report: Report
     strict: bool = False
     home: Callable[[str], str | None] = lambda name: None  # the library that has a behaviour of a name
+    shipped: Callable[[str, str], BehaviourInfo | None] = lambda library, name: None  # a library's behaviour, used or not
     things: dict[str, WorldThing] = field(default_factory=dict)
     fields: dict[str, nodes.FieldDecl] = field(default_factory=dict)
     species: dict[str, SpeciesNames] = field(default_factory=dict)

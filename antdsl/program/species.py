@@ -18,6 +18,7 @@ from antdsl.program.memo import part
 from antdsl.program.model import Binding, Dim, Kind, Rate, Type
 from antdsl.program.operators import condition, wanted
 from antdsl.program.ordering import ordered
+from antdsl.program.resting import rest
 from antdsl.program.scope import (
     BAD,
     BOOL,
@@ -137,6 +138,7 @@ def _completed(work: Draft) -> model.Species:
         names.name, node.help.text if node.help else "", tuple(attributes), tuple(work.params),
         tuple(b for b in bindings if b.role == "let"), tuple(b for b in bindings if b.role == "latch"),
         tuple(handlers), tuple(machines), layers, node.name.span,
+        rest(scope.inside(keys=Keys(f"{names.name}.rest")), machines, node.name),
     )  # fmt: skip
 
 

@@ -72,7 +72,6 @@ def _added(
     if level and found.type == type:
         return found
     if fits(found.type, want):
-        _per_step(scope, node, found)
         return found
     text = " ".join(node.span.text.split())
     if block.body and fits(found.type, type):
@@ -102,13 +101,6 @@ def _as_rate(node: nodes.Expr, text: str) -> str:
 
 def _bracketed(node: nodes.Expr, text: str) -> str:
     return f"({text})" if isinstance(node, nodes.Binary) and node.op in ("+", "-") else text
-
-
-def _per_step(scope: Scope, node: nodes.Expr, found: Expr) -> None:
-    if scope.declared.strict and isinstance(found, model.Const) and found.step < 0:
-        scope.report.warning(
-            "per-step", f"{quoted(node.span)} depends on the frames per second", node.span, "say per second: `/s`"
-        )
 
 
 # --- one line each ---------------------------------------------------------------------------------------------------

@@ -290,10 +290,6 @@ def _keeps(scope: Scope, node: nodes.Setting) -> Expr | None:
             "write a share from `0 %/step` to `100 %/step`",
         )
         return None
-    if scope.declared.strict:
-        scope.report.warning(
-            "per-step", f"{quoted(node.value.span)} depends on the frames per second", node.value.span, "write `half_life 8 s`"
-        )
     return number(constant.number, node.value.span)
 
 

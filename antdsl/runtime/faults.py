@@ -107,4 +107,4 @@ def _tell(world: World, population: Population, row: int, entry: FaultEntry, wor
     from antdsl.runtime.backends.reference import operands_of
 
     operands = operands_of(world, population, row, entry.block, entry.register, entry.span)
-    return Fault(world.frame, population.name, int(population.ids[row]), word, entry.span, operands)
+    return Fault(world.shown, population.name, int(population.ids[row]), word, entry.span, operands)

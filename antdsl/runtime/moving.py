@@ -1,7 +1,8 @@
 """From pushes to places: acceleration, limits of speed and turn, sliding along obstacles, walking, and where one faces.
 
 a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as there). An animal whose response is a
-step or less takes its whole change of velocity at once. The heading follows it within a tenth of a second.
+step or less takes its whole change of velocity at once, and faces where it goes. The heading of others follows within a tenth of
+a second.
 """
 
 from __future__ import annotations
@@ -51,20 +52,20 @@ def move(world: World, population: Population, substep: int) -> None:
     if world.solids:
         on_solid = moved.footing.mesh >= len(world.ground.names) - len(world.solids)
         moved = tilted(moved, vec.rows(up), np.maximum(now["max_turn"], _F(0)) * dt, on_solid)
-    _arrive(population, velocity, step, moved, dt)
+    _arrive(population, velocity, step, moved, dt, _F(world.dt))
     population.footing, population.position = moved.footing, moved.position
 
 
-def _arrive(population: Population, velocity: Vector, step: Vector, moved: MoveResult, dt: np.float32) -> None:
-    """Velocity and heading where the walk has led, with place and up."""
+def _arrive(population: Population, velocity: Vector, step: Vector, moved: MoveResult, dt: np.float32, whole: np.float32) -> None:
+    """Velocity and heading where the walk of a substep has led, with place and up; `whole` is the time of all substeps."""
     now = population.now
     if compiled.wanted(len(population)):
         from antdsl.runtime.moving_compiled import arrive
 
         walked = (moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
         arrive(
-            velocity, step, population.position, *walked, now["max_speed"], now["max_turn"], dt, _share(dt), _SLOW, _BOUNCE,
-            *(_read(population, name) for name in ("position", "velocity", "heading", "up")),
+            velocity, step, population.position, *walked, now["max_speed"], now["max_turn"], now["response"], whole * _F(1.0001),
+            dt, _share(dt), _SLOW, _BOUNCE, *(_read(population, name) for name in ("position", "velocity", "heading", "up")),
         )  # fmt: skip
         return
     new_up = vec.columns(moved.up, np.float32)
@@ -75,7 +76,7 @@ def _arrive(population: Population, velocity: Vector, step: Vector, moved: MoveR
         lost = vec.sub(vec.scale(step, _F(1) / dt), gone)
         velocity = vec.choose(moved.blocked, vec.sub(gone, vec.scale(lost, _BOUNCE)), velocity)
     velocity = vec.flat(velocity, new_up)
-    heading = _face(population, vec.columns(moved.heading, np.float32), velocity, new_up, dt)
+    heading = _face(population, vec.columns(moved.heading, np.float32), velocity, new_up, dt, _at_once(now, whole))
     for name, value in (
         ("velocity", velocity),
         ("heading", heading),
@@ -127,8 +128,13 @@ def _pushed(now: dict[str, NDArray[Any]], push: Vector, before: Vector, up: Vect
 
 def _time(now: dict[str, NDArray[Any]], step: np.float32, dt: np.float32, substep: int) -> NDArray[np.float32]:
     """Seconds that a push acts in this substep: for who answers at once the whole step, in the first."""
-    at_once = now["response"] <= step * _F(1.0001)
-    return np.where(at_once, step if substep == 0 else _F(0), dt)
+    return np.where(_at_once(now, step), step if substep == 0 else _F(0), dt)
+
+
+def _at_once(now: dict[str, NDArray[Any]], step: np.float32) -> NDArray[np.bool_]:
+    """Who is kinematic: whose response is no longer than a step."""
+    at_once: NDArray[np.bool_] = now["response"] <= step * _F(1.0001)
+    return at_once
 
 
 def _gain(now: dict[str, NDArray[Any]], time: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -169,21 +175,23 @@ def _share(dt: np.float32) -> np.float32:
     return _F(1.0 - float(kernels.exp(_F(-float(dt) / _HEADING_TIME))))
 
 
-def _face(population: Population, heading: Vector, velocity: Vector, up: Vector, dt: np.float32) -> Vector:
-    """Turn the heading towards the movement: exponentially within _HEADING_TIME, and no faster than max_turn."""
+def _face(
+    population: Population, heading: Vector, velocity: Vector, up: Vector, dt: np.float32, at_once: NDArray[np.bool_]
+) -> Vector:
+    """Turn the heading towards the movement, exponentially within _HEADING_TIME or at once, and no faster than max_turn."""
     now = population.now
     heading = vec.unit(vec.flat(heading, up), vec.across(up))
     speed = vec.length(velocity)
     direction = vec.unit(velocity, heading)
-    behind = vec.dot(heading, direction) < 0
+    turn = now["max_turn"]
+    behind = (vec.dot(heading, direction) < 0) & ~(at_once & ~np.isfinite(turn))
     if behind.any():  # over a right angle it turns towards its side first, instead of through itself
         left = vec.cross(up, heading)
         side = vec.unit(vec.flat(direction, heading), left)
         direction = vec.choose(behind, vec.unit(vec.flat(side, up), left), direction)
     share = _share(dt)
     eager = np.minimum(speed / np.maximum(now["max_speed"] * _SLOW, _F(1e-6)), _F(1))
-    change = vec.scale(vec.sub(direction, heading), share * eager)
-    turn = now["max_turn"]
+    change = vec.scale(vec.sub(direction, heading), np.where(at_once, _F(1), share * eager))
     if np.isfinite(turn).any():
         size = vec.length(change)
         most = np.where(np.isfinite(turn), np.maximum(turn, _F(0)) * dt, np.inf).astype(np.float32)

@@ -46,12 +46,13 @@ def velocities(  # type: ignore[no-untyped-def]  # numba takes the types from th
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def arrive(  # type: ignore[no-untyped-def]
-    velocity, step, old, place, above, ahead, direction, blocked, max_speed, max_turn, dt, share, slow, bounce,
+    velocity, step, old, place, above, ahead, direction, blocked, max_speed, max_turn, response, at_once, dt, share, slow, bounce,
     position, to, heading, up,
 ):  # fmt: skip
     """Velocity and heading where the walk has led, with place and up, into three arrays each: `position`, `to`, `heading`, `up`.
 
     `velocity`, `step`: before the walk, (3, n) float32; `old` the place before it, (n, 3); then the walk's, (3, n) float64.
+    `at_once` is the longest response of who faces at once where it goes.
     """
     rate = _ONE / dt
     for i in range(blocked.size):
@@ -65,7 +66,7 @@ def arrive(  # type: ignore[no-untyped-def]
             v = _sub(gone, _scale(lost, bounce))
         v = _flat(v, u)
         h = (_F(ahead[0, i]), _F(ahead[1, i]), _F(ahead[2, i]))
-        h = _faced(h, v, u, max_speed[i], max_turn[i], dt, share, slow)
+        h = _faced(h, v, u, max_speed[i], max_turn[i], response[i] <= at_once, dt, share, slow)
         to[0][i], to[1][i], to[2][i] = v
         heading[0][i], heading[1][i], heading[2][i] = h
         up[0][i], up[1][i], up[2][i] = u
@@ -73,7 +74,7 @@ def arrive(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _faced(heading, velocity, up, max_speed, max_turn, dt, share, slow):  # type: ignore[no-untyped-def]
+def _faced(heading, velocity, up, max_speed, max_turn, at_once, dt, share, slow):  # type: ignore[no-untyped-def]
     """As `moving._face`, for one."""
     heading, good = _unit(_flat(heading, up))
     if not good:
@@ -81,7 +82,7 @@ def _faced(heading, velocity, up, max_speed, max_turn, dt, share, slow):  # type
     direction, good = _unit(velocity)
     if not good:
         direction = heading
-    if _dot(heading, direction) < 0:
+    if _dot(heading, direction) < 0 and not (at_once and not np.isfinite(max_turn)):
         left = _cross(up, heading)
         side, good = _unit(_flat(direction, heading))
         if not good:
@@ -90,7 +91,7 @@ def _faced(heading, velocity, up, max_speed, max_turn, dt, share, slow):  # type
         if not good:
             direction = left
     eager = _minimum(_length(velocity) / _maximum(max_speed * slow, _F(1e-6)), _ONE)
-    change = _scale(_sub(direction, heading), share * eager)
+    change = _scale(_sub(direction, heading), _ONE if at_once else share * eager)
     if np.isfinite(max_turn):
         size, most = _length(change), _maximum(max_turn, _ZERO) * dt
         if size > most:

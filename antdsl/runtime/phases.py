@@ -20,7 +20,8 @@ _SORT_EVERY, _SORT_FROM = 16, 2048  # frames, agents
 
 def sense(world: World) -> None:
     """Forget what was sensed, show the items' amounts, solve flows that are due, find each agent's cells. Senses themselves run
-    when first needed."""
+    when first needed. From here on `time` and `frame` are those of the frame that is made."""
+    world.stepping = True
     world.grids.clear()
     world.clearances.clear()
     world.faults.latest = None
@@ -108,7 +109,7 @@ def commit(world: World) -> None:
         for name in population.events:
             population.events[name], population.raised[name] = population.raised[name], population.events[name]
             population.raised[name].fill(False)
-    world.frame += 1
+    world.frame, world.stepping = world.shown, False
     if world.frame % _SORT_EVERY == 0:
         for population in world.populations.values():
             if len(population) >= _SORT_FROM:

@@ -38,7 +38,7 @@ def uniform_leaf(world: World, node: ir.Node) -> Value:
         case "told":
             return world.told[node.attrs[0]]
         case "step":
-            return np.float32(world.frame * world.dt if node.attrs[0] == "time" else world.frame)
+            return np.float32(world.shown * world.dt if node.attrs[0] == "time" else world.shown)
         case "run":
             name = node.attrs[0]
             if name.startswith("up_"):

@@ -124,8 +124,8 @@ class Population:
 
 @dataclass(slots=True, eq=False)
 class World:
-    """A bound plan under way. `frame` is the number of the step that comes next; `origin` (mm) was taken from all positions at
-    binding, so that float32 loses nothing far from the scene's zero."""
+    """A bound plan under way. `frame` is the number of the frame that stands, and within a step that of the frame it began from;
+    `origin` (mm) was taken from all positions at binding, so that float32 loses nothing far from the scene's zero."""
 
     plan: ir.Plan
     setting: Setting
@@ -156,10 +156,16 @@ class World:
     told: dict[str, np.float32] = field(default_factory=dict)  # numbers about wholes that a spec asks for, by name
     detail: Detail | None = None
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step once all have acted
+    stepping: bool = False  # between the first and the last phase of a step
 
     @property
     def dt(self) -> float:
         return self.setting.dt
+
+    @property
+    def shown(self) -> int:
+        """The frame in which what is worked out now is seen: the one that a step under way makes, else the one that stands."""
+        return self.frame + self.stepping
 
     def __len__(self) -> int:
         return sum(len(p) for p in self.populations.values())

@@ -14,8 +14,10 @@ from antdsl.program.checks.flicker import flicker
 from antdsl.program.checks.idle_layers import idle_layers
 from antdsl.program.checks.layering import layering
 from antdsl.program.checks.one_way import one_way
+from antdsl.program.checks.per_frame import per_frame
 from antdsl.program.checks.reachability import reachability
 from antdsl.program.checks.shadowed import shadowed
+from antdsl.program.checks.steps import steps
 from antdsl.program.checks.unused import unused
 from antdsl.program.checks.wide_radius import wide_radius
 from antdsl.program.checks.writers import writers
@@ -28,6 +30,7 @@ CHECKS: tuple[Check, ...] = (
     writers,  # two machines that set the same attribute
     layering,  # what the states steer must have its line
     events,  # raised and never noticed, noticed and never raised
+    steps,  # for `--strict`: what is said in steps
     unused,  # last: it only makes sense of what is otherwise right
 )
 
@@ -36,14 +39,15 @@ OF_SOUND: tuple[Check, ...] = (
     firing,  # changes whose condition never holds, or always
     flicker,  # two states that send the animal to each other
     draws,  # numbers drawn in a condition
+    per_frame,  # values that change by so much a frame
     wide_radius,  # neighbours among whom is everybody
     idle_layers,  # lines that no strength is left for
     one_way,  # attributes and fields that are only set, or only read
 )
 
 # Those that look at each species by itself, at nothing but its own parts and the params.
-OF_EACH = frozenset((shadowed, writers, layering, firing, flicker, draws, idle_layers, wide_radius))
+OF_EACH = frozenset((shadowed, writers, layering, firing, flicker, draws, per_frame, wide_radius, idle_layers))
 # And of these, those that look at each state by itself, and at the layers.
-OF_STATES = frozenset((firing, draws))
+OF_STATES = frozenset((firing, draws, per_frame))
 
 __all__ = ["CHECKS", "OF_EACH", "OF_SOUND", "OF_STATES", "Check", "Checked"]

@@ -1,0 +1,62 @@
+"""Every use of the unit `step`, for `check --strict`: what is said per step, or in steps, is another thing at another rate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from antdsl.diagnostics import Fix, Report
+from antdsl.program.checks.checked import Checked
+from antdsl.program.scope import FileNames
+from antdsl.program.units import measure
+from antdsl.program.walk import written
+from antdsl.program.wording import quoted
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+FPS = 24  # of film: what is written instead is as much, or as long, at this rate
+
+
+def steps(checked: Checked, report: Report) -> None:
+    if not checked.declared.strict:
+        return
+    for file in _files(checked.files):
+        around: dict[int, nodes.Setting | nodes.Given] = {}
+        for part, _ in written(file.node.items):
+            if isinstance(part, nodes.Setting | nodes.Given):
+                around[id(part.value)] = part
+            elif isinstance(part, nodes.Quantity) and (known := measure(part.unit)) is not None and known.step:
+                fix, help = _instead(part, known.step, around.get(id(part)))
+                report.warning("per-step", f"{quoted(part.span)} depends on the frames per second", part.span, help, fix=fix)
+
+
+def _files(files: Sequence[FileNames]) -> Iterator[FileNames]:
+    """The files of the program and those that they use by path, each once."""
+    stack, seen = list(files), set[int]()
+    while stack:
+        file = stack.pop()
+        if id(file) not in seen and not file.missing:
+            seen.add(id(file))
+            stack += file.aliases.values()
+            yield file
+
+
+def _instead(node: nodes.Quantity, power: float, around: nodes.Setting | nodes.Given | None) -> tuple[Fix | None, str]:
+    """What to write for it, and the words that say so."""
+    if isinstance(around, nodes.Setting) and around.name.text == "keeps":
+        share = node.value * (0.01 if "%" in node.unit else 1.0)
+        if not 0 < share < 1:
+            return None, "say how fast it fades: `half_life 8 s`"
+        return _told(around.span, f"half_life {-math.log(2) / math.log(share) / FPS:.3g} s", "fades as fast")
+    if isinstance(around, nodes.Given) and around.name.text == "response" and node.value <= 1:
+        return Fix(node.span, "0.001 s"), "write `response 0.001 s`, which is at once at any rate"
+    if node.unit == "step":
+        return _told(node.span, f"{node.value / FPS:.3g} s", "is as long")
+    if power == -1 and node.unit.endswith("/step"):
+        unit = f"{node.unit.removesuffix('/step')}/s"
+        return _told(node.span, f"{node.value * FPS:.6g} {unit}", "is as much")
+    return None, "say it in seconds"
+
+
+def _told(span: Span, text: str, words: str) -> tuple[Fix, str]:
+    return Fix(span, text), f"write `{text}`, which {words} at {FPS} frames a second"
