@@ -20,9 +20,10 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-ROUNDS = (1,) * 12 + (2,) * 8 + (4,) * 8 + (8,) * 8 + (16,) * 16  # places that are tried in each round; 380 in all
-_HOPELESS, _FEW = 0.9, 4  # where so many of a batch found no room, those of the next have so many rounds
-_BATCH = 512  # of the first batch; each is twice as large as the one before
+# Places that are tried in each round, by the share of the batch before that found no room: 384, 128 or 4 in all.
+_SOME = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
+_ROUNDS = ((0.005, _SOME + (32,) * 8), (0.1, _SOME), (1.0, (1,) * 4))
+_BATCH, _GROWTH = 64, 0.25  # agents of the first batch; of each other, for one before it
 _APART = 1.001  # so much farther apart than their radii reach: float32 rounds
 _FINE = 8  # of those who may overlap already, one in so small a part of a body stands for all there
 
@@ -166,15 +167,16 @@ def spread(room: Room, draw: Draw, ids: NDArray[np.int64], radius: Floats, first
     Those who found one are in the room afterwards, the others are not."""
     found: Drawn | None = None
     fits = np.zeros(len(ids), np.bool_)
-    rounds, begin, size = ROUNDS, 0, _BATCH
+    rounds, begin, size = _ROUNDS[0][1], 0, _BATCH
     while begin < len(ids):
         part = slice(begin, begin + size)
         drawn, held = _batch(room, draw, ids[part], radius[part], first + begin, rounds)
         fits[part] = held
         found = drawn if found is None else _joined(found, drawn)
-        if not held.size or np.count_nonzero(~held) > _HOPELESS * held.size:
-            rounds = ROUNDS[:_FEW]
-        begin, size = begin + size, size * 2
+        failed = np.count_nonzero(~held)
+        rounds = next(rounds for share, rounds in _ROUNDS if failed <= share * held.size)
+        begin += size
+        size = max(_BATCH, int(begin * _GROWTH))
     return draw(ids, range(1)) if found is None else found, fits
 
 
