@@ -5,6 +5,7 @@ Every stage gives `(result, Report)`; a result is None where its errors leave no
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -224,6 +225,34 @@ def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
     for _ in range(shot.frames.first, shot.frames.last):
         step(world)
         yield world
+
+
+_COVERED = 0.42  # share of the ground that agents placed at random cover without touching, and all find room
+
+
+def crowding(shot: Shot, world: World) -> Report:
+    """Warnings for lines of the crowd whose place had no room for all when the world was bound, each at the line's place."""
+    report, scene = Report(), shot.scene
+    for line in world.crowded:
+        low, high = (f"{radius:.3g}" for radius in line.radius)
+        wide = f"{low} mm" if low == high else f"{low} to {high} mm"
+        words = f"only {line.fit:,} of {line.count:,} `{line.species}` find room where they begin: with a radius of {wide} they cover"
+        words += f" {line.cover:,.0f} mm²" if line.area is None else f" {line.cover:,.0f} of {line.area:,.0f} mm²"
+        place = scene.model.crowd[line.group].place
+        help = "write a larger place, a smaller `count`, or a smaller `radius` in the program"
+        if place.radius is not None:
+            needed = math.sqrt(line.cover / (_COVERED * math.pi) / (4 if place.by == "area" else 1)) / scene.model.unit_mm
+            help = f"write `radius: {_rounded_up(needed)} {scene.model.units}`, a smaller `count`, or a smaller `radius` in the program"
+        elif place.on is not None and place.by != "area" and place.density is None:
+            help = "cover its sides and its underside too with `by: area`, or write a smaller `count`"
+        report.warning("no-room", words, scene.span("crowd", line.group, "place"), help)
+    return report
+
+
+def _rounded_up(value: float) -> str:
+    """To two digits."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.ceil(value / step) * step:g}"
 
 
 def check_scene_text(

@@ -103,14 +103,18 @@ def _again(scene: Path, out: Path | None) -> str:
 
 
 def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume: bool, force: bool) -> Recording:
-    from antdsl.cli.reports import demand
+    from antdsl.cli.reports import demand, show
     from antdsl.outputs.cache_writer import DifferentInputs, ForeignFolder
     from antdsl.outputs.recording import NothingToResume, begin
     from antdsl.outputs.starting import StartError
+    from antdsl.pipeline import crowding
     from antdsl.runtime import BindError
 
     try:
-        return begin(shot, folder, options, resume=resume, force=force)
+        recording = begin(shot, folder, options, resume=resume, force=force)
+        if recording.resumed_from is None and shot.scene.model.start is None:
+            show(crowding(shot, recording.world), to_stderr=True)
+        return recording
     except (BindError, StartError) as why:
         demand(why.report)
         raise Stop(Exit.FINDINGS) from None

@@ -145,6 +145,7 @@ CODES: dict[str, str] = {
     "missing-thing": "the program declares a thing of the world, or a layer, that the scene leaves out",
     "moving-topology": "a thing that moves has other faces or points at other frames",
     "no-crowd": "the scene has no agents",
+    "no-room": "a place of the scene has no room for all agents that are to begin there",
     "no-such-file": "a file that is named is not there, or cannot be opened",
     "no-such-prim": "a USD file has no prim at a path, or nothing of the wanted kind at and below it",
     "not-a-file": "a path leads to a folder, a pipe or a device",

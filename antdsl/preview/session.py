@@ -11,7 +11,7 @@ from pathlib import Path
 
 from antdsl import limits
 from antdsl.diagnostics import Report
-from antdsl.pipeline import Choices, Shot
+from antdsl.pipeline import Choices, Shot, crowding
 from antdsl.preview.binding_params import asked_before_the_first_step
 from antdsl.preview.compiling import Compiler
 from antdsl.preview.layers import Off, texts_without
@@ -250,6 +250,7 @@ class Session:
             world = bind(shot.plan, shot.setting, self.options, built=self.compiler.built)
         except BindError as why:
             return Outcome(why.report)
+        report.extend(crowding(shot, world))
         branches = self.timeline.branches
         self.timeline = Timeline(self.timeline.every, self.timeline.budget)
         self.timeline.branches = branches
@@ -279,6 +280,7 @@ class Session:
         report.extend(findings)
         if world is None:
             return Outcome(report)
+        report.extend(crowding(shot, world))
         line = " · ".join([taken_line(taken), *(f"layer `{layer}` is gone" for _, layer in gone)])
         off = {key: path for key, path in off.items() if key not in gone}
         stretch = Stretch(shot, world.frame, line, world.origin, choices, off)

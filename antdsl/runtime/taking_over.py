@@ -16,7 +16,7 @@ from antdsl.runtime.births import forget_the_dead
 from antdsl.runtime.carrying import pose
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.motion import Motion
-from antdsl.runtime.placing import begin, put
+from antdsl.runtime.placing import arrive, begin
 from antdsl.runtime.reuse import Built, digest
 from antdsl.runtime.taking_agents import Kept, complete, take_agents
 from antdsl.runtime.taking_ground import same_solid
@@ -53,11 +53,7 @@ def take_over(old: World, plan: ir.Plan, setting: Setting, built: Built | None =
         _fields(old, world, taken)
         pose(world, world.frame)
         _flows(old, world)
-        joining = _agents(old, world, taken)
-        joined: dict[str, list[NDArray[np.intp]]] = {}
-        for crowd, ids in joining:
-            joined.setdefault(crowd.species, []).append(put(world, crowd, ids))
-        begin(world, {name: np.concatenate(rows) for name, rows in joined.items()})
+        begin(world, arrive(world, _agents(old, world, taken)))
         for population in world.populations.values():
             forget_the_dead(world, population)
     _counts(old, world)

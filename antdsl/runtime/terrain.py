@@ -103,14 +103,19 @@ class Terrain:
             found[chosen] = asked
         return standing, found
 
-    def nearest(self, points: Floats) -> tuple[Standing, Floats]:
-        """Footings at the nearest point of the meshes, or of the solids where those are nearer, and the distance float64[n]."""
+    def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Standing, Floats]:
+        """Footings at the nearest point of the meshes, or of the solids where those are nearer, and the distance float64[n]; of
+        the names in `on`, or of all."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         standing, distance = Standing.on_mesh(Footing.nowhere(len(points))), np.full(len(points), np.inf)
-        if self.meshes is not None:
-            footing, distance = self.meshes.nearest(points)
+        names = self.names if on is None else tuple(on)
+        meshes = [name for name in self.names[: self._count] if name in names]
+        if meshes and self.meshes is not None:
+            footing, distance = self.meshes.nearest(points, meshes)
             standing, distance = Standing.on_mesh(footing), distance.copy()
         for k, volume in enumerate(self._volumes):
+            if self.names[self._count + k] not in names:
+                continue
             hints = volume.gradient(points).astype(np.float64)
             landed = volume.project(points, hints / np.maximum(length(hints), 1e-12)[:, None], volume.band[1])
             away = length(landed.points - points)

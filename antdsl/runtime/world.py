@@ -122,6 +122,20 @@ class Population:
             self.now[f"{name}.{axis}"][:] = value[:, k]
 
 
+@dataclass(frozen=True, slots=True)
+class Crowded:
+    """A line of the scene's crowd (by its number) whose place has no room for all: `fit` of `count` stand clear of all others.
+    `radius`: the least and the greatest (mm); `cover`: what all would cover, `area`: what there is (mm²; None: not known)."""
+
+    group: int
+    species: str
+    count: int
+    fit: int
+    radius: tuple[float, float]
+    cover: float
+    area: float | None
+
+
 @dataclass(slots=True, eq=False)
 class World:
     """A bound plan under way. `frame` is the number of the frame that stands, and within a step that of the frame it began from;
@@ -155,6 +169,7 @@ class World:
     carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last hand-over; None: nobody asks
     told: dict[str, np.float32] = field(default_factory=dict)  # numbers about wholes that a spec asks for, by name
     detail: Detail | None = None
+    crowded: list[Crowded] = field(default_factory=list)  # lines of the crowd that found no room for all
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step once all have acted
     stepping: bool = False  # between the first and the last phase of a step
 

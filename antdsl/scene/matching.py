@@ -274,6 +274,12 @@ def _placement(scene: Scene, program: Program, report: Report, place: Placement,
         if getattr(place, way) is not None and other:
             words = f"agents are placed by `{way}` or by `{other[0]}`, not both"
             report.error("wrong-value", words, scene.span(*path, way, key=True), "keep one of them")
+    if place.inside is not None and place.by == "area":
+        words = "agents that begin `inside` stand where lines from there end, and are not spread by area"
+        report.error("wrong-value", words, scene.span(*path, "by", key=True), "leave `by` out, or write `on` instead of `inside`")
+    if place.by == "area" and not grounds:
+        words = "there is no surface to spread agents over by area"
+        report.error("wrong-value", words, scene.span(*path, "by", key=True), "leave `by` out, or add a surface to the world")
     _around(scene, report, place.around, place.radius, *path)
 
 

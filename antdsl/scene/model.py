@@ -109,6 +109,7 @@ class CurveThing(Part):
 
 
 Strength = Annotated[float, BeforeValidator(number(-1, 1))]
+By = Annotated[str, BeforeValidator(one_of("above", "area"))]
 Falloff = Annotated[str, BeforeValidator(one_of("none", "linear", "smooth"))]
 
 
@@ -255,7 +256,7 @@ def _point_or_name(value: Any) -> str:
 class Placement(Part):
     """Where a crowd begins: scattered on a surface (all of it, by the `density` that a map paints, or within `radius` of a point
     or an item, by itself of the scene's origin), at given points, or where lines from a point or an item end, `inside`
-    of something."""
+    of something. `by` says whether they are dropped onto it from above or spread over its area, undersides too."""
 
     on: Name | None = None
     inside: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None
@@ -263,6 +264,7 @@ class Placement(Part):
     radius: PositiveLength | None = None
     points: FilePath | None = None
     density: Name | None = None
+    by: By = "above"
 
 
 class CrowdLine(Part):

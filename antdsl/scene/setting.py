@@ -119,7 +119,10 @@ class PlaceData:
 
     `points` (n, 3), one an agent, in order (those after the last start over); else a disc of `radius` mm around `around`, dropped
     along the scene's up onto the surfaces; else where lines from `inside` in all directions first meet a surface, on that side;
-    else evenly over the surfaces, or as densely as the map `density` says. `on` narrows to some surfaces (empty: all)."""
+    else evenly over the surfaces, or as densely as the map `density` says. `on` narrows to some surfaces (empty: all).
+
+    With `by_area` agents stand on the front of faces, whichever way these look, and `radius` is that of a ball; `points` go to
+    the nearest place of a surface."""
 
     on: tuple[str, ...] = ()
     around: Point | None = None
@@ -127,6 +130,7 @@ class PlaceData:
     radius: float | None = None
     points: NDArray[np.float64] | None = None
     density: str | None = None
+    by_area: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

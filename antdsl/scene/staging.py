@@ -381,4 +381,5 @@ def _place(staging: Staging, places: Places, place: Placement, *path: Key) -> st
         radius=_length(scene, place.radius),
         points=points,
         density=place.density,
+        by_area=place.by == "area",
     )

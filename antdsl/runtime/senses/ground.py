@@ -147,10 +147,10 @@ class Ground:
             place[missed] = nearest
         return self._footing(face, *self._weights(np.maximum(face, 0), place.T)), found
 
-    def nearest(self, points: Floats) -> tuple[Footing, Floats]:
-        """Footings at the nearest point of the surfaces to points [n,3], and the distance float64[n]."""
+    def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
+        """Footings at the nearest point of the surfaces in `on`, all when None, to points [n,3], and the distance float64[n]."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
-        scene, live = self._scene(None)
+        scene, live = self._scene(on)
         mesh, local, place, distance = scene.closest(points)
         face = self._face_of(mesh, local, live)
         return self._footing(face, *self._weights(np.maximum(face, 0), place.T)), distance

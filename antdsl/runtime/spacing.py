@@ -1,0 +1,254 @@
+"""Keeps agents apart where they start: each stands at the first of its drawn places where its `radius` meets nobody who came
+before it.
+
+Method: random sequential addition of discs (dart throwing), in rounds over all agents at once. In a round everybody without a
+place tries the next ones of its own series; of two who meet, the later one goes on. What becomes of an agent so depends on
+those before it alone: more agents move none of them. Random discs of one size cover no more than 54.7 % of a plane, and get
+there ever more slowly (J. Feder, Random sequential adsorption, J. Theor. Biol. 87, 1980), so tries are limited.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+
+# Places that are tried in each round, by the share of the batch before that found no room: 384, 128 or 4 in all.
+_SOME = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
+_ROUNDS = ((0.005, _SOME + (32,) * 8), (0.1, _SOME), (1.0, (1,) * 4))
+_BATCH, _GROWTH = 64, 0.25  # agents of the first batch; of each other, for one before it
+_APART = 1.001  # so much farther apart than their radii reach: float32 rounds
+_FINE = 8  # of those who may overlap already, one in so small a part of a body stands for all there
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """Places to start at: footings on the ground, where these are (n, 3), ups (n, 3), and whether an agent may start there."""
+
+    footing: Any
+    place: Floats
+    up: Floats
+    good: Flags
+
+    def take(self, rows: Rows) -> Drawn:
+        """Copies of some of them."""
+        kept = [getattr(self.footing, f.name)[rows] for f in fields(self.footing)]
+        return Drawn(type(self.footing)(*kept), self.place[rows], self.up[rows], self.good[rows])
+
+    def put(self, rows: Rows, other: Drawn) -> None:
+        """Put others into rows."""
+        for f in fields(self.footing):
+            getattr(self.footing, f.name)[rows] = getattr(other.footing, f.name)
+        self.place[rows], self.up[rows], self.good[rows] = other.place, other.up, other.good
+
+
+Draw = Callable[[NDArray[np.int64], range], Drawn]
+"""Places for agents by their ids: the tries of a range one after the other, all agents within each."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Group:
+    """Some discs of much the same size, in a tree. `entries` are their numbers."""
+
+    tree: Any
+    entries: Rows
+    widest: float
+
+
+class Room:
+    """Who stands where, as discs. An entry has a place, a radius and the number in the order of those who start; of two that
+    overlap the later one gives way. `rounding` (mm) is how exactly positions are known."""
+
+    def __init__(self, rounding: float = 0.0) -> None:
+        self._rounding = rounding
+        self._place = np.empty((0, 3))
+        self._radius = np.empty(0)
+        self._order = np.empty(0, np.intp)
+        self._there = np.empty(0, np.bool_)
+        self._groups: list[_Group] = []
+
+    def begin_with(self, place: Floats, radius: Floats) -> None:
+        """Take in those who are there already and stay wherever they are; they may overlap each other."""
+        rows = np.flatnonzero(takes_room(radius))
+        rows = rows[_firsts(place[rows], radius[rows], _FINE)]
+        self.add(place[rows], radius[rows], np.full(len(rows), -1))
+
+    def add(self, place: Floats, radius: Floats, order: Rows) -> Rows:
+        """Take in discs; gives their numbers as entries."""
+        first = len(self._order)
+        self._place = np.concatenate([self._place, place])
+        self._radius = np.concatenate([self._radius, radius])
+        self._order = np.concatenate([self._order, order])
+        self._there = np.concatenate([self._there, np.ones(len(order), np.bool_)])
+        entries = np.arange(first, len(self._order))
+        self._groups += self._grouped(entries)
+        return entries
+
+    def remove(self, entries: Rows) -> None:
+        self._there[entries] = False
+
+    def settle(self) -> None:
+        """Put what is left into as few trees as can be."""
+        self._groups = self._grouped(np.flatnonzero(self._there))
+
+    def _grouped(self, entries: Rows) -> list[_Group]:
+        from scipy.spatial import cKDTree
+
+        classes = _size_class(self._radius[entries])
+        found = []
+        for size in np.unique(classes):
+            chosen = entries[classes == size]
+            found.append(_Group(cKDTree(self._place[chosen]), chosen, float(self._radius[chosen].max())))
+        return found
+
+    def met(self, place: Floats, radius: Floats) -> tuple[Rows, Rows, Floats]:
+        """Pairs of given discs and entries that overlap: numbers of both, and their distance as a share of that at which they
+        would touch."""
+        from scipy.spatial import cKDTree
+
+        pairs: list[tuple[Rows, Rows, Floats]] = []
+        classes = _size_class(radius)
+        for size in np.unique(classes):
+            rows = np.flatnonzero(classes == size)
+            tree, widest = cKDTree(place[rows]), float(radius[rows].max())
+            for group in self._groups:
+                reach = (widest + group.widest) * _APART * 1.001 + self._rounding
+                near = tree.sparse_distance_matrix(group.tree, reach, output_type="ndarray")
+                i, entry = rows[near["i"]], group.entries[near["j"]]
+                apart = place[i] - self._place[entry]
+                square = apart[:, 0] * apart[:, 0] + apart[:, 1] * apart[:, 1] + apart[:, 2] * apart[:, 2]
+                share = np.sqrt(square) / ((radius[i] + self._radius[entry]) * _APART + self._rounding)
+                meets = (share < 1) & self._there[entry]
+                pairs.append((i[meets], entry[meets], share[meets]))
+        if not pairs:
+            return np.empty(0, np.intp), np.empty(0, np.intp), np.empty(0)
+        i, entry, share = (np.concatenate(part) for part in zip(*pairs, strict=True))
+        return i, entry, share
+
+    def free(self, place: Floats, radius: Floats, order: Rows) -> Floats:
+        """How free of all who come before (n) the given discs are: 1 free, 0 in the middle of another."""
+        i, entry, share = self.met(place, radius)
+        before = self._order[entry] < order[i]
+        least = np.ones(len(place))
+        np.minimum.at(least, i[before], share[before])
+        return least
+
+    def give_way(self, entries: Rows) -> tuple[Rows, Floats]:
+        """Entries that have to go since the given ones were added, these among them, and how free their places were."""
+        i, entry, share = self.met(self._place[entries], self._radius[entries])
+        own = entries[i]
+        loser = np.where(self._order[entry] < self._order[own], own, entry)
+        different = self._order[entry] != self._order[own]
+        who, which = np.unique(loser[different], return_inverse=True)
+        least = np.ones(len(who))
+        np.minimum.at(least, which, share[different])
+        return who, least
+
+    def order(self, entries: Rows) -> Rows:
+        return self._order[entries]
+
+
+def takes_room(radius: Floats) -> Flags:
+    """Whose radius keeps others away: one above 0 that is a number."""
+    return np.isfinite(radius) & (radius > 0)
+
+
+def spread(room: Room, draw: Draw, ids: NDArray[np.int64], radius: Floats, first: int) -> tuple[Drawn, Flags]:
+    """Places for agents, in the order of their ids, `first` being the number of the first one in the order of all who start;
+    and who found one where it meets nobody. The others stand where they meet those before them least.
+
+    Those who found one are in the room afterwards, the others are not."""
+    found: Drawn | None = None
+    fits = np.zeros(len(ids), np.bool_)
+    rounds, begin, size = _ROUNDS[0][1], 0, _BATCH
+    while begin < len(ids):
+        part = slice(begin, begin + size)
+        drawn, held = _batch(room, draw, ids[part], radius[part], first + begin, rounds)
+        fits[part] = held
+        found = drawn if found is None else _joined(found, drawn)
+        failed = np.count_nonzero(~held)
+        rounds = next(rounds for share, rounds in _ROUNDS if failed <= share * held.size)
+        begin += size
+        size = max(_BATCH, int(begin * _GROWTH))
+    return draw(ids, range(1)) if found is None else found, fits
+
+
+def _batch(
+    room: Room, draw: Draw, ids: NDArray[np.int64], radius: Floats, first: int, rounds: tuple[int, ...]
+) -> tuple[Drawn, Flags]:
+    n, wide = len(ids), takes_room(radius)
+    held, best, entry_of = np.zeros(n, np.bool_), np.full(n, -2.0), np.full(n, -1, np.intp)
+    order = np.arange(first, first + n)
+    chosen: Drawn | None = None
+    attempt = 0
+    for tries in rounds:
+        left = np.flatnonzero(~held)
+        if not left.size:
+            break
+        drawn = draw(ids[left], range(attempt, attempt + tries))
+        attempt += tries
+        score = _score(room, drawn, np.tile(left, tries), radius, wide, order).reshape(tries, len(left))
+        pick = score.argmax(axis=0)  # the first free one, else the freest
+        score = score[pick, np.arange(len(left))]
+        drawn = drawn.take(pick * len(left) + np.arange(len(left)))
+        if chosen is None:
+            chosen = drawn
+            best[left] = score
+        else:
+            better = np.flatnonzero(score > best[left])
+            chosen.put(left[better], drawn.take(better))
+            best[left[better]] = score[better]
+        new = left[score >= 1]
+        held[new] = True
+        new = new[wide[new]]
+        kept = new[_firsts(chosen.place[new], radius[new], 1)]
+        crowded = np.setdiff1d(new, kept, assume_unique=True)
+        held[crowded], best[crowded] = False, 0.0
+        entry_of[kept] = room.add(chosen.place[kept], radius[kept], order[kept])
+        losing, share = room.give_way(entry_of[kept])
+        room.remove(losing)
+        gone = room.order(losing) - first
+        held[gone], best[gone] = False, share
+    room.settle()
+    assert chosen is not None
+    return chosen, held
+
+
+def _score(room: Room, drawn: Drawn, rows: Rows, radius: Floats, wide: Flags, order: Rows) -> Floats:
+    """1 for a free place, less for one that is not, -1 for one where nobody may start."""
+    score = np.where(drawn.good, 1.0, -1.0)
+    asked = np.flatnonzero(drawn.good & wide[rows])
+    score[asked] = room.free(drawn.place[asked], radius[rows[asked]], order[rows[asked]])
+    return score
+
+
+def _joined(one: Drawn, other: Drawn) -> Drawn:
+    footing = type(one.footing)(
+        *(np.concatenate([getattr(one.footing, f.name), getattr(other.footing, f.name)]) for f in fields(one.footing))
+    )
+    return Drawn(footing, *(np.concatenate([getattr(one, k), getattr(other, k)]) for k in ("place", "up", "good")))
+
+
+def _size_class(radius: Floats) -> NDArray[np.int64]:
+    """Radii within a factor of 2 of each other have one number."""
+    return np.frexp(radius)[1].astype(np.int64)
+
+
+def _firsts(place: Floats, radius: Floats, fine: int) -> Rows:
+    """The first of those of one size that are in one cell, too small for two of them who do not overlap, or `fine` times smaller;
+    ascending. So few are left that pairs of them can be counted."""
+    size = _size_class(radius)
+    smallest = np.ldexp(0.5, size)  # of the class
+    cell = np.floor(place / (2.0 * smallest / (np.sqrt(3.0) * fine))[:, None])
+    by = np.lexsort((np.arange(len(place)), cell[:, 0], cell[:, 1], cell[:, 2], size))
+    same = (cell[by[1:]] == cell[by[:-1]]).all(axis=1) & (size[by[1:]] == size[by[:-1]])
+    first = np.ones(len(place), np.bool_)
+    first[1:] = ~same
+    return np.sort(by[first])
