@@ -8,12 +8,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime import compiled
+
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 HAIR = 1e-6  # of the largest coordinate: several times what float32 makes of a corner, of a ray, and of where they meet
-_CLOSED = 1e-9  # weight by which a crossing may lie outside of a face, so that none is lost between two of them
-_RIM = 8.0  # hairs: nearer to an edge than this, the faces at its end are asked too
+CLOSED = 1e-9  # weight by which a crossing may lie outside of a face, so that none is lost between two of them
+WIDE = 16.0  # hairs by which faces are wider for rays: even one that passes a side at 4 degrees finds them, whatever it rounds
+_RIM = 20.0  # hairs: nearer to a side than this, the faces at its end are asked too
+AHEAD = 40.0  # hairs behind a face that is named: where another one may be the first that is hit
+_TABLES = 200_000  # faces, above which what is known of each is worked out when it is asked for
 _SHARP = 1 / 128  # 1 + cosine of two sides' outward directions: below it their corner is moved no further out
 
 
@@ -23,19 +28,19 @@ class Faces:
     def __init__(self, corners: Floats, brief: bool = False) -> None:
         self.corners = corners
         self.hair = HAIR * float(np.abs(corners).max(initial=0.0))
-        self._brief = brief
+        self._brief = brief or len(corners) > _TABLES
         self._normals: Floats | None = None
         self._planes: tuple[Floats, Floats] | None = None
         self._meeting: tuple[Index, Index, Index] | None = None
 
     def widened(self) -> NDArray[np.float32]:
-        """Corners float32[3m,3] of triangles each side of which is a hair further out: float32 rays miss none of the faces."""
+        """Corners float32[3m,3] of triangles each side of which is some hairs further out: float32 rays miss no face."""
         a, b, c = (self.corners[:, k] for k in range(3))
         normal = _unit(np.cross(b - a, c - a))
         ab, bc, ca = (np.cross(_unit(side), normal) for side in (b - a, c - b, a - c))
         moved = []
         for corner, one, two in ((a, ca, ab), (b, ab, bc), (c, bc, ca)):
-            moved.append(corner + (one + two) * (self.hair / np.maximum(1.0 + _dot(one, two), _SHARP))[:, None])
+            moved.append(corner + (one + two) * (WIDE * self.hair / np.maximum(1.0 + _dot(one, two), _SHARP))[:, None])
         return np.stack(moved, axis=1).reshape(-1, 3).astype(np.float32)
 
     def normal(self, face: Index) -> Floats:
@@ -52,7 +57,9 @@ class Faces:
         if self._brief:
             return self._worked_out(self.corners.take(face, axis=0))
         if self._planes is None:
-            self._planes = self._worked_out(self.corners)
+            rows, rims = self._worked_out(self.corners)
+            rims[self._doubled()] = np.inf  # what lies in another one is nowhere the only one there
+            self._planes = rows, rims
         rows, rims = self._planes
         return rows.take(face, axis=0), rims.take(face)
 
@@ -74,11 +81,57 @@ class Faces:
             weights = at + t[:, None] * to
             weights[:, 0] = (1.0 - weights[:, 1]) - weights[:, 2]
             least = np.minimum(np.minimum(weights[:, 0], weights[:, 1]), weights[:, 2])
-            return t, weights, (least >= -_CLOSED) & (np.abs(t) < np.inf), ~(np.abs(least) > rim)
+            return t, weights, (least >= -CLOSED) & (np.abs(t) < np.inf), ~(np.abs(least) > rim)
+
+    def judged(
+        self, named: Index, origin: Floats, way: Floats, at: NDArray[np.floating]
+    ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
+        """For rays that Open3D says meet the named faces after about `at` of their way: after what part they do, the weights of
+        the corners there, whether they do, and a hair as a part of the way. Those that cross the named face near its rim meet
+        the first of the faces that meet it there, and `named` is changed to that one."""
+        tables = self.tables() if compiled.wanted(len(named)) else None
+        if tables is not None:
+            from antdsl.runtime.senses import faces_compiled
+
+            n = len(named)
+            here, hair, weights, hit = np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n, np.bool_)
+            faces_compiled.hits(*tables, self.hair, AHEAD, at.astype(np.float64), origin, way, named, here, weights, hit, hair)
+            return here, weights, hit, hair
+        hair = self.hair / np.sqrt((way[:, 0] * way[:, 0] + way[:, 1] * way[:, 1]) + way[:, 2] * way[:, 2])
+        here, weights, hit, beside = self.crossing(named, origin, way)
+        hit &= here > hair
+        unsure = np.flatnonzero(beside)
+        if unsure.size:
+            which, other = self.meeting(named[unsure], weights[unsure])
+            row = unsure[which]
+            t, there, inside, _ = self.crossing(other, origin[row], way[row])
+            near = (t <= at[row] + AHEAD * hair[row]) | (other == named[row])
+            good = np.flatnonzero(inside & near & (t > hair[row]))
+            order = good[np.lexsort((other[good], t[good], row[good]))]
+            first = order[np.concatenate(([True], row[order[1:]] != row[order[:-1]]))] if order.size else order
+            hit[unsure] = False
+            row = row[first]
+            named[row], here[row], weights[row], hit[row] = other[first], t[first], there[first], True
+        return here, weights, hit, hair
+
+    def tables(self) -> tuple[Floats, Floats, Index, Index, Index] | None:
+        """For the compiled kernels, where all is known of all faces: planes, rims, and as `_met`; else None."""
+        if self._brief:
+            return None
+        self._known(np.empty(0, np.int64))
+        assert self._planes is not None and self._meeting is not None
+        return *self._planes, *self._meeting
 
     def nearest(self, points: Floats, face: Index) -> tuple[Floats, Floats, Index]:
-        """The nearest face, its nearest place and its square distance to each point [k,3], where float32 says that it is `face`:
-        that one, or one of those that meet it where it is nearest. Of equally near ones the first."""
+        """Nearest place to each point [k,3], its square distance and its face, where float32 says that it is `face`: that one,
+        or one of those that meet it where it is nearest. Of equally near ones the first."""
+        tables = self.tables() if compiled.wanted(len(face)) else None
+        if tables is not None:
+            from antdsl.runtime.senses import faces_compiled
+
+            face, place, square = face.copy(), np.empty_like(points), np.empty(len(points))
+            faces_compiled.nearest(*tables, self.corners, points, face, place, square)
+            return place, square, face
         place = nearest_on_triangle(points, self.corners.take(face, axis=0))
         gap = place - points
         square = _dot(gap, gap)
@@ -93,7 +146,7 @@ class Faces:
             apart = _dot(gap, gap)
             order = np.lexsort((other, apart, which))
             first = order[np.concatenate(([True], which[1:] != which[:-1]))]  # `which` is ascending already
-            face, place, square = face.copy(), place.copy(), square.copy()
+            face = face.copy()
             face[beside], place[beside], square[beside] = other[first], there[first], apart[first]
         return place, square, face
 
@@ -108,6 +161,17 @@ class Faces:
         which = np.repeat(np.arange(face.size), count)
         step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
         return which, faces.take(np.repeat(first.take(corner), count) + step)
+
+    def _doubled(self) -> NDArray[np.bool_]:
+        """Which faces have the corners of another one."""
+        if self._meeting is None:
+            self._meeting = self._met()
+        three = np.sort(self._meeting[0].reshape(-1, 3), axis=1)
+        order = np.lexsort((three[:, 2], three[:, 1], three[:, 0]))
+        same = (three[order[1:]] == three[order[:-1]]).all(axis=1)
+        found = np.zeros(len(three), bool)
+        found[order[1:][same]] = found[order[:-1][same]] = True
+        return found
 
     def _met(self) -> tuple[Index, Index, Index]:
         """The place of each corner by number; where the faces at each place begin; these faces."""

@@ -11,19 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.senses.distance_grid import DistanceGrid
-from antdsl.runtime.senses.faces import Faces
+from antdsl.runtime.senses.faces import Faces, nearest_on_triangle
 
 Vectors = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mesh = tuple[Vectors, NDArray[np.int32]]
 
-_NO_FACE = 0xFFFFFFFF
 _CROWD = 2_000  # places asked about at once, from which on finer distances pay
 _CHUNK = 1 << 16  # rays at once
 _AGAIN = 16  # faces that a ray may pass by at less than a hair
-_AHEAD = 16.0  # hairs behind a face that is named: where another one may be the first that is hit
-_END = 1.0 + 1e-4  # of a ray: Open3D looks as far
-_SHORTEST = 1e-30  # mm
+_APART = 8.0  # hairs further away from the nearest face: from there one that is as near is nearer
+_END = 1.1  # of a ray: Open3D looks as far, which is more than it errs by unless the ray is a hair long
 _BRIEF_CELLS = 1000
 FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
 
@@ -107,11 +105,15 @@ class RayScene:
         self._scene: Any = None
         self._grid: DistanceGrid | None = None
         self._refined = False
+        self._exact: Any = None
         if len(corners):
-            # Built by one thread, so that the tree is the same on every machine of one kind.
-            self._scene = _open3d().t.geometry.RaycastingScene(nthreads=1)
-            named = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
-            self._scene.add_triangles(self._tensor(self._faces.widened()), self._tensor(named))
+            self._scene = self._built(self._faces.widened())
+
+    def _built(self, corners: NDArray[np.float32]) -> Any:
+        # By one thread, so that the tree is the same on every machine of one kind.
+        scene = _open3d().t.geometry.RaycastingScene(nthreads=1)
+        scene.add_triangles(self._tensor(corners), self._tensor(np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)))
+        return scene
 
     @staticmethod
     def _tensor(array: NDArray[Any]) -> Any:
@@ -126,8 +128,8 @@ class RayScene:
         weights, normal = np.zeros((n, 3)), np.zeros((n, 3), np.float32)
         for start in range(0, n, _CHUNK):
             rays = slice(start, start + _CHUNK)
-            way = np.asarray(direction[rays], np.float64)
-            met, here, face, at = self._first(np.asarray(origin[rays], np.float64) - self.origin, way, None, threads)
+            way = np.ascontiguousarray(direction[rays], np.float64)
+            met, here, face, at = self._first(np.asarray(origin[rays], np.float64) - self.origin, way, np.inf, threads)
             rows = start + met
             t[rows], weights[rows], normal[rows] = here, at, self._towards(face, way[met])
             mesh[rows], local[rows] = self._counted(face)
@@ -137,91 +139,66 @@ class RayScene:
         self, origin: Vectors, step: Vectors, threads: int = 1
     ) -> tuple[Index, Vectors, NDArray[np.int32], NDArray[np.int32]]:
         """Which rays hit something between `origin` [n,3] and `origin + step`: their numbers, ascending, and t, mesh, face."""
-        length = np.sqrt((step[:, 0] * step[:, 0] + step[:, 1] * step[:, 1]) + step[:, 2] * step[:, 2])
-        which, t, face, _ = self._first(origin - self.origin, step, length, threads)
+        which, t, face, _ = self._first(origin - self.origin, step, 1.0, threads)
         return which, t, *self._counted(face)
 
-    def _first(
-        self, origin: Vectors, way: Vectors, length: Vectors | None, threads: int
-    ) -> tuple[Index, Vectors, Index, Vectors]:
-        """Which rays from places [n,3], as the scene counts them, hit something along their way [n,3]: their numbers, ascending,
-        after what part of the way, the face over all meshes and the weights of its corners. Where a `length` (mm) is given, no
-        further than that part is 1.
+    def _first(self, origin: Vectors, way: Vectors, most: float, threads: int) -> tuple[Index, Vectors, Index, Vectors]:
+        """Which rays from places [n,3], as the scene counts them, hit something within `most` lengths of their way [n,3]: their
+        numbers, ascending, after what part of the way, the face over all meshes and the weights of its corners.
 
-        Open3D looks from a hair before each ray to a hair after it, and again behind each face that it names and that is not
-        hit: one that a ray passes by at less than a hair, or that lies before its start.
+        What lies within a hair of a ray's start is not before it. Open3D looks a little too far, and again behind each face that
+        it names and that is not hit: one that a ray passes by at less than a hair, or starts from.
         """
-        n = len(origin)
-        t, face, weights = np.full(n, np.inf), np.full(n, -1, np.int64), np.zeros((n, 3))
-        size = np.sqrt((way[:, 0] * way[:, 0] + way[:, 1] * way[:, 1]) + way[:, 2] * way[:, 2]) if length is None else length
-        hair = self._faces.hair / np.maximum(size, _SHORTEST)
-        begin = -hair
-        rows = np.arange(n if self._scene is not None else 0)
+        nothing = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty((0, 3))
+        if self._scene is None:
+            return nothing
+        rows, a, w = np.arange(len(origin)), origin, way
+        begin: Vectors | None = None
+        found: list[tuple[Index, Vectors, Index, Vectors]] = []
         for _ in range(_AGAIN):
             if not rows.size:
                 break
-            a, w, h, b = (origin, way, hair, begin) if len(rows) == n else (v[rows] for v in (origin, way, hair, begin))
-            rest = np.ones(len(rows)) if length is None else (1.0 + h) - b
             rays = np.empty((len(rows), 6), np.float32)
-            rays[:, :3] = a + w * b[:, None]
-            rays[:, 3:] = w * rest[:, None]
-            if length is not None:
+            rays[:, :3] = a if begin is None else a + w * begin[:, None]
+            rays[:, 3:] = w
+            if most < np.inf:
                 # A ray that hits nothing costs the whole scene's length unless it has an end, which only occlusions know.
-                maybe = np.flatnonzero(self._occluded(rays, _END, threads))
-                rows, rays = rows[maybe], rays[maybe]
-                a, w, h, b, rest = a[maybe], w[maybe], h[maybe], b[maybe], rest[maybe]
-            after, named = self._named(rays, threads)
-            if len(named) and named.min() < 0:
-                some = np.flatnonzero(named >= 0)
-                rows, after, named = rows[some], after[some], named[some]
-                a, w, h, b, rest = a[some], w[some], h[some], b[some], rest[some]
-            at = b + after * rest
-            here, corners, hit, unsure = self._faces.crossing(named, a, w)
-            hit &= here >= 0.0
-            if unsure.any():
-                self._beside(np.flatnonzero(unsure), a, w, at + _AHEAD * h, named, here, corners, hit)
-            found = rows[hit]
-            t[found], face[found], weights[found] = here[hit], named[hit], corners[hit]
-            if hit.all():
+                maybe = np.flatnonzero(self._occluded(rays, most * _END, threads))
+                rows, rays, a, w = (v.take(maybe, axis=0) for v in (rows, rays, a, w))
+                begin = None if begin is None else begin[maybe]
+            if not rows.size:
                 break
-            begin[rows] = at + 2.0 * h
-            rows = rows[~hit]
-            if length is not None:
-                rows = rows[begin[rows] <= 1.0 + hair[rows]]
-        met = np.flatnonzero(t < np.inf if length is None else t <= 1.0)
-        return met, t[met], face[met], weights[met]
-
-    def _beside(
-        self,
-        unsure: Index,
-        origin: Vectors,
-        way: Vectors,
-        most: Vectors,
-        named: Index,
-        here: Vectors,
-        corners: Vectors,
-        hit: NDArray[np.bool_],
-    ) -> None:
-        """For rays that cross the named face near its rim: the nearest hit among the faces that meet it there, no further than
-        `most`. Changes the last four arrays."""
-        which, other = self._faces.meeting(named[unsure], corners[unsure])
-        row = unsure[which]
-        t, weights, inside, _ = self._faces.crossing(other, origin[row], way[row])
-        good = np.flatnonzero(inside & (t >= 0.0) & ((t <= most[row]) | (other == named[row])))
-        order = good[np.lexsort((other[good], t[good], row[good]))]
-        first = order[np.concatenate(([True], row[order[1:]] != row[order[:-1]]))] if order.size else order
-        hit[unsure] = False
-        row = row[first]
-        named[row], here[row], corners[row], hit[row] = other[first], t[first], weights[first], True
+            at, named = self._named(rays, threads)
+            at = at if begin is None else begin + at
+            if named.min() < 0:
+                some = np.flatnonzero(named >= 0)
+                rows, at, named, a, w = (v.take(some, axis=0) for v in (rows, at, named, a, w))
+            here, weights, hit, hair = self._faces.judged(named, a, w, at)
+            if hit.all():
+                found.append((rows, here, named, weights))
+                break
+            found.append((rows[hit], here[hit], named[hit], weights[hit]))
+            behind = np.flatnonzero(~hit)
+            rows, a, w, begin = rows[behind], a[behind], w[behind], (at + 2.0 * hair)[behind]
+        if not found:
+            return nothing
+        if len(found) > 1:
+            rows, here, named, weights = (np.concatenate(v) for v in zip(*found, strict=True))
+            order = np.argsort(rows)
+            found = [(rows[order], here[order], named[order], weights[order])]
+        rows, here, named, weights = found[0]
+        met = np.flatnonzero(here <= most)
+        return rows.take(met), here.take(met), named.take(met), weights.take(met, axis=0)
 
     def _named(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
         """After about what part of prepared rays Open3D names a face, and which, over all meshes (-1 = none)."""
-        if not len(rays):
-            return np.empty(0, np.float32), np.empty(0, np.int64)
         answer = self._scene.cast_rays(self._tensor(rays), nthreads=threads)
         t = answer["t_hit"].numpy()
-        face = answer["primitive_ids"].numpy()
-        return t, np.where((face == _NO_FACE) | ~np.isfinite(t), -1, face.astype(np.int64))
+        face = answer["primitive_ids"].numpy().astype(np.int64)
+        nothing = ~np.isfinite(t)
+        if nothing.any():
+            face[nothing] = -1
+        return t, face
 
     def _counted(self, face: Index) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """The mesh of faces over all meshes, and their numbers in it."""
@@ -262,11 +239,25 @@ class RayScene:
             return nothing, nothing.copy(), np.array(points, np.float64).reshape(-1, 3), np.full(n, np.inf)
         local = np.asarray(points, np.float64) - self.origin
         place, square, face = self._faces.nearest(local, self._nearest(local, threads))
-        return *self._counted(face), place + self.origin, np.sqrt(square)
+        # A little further away from it what is as near on another side is nearer: so it is known too, whichever was named.
+        distance = np.sqrt(square)
+        away = (local - place) * (_APART * self._faces.hair / np.maximum(distance, 1e-30))[:, None]
+        there, apart, other = self._faces.nearest(local, self._nearest(local + away, threads))
+        nearer = np.flatnonzero((apart < square) | ((apart == square) & (other < face)))
+        place[nearer], face[nearer], distance[nearer] = there[nearer], other[nearer], np.sqrt(apart[nearer])
+        return *self._counted(face), place + self.origin, distance
+
+    def _about(self, points: Vectors) -> Vectors:
+        """Distances [n] to the nearest face or to one that is no further but for float32: for bounds."""
+        local = points - self.origin
+        gap = nearest_on_triangle(local, self._faces.corners.take(self._nearest(local, 1), axis=0)) - local
+        return np.sqrt((gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]) + gap[:, 2] * gap[:, 2])
 
     def _nearest(self, points: Vectors, threads: int) -> Index:
         """The face that Open3D names as nearest to places as the scene counts them."""
-        answer = self._scene.compute_closest_points(self._tensor(points.astype(np.float32)), nthreads=threads)
+        if self._exact is None:
+            self._exact = self._scene if self._brief else self._built(self._faces.corners.reshape(-1, 3).astype(np.float32))
+        answer = self._exact.compute_closest_points(self._tensor(points.astype(np.float32)), nthreads=threads)
         return answer["primitive_ids"].numpy().astype(np.int64)
 
     def depth(self, points: Vectors, threads: int = 1) -> NDArray[np.float64]:
@@ -287,7 +278,7 @@ class RayScene:
             self._grid = self._distances()
         if len(x) >= _CROWD and not self._refined and not self._brief:
             self._refined = True
-            self._grid.refine(lambda places: self.closest(places)[3])
+            self._grid.refine(self._about)
         return self._grid.at_least(x, y, z)
 
     def _distances(self) -> DistanceGrid:
@@ -320,7 +311,7 @@ class RayScene:
             for axis, (place, step) in enumerate(((x, dx), (y, dy), (z, dz))):
                 origin[:, axis] = place[near]
                 np.multiply(step[near], length, out=way[:, axis], dtype=np.float64)
-            met, part, face, _ = self._first(origin - self.origin, way, length.astype(np.float64), threads)
+            met, part, face, _ = self._first(origin - self.origin, way, 1.0, threads)
             near = near[met]
             t[near] = part * length[met]
             normal[:, near] = self._towards(face, way[met]).T
