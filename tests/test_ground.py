@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from antdsl.runtime.senses.faces import nearest_on_triangle
 from antdsl.runtime.senses.ground import Footing, Ground, MoveResult
-from antdsl.runtime.senses.rays import nearest_on_triangle
 from tests.meshes import ball, box, grid, terrain
 
 UP = np.array([0.0, 1.0, 0.0])

@@ -12,8 +12,9 @@ import numpy as np
 from meshes import Mesh
 from numpy.typing import NDArray
 
+from antdsl.runtime.senses.faces import nearest_on_triangle
 from antdsl.runtime.senses.ground import Footing, Ground, MoveResult
-from antdsl.runtime.senses.rays import RayScene, nearest_on_triangle
+from antdsl.runtime.senses.rays import RayScene
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "torture"
 BODY = 4.0

@@ -65,7 +65,7 @@ def unpeopled(
         plan=plan,
         setting=setting,
         options=options,
-        up=up / np.sqrt(np.dot(up, up)),
+        up=up / np.sqrt((up[0] * up[0] + up[1] * up[1]) + up[2] * up[2]),
         origin=origin,
         frame=setting.first_frame,
         params={},
@@ -149,7 +149,7 @@ def _ground(
         return ground
     from antdsl.runtime.terrain import Terrain
 
-    return Terrain(ground, solids, up / np.sqrt(np.dot(up, up)))
+    return Terrain(ground, solids, up / np.sqrt((up[0] * up[0] + up[1] * up[1]) + up[2] * up[2]))
 
 
 def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool, built: Built) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime import randomness
-from antdsl.runtime.effects import ClaimEntry
+from antdsl.runtime.effects import ClaimEntry, GiveEntry
 from antdsl.runtime.world import Population, World
 
 
@@ -94,9 +94,13 @@ def _served(rest: NDArray[np.float64], item: NDArray[np.int32], change: NDArray[
 
 
 def give(world: World) -> None:
-    """Add what agents gave to the items; the terms add exactly, so their order is nothing."""
+    """Add what agents gave to the items, the least first: so that the agents' order is nothing where a sum is rounded."""
+    given: dict[tuple[str, str], list[GiveEntry]] = {}
     for population in world.populations.values():
         for entry in population.effects.gives:
-            amounts = world.items[entry.statement.items].amounts[entry.statement.attribute]
-            np.add.at(amounts, entry.item, entry.amount)
+            given.setdefault((entry.statement.items, entry.statement.attribute), []).append(entry)
         population.effects.gives = []
+    for (items, attribute), entries in given.items():
+        item, amount = (np.concatenate([getattr(entry, name) for entry in entries]) for name in ("item", "amount"))
+        order = np.lexsort((amount, item))
+        np.add.at(world.items[items].amounts[attribute], item[order], amount[order])

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_BOUND = 44  # a term is at most 2**(quantum + 44), so that 512 of the greatest terms still add exactly in 53 bits
+_BOUND = 44  # a term is at most 2**(quantum + 44)
+_EXACT = 53  # digits of float64: sums stay exact below 2**(quantum + 53)
+_HALF = 22  # digits of the lower of two words, for sums that might not: both hold more terms than memory does
 
 
 def rounded(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
@@ -24,12 +26,21 @@ def rounded(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
 
 
 def sums(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], quantum: int, length: int) -> NDArray[np.float32]:
-    """Sum of the terms of each index 0 .. length-1, as float32."""
+    """Sum of the terms of each index 0 .. length-1, exact and then rounded to float64 and float32."""
     if index.size == 0:
         return np.zeros(length, np.float32)
-    return np.bincount(index, weights=rounded(terms, quantum), minlength=length).astype(np.float32)
+    wide = rounded(terms, quantum)
+    largest = max(float(wide.max()), -float(wide.min()))
+    if not largest * index.size <= np.ldexp(1.0, quantum + _EXACT):  # NaN too
+        return _sums_in_two_words(index, wide, quantum, length)
+    return np.bincount(index, weights=wide, minlength=length).astype(np.float32)
 
 
-def total(terms: NDArray[np.float32], quantum: int) -> np.float32:
-    """Sum of all terms, as float32."""
-    return np.float32(rounded(terms, quantum).sum()) if terms.size else np.float32(0)
+def _sums_in_two_words(
+    index: NDArray[np.integer[Any]], wide: NDArray[np.float64], quantum: int, length: int
+) -> NDArray[np.float32]:
+    """Multiples of 2**(quantum + 22) and what is left of each term, added apart: both sums are exact, and theirs rounds once."""
+    magic = np.ldexp(1.5, quantum + _HALF + 52)
+    high = (wide + magic) - magic
+    low = np.bincount(index, weights=wide - high, minlength=length)
+    return (np.bincount(index, weights=high, minlength=length) + low).astype(np.float32)

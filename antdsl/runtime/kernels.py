@@ -60,16 +60,26 @@ def _waves(x: Value) -> tuple[Value, Value, Value]:
 
 def sin(x: Value) -> Value:
     """Sine; NaN where the angle is not finite. Angles above 1e6 are reduced by 2 pi as float64 holds it."""
-    sine, cosine, quarter = _waves(x)
-    value: Value = np.where((quarter == 1.0) | (quarter == 3.0), cosine, sine)
-    return _narrow(np.where(quarter >= 2.0, -value, value))
+    return _narrow(wide_sin(x))
 
 
 def cos(x: Value) -> Value:
     """Cosine; as `sin`."""
+    return _narrow(wide_cos(x))
+
+
+def wide_sin(x: Value) -> Value:
+    """Sine as float64, to about 1e-13."""
+    sine, cosine, quarter = _waves(x)
+    value: Value = np.where((quarter == 1.0) | (quarter == 3.0), cosine, sine)
+    return np.where(quarter >= 2.0, -value, value)
+
+
+def wide_cos(x: Value) -> Value:
+    """Cosine as float64, to about 1e-13."""
     sine, cosine, quarter = _waves(x)
     value: Value = np.where((quarter == 1.0) | (quarter == 3.0), sine, cosine)
-    return _narrow(np.where((quarter == 1.0) | (quarter == 2.0), -value, value))
+    return np.where((quarter == 1.0) | (quarter == 2.0), -value, value)
 
 
 def _exp_wide(wide: Value) -> Value:
@@ -115,6 +125,11 @@ def power(a: Value, b: Value) -> Value:
 
 def atan2(y: Value, x: Value) -> Value:
     """Angle of (x, y) from the x axis, -pi .. pi; 0 for (0, 0)."""
+    return _narrow(wide_atan2(y, x))
+
+
+def wide_atan2(y: Value, x: Value) -> Value:
+    """The same as float64, to about 1e-13."""
     wide_y, wide_x = _widen(y), _widen(x)
     high, low = np.maximum(np.abs(wide_y), np.abs(wide_x)), np.minimum(np.abs(wide_y), np.abs(wide_x))
     ratio = low / np.where(high == 0.0, 1.0, high)
@@ -124,7 +139,7 @@ def atan2(y: Value, x: Value) -> Value:
     angle = t * _series(t * t, _ATAN) + np.where(steep, _PI / 4, 0.0)
     angle = np.where(np.abs(wide_y) > np.abs(wide_x), _PI / 2 - angle, angle)
     angle = np.where(wide_x < 0.0, _PI - angle, angle)
-    return _narrow(np.where(wide_y < 0.0, -angle, angle))
+    return np.where(wide_y < 0.0, -angle, angle)
 
 
 def _widen(x: Value) -> Value:

@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime import kernels
 from antdsl.runtime.senses.ground import MoveResult
 from antdsl.runtime.senses.walk import cross, dot, turned
 
@@ -22,18 +23,18 @@ def tilted(moved: MoveResult, up: Floats, most: NDArray[np.float32], solid: NDAr
     Heading and direction turn with it. `solid` says who has come to stand on a solid; others are close to their normal already,
     or are taken so far."""
     before, after = np.asarray(up, np.float64).T, moved.up.T
-    hasty = np.flatnonzero(dot(before, after) < np.cos(np.minimum(most, np.pi)))
+    hasty = np.flatnonzero(dot(before, after) < kernels.wide_cos(np.minimum(most, np.pi)))
     if not len(hasty):
         return moved
     a, b, direction = (v.take(hasty, axis=1) for v in (before, after, moved.direction.T))
     axis = cross(a, b)
     sine = np.sqrt(dot(axis, axis))
-    whole = np.arctan2(sine, dot(a, b))
+    whole = kernels.wide_atan2(sine, dot(a, b))
     angle = np.minimum(most[hasty], whole)
     angle = np.where(solid[hasty], angle, np.maximum(angle, whole - _LEANING))
     # Half a turn has no axis of its own: it goes forward, over the way walked.
     axis = np.where(sine > 1e-9, axis / np.maximum(sine, 1e-300), cross(a, direction))
-    stood = a * np.cos(angle) + cross(axis, a) * np.sin(angle)
+    stood = a * kernels.wide_cos(angle) + cross(axis, a) * kernels.wide_sin(angle)
     stood /= np.sqrt(dot(stood, stood))
     heading = turned(moved.heading.T.take(hasty, axis=1), b, stood, direction)
     found = {}

@@ -3,10 +3,14 @@ gets the same bits whatever the number of points."""
 
 from __future__ import annotations
 
+from decimal import Decimal, localcontext
+
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+
+_TURN = Decimal("6.28318530717958647692528676655900576839433879875021164194988918")
 
 
 def still(*shape: int) -> Floats:
@@ -18,21 +22,53 @@ def still(*shape: int) -> Floats:
 
 def after(outer: Floats, inner: Floats) -> Floats:
     """The inner way first, then the outer."""
-    turn = outer[..., :3] @ inner[..., :3]
-    shift = (outer[..., :3] @ inner[..., 3:])[..., 0] + outer[..., 3]
-    return np.concatenate([turn, shift[..., None]], axis=-1)
+    made = product(outer[..., :3], inner)
+    made[..., 3] += outer[..., 3]
+    return made
+
+
+def product(a: Floats, b: Floats) -> Floats:
+    """Of matrices (…, j, 3) and (…, 3, k)."""
+    found: Floats = (a[..., 0, None] * b[..., 0:1, :] + a[..., 1, None] * b[..., 1:2, :]) + a[..., 2, None] * b[..., 2:3, :]
+    return found
+
+
+def determinant(way: Floats) -> float:
+    """Of the turn and scale of a way (3, 4): by what volumes grow, below 0 where it mirrors."""
+    a, b, c = way[:, :3]
+    across = np.cross(b, c)
+    return float((a[0] * across[0] + a[1] * across[1]) + a[2] * across[2])
+
+
+def scale(way: Floats) -> float:
+    """The factor of lengths, where it is one for all directions."""
+    with localcontext(prec=40):
+        return float(abs(Decimal(determinant(way))) ** (Decimal(1) / 3)) if determinant(way) else 0.0
+
+
+def cosine_and_sine(angle: float) -> tuple[float, float]:
+    """Of an angle in radians, to the last bit: their series with decimal numbers."""
+    with localcontext(prec=60):
+        x = Decimal(angle) % _TURN
+        term, found, k = Decimal(1), [Decimal(0), Decimal(0)], 0
+        while abs(term) > Decimal(10) ** -50 or k < abs(x):
+            found[k % 2] += term if k % 4 < 2 else -term
+            k += 1
+            term = term * x / k
+        return float(found[0]), float(found[1])
 
 
 def inverse(way: Floats) -> Floats:
     """The way back of one way (3, 4) that has a size."""
-    turn = np.linalg.inv(way[:, :3])
-    return np.concatenate([turn, -(turn @ way[:, 3:])], axis=1)
+    a, b, c = way[:, :3]
+    turn = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1) / determinant(way)
+    return np.concatenate([turn, -product(turn, way[:, 3:])], axis=1)
 
 
 def has_inverse(way: Floats) -> bool:
     """Whether there is a way back: the way flattens nothing."""
-    size = float(np.linalg.norm(way[:, :3]))
-    return bool(np.isfinite(way).all() and abs(np.linalg.det(way[:, :3])) > 1e-12 * size**3)
+    square = float((way[:, :3] * way[:, :3]).sum())
+    return bool(np.isfinite(way).all() and abs(determinant(way)) > 1e-12 * square * np.sqrt(square))
 
 
 def applied(way: Floats, points: Floats) -> Floats:

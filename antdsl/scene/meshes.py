@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene.kept import once_a_mesh
+from antdsl.scene.matrices import cosine_and_sine
 from antdsl.scene.ply import HeaderError, read_header, read_triangles
 from antdsl.scene.setting import MeshData
 
@@ -98,7 +99,8 @@ def sound(vertices: Floats, faces: Faces) -> RawMesh:
         raise MeshError(f"has a vertex (number {wrong[0]}) that is not a finite point")
     corners = vertices[faces]
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    area = np.linalg.norm(np.cross(a, b), axis=1)
+    across = np.cross(a, b)
+    area = np.sqrt((across * across).sum(axis=1))
     longest = np.maximum((a * a).sum(axis=1), (b * b).sum(axis=1))
     keep = area > 1e-12 * longest
     first = _first_of_each(np.sort(faces, axis=1).astype(np.int64), len(vertices))
@@ -253,7 +255,7 @@ def rotated(points: Floats, angles: tuple[float, float, float]) -> Floats:
     """Points turned about x, then y, then z, by radians."""
     for axis, angle in enumerate(angles):
         if angle:
-            c, s = np.cos(angle), np.sin(angle)
+            c, s = cosine_and_sine(angle)
             b, d = (axis + 1) % 3, (axis + 2) % 3
             turned = points.copy()
             turned[:, b] = c * points[:, b] - s * points[:, d]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.scene.matrices import after, applied, inverse, still
+from antdsl.scene.matrices import after, applied, inverse, product, still
 
 Floats = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ class MeshMoves:
         tracks = after(after(ways[None], self.tracks), back)
         tracks[:, (ways == ways[0]).all(axis=(1, 2)) & (self.tracks == still()).all(axis=(0, 2, 3))] = still()
         turn = ways[: len(self.offsets), :, :3]
-        offsets = np.einsum("kab,knb->kna", turn, self.offsets).astype(np.float64)
+        offsets = product(self.offsets, np.swapaxes(turn, 1, 2))
         return MeshMoves(self.group, tracks, self.bent, offsets)
 
     def take(self, kept: NDArray[np.int64]) -> MeshMoves:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from math import ldexp
 from typing import Any
 
 import numpy as np
@@ -272,10 +273,11 @@ _INF = np.float32(np.inf)
 
 
 def _sum(agent: Agent, node: ir.Node, chosen: ir.Node, found: Found) -> Any:
-    total = 0.0
-    for _, body in found:
-        total += float(exact.rounded(body, node.attrs[0]))
-    return np.float32(total)
+    quantum = int(node.attrs[0])
+    terms = [float(exact.rounded(body, quantum)) for _, body in found]
+    if any(term != term for term in terms):
+        return np.float32(np.nan)
+    return np.float32(ldexp(sum(int(ldexp(term, -quantum)) for term in terms), quantum))  # whole numbers of the quantum
 
 
 def _min(agent: Agent, node: ir.Node, chosen: ir.Node, found: Found) -> Any:

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.runtime.senses.faces import nearest_on_triangle
 from antdsl.runtime.senses.rasterise import triangle_cells
-from antdsl.runtime.senses.rays import Mesh, nearest_on_triangle
+from antdsl.runtime.senses.rays import Mesh
 from antdsl.runtime.senses.topology import facing
 
 Floats = NDArray[np.float64]

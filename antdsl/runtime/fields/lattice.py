@@ -32,7 +32,7 @@ def cuts_for(longest: Floats, cell: float | Floats) -> Index:
     """Powers of two that cut edges of these lengths (mm) into pieces of at most `cell`; 1 where that is infinite."""
     with np.errstate(divide="ignore"):
         pieces = np.clip(longest / cell, 1.0, _MOST_CUTS)
-    cuts: Index = np.left_shift(1, np.ceil(np.log2(pieces) - 1e-9).astype(np.int64))
+    cuts: Index = np.left_shift(1, np.frexp(pieces * (1 - 1e-9))[1].astype(np.int64))
     return cuts
 
 

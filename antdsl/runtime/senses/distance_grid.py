@@ -15,12 +15,11 @@ _MEASURED = 150_000  # cells: about 2 microseconds each
 
 
 class DistanceGrid:
-    """Lower bounds of the distance to a set of triangles, from vertices float64[n,3] (mm) and faces int[m,3]."""
+    """Lower bounds of the distance to a set of triangles, from their corners float64[m,3,3] (mm)."""
 
-    def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int32], cells: int = _CELLS) -> None:
+    def __init__(self, corners: NDArray[np.float64], cells: int = _CELLS) -> None:
         from scipy.ndimage import distance_transform_edt
 
-        corners = vertices[faces]
         self._low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
         extent = (corners.max(axis=(0, 1)) if len(corners) else np.zeros(3)) - self._low
         self._width = cell_width(extent, cells)

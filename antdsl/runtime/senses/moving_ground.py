@@ -133,9 +133,9 @@ class _Both:
 
     def cast_within(
         self, origin: Floats, step: Floats, threads: int = 1
-    ) -> tuple[Index, NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+    ) -> tuple[Index, Floats, NDArray[np.int32], NDArray[np.int32]]:
         n = len(origin)
-        part, mesh, face = np.full(n, np.inf, np.float32), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
+        part, mesh, face = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
         for scene, before in ((self._one, 0), (self._two, self._faces)):
             which, t, _, local = scene.cast_within(origin, step, threads)
             nearer = t < part[which]

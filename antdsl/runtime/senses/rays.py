@@ -11,12 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.senses.distance_grid import DistanceGrid
+from antdsl.runtime.senses.faces import Faces, nearest_on_triangle
 
 Vectors = NDArray[np.float64]
+Index = NDArray[np.int64]
 Mesh = tuple[Vectors, NDArray[np.int32]]
 
-_NO_FACE = 0xFFFFFFFF
 _CROWD = 2_000  # places asked about at once, from which on finer distances pay
+_CHUNK = 1 << 16  # rays at once
+_AGAIN = 16  # faces that a ray may pass by at less than a hair
+_APART = 8.0  # hairs further away from the nearest face: from there one that is as near is nearer
+_END = 1.1  # of a ray: Open3D looks as far, which is more than it errs by unless the ray is a hair long
 _BRIEF_CELLS = 1000
 FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
 
@@ -29,11 +34,11 @@ class Hits:
     towards the ray's origin (0 for nothing).
     """
 
-    t: NDArray[np.float32]
+    t: Vectors
     mesh: NDArray[np.int32]
     face: NDArray[np.int32]
-    u: NDArray[np.float32]
-    v: NDArray[np.float32]
+    u: Vectors
+    v: Vectors
     normal: NDArray[np.float32]
 
     @property
@@ -67,14 +72,17 @@ def _open3d() -> Any:
 class RayScene:
     """Triangle meshes that rays can be cast at. Vertices are float64[n,3], faces int[m,3]; lengths in millimetres.
 
-    The scene works in float32, far from the world's origin around the middle of its meshes, so that nothing is lost. One that is
-    `brief`, asked for a single step, knows less well who is far from it, and is made faster.
+    Open3D works in float32 around the middle of meshes that are far from the world's origin, and its last bits depend on the
+    processor. So it only names faces, of triangles that are a hair wider than they are: what a ray meets and where, and which
+    place is nearest, is worked out in float64 from the face named and those that meet it there. Of equally near ones the first
+    mesh counts, then the first face. A scene that is `brief`, asked for a single step, knows less well who is far from it, and
+    is made faster.
     """
 
-    _cells: int | None = None
+    _brief = False
 
     def __init__(self, vertices: Vectors, faces: NDArray[np.int32], brief: bool = False) -> None:
-        self._cells = _BRIEF_CELLS if brief else None
+        self._brief = brief
         self._fill([(vertices, faces)])
 
     @classmethod
@@ -87,88 +95,136 @@ class RayScene:
     def _fill(self, meshes: Sequence[Mesh]) -> None:
         arrays = [(np.asarray(v, np.float64).reshape(-1, 3), np.asarray(f, np.int32).reshape(-1, 3)) for v, f in meshes]
         counts = np.array([len(f) for _, f in arrays], np.int64)
-        before = np.cumsum([0, *(len(v) for v, _ in arrays)])
-        vertices = np.concatenate([v for v, _ in arrays]) if arrays else np.empty((0, 3))
-        faces = (
-            np.concatenate([f + b for (_, f), b in zip(arrays, before[:-1], strict=True)])
-            if arrays
-            else np.empty((0, 3), np.int64)
-        )
+        corners = np.concatenate([np.empty((0, 3, 3)), *(v[f] for v, f in arrays)])
         self._first_face = np.cumsum(np.concatenate(([0], counts)))
         self._mesh_of_face = np.repeat(np.arange(len(arrays), dtype=np.int32), counts)
-        self._faces = faces.astype(np.int32)
-        used = vertices[faces.ravel()]
-        middle = (used.min(axis=0) + used.max(axis=0)) / 2 if used.size else np.zeros(3)
+        middle = (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2 if corners.size else np.zeros(3)
         # Whole metres, and none at all near zero: one more stone at the rim moves no bit of a ray at the others.
         self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > FAR else np.zeros(3)
-        self._vertices = vertices
-        corners = vertices[faces]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
-        self._normals = (normal / np.where(length > 0, length, 1.0)).astype(np.float32)
+        self._faces = Faces(corners - self.origin, self._brief)
         self._scene: Any = None
         self._grid: DistanceGrid | None = None
         self._refined = False
-        if len(faces):
-            # Built by one thread, so that the tree is the same on every machine.
-            self._scene = _open3d().t.geometry.RaycastingScene(nthreads=1)
-            self._scene.add_triangles(
-                self._tensor((vertices - self.origin).astype(np.float32)), self._tensor(faces.astype(np.uint32))
-            )
+        self._exact: Any = None
+        if len(corners):
+            self._scene = self._built(self._faces.widened())
+
+    def _built(self, corners: NDArray[np.float32]) -> Any:
+        # By one thread, so that the tree is the same on every machine of one kind.
+        scene = _open3d().t.geometry.RaycastingScene(nthreads=1)
+        scene.add_triangles(self._tensor(corners), self._tensor(np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)))
+        return scene
 
     @staticmethod
     def _tensor(array: NDArray[Any]) -> Any:
         return _open3d().core.Tensor.from_numpy(np.ascontiguousarray(array))
 
-    def _rays(self, origin: Vectors, direction: Vectors) -> NDArray[np.float32]:
-        rays = np.empty((len(origin), 6), np.float32)
-        np.subtract(origin, self.origin, out=rays[:, :3], casting="unsafe")
-        rays[:, 3:] = direction
-        return rays
+    # ---- rays
 
     def cast(self, origin: Vectors, direction: Vectors, threads: int = 1) -> Hits:
         """First hit of each ray from `origin` [n,3] along `direction` [n,3] (any length)."""
-        rays = self._rays(origin, direction)
-        t, face, uv = self._cast(rays, threads)
-        found = np.flatnonzero(face >= 0)
-        mesh = np.full(len(rays), -1, np.int32)
-        mesh[found] = self._mesh_of_face[face[found]]
-        local = face.copy()
-        local[found] -= self._first_face[mesh[found]].astype(np.int32)
-        normal = np.zeros((len(rays), 3), np.float32)
-        normal[found] = self._towards(face[found], rays[found, 3:])
-        return Hits(t, mesh, local, uv[:, 0], uv[:, 1], normal)
+        n = len(origin)
+        t, mesh, local = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
+        weights, normal = np.zeros((n, 3)), np.zeros((n, 3), np.float32)
+        for start in range(0, n, _CHUNK):
+            rays = slice(start, start + _CHUNK)
+            way = np.ascontiguousarray(direction[rays], np.float64)
+            met, here, face, at = self._first(np.asarray(origin[rays], np.float64) - self.origin, way, np.inf, threads)
+            rows = start + met
+            t[rows], weights[rows], normal[rows] = here, at, self._towards(face, way[met])
+            mesh[rows], local[rows] = self._counted(face)
+        return Hits(t, mesh, local, weights[:, 1], weights[:, 2], normal)
 
-    def _cast(
-        self, rays: NDArray[np.float32], threads: int
-    ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]]:
-        """t, face over all meshes (-1 = none), uv of prepared rays."""
-        n = len(rays)
-        if self._scene is None or n == 0:
-            return np.full(n, np.inf, np.float32), np.full(n, -1, np.int32), np.zeros((n, 2), np.float32)
+    def cast_within(
+        self, origin: Vectors, step: Vectors, threads: int = 1
+    ) -> tuple[Index, Vectors, NDArray[np.int32], NDArray[np.int32]]:
+        """Which rays hit something between `origin` [n,3] and `origin + step`: their numbers, ascending, and t, mesh, face."""
+        which, t, face, _ = self._first(origin - self.origin, step, 1.0, threads)
+        return which, t, *self._counted(face)
+
+    def _first(self, origin: Vectors, way: Vectors, most: float, threads: int) -> tuple[Index, Vectors, Index, Vectors]:
+        """Which rays from places [n,3], as the scene counts them, hit something within `most` lengths of their way [n,3]: their
+        numbers, ascending, after what part of the way, the face over all meshes and the weights of its corners.
+
+        What lies within a hair of a ray's start is not before it. Open3D looks a little too far, and again behind each face that
+        it names and that is not hit: one that a ray passes by at less than a hair, or starts from.
+        """
+        nothing = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty((0, 3))
+        if self._scene is None:
+            return nothing
+        rows, a, w = np.arange(len(origin)), origin, way
+        begin: Vectors | None = None
+        found: list[tuple[Index, Vectors, Index, Vectors]] = []
+        for _ in range(_AGAIN):
+            if not rows.size:
+                break
+            rays = np.empty((len(rows), 6), np.float32)
+            rays[:, :3] = a if begin is None else a + w * begin[:, None]
+            rays[:, 3:] = w
+            if most < np.inf:
+                # A ray that hits nothing costs the whole scene's length unless it has an end, which only occlusions know.
+                maybe = np.flatnonzero(self._occluded(rays, most * _END, threads))
+                rows, rays, a, w = (v.take(maybe, axis=0) for v in (rows, rays, a, w))
+                begin = None if begin is None else begin[maybe]
+            if not rows.size:
+                break
+            at, named = self._named(rays, threads)
+            at = at if begin is None else begin + at
+            if named.min() < 0:
+                some = np.flatnonzero(named >= 0)
+                rows, at, named, a, w = (v.take(some, axis=0) for v in (rows, at, named, a, w))
+            here, weights, hit, hair = self._faces.judged(named, a, w, at)
+            if hit.all():
+                found.append((rows, here, named, weights))
+                break
+            found.append((rows[hit], here[hit], named[hit], weights[hit]))
+            behind = np.flatnonzero(~hit)
+            rows, a, w, begin = rows[behind], a[behind], w[behind], (at + 2.0 * hair)[behind]
+        if not found:
+            return nothing
+        if len(found) > 1:
+            rows, here, named, weights = (np.concatenate(v) for v in zip(*found, strict=True))
+            order = np.argsort(rows)
+            found = [(rows[order], here[order], named[order], weights[order])]
+        rows, here, named, weights = found[0]
+        met = np.flatnonzero(here <= most)
+        return rows.take(met), here.take(met), named.take(met), weights.take(met, axis=0)
+
+    def _named(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
+        """After about what part of prepared rays Open3D names a face, and which, over all meshes (-1 = none)."""
         answer = self._scene.cast_rays(self._tensor(rays), nthreads=threads)
         t = answer["t_hit"].numpy()
-        face = answer["primitive_ids"].numpy()
-        return (
-            t,
-            np.where((face == _NO_FACE) | ~np.isfinite(t), -1, face.astype(np.int64)).astype(np.int32),
-            answer["primitive_uvs"].numpy(),
-        )
+        face = answer["primitive_ids"].numpy().astype(np.int64)
+        nothing = ~np.isfinite(t)
+        if nothing.any():
+            face[nothing] = -1
+        return t, face
 
-    def _towards(self, face: NDArray[np.int32], direction: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _counted(self, face: Index) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """The mesh of faces over all meshes, and their numbers in it."""
+        mesh = self._mesh_of_face.take(face)
+        return mesh, (face - self._first_face.take(mesh)).astype(np.int32)
+
+    def _towards(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
         """Normals of faces, turned against the direction of the rays that met them."""
-        normal = self._normals[face]
+        normal = self._faces.normal(face)
         along = (normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1]) + normal[:, 2] * direction[:, 2]
-        return np.where(along[:, None] > 0, -normal, normal)
+        turned: NDArray[np.float32] = np.where(along[:, None] > 0, -normal, normal).astype(np.float32)
+        return turned
 
     def occluded(self, origin: Vectors, direction: Vectors, far: float = np.inf, threads: int = 1) -> NDArray[np.bool_]:
-        """Whether anything lies on each ray before `far` lengths of its direction."""
-        return self._occluded(self._rays(origin, direction), far, threads)
+        """Whether anything lies on each ray before `far` lengths of its direction, as Open3D says: for pictures only."""
+        rays = np.empty((len(origin), 6), np.float32)
+        np.subtract(origin, self.origin, out=rays[:, :3], casting="unsafe")
+        rays[:, 3:] = direction
+        return self._occluded(rays, far, threads)
 
     def _occluded(self, rays: NDArray[np.float32], far: float, threads: int) -> NDArray[np.bool_]:
         if self._scene is None or len(rays) == 0:
             return np.zeros(len(rays), bool)
         return self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=far, nthreads=threads).numpy()
+
+    # ---- nearest faces
 
     def closest(
         self, points: Vectors, threads: int = 1
@@ -181,12 +237,28 @@ class RayScene:
         if self._scene is None or n == 0:
             nothing = np.full(n, -1, np.int32)
             return nothing, nothing.copy(), np.array(points, np.float64).reshape(-1, 3), np.full(n, np.inf)
-        local = (np.asarray(points, np.float64) - self.origin).astype(np.float32)
-        face = self._scene.compute_closest_points(self._tensor(local), nthreads=threads)["primitive_ids"].numpy().astype(np.int32)
-        place = nearest_on_triangle(np.asarray(points, np.float64), self._vertices[self._faces[face]])
-        mesh = self._mesh_of_face[face]
-        distance = np.sqrt(((place - points) ** 2).sum(axis=1))
-        return mesh, (face - self._first_face[mesh]).astype(np.int32), place, distance
+        local = np.asarray(points, np.float64) - self.origin
+        place, square, face = self._faces.nearest(local, self._nearest(local, threads))
+        # A little further away from it what is as near on another side is nearer: so it is known too, whichever was named.
+        distance = np.sqrt(square)
+        away = (local - place) * (_APART * self._faces.hair / np.maximum(distance, 1e-30))[:, None]
+        there, apart, other = self._faces.nearest(local, self._nearest(local + away, threads))
+        nearer = np.flatnonzero((apart < square) | ((apart == square) & (other < face)))
+        place[nearer], face[nearer], distance[nearer] = there[nearer], other[nearer], np.sqrt(apart[nearer])
+        return *self._counted(face), place + self.origin, distance
+
+    def _about(self, points: Vectors) -> Vectors:
+        """Distances [n] to the nearest face or to one that is no further but for float32: for bounds."""
+        local = points - self.origin
+        gap = nearest_on_triangle(local, self._faces.corners.take(self._nearest(local, 1), axis=0)) - local
+        return np.sqrt((gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]) + gap[:, 2] * gap[:, 2])
+
+    def _nearest(self, points: Vectors, threads: int) -> Index:
+        """The face that Open3D names as nearest to places as the scene counts them."""
+        if self._exact is None:
+            self._exact = self._scene if self._brief else self._built(self._faces.corners.reshape(-1, 3).astype(np.float32))
+        answer = self._exact.compute_closest_points(self._tensor(points.astype(np.float32)), nthreads=threads)
+        return answer["primitive_ids"].numpy().astype(np.int64)
 
     def depth(self, points: Vectors, threads: int = 1) -> NDArray[np.float64]:
         """How far inside each point [n,3] is, mm: the way out for those from which most of three rays leave by an odd number of
@@ -204,14 +276,14 @@ class RayScene:
             return np.full(len(x), np.inf, np.float32)
         if self._grid is None:
             self._grid = self._distances()
-        if len(x) >= _CROWD and not self._refined and self._cells is None:
+        if len(x) >= _CROWD and not self._refined and not self._brief:
             self._refined = True
-            self._grid.refine(lambda places: self.closest(places)[3])
+            self._grid.refine(self._about)
         return self._grid.at_least(x, y, z)
 
     def _distances(self) -> DistanceGrid:
-        args = () if self._cells is None else (self._cells,)
-        return DistanceGrid(self._vertices, self._faces, *args)
+        args = (_BRIEF_CELLS,) if self._brief else ()
+        return DistanceGrid(self._faces.corners + self.origin, *args)
 
     def feelers(
         self,
@@ -235,35 +307,15 @@ class RayScene:
         near = self._reachable(x, y, z, dx, dy, dz, reach)
         if near.size:
             length = reach[near]
-            rays = np.empty((near.size, 6), np.float32)
+            origin, way = np.empty((near.size, 3)), np.empty((near.size, 3))
             for axis, (place, step) in enumerate(((x, dx), (y, dy), (z, dz))):
-                rays[:, axis] = place[near] - self.origin[axis]
-                rays[:, 3 + axis] = step[near] * length
-            met, part, face = self._limited(rays, threads)
+                origin[:, axis] = place[near]
+                np.multiply(step[near], length, out=way[:, axis], dtype=np.float64)
+            met, part, face, _ = self._first(origin - self.origin, way, 1.0, threads)
             near = near[met]
             t[near] = part * length[met]
-            normal[:, near] = self._towards(face, rays[met, 3:]).T
+            normal[:, near] = self._towards(face, way[met]).T
         return FeelerHits(np.isfinite(t), t, *normal)
-
-    def _limited(
-        self, rays: NDArray[np.float32], threads: int
-    ) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.int32]]:
-        """Which rays hit within one length of their direction, with t and face over all meshes of these.
-
-        A ray that hits nothing costs the whole scene's length unless it has an end, which only occlusions know.
-        """
-        maybe = np.flatnonzero(self._occluded(rays, 1.0 + 1e-4, threads))
-        t, face, _ = self._cast(rays[maybe], threads)
-        met = np.flatnonzero((face >= 0) & (t <= 1.0))
-        return maybe[met], t[met], face[met]
-
-    def cast_within(
-        self, origin: Vectors, step: Vectors, threads: int = 1
-    ) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
-        """Which rays hit something between `origin` [n,3] and `origin + step`: their numbers, ascending, and t, mesh, face."""
-        which, t, face = self._limited(self._rays(origin, step), threads)
-        mesh = self._mesh_of_face[face]
-        return which, t, mesh, (face - self._first_face[mesh]).astype(np.int32)
 
     def near(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
@@ -295,9 +347,9 @@ class RayScene:
         mesh, face, place, distance = self.closest(points, threads)
         if self._scene is None or not len(points):
             return distance.astype(np.float32), np.zeros((3, len(points)), np.float32)
-        normal = self._normals[face + self._first_face[mesh]].astype(np.float64)
+        normal = self._faces.normal(face + self._first_face[mesh])
         away = points - place
-        side = np.where((away * normal).sum(axis=1) < 0, -1.0, 1.0)
+        side = np.where((away[:, 0] * normal[:, 0] + away[:, 1] * normal[:, 1]) + away[:, 2] * normal[:, 2] < 0, -1.0, 1.0)
         touching = distance < 1e-6
         out = np.where(touching[:, None], normal, away * (side / np.maximum(distance, 1e-6))[:, None])
         return (distance * side).astype(np.float32), np.ascontiguousarray(out.T, np.float32)
@@ -320,28 +372,3 @@ class RayScene:
         half = reach * np.float32(0.5)
         least = self._grid.at_least(x + dx * half, y + dy * half, z + dz * half)
         return np.flatnonzero(least <= half * np.float32(1 + 1e-4) + np.float32(1e-4))
-
-
-def nearest_on_triangle(points: Vectors, corners: NDArray[np.float64]) -> Vectors:
-    """Nearest point of each triangle [n,3,3] to each point [n,3] (Ericson, Real-Time Collision Detection, 2005, p. 136-142)."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    best = np.empty_like(points)
-    gap = np.full(len(points), np.inf)
-    for p, q in ((a, b), (b, c), (c, a)):
-        edge = q - p
-        length = (edge * edge).sum(axis=1)
-        s = np.clip(((points - p) * edge).sum(axis=1) / np.where(length > 0, length, 1.0), 0.0, 1.0)
-        place = p + s[:, None] * edge
-        here = ((place - points) ** 2).sum(axis=1)
-        closer = here < gap
-        best[closer], gap[closer] = place[closer], here[closer]
-    u, v, w = b - a, c - a, points - a
-    uu, uv, vv = (u * u).sum(axis=1), (u * v).sum(axis=1), (v * v).sum(axis=1)
-    wu, wv = (w * u).sum(axis=1), (w * v).sum(axis=1)
-    size = uu * vv - uv * uv
-    flat = size <= 0
-    size = np.where(flat, 1.0, size)
-    s, t = (vv * wu - uv * wv) / size, (uu * wv - uv * wu) / size
-    inside = ~flat & (s >= 0) & (t >= 0) & (s + t <= 1)
-    best[inside] = (a + s[:, None] * u + t[:, None] * v)[inside]
-    return best

@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 RISE = 0.5  # of a body: how far above its feet an agent looks from
 REACH = 1.5  # bodies: how long both rays are
-TILT = np.radians(30.0)  # of the second ray, upward from the way
+FORWARD, UPWARD = np.sqrt(0.75), 0.5  # of the second ray, which goes ahead and 30 degrees up
 _LEVEL = 1e-9  # below it a vector has no direction
 
 
@@ -24,8 +24,8 @@ def move_by_rays(
     """As `Ground.move`, from footings of n agents by `wish`; vectors (3, n), mm, `body` (n,).
 
     Ray 1 goes down, along minus the agent's own up, from above where it wants to be. Ray 2 goes ahead and, turned about side =
-    heading x up, upward by TILT. The nearer hit is the new place and the heading is normal x side (T. Kewlani, Art Directed Ant
-    Crowd Simulation in Houdini, section 4.3.8). The text there has the longer ray win, the pseudo-code the nearest hit: the
+    heading x up, 30 degrees upward. The nearer hit is the new place and the heading is normal x side (T. Kewlani, Art Directed
+    Ant Crowd Simulation in Houdini, section 4.3.8). The text there has the longer ray win, the pseudo-code the nearest hit: the
     longer one would pass through every wall that ray 2 sees. `position` is what the ray gave, in float32 and so off its face
     by a hair. Who meets nothing stays and is `blocked`.
     """
@@ -35,7 +35,7 @@ def move_by_rays(
     going = length > _LEVEL
     ahead = np.where(going, wish / np.where(going, length, 1.0), heading)
     eye, reach = place + up * (RISE * body), REACH * body
-    down, slant = -up * reach, (ahead * np.cos(TILT) + up * np.sin(TILT)) * reach
+    down, slant = -up * reach, (ahead * FORWARD + up * UPWARD) * reach
     found1, part1, footing1 = ground.met((eye + wish).T, down.T, threads)
     found2, part2, footing2 = ground.met(eye.T, slant.T, threads)
     second = found2 & ~(found1 & (part1 <= part2))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime import kernels
 from antdsl.runtime.senses.self_cuts import Cuts, cuts
 
 Floats = NDArray[np.float64]
@@ -17,7 +18,7 @@ _WELD = 1e-6  # of the extent: corners nearer than this are one corner
 _THROUGH = 1e-9  # of the extent: what comes nearer to a face touches it
 _NO_WIDTH = 1e12  # weights gained by a mm across a face that has none
 _FLAT = 1e-7  # height over longest edge below which a triangle is a line
-_CREASE = np.cos(np.radians(45.0))  # faces meeting more sharply than this are not smoothed into each other
+_CREASE = np.sqrt(0.5)  # cosine of 45 degrees: faces meeting more sharply than this are not smoothed into each other
 
 NO_LINK = -1
 _FLOATS = tuple(["corner", "edge1", "edge2", "normal", "axis1", "axis2", "rate1", "rate2", "shear", "edge_c", "edge_s", "smooth"])
@@ -188,7 +189,7 @@ def _links(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -
     group[order] = np.cumsum(first) - 1
     lead = order[first][group]  # one half-edge of each edge gives the direction and the angle's zero for all of it
     axis, zero = edge[lead], inward[lead]
-    angle = np.arctan2((np.cross(axis, zero) * inward).sum(axis=1), (zero * inward).sum(axis=1))
+    angle = kernels.wide_atan2((np.cross(axis, zero) * inward).sum(axis=1), (zero * inward).sum(axis=1))
     order = np.lexsort((half, np.round(angle, 9), group))
     count = np.bincount(group)
     begin = np.cumsum(count) - count
@@ -251,7 +252,7 @@ def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.
     weight = np.zeros((m, 3))
     for k in range(3):
         u, v = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
-        weight[:, k] = np.arctan2(_length(np.cross(u, v)), (u * v).sum(axis=1))
+        weight[:, k] = kernels.wide_atan2(_length(np.cross(u, v)), (u * v).sum(axis=1))
     weight[~live] = 0.0
     points = int(weld.max(initial=-1)) + 1
     flat = weld.ravel()
@@ -260,7 +261,7 @@ def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.
     mean = total / np.maximum(_length(total), 1e-300)[:, None]
     smooth = mean[flat]
     # Half the crease's angle from the mean leaves any two faces there within the crease.
-    sharp = np.bincount(flat, (smooth * each).sum(axis=1) < np.cos(np.arccos(_CREASE) / 2), points) > 0
+    sharp = np.bincount(flat, (smooth * each).sum(axis=1) < np.sqrt((1 + _CREASE) / 2), points) > 0
     slow = np.flatnonzero(sharp[flat])
     if slow.size:
         slow = slow[np.argsort(flat[slow], kind="stable")]

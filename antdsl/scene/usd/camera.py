@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from antdsl.scene.matrices import scale
 from antdsl.scene.usd.errors import UsdError, pxr
 from antdsl.scene.usd.stage import Floats, UsdStage
 
@@ -39,7 +40,7 @@ def read_usd_camera(stage: UsdStage) -> UsdCamera:
     times = stage.times if changes or len(ways) > 1 else stage.times[:1]
     ways = np.broadcast_to(ways, (len(times), 3, 4))
     lens = np.array([[float(a.Get(pxr("Usd").TimeCode(time))) for a in attributes] for time in times])
-    unit = abs(float(np.linalg.det(stage.to_scene[:, :3]))) ** (1 / 3)
+    unit = scale(stage.to_scene)
     at, ahead, up = ways[:, :, 3], -_unit(ways[:, :, 2]), _unit(ways[:, :, 1])
     far = np.where(lens[:, 2] > 0, lens[:, 2] * unit, _AHEAD)[:, None]
     # both are in tenths of the stage's unit, so that their ratio is free of it

@@ -87,8 +87,10 @@ def _cubic(points: Floats, basis: str, wrap: str, prim: Any) -> Floats:
         raise UsdError("bad-usd", f"`{prim.GetPath()}` has a number of points that no {basis} curve has")
     t = np.arange(_PIECES) / _PIECES
     powers = np.stack([np.ones_like(t), t, t * t, t * t * t], axis=1)
-    share = powers @ (np.array(weights, np.float64) / divisor)
+    factors = np.array(weights, np.float64) / divisor
+    share = sum(powers[:, k, None] * factors[k] for k in range(4))
     control = points[(np.arange(pieces) * step)[:, None] + np.arange(4)]
-    along = np.einsum("tw,pwk->ptk", share, control).reshape(-1, 3)
-    end = (np.array(weights, np.float64) / divisor).sum(axis=0) @ control[-1]
+    along = sum(share[:, k, None] * control[:, k, None, :] for k in range(4)).reshape(-1, 3)
+    last = sum(factors)
+    end = sum(last[k] * control[-1, k] for k in range(4))
     return np.concatenate([along, end[None]])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.matrices import after, applied, has_inverse, inverse, still
+from antdsl.scene.matrices import after, applied, determinant, has_inverse, inverse, still
 from antdsl.scene.meshes import MeshError, RawMesh, sound
 from antdsl.scene.moves import MeshMoves
 from antdsl.scene.usd.errors import UsdError, pxr
@@ -121,7 +121,7 @@ def _joined(shapes: list[_Shape]) -> tuple[Floats, Faces]:
     for shape in shapes:
         for way in shape.placed.ways[:, 0]:
             vertices.append(applied(way, shape.points))
-            turned = shape.faces[:, [0, 2, 1]] if np.linalg.det(way[:, :3]) < 0 else shape.faces
+            turned = shape.faces[:, [0, 2, 1]] if determinant(way) < 0 else shape.faces
             faces.append(turned + before)
             before += len(shape.points)
     return np.concatenate(vertices), np.concatenate(faces)

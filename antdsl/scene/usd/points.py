@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from antdsl import limits
-from antdsl.scene.matrices import applied
+from antdsl.scene.matrices import applied, scale
 from antdsl.scene.usd.errors import UsdError, pxr
 from antdsl.scene.usd.shapes import BAKE, check_bytes
 from antdsl.scene.usd.stage import Floats, UsdStage
@@ -72,10 +72,10 @@ def _cloud(stage: UsdStage, prim: Any) -> UsdPoints:
             raise UsdError("moving-topology", f"`{path}` has other points at other frames", BAKE)
         places[k] = applied(ways[min(k, len(ways) - 1)], given)
     widths = np.array(points.GetWidthsAttr().Get(stage.first) or [], np.float64)
-    scale = abs(float(np.linalg.det(ways[0, :, :3]))) ** (1 / 3)
+    one = scale(ways[0])
     width = np.broadcast_to(widths, count) if len(widths) in (1, count) and count else np.full(count, np.nan)
     names = tuple(_names(prim, count))
-    return UsdPoints(names, places, width / 2 * scale, _numbers(stage, prim, count))
+    return UsdPoints(names, places, width / 2 * one, _numbers(stage, prim, count))
 
 
 def _names(prim: Any, count: int) -> list[str]:
