@@ -20,12 +20,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl import limits
+from antdsl.bounded import read_bounded
 from antdsl.outputs.manifest import Manifest, read_manifest
 from antdsl.outputs.npz import ArrayFileError, read_npz
 
 MARKER = ".antdsl-cache"
 HASHES = "hashes.jsonl"
 STATIC = "static.npz"
+_HASH_BYTES = 200 * limits.FRAMES
 _NUMBERED = re.compile(r"(frame|checkpoint)\.(-?[0-9]{1,10})\.npz", re.ASCII)
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -90,11 +93,13 @@ def open_cache(folder: Path) -> Cache:
 
 
 def read_hashes(path: Path) -> dict[int, str]:
-    """Lines `{"frame": N, "hash": "…"}`; reading stops at the first that is not whole."""
+    """Lines `{"frame": N, "hash": "…"}`; reading stops at the first that is not whole. Empty where there are none to be read."""
     found: dict[int, str] = {}
-    if not path.is_file():
+    try:
+        text = read_bounded(path, _HASH_BYTES, follow=False).decode("utf-8", "replace")
+    except OSError:
         return found
-    for line in path.read_text(encoding="utf-8", errors="replace").split("\n")[:-1]:
+    for line in text.split("\n")[:-1]:
         try:
             entry = json.loads(line)
             frame, value = entry["frame"], entry["hash"]
@@ -111,11 +116,13 @@ def _read(path: Path, number: int | None, only: frozenset[str] | None = None) ->
         arrays = read_npz(path, None if only is None else only | {"frame"})
     except FileNotFoundError:
         raise CacheError(f"`{path}` is not there") from None
+    except OSError as why:
+        raise CacheError(f"`{path}` cannot be read: {(why.strerror or str(why)).lower()}") from None
     except ArrayFileError as why:
         raise CacheError(f"`{path}` {why}") from None
     if number is not None:
         said = arrays.get("frame")
-        if said is None or said.shape != () or int(said) != number:
+        if said is None or said.shape != () or said.dtype.kind not in "iu" or int(said) != number:
             raise CacheError(f"`{path}` does not hold frame {number}")
     return arrays
 

@@ -27,9 +27,13 @@ def scene_file(live: Live) -> str:
 
 def texts(live: Live) -> Message:
     """All programs and scenes, as they are on the disk."""
-    found = []
-    for path in dict.fromkeys(Path(os.path.realpath(each)) for each in live.compiler.files()):
-        if path.suffix in (".ant", ".yaml", ".yml") and (text := text_of(path)) is not None:
+    found, told = [], set()
+    for each in live.compiler.files():
+        path = Path(os.path.realpath(each))
+        if path in told or path.suffix not in (".ant", ".yaml", ".yml"):
+            continue
+        if (text := text_of(each, live.compiler.open_file)) is not None:
+            told.add(path)
             kind = "library" if is_library(path) else "ant" if path.suffix == ".ant" else "yaml"
             found.append({"file": live.screen.names.of(path), "text": text, "kind": kind})
     return {"op": "texts", "texts": found}
