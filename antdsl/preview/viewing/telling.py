@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from antdsl import __version__
+from antdsl.diagnostics import Report
+from antdsl.diagnostics.render import shown
 from antdsl.preview.session import Outcome
 from antdsl.preview.viewing.names import is_library, text_of
 
@@ -41,11 +43,20 @@ def texts(live: Live) -> Message:
 
 def problems(live: Live) -> Message:
     """What is wrong with the files, as of the last time that they were tried."""
-    return {"op": "problems", "problems": [live.screen.names.problem(each) for each in live.report.sorted()]}
+    return {"op": "problems", "problems": _problems(live, live.report)}
+
+
+def _problems(live: Live, report: Report) -> list[Message]:
+    """What is wrong, as far as it is shown, and how much more there is."""
+    kept = shown(report)
+    found, more = [live.screen.names.problem(each) for each in kept], len(report.diagnostics) - len(kept)
+    if more:
+        found.append({**found[-1], "message": f"… and {more:,} more", "help": "", "file": None, "start": 0, "end": 0})
+    return found
 
 
 def outcome(live: Live, of: str, done: Outcome, file: str = "") -> Message:
-    found = [live.screen.names.problem(each) for each in done.report.sorted()]
+    found = _problems(live, done.report)
     return {"op": "outcome", "of": of, "ok": done.ok, "line": done.line, "text": done.text, "file": file, "problems": found}
 
 
