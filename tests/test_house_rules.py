@@ -124,7 +124,7 @@ def test_files_that_a_person_can_name_are_opened_by_one_module() -> None:
                 continue
             called = ast.unparse(node.func)
             other = called.endswith(".open") and called not in ("os.open", "io.open")  # a session, a solid's bricks
-            written = any(getattr(each, "value", None) in ("ab", "wb") for each in node.args)
+            written = any(getattr(each, "value", None) in ("ab", "wb", "xb") for each in node.args)
             if other or written or called in ("read_bytes", "syntax.read_bytes", "reading.read_bytes"):
                 continue
             raise AssertionError(f"{path}:{node.lineno} opens a file by `{called}`, not by antdsl/bounded.py")

@@ -110,7 +110,10 @@ def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume:
     from antdsl.runtime import BindError
 
     try:
-        return begin(shot, folder, options, resume=resume, force=force)
+        recording = begin(shot, folder, options, resume=resume, force=force)
+        for note in recording.notes:
+            typer.echo(note, err=True)
+        return recording
     except (BindError, StartError) as why:
         demand(why.report)
         raise Stop(Exit.FINDINGS) from None

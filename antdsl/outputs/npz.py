@@ -48,7 +48,9 @@ def _npy(name: str, array: NDArray[Any]) -> bytes:
 def write_whole(path: Path, data: bytes, *, sync: bool) -> None:
     """Put a file in place in one go: a reader, or a later run after a crash, sees all of it or nothing."""
     temporary = path.with_name(f".{path.name}.part")
-    with open(temporary, "wb") as file:
+    temporary.unlink(missing_ok=True)
+    # "x": what stands there of a crash, or a link that somebody has put there, is never written into
+    with open(temporary, "xb") as file:
         file.write(data)
         if sync:
             file.flush()

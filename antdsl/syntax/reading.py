@@ -34,8 +34,8 @@ _OTHERS = (
 
 
 def read(path: str | os.PathLike[str], handle: int | None = None) -> tuple[Source | None, Report]:
-    """Read a `.ant` file: regular, at most 256 KiB, UTF-8 (a byte order mark is dropped, line ends become LF). `handle`: the file,
-    where somebody has opened it already; it is closed.
+    """Read a `.ant` file: regular, at most 256 KiB, UTF-8 (a byte order mark is dropped, line ends become LF). `handle`: the
+    file, where somebody has opened it already; it is closed.
 
     Returns no source when it cannot be read; the report says why. Never raises for whatever the path names.
     """
