@@ -67,7 +67,7 @@ class Loaded:
         path = self._locate(text, roots, span)
         if path is None:
             return None
-        file = self._parse(path, shown(path), span)
+        file = self._parse(path, shown(path), span, (roots, text))
         if file is not None:
             self.files.append(file)
             self._uses(file, Roots(path.parent, roots.granted), 1, (path,))
@@ -92,12 +92,19 @@ class Loaded:
             self.report.error(refused.code, str(refused), span, refused.help)
             return None
 
-    def _parse(self, path: Path, name: str, span: Span | None = None) -> nodes.File | None:
+    def _parse(
+        self, path: Path, name: str, span: Span | None = None, door: tuple[Roots, str] | None = None
+    ) -> nodes.File | None:
+        """`door`: where the file may lie and what it is called there; None for one that the person named."""
         place = os.path.realpath(path)
         if place in self.parsed:
             file, report = self.parsed[place]
         else:
-            source, report = syntax.read(path)
+            try:
+                source, report = syntax.read(path, None if door is None else door[0].open(door[1]))
+            except PathRefused as refused:  # it has changed since it was looked for
+                self.report.error(refused.code, str(refused), span, refused.help)
+                return None
             if source is None:
                 self.report.extend(report)
                 return None
@@ -141,7 +148,7 @@ class Loaded:
                         labels=labels,
                     )
                 continue
-            module = self._parse(path, shown(path), span)
+            module = self._parse(path, shown(path), span, (roots, text))
             if module is not None:
                 self.modules[text], self._module_paths[text] = module, path
                 self._uses(module, Roots(path.parent, roots.granted), depth + 1, (*chain, path))

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from antdsl import __version__, limits
+from antdsl.bounded import read_start
 from antdsl.diagnostics import Report
 from antdsl.loading import CheckedOnce, Loaded, Parsed, shown
 from antdsl.source import Source
@@ -337,8 +338,7 @@ def sources(files: Iterable[Path], parsed: Parsed) -> list[Source]:
 def _is_scene(path: Path) -> bool:
     """Whether a YAML file begins like a scene; a folder may hold others."""
     try:
-        with open(path, "rb") as file:
-            lines = file.read(4096).removeprefix(b"\xef\xbb\xbf").splitlines()
+        lines = read_start(path, 4096).removeprefix(b"\xef\xbb\xbf").splitlines()
     except OSError:
         return False
     first = next((line for line in lines if line.strip() and not line.lstrip().startswith(b"#")), b"")

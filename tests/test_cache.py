@@ -5,23 +5,32 @@ from __future__ import annotations
 import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 import warnings
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from antdsl.cli import app
 from antdsl.cli.new import ground
-from antdsl.outputs.cache import CacheError, frame_path, open_cache, read_hashes
+from antdsl.outputs.cache import CacheError, checkpoint_path, frame_path, open_cache
 from antdsl.outputs.cache_writer import ForeignFolder, prepare_folder
 from antdsl.outputs.frames import orientation
+from antdsl.outputs.hashes import HASHES, read_lines
 from antdsl.outputs.lock import FolderLock, Locked
 from antdsl.outputs.npz import ArrayFileError, parse_npy, read_npz, to_bytes, write_whole
+from antdsl.outputs.recording import begin, record
+from antdsl.pipeline import open_scene
+from antdsl.runtime import CheckpointError, Options, bind, checkpoint, restore
+from antdsl.runtime.checkpoints import Arrays
 
 ROOT = Path(__file__).resolve().parent.parent
 ARRAYS = {
@@ -44,6 +53,10 @@ def test_arrays_come_back_as_they_were_and_numpy_reads_them(tmp_path: Path) -> N
             assert found.dtype == array.dtype and np.array_equal(found, array)
     assert to_bytes(ARRAYS) == to_bytes(ARRAYS)
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+
+
+def read_hashes(path: Path) -> dict[int, str]:
+    return {frame: line.hash for frame, line in read_lines(path).items()}
 
 
 def zipped(entries: list[tuple[str, bytes]], compression: int = zipfile.ZIP_STORED) -> bytes:
@@ -259,7 +272,91 @@ def test_frames_hold_what_the_manifest_says(unbroken: tuple[Path, dict[int, str]
     assert 0 < step.max() <= 25 / 24 * 1.01
 
 
-def test_a_damaged_frame_is_told_and_written_again(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
+def flipped(path: Path, at: float) -> None:
+    """A bit of a file turned over; `at` from 0, the first byte, to 1."""
+    data = bytearray(path.read_bytes())
+    data[int(at * (len(data) - 1))] ^= 4
+    path.write_bytes(data)
+
+
+def swapped(one: Path, other: Path) -> None:
+    data = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(data)
+
+
+def lines_changed(folder: Path, frame: int, **change: str) -> None:
+    """The line of a frame with other values, in good JSON."""
+    entries = [json.loads(line) for line in (folder / HASHES).read_text().splitlines()]
+    for entry in entries:
+        entry |= change if entry["frame"] == frame else {}
+    (folder / HASHES).write_text("".join(json.dumps(entry) + "\n" for entry in entries))
+
+
+def renumbered(folder: Path, number: int) -> None:
+    """A whole frame of another number, written as that of `number`."""
+    arrays = {**read_npz(frame_path(folder, 30)), "frame": np.array(number, np.int64)}
+    frame_path(folder, number).write_bytes(to_bytes(arrays))
+
+
+# What may happen to a cache of 60 frames with checkpoints at 1, 9, 17, …; the frame that a run goes on after; what is told.
+DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
+    "nothing": (lambda f: None, 60, ""),
+    "a frame cut off": (lambda f: os.truncate(frame_path(f, 12), 100), 9, "frame.0012.npz` is not what was written there"),
+    "an empty frame": (lambda f: os.truncate(frame_path(f, 30), 0), 25, "frame.0030.npz` is not what was written there"),
+    "a bit of a frame": (lambda f: flipped(frame_path(f, 47), 0.5), 41, "frame.0047.npz` is not what was written there"),
+    "a bit of a name in a frame": (lambda f: flipped(frame_path(f, 47), 0.999), 41, "frame.0047.npz` is not what was written"),
+    "the first frame": (lambda f: flipped(frame_path(f, 1), 0.7), None, "frames 1 to 60 are made again"),
+    "two frames swapped": (lambda f: swapped(frame_path(f, 20), frame_path(f, 22)), 17, "frames 18 to 60 are made again"),
+    "a whole frame with another's number": (lambda f: renumbered(f, 34), 33, "frame.0034.npz` is not what was written there"),
+    "a missing frame": (lambda f: frame_path(f, 26).unlink(), 25, "frame.0026.npz` is not there"),
+    "missing frames": (lambda f: [frame_path(f, n).unlink() for n in range(20, 50)], 17, "frame.0020.npz` is not there"),
+    "a pipe for a frame": (lambda f: (frame_path(f, 40).unlink(), os.mkfifo(frame_path(f, 40))), 33, "not a regular file"),
+    "a link for a frame": (
+        lambda f: (frame_path(f, 40).rename(f / "x"), frame_path(f, 40).symlink_to(f / "x")), 33, "it is a link",
+    ),
+    "a bit of a checkpoint": (lambda f: flipped(checkpoint_path(f, 60), 0.5), 57, "checkpoint.0060.npz"),
+    "a checkpoint cut off": (lambda f: os.truncate(checkpoint_path(f, 60), 5000), 57, "frames 58 to 60 are made again"),
+    "an early checkpoint": (lambda f: flipped(checkpoint_path(f, 9), 0.5), 60, "and is removed"),
+    "two checkpoints swapped": (lambda f: swapped(checkpoint_path(f, 60), checkpoint_path(f, 49)), 57, "does not hold frame 60"),
+    "no checkpoints": (lambda f: [p.unlink() for p in (f / "checkpoints").iterdir()], None, "no checkpoint from which"),
+    "a hash of another state": (lambda f: lines_changed(f, 33, hash="0" * 32), 25, "frame.0033.npz` is not what was written"),
+    "a hash of another file": (lambda f: lines_changed(f, 12, file="0" * 32), 9, "frame.0012.npz` is not what was written"),
+    "a cut line": (lambda f: os.truncate(f / HASHES, 3000), 25, "has no hash in `hashes.jsonl`"),
+    "no hashes": (lambda f: (f / HASHES).unlink(), None, "frame.0001.npz` has no hash in `hashes.jsonl`"),
+}  # fmt: skip
+
+
+def verified(folder: Path) -> tuple[int, str]:
+    done = CliRunner().invoke(app, ["info", str(folder), "--verify"])
+    return done.exit_code, done.output
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_what_is_damaged_in_a_cache_is_told_and_made_again(
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, kind: str
+) -> None:
+    damage, after, told = DAMAGE[kind]
+    shutil.copytree(unbroken[0].parent, tmp_path / "p")
+    scene = tmp_path / "p" / "scene.yaml"
+    folder, whole = scene.parent / "out" / "scene", unbroken[0].parent / "out" / "scene"
+    shot, _ = open_scene(scene)
+    assert shot is not None
+    damage(folder)
+    code, words = verified(folder)
+    assert (code == 0) == (kind in ("nothing", "no checkpoints")), words
+    recording = begin(shot, folder, Options(), resume=True, force=False)
+    assert recording.resumed_from == after
+    assert told in " ".join(recording.notes) and bool(recording.notes) == (kind != "nothing"), recording.notes
+    for _ in record(recording):
+        pass
+    for frame in range(1, 61):
+        assert frame_path(folder, frame).read_bytes() == frame_path(whole, frame).read_bytes()
+    assert read_lines(folder / HASHES) == read_lines(whole / HASHES)
+    assert verified(folder)[0] == 0
+
+
+def test_a_damaged_frame_is_told_and_written_again(tmp_path: Path) -> None:
     scene = project(tmp_path / "p")
     assert finished(start(scene, "--frames", "1..20"))[0] == 0
     folder = scene.parent / "out" / "scene"
@@ -267,10 +364,48 @@ def test_a_damaged_frame_is_told_and_written_again(unbroken: tuple[Path, dict[in
     frame_path(folder, 12).write_bytes(whole[: len(whole) // 2])
     with pytest.raises(CacheError):
         open_cache(folder).frame(12)
-    frame_path(folder, 12).unlink()
     code, words = finished(start(scene, "--frames", "1..20", "--resume"))
     assert code == 0 and "goes on after frame 9" in words, words
+    assert "frame.0012.npz` is not what was written there" in words and "frames 10 to 20 are made again" in words
     assert frame_path(folder, 12).read_bytes() == whole
+
+
+def test_a_link_where_a_file_is_being_written_is_not_followed(tmp_path: Path) -> None:
+    """A cache of somebody else may have one, and it would lead to a file of whoever goes on with it."""
+    mine = tmp_path / "mine.txt"
+    mine.write_text("mine")
+    (tmp_path / ".a.npz.part").symlink_to(mine)
+    write_whole(tmp_path / "a.npz", to_bytes(ARRAYS), sync=False)
+    assert mine.read_text() == "mine" and not (tmp_path / "a.npz").is_symlink()
+    assert read_npz(tmp_path / "a.npz").keys() == ARRAYS.keys()
+
+
+STRANGE: dict[str, Callable[[Arrays], dict[str, object]]] = {
+    "a face that is not there": lambda a: {"species.walker.footing.face": np.full_like(a["species.walker.footing.face"], 10**6)},
+    "a mesh that is not there": lambda a: {"species.walker.footing.mesh": np.full_like(a["species.walker.footing.mesh"], 99)},
+    "other numbers of rows": lambda a: {"species.walker.ids": a["species.walker.ids"][:7]},
+    "a number of another kind": lambda a: {"species.walker.ids": a["species.walker.ids"].astype(np.float64)},
+    "a frame that is a list": lambda a: {"frame": np.arange(3)},
+    "a frame that is no number": lambda a: {"frame": np.array(np.nan)},
+    "names that are no text": lambda a: {"transitions.names": np.full(3, 255, np.uint8)},
+    "more names than counts": lambda a: {"transitions.counts": np.arange(99)},
+    "counts that are no numbers": lambda a: {"transitions.counts": np.array([np.inf])},
+    "next of all ids": lambda a: {"species.walker.next_id": np.array([[1, 2]])},
+}
+
+
+@pytest.mark.parametrize("kind", STRANGE)
+def test_a_checkpoint_that_somebody_has_made_is_refused_and_reads_no_other_memory(
+    unbroken: tuple[Path, dict[int, str]], kind: str, tmp_path: Path
+) -> None:
+    scene = project(tmp_path / "p", hills=True)
+    shot, _ = open_scene(scene)
+    assert shot is not None
+    world = bind(shot.plan, shot.setting, Options())
+    arrays = checkpoint(world)
+    restore(world, arrays)
+    with pytest.raises(CheckpointError):
+        restore(world, {**arrays, **STRANGE[kind](arrays)})  # type: ignore[dict-item]
 
 
 @pytest.mark.parametrize(("way", "after"), [("process", 0), ("process", 7), ("process", 43), ("thread", 0), ("thread", 22)])

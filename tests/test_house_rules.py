@@ -17,12 +17,12 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
 ROOMS = (
-    "__init__", "source", "diagnostics", "limits", "resources", "bootstrap", "syntax", "program", "highlighting", "graphs",
-    "scene", "loading", "plan", "passes", "runtime", "bodies", "pipeline", "checking", "outputs", "specs", "explain", "sweep",
-    "preview", "lsp", "cli", "__main__",
+    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "bootstrap", "syntax", "program", "highlighting",
+    "graphs", "scene", "loading", "plan", "passes", "runtime", "bodies", "pipeline", "checking", "outputs", "specs", "explain",
+    "sweep", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.
-GROUND = frozenset(["source", "diagnostics", "limits", "resources"])
+GROUND = frozenset(["source", "diagnostics", "limits", "resources", "bounded"])
 # A list of the tree's node types, one after the other, is read as one thing.
 LONG = frozenset(["syntax/nodes.py"])
 FORBIDDEN_CALLS = frozenset(["eval", "exec", "compile", "__import__"])
@@ -101,6 +101,41 @@ def test_no_file_runs_text_or_reads_what_could() -> None:
             ):
                 offenders.append(f"{path}:{node.lineno} uses {node.value.id}.{node.attr}")
     assert not offenders
+
+
+# Who else opens files to read them, and which.
+OWN_FILES = {
+    "bootstrap.py": "what antdsl needs, and which system this is",
+    "cli/__init__.py": "the null device",
+    "cli/pages.py": "pages that come with antdsl",
+    "diagnostics/sarif.py": "pages that come with antdsl",
+    "lsp/tokens.py": "the grammar",
+    "outputs/behind.py": "the null device",
+    "outputs/lock.py": "its own lock, and what the system tells about a process",
+    "outputs/memory.py": "what the system tells about memory",
+    "outputs/npz.py": "files and folders just written, to see them on the disk",
+    "preview/serving/pages.py": "the page that comes with antdsl",
+    "scene/paths.py": "folders, part by part",
+    "syntax/grammar.py": "the grammar",
+    "syntax/tables.py": "the grammar and its tables",
+}
+READING = frozenset(["open", "read_text", "read_bytes", "fromfile", "memmap", "loadtxt", "genfromtxt"])
+
+
+def test_files_that_a_person_can_name_are_opened_by_one_module() -> None:
+    """Elsewhere a pipe would be waited for, and an endless device read until no memory is left."""
+    for path in FILES:
+        if path.relative_to(PACKAGE).as_posix() in ("bounded.py", *OWN_FILES):
+            continue
+        for node in ast.walk(parsed(path)):
+            if not isinstance(node, ast.Call) or ast.unparse(node.func).rpartition(".")[2] not in READING:
+                continue
+            called = ast.unparse(node.func)
+            other = called.endswith(".open") and called not in ("os.open", "io.open")  # a session, a solid's bricks
+            written = any(getattr(each, "value", None) in ("ab", "wb", "xb") for each in node.args)
+            if other or written or called in ("read_bytes", "syntax.read_bytes", "reading.read_bytes"):
+                continue
+            raise AssertionError(f"{path}:{node.lineno} opens a file by `{called}`, not by antdsl/bounded.py")
 
 
 def test_files_are_short_named_for_what_they_do_and_say_what_they_are() -> None:

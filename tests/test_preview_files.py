@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -45,6 +45,57 @@ def started(made: list[Live], scene: Path) -> Page:
     made.append(Live.open(scene))
     made[-1].start()
     return Page(made[-1])
+
+
+def sparse(path: Path) -> None:
+    """A file of 20 GB that takes no room on the disk."""
+    with open(path, "wb") as file:
+        file.truncate(20 * 10**9)
+
+
+NO_FILES: dict[str, Callable[[Path], None]] = {
+    "pipe": lambda path: os.mkfifo(path),
+    "endless device": lambda path: path.symlink_to("/dev/zero"),
+    "sparse": sparse,
+}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such files there")
+@pytest.mark.parametrize("kind", NO_FILES)
+@pytest.mark.parametrize("name", ["scene.yaml", "base.yaml", "walker.ant", "ground.ply"])
+def test_it_waits_for_a_file_where_something_else_is_and_goes_on_by_itself(
+    folder: Path, made: list[Live], name: str, kind: str
+) -> None:
+    good = (folder / name).read_bytes()
+    (folder / name).unlink()
+    NO_FILES[kind](folder / name)
+    page = started(made, folder / "scene.yaml")
+    assert page.until(lambda: page.last("problems"))["problems"]
+    (folder / name).unlink()
+    (folder / name).write_bytes(good)
+    page.status(frame=1, agents=50)
+    page.ask("step", count=2)
+    page.status(frame=3)
+    (folder / name).unlink()
+    NO_FILES[kind](folder / name)
+    assert not page.until(lambda: page.last("outcome"))["ok"]
+    page.ask("step", count=2)
+    page.status(frame=5)  # the last good program runs on
+    (folder / name).unlink()
+    (folder / name).write_bytes(good)
+    page.until(lambda: page.last("outcome")["ok"])
+    page.ask("step", count=1)
+    page.status(frame=6)
+
+
+def test_a_page_is_not_shown_what_a_link_in_the_scenes_folder_leads_to(folder: Path, made: list[Live], tmp_path: Path) -> None:
+    (tmp_path / "secret.ant").write_text("ant 1 # nobody's business\n")
+    (folder / "walker.ant").unlink()
+    (folder / "walker.ant").symlink_to(tmp_path / "secret.ant")
+    page = started(made, folder / "scene.yaml")
+    assert "link" in page.until(lambda: page.last("problems"))["problems"][0]["message"]
+    page.until(lambda: page.last("texts"))
+    assert "nobody's business" not in str(page.told)
 
 
 @pytest.mark.parametrize("name", ["base.yaml", "walker.ant", "ground.ply"])

@@ -71,6 +71,6 @@ def test_no_file_folder_and_pipe(tmp_path: Path) -> None:
     assert refused(folder) == ("cannot-read", f"`{folder}` is a folder")
     pipe = tmp_path / "pipe.ant"
     os.mkfifo(pipe)
-    assert refused(pipe)[1] == f"`{pipe}` is no regular file"
+    assert refused(pipe)[1] == f"`{pipe}` is not a regular file"
     assert refused("a\0b.ant")[0] == "cannot-read"
-    assert refused("/dev/zero")[1] == "`/dev/zero` is no regular file"
+    assert refused("/dev/zero")[1] == "`/dev/zero` is not a regular file"

@@ -3,12 +3,34 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from threading import Event
 
 import pytest
 
+from antdsl.bounded import open_regular
 from antdsl.preview import Watch
+
+
+def sparse(path: Path) -> None:
+    """A file of 20 GB that takes no room on the disk."""
+    with open(path, "wb") as file:
+        file.truncate(20 * 10**9)
+
+
+KINDS: dict[str, Callable[[Path], None]] = {
+    "pipe": lambda path: os.mkfifo(path),
+    "endless device": lambda path: path.symlink_to("/dev/zero"),
+    "sparse": sparse,
+    "folder": lambda path: path.mkdir(),
+}
+if os.name == "nt":
+    KINDS = {"folder": KINDS["folder"]}
+
+
+def taken_away(path: Path) -> None:
+    path.rmdir() if path.is_dir() else path.unlink()
 
 
 class Clock:
@@ -113,6 +135,62 @@ def test_files_that_an_edit_brings_in_are_watched_from_then_on(file: Path) -> No
     paths.remove(other)
     other.write_text("ccc")
     assert told(watch, clock, 0.5) == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_no_file_is_not_read_and_a_file_in_its_place_is(file: Path, kind: str) -> None:
+    clock = Clock()
+    watch = Watch(lambda: [file], clock=clock)
+    file.unlink()
+    KINDS[kind](file)
+    assert told(watch, clock, 2) == [file]
+    assert told(watch, clock, 2) == [], "it is as it was"
+    taken_away(file)
+    file.write_text("two")
+    assert told(watch, clock, 1) == [file]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_begins_beside_what_is_no_file(file: Path, kind: str) -> None:
+    file.unlink()
+    KINDS[kind](file)
+    clock = Clock()
+    watch = Watch(lambda: [file], clock=clock)
+    assert told(watch, clock, 2) == []
+    taken_away(file)
+    file.write_text("one")
+    assert told(watch, clock, 1) == [file]
+
+
+def test_a_pipe_is_not_even_opened(file: Path) -> None:
+    """Whoever writes into it would take the opening for a reader, and the closing for a broken pipe."""
+    file.unlink()
+    os.mkfifo(file)
+    Watch(lambda: [file]).look()
+    with pytest.raises(OSError, match="No such device or address"):  # nobody reads
+        os.open(file, os.O_WRONLY | os.O_NONBLOCK)
+
+
+def test_how_much_is_read_without_a_sign_of_change_is_bounded(tmp_path: Path) -> None:
+    """A thousand frames of a mesh that moves, each read again every second, would leave no time for the ants."""
+    read: list[Path] = []
+
+    def opened(path: Path) -> int:
+        read.append(path)
+        return open_regular(path)
+
+    files = [tmp_path / f"walls.{number:04d}.ply" for number in range(200)]
+    for each in files:
+        each.write_bytes(bytes(100_000))
+    clock = Clock()
+    watch = Watch(lambda: files, opened=opened, clock=clock)
+    read.clear()
+    for _ in range(100):
+        clock.now += 0.05
+        before = len(read)
+        watch.look()
+        assert len(read) - before <= 11, "a mebibyte and a part"
+    assert set(read) == set(files), "each has its turn"
 
 
 def test_waiting_for_changes_ends_when_somebody_says_so(file: Path) -> None:

@@ -76,17 +76,18 @@ class _Work:
         typer.echo(", ".join(told) or "no .ant files here", err=True)
 
     def file(self, path: Path) -> None:
-        from antdsl import syntax
+        from antdsl import limits, syntax
+        from antdsl.bounded import read_bounded
 
         try:
-            data = path.read_bytes() if path.is_file() else b""
             text = self.formatted(*syntax.read(path))
+            data = b"" if text is None else read_bounded(path, limits.ANT_FILE_BYTES)
             if text is None:
                 self.left += 1
             elif text.encode("utf-8") != data:
                 if not (self.check or self.diff):
                     syntax.write(path, text)
-                self.tell(str(path), data.decode("utf-8"), text)
+                self.tell(str(path), data.decode("utf-8", "replace"), text)
         except OSError as problem:
             self.left += 1
             reason = (problem.strerror or "unknown reason").lower()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
 
 def info(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
-    verify: bool = typer.Option(False, "--verify", help="Read every frame and compare its checksums."),
+    verify: bool = typer.Option(False, "--verify", help="Read everything, and compare it with what was written."),
 ) -> None:
     """Say what is in a cache and what it was made from."""
     from antdsl.outputs.cache import open_cache
@@ -66,14 +68,34 @@ def _fps(text: str) -> str:
 
 
 def _verify(cache: Cache) -> None:
+    """Hold every frame and checkpoint against what was written. What is missing between frames counts as damage."""
+    from antdsl.outputs.hashes import HASHES
+
+    lines, frames, checkpoints = cache.lines(), cache.frames(), cache.checkpoints()
+    bad, wanted = [], cache.manifest.first
+    for frame in sorted({*frames, *lines}):
+        if frame > wanted:
+            bad.append(f"frame {wanted} is not there" if frame == wanted + 1 else f"frames {wanted} to {frame - 1} are not there")
+        wanted = max(wanted, frame + 1)
+        why = cache.damage(frame, lines.get(frame))
+        bad += _unread(partial(cache.frame, frame)) if why is None else [why]
+    for frame in checkpoints:
+        bad += _unread(partial(cache.checkpoint, frame))
+        bad += [] if frame in lines else [f"the checkpoint of frame {frame} has no hash in `{HASHES}`"]
+    bad += _unread(cache.static)
+    if bad:
+        more = [f"… and {len(bad) - 50} more"] if len(bad) > 50 else []
+        words = "\n".join([*(f"error: {why}" for why in bad[:50]), *more])
+        raise Stop(Exit.FINDINGS, words, "`antdsl run SCENE --resume` writes them again")
+    typer.echo(f"verified     {len(frames)} frames, {len(checkpoints)} checkpoints")
+
+
+def _unread(read: Callable[[], object]) -> list[str]:
+    """Why something cannot be read."""
     from antdsl.outputs.cache import CacheError
 
-    bad = []
-    for frame in cache.frames():
-        try:
-            cache.frame(frame)
-        except CacheError as why:
-            bad.append(str(why))
-    if bad:
-        raise Stop(Exit.FINDINGS, "\n".join(f"error: {why}" for why in bad[:50]), "`antdsl run SCENE --resume` writes them again")
-    typer.echo(f"verified     {len(cache.frames())} frames")
+    try:
+        read()
+    except CacheError as why:
+        return [str(why)]
+    return []

@@ -114,6 +114,8 @@ def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume:
         recording = begin(shot, folder, options, resume=resume, force=force)
         if recording.resumed_from is None and shot.scene.model.start is None:
             show(crowding(shot, recording.world), to_stderr=True)
+        for note in recording.notes:
+            typer.echo(note, err=True)
         return recording
     except (BindError, StartError) as why:
         demand(why.report)

@@ -29,10 +29,15 @@ def render(report: Report, format: str = "full") -> str:
 
     Errors are kept before warnings where not all can be shown.
     """
+    kept = shown(report)
+    return FORMATS[format](kept, len(report.diagnostics) - len(kept))
+
+
+def shown(report: Report) -> list[Diagnostic]:
+    """The complaints that people are shown, by place: at most 50, errors kept before warnings where there are more."""
     ordered = report.sorted()
-    shown = ordered
-    if len(ordered) > limits.DIAGNOSTICS_SHOWN:
-        kept = sorted(ordered, key=lambda diagnostic: diagnostic.severity != "error")[: limits.DIAGNOSTICS_SHOWN]
-        chosen = {id(diagnostic) for diagnostic in kept}
-        shown = [diagnostic for diagnostic in ordered if id(diagnostic) in chosen]
-    return FORMATS[format](shown, len(ordered) - len(shown))
+    if len(ordered) <= limits.DIAGNOSTICS_SHOWN:
+        return ordered
+    kept = sorted(ordered, key=lambda diagnostic: diagnostic.severity != "error")[: limits.DIAGNOSTICS_SHOWN]
+    chosen = {id(diagnostic) for diagnostic in kept}
+    return [diagnostic for diagnostic in ordered if id(diagnostic) in chosen]

@@ -5,12 +5,11 @@ manifest.json                   what it was made from and how to read it
 static.npz                      meshes, places of field cells
 frames/frame.1001.npz           one a frame: agents, fields, items
 checkpoints/checkpoint.1050.npz all that is needed to go on from there
-hashes.jsonl                    a hash of the whole state, one line a frame
+hashes.jsonl                    a hash of the whole state and one of the frame's file, one line a frame
 """
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,11 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.outputs.hashes import HASHES, Line, damage, read_lines
 from antdsl.outputs.manifest import Manifest, read_manifest
 from antdsl.outputs.npz import ArrayFileError, read_npz
 
 MARKER = ".antdsl-cache"
-HASHES = "hashes.jsonl"
 STATIC = "static.npz"
 _NUMBERED = re.compile(r"(frame|checkpoint)\.(-?[0-9]{1,10})\.npz", re.ASCII)
 
@@ -81,7 +80,15 @@ class Cache:
 
     def hashes(self) -> dict[int, str]:
         """The hash of the state at each frame; a last line that was cut off by a crash is left out."""
-        return read_hashes(self.folder / HASHES)
+        return {frame: line.hash for frame, line in self.lines().items()}
+
+    def lines(self) -> dict[int, Line]:
+        """What is known of each frame and its file, as far as it is whole."""
+        return read_lines(self.folder / HASHES)
+
+    def damage(self, frame: int, line: Line | None) -> str | None:
+        """What is wrong with the file of a frame, None where it has the bytes that were written. `line`: what is known of it."""
+        return damage(frame_path(self.folder, frame), frame, line)
 
 
 def open_cache(folder: Path) -> Cache:
@@ -89,33 +96,18 @@ def open_cache(folder: Path) -> Cache:
     return Cache(folder, read_manifest(folder))
 
 
-def read_hashes(path: Path) -> dict[int, str]:
-    """Lines `{"frame": N, "hash": "…"}`; reading stops at the first that is not whole."""
-    found: dict[int, str] = {}
-    if not path.is_file():
-        return found
-    for line in path.read_text(encoding="utf-8", errors="replace").split("\n")[:-1]:
-        try:
-            entry = json.loads(line)
-            frame, value = entry["frame"], entry["hash"]
-        except (ValueError, TypeError, KeyError, RecursionError):
-            break
-        if not isinstance(frame, int) or not isinstance(value, str):
-            break
-        found[frame] = value
-    return found
-
-
 def _read(path: Path, number: int | None, only: frozenset[str] | None = None) -> Arrays:
     try:
         arrays = read_npz(path, None if only is None else only | {"frame"})
     except FileNotFoundError:
         raise CacheError(f"`{path}` is not there") from None
+    except OSError as why:
+        raise CacheError(f"`{path}` cannot be read: {(why.strerror or str(why)).lower()}") from None
     except ArrayFileError as why:
         raise CacheError(f"`{path}` {why}") from None
     if number is not None:
         said = arrays.get("frame")
-        if said is None or said.shape != () or int(said) != number:
+        if said is None or said.shape != () or said.dtype.kind not in "iu" or int(said) != number:
             raise CacheError(f"`{path}` does not hold frame {number}")
     return arrays
 

@@ -3,7 +3,8 @@ simulation, checkpoints only after all frames before them are on the disk, hashe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -12,22 +13,20 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.behind import Behind
 from antdsl.outputs.cache import (
-    HASHES,
     MARKER,
     STATIC,
     Cache,
-    CacheError,
     checkpoint_path,
     frame_path,
     numbered,
     open_cache,
-    read_hashes,
 )
 from antdsl.outputs.frames import FrameMaker
+from antdsl.outputs.hashes import HASHES, read_lines
 from antdsl.outputs.lock import LOCK, FolderLock
 from antdsl.outputs.manifest import Manifest, ManifestError, write_manifest
 from antdsl.outputs.npz import to_bytes, write_whole
-from antdsl.outputs.scribe import Scribe, hash_line
+from antdsl.outputs.scribe import Scribe
 from antdsl.runtime import World, handed_over, snapshot, state
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -63,25 +62,37 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
         (folder / name).mkdir(exist_ok=True)
 
 
-def clear(folder: Path, above: int | None = None) -> None:
-    """Remove the frames and checkpoints (above a frame, if given) of an earlier run, and its hashes of them; nothing else."""
+def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) -> None:
+    """Remove the frames and checkpoints (above a frame, if given, and those checkpoints that are `damaged`) of an earlier run,
+    and its hashes of them; nothing else."""
     for number in numbered(folder / "frames"):
         if above is None or number > above:
             frame_path(folder, number).unlink(missing_ok=True)
     for number in numbered(folder / "checkpoints"):
-        if above is None or number > above:
+        if above is None or number > above or number in damaged:
             checkpoint_path(folder, number).unlink(missing_ok=True)
     for part in (part for place in (folder, folder / "frames", folder / "checkpoints") for part in list(place.glob(".*.part"))):
         part.unlink(missing_ok=True)
-    kept = {} if above is None else {f: h for f, h in read_hashes(folder / HASHES).items() if f <= above}
-    write_whole(folder / HASHES, b"".join(hash_line(frame, value) for frame, value in kept.items()), sync=True)
+    kept = {} if above is None else {f: line for f, line in read_lines(folder / HASHES).items() if f <= above}
+    write_whole(folder / HASHES, b"".join(line.text(frame) for frame, line in kept.items()), sync=True)
 
 
-def resume_points(folder: Path, inputs: Mapping[str, str], first: int, last: int) -> tuple[Cache, list[int]] | None:
-    """The cache to continue and the frames one may continue from, the latest first; None where there is nothing to continue.
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """What can be kept of a cache: `points` are the checkpoints one may go on from, the latest first. `there`: the last frame
+    that it has, `broken` why the first one that is not whole is not, None where nothing is wrong."""
 
-    A checkpoint counts only when every frame up to it is there with its hash. DifferentInputs when the cache is of other
-    inputs."""
+    cache: Cache
+    points: list[int]
+    there: int | None = None
+    broken: str | None = None
+
+
+def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -> Whole | None:
+    """What can be kept of the cache to continue; None where there is nothing to continue.
+
+    A checkpoint counts only when the file of every frame up to it has the bytes that were written. DifferentInputs when the cache
+    is of other inputs."""
     try:
         cache = open_cache(folder)
     except ManifestError:
@@ -90,19 +101,19 @@ def resume_points(folder: Path, inputs: Mapping[str, str], first: int, last: int
     different = [name for name in {**then, **inputs} if then.get(name) != inputs.get(name)]
     if different:
         raise DifferentInputs(sorted(different))
-    there, hashes = set(cache.frames()), cache.hashes()
-    unbroken = first - 1
-    while unbroken + 1 in there and unbroken + 1 in hashes:
+    lines, there = cache.lines(), max(cache.frames(), default=None)
+    unbroken, broken = first - 1, None
+    while unbroken < last and (broken := cache.damage(unbroken + 1, lines.get(unbroken + 1))) is None:
         unbroken += 1
-    return cache, [number for number in reversed(cache.checkpoints()) if first <= number <= min(unbroken, last)]
+    if there is None or there <= unbroken or (there == unbroken + 1 and there not in lines):
+        broken = None  # there is no more, or the run was killed between a frame and its line
+    points = [number for number in reversed(cache.checkpoints()) if first <= number <= unbroken]
+    return Whole(cache, points, there, broken)
 
 
-def read_checkpoint(cache: Cache, frame: int) -> Arrays | None:
-    """A checkpoint's arrays less the bookkeeping, or None when it is damaged."""
-    try:
-        arrays = cache.checkpoint(frame)
-    except CacheError:
-        return None
+def read_checkpoint(cache: Cache, frame: int) -> Arrays:
+    """A checkpoint's arrays less the bookkeeping; CacheError when it is damaged."""
+    arrays = cache.checkpoint(frame)
     return {name.removeprefix("world."): array for name, array in arrays.items() if name.startswith("world.")}
 
 
@@ -143,9 +154,12 @@ class CacheWriter:
         if whole:
             behind.check()
 
-    def begin(self, world: World, static: Arrays, maker: FrameMaker, kept_up_to: int | None) -> None:
-        """Write what stands for the whole run. Frames above `kept_up_to` (all if None) of an earlier run are removed first."""
-        clear(self.folder, kept_up_to)
+    def begin(
+        self, world: World, static: Arrays, maker: FrameMaker, kept_up_to: int | None, damaged: Container[int] = ()
+    ) -> None:
+        """Write what stands for the whole run. Frames above `kept_up_to` (all if None) of an earlier run are removed first, and
+        those checkpoints that are `damaged`."""
+        clear(self.folder, kept_up_to, damaged)
         write_whole(self.folder / STATIC, to_bytes(static), sync=True)
         write_manifest(self.folder, self.manifest)
         world.carved = {}

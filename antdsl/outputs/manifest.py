@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from antdsl import limits
+from antdsl.bounded import TooLarge, read_bounded
 from antdsl.outputs.npz import write_whole
 
 FORMAT = 1
@@ -132,9 +133,9 @@ def read_manifest(folder: Path) -> Manifest:
     """The manifest of a cache's folder; ManifestError says why there is none."""
     path = folder / MANIFEST
     try:
-        if path.stat().st_size > _BYTES:
-            raise ManifestError(f"`{path}` is larger than a manifest can be")
-        text = path.read_text(encoding="utf-8")
+        text = read_bounded(path, _BYTES, follow=False).decode()
+    except TooLarge:
+        raise ManifestError(f"`{path}` is larger than a manifest can be") from None
     except (OSError, UnicodeDecodeError):
         raise ManifestError(f"`{folder}` is no cache: it has no readable `{MANIFEST}`") from None
     newer = re.search(r'"format"\s*:\s*([0-9]{1,6})', text[:200])

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.bounded import TooLarge, open_bounded
 from antdsl.scene.arrays import DTYPES, MAGIC, ArrayFileError, parse_npy, read_archive
 
 __all__ = ["ArrayFileError", "parse_npy", "read_npz", "sync_file", "sync_folder", "to_bytes", "write_whole"]
@@ -47,7 +48,9 @@ def _npy(name: str, array: NDArray[Any]) -> bytes:
 def write_whole(path: Path, data: bytes, *, sync: bool) -> None:
     """Put a file in place in one go: a reader, or a later run after a crash, sees all of it or nothing."""
     temporary = path.with_name(f".{path.name}.part")
-    with open(temporary, "wb") as file:
+    temporary.unlink(missing_ok=True)
+    # "x": what stands there of a crash, or a link that somebody has put there, is never written into
+    with open(temporary, "xb") as file:
         file.write(data)
         if sync:
             file.flush()
@@ -93,9 +96,9 @@ def sync_folder(folder: Path) -> None:
 
 def read_npz(path: Path, only: Container[str] | None = None) -> dict[str, NDArray[Any]]:
     """All arrays of a file that `to_bytes` wrote, or `only` those of some names, checksums compared; ArrayFileError says what is
-    wrong with any other."""
-    with open(path, "rb") as file:
-        size = os.fstat(file.fileno()).st_size
-        if size > FILE_BYTES:
-            raise ArrayFileError(f"has {size:,} bytes, more than {FILE_BYTES:,}")
-        return read_archive(file, size, only)
+    wrong with any other, OSError why it cannot be opened: a link is not followed."""
+    try:
+        with open_bounded(path, FILE_BYTES, follow=False) as file:
+            return read_archive(file, os.fstat(file.fileno()).st_size, only)
+    except TooLarge as why:
+        raise ArrayFileError(f"has {why.size:,} bytes, more than {why.cap:,}") from None

@@ -10,8 +10,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from antdsl.outputs.cache import Cache
-from antdsl.outputs.cache_writer import CacheWriter, prepare_folder, read_checkpoint, resume_points
+from antdsl.outputs.cache import Cache, CacheError, checkpoint_path
+from antdsl.outputs.cache_writer import CacheWriter, Whole, prepare_folder, read_checkpoint, whole_part
 from antdsl.outputs.feelers import feelers_of
 from antdsl.outputs.frames import FrameMaker, describe, static_arrays
 from antdsl.outputs.manifest import CameraEntry
@@ -33,6 +33,8 @@ class Recording:
     world: World
     inputs: Mapping[str, str]
     resumed_from: int | None = None
+    damaged: list[int] = field(default_factory=list)  # checkpoints of an earlier run that are of no use
+    notes: list[str] = field(default_factory=list)  # what of an earlier run was damaged, and is made again
     static: dict[str, NDArray[Any]] = field(default_factory=dict)  # what stands in the cache for the whole run
     frame: int | None = None  # the last that was handed over to be written
     stop: bool = False
@@ -68,38 +70,69 @@ class NothingToResume(Exception):
 def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bool) -> Recording:
     """Bind the shot; with `resume`, put the world where the last good checkpoint left it.
 
-    A checkpoint is good when all frames up to it are there and the world made from it has the hash that the cache has for
-    that frame."""
+    A checkpoint is good when the files of all frames up to it are whole and the world made from it has the hash that the cache
+    has for that frame."""
     inputs = {**shot.inputs, **start_hash(shot)}
-    points: tuple[Cache, list[int]] | None = None
+    kept: Whole | None = None
     if resume:
-        points = resume_points(folder, inputs, shot.frames.first, shot.frames.last)
-        if points is None and any((folder / "frames").glob("frame.*.npz")):
+        kept = whole_part(folder, inputs, shot.frames.first, shot.frames.last)
+        if kept is None and any((folder / "frames").glob("frame.*.npz")):
             raise NothingToResume(f"`{folder}` has frames and no readable manifest")
     prepare_folder(folder, force=force)
     began = time.perf_counter()
     world = bind(shot.plan, shot.setting, options)
     recording = Recording(shot, folder, world, inputs, static=static_arrays(world, shot.setting))
     recording.spend("bind", began)
-    if points is not None:
-        cache, frames = points
-        hashes = cache.hashes()
-        for frame in frames:
-            arrays = read_checkpoint(cache, frame)
-            if arrays is None:
-                continue
-            try:
-                restore(world, arrays)
-            except CheckpointError:
-                continue
-            if state_hash(world) == hashes.get(frame):
-                recording.resumed_from = recording.frame = frame
-                recording.hash = hashes[frame]
-                return recording
-        if frames:  # a checkpoint that turned out bad has been put into this world
-            recording.world = bind(shot.plan, shot.setting, options)
-    start_from_cache(shot, recording.world)
+    if kept is not None:
+        _go_on(recording, kept, options)
+    if recording.resumed_from is None:
+        start_from_cache(shot, recording.world)
     return recording
+
+
+def _go_on(recording: Recording, kept: Whole, options: Options) -> None:
+    """Put the world where the last good checkpoint left it, and note what was damaged and is made again."""
+    shot, hashes, found = recording.shot, kept.cache.hashes(), [] if kept.broken is None else [kept.broken]
+    for frame in kept.points:
+        why = _restored(recording.world, kept.cache, frame, hashes[frame])
+        if why is None:
+            recording.resumed_from = recording.frame = frame
+            recording.hash = hashes[frame]
+            break
+        found.append(why)
+        recording.world = bind(shot.plan, shot.setting, options)  # what is bad has been put into the one before
+    if recording.resumed_from is not None:
+        found += _damaged(recording, kept.cache, recording.resumed_from)
+    first = shot.frames.first if recording.resumed_from is None else recording.resumed_from + 1
+    again = min(shot.frames.last, first if kept.there is None else kept.there)
+    if not found and recording.resumed_from is None and kept.there is not None and kept.there >= first:
+        found.append(f"`{kept.cache.folder}` has no checkpoint from which all frames are whole")
+    if len(found) > len(recording.damaged) and again >= first:
+        found.append(f"frame {first} is made again" if again == first else f"frames {first} to {again} are made again")
+    recording.notes = found
+
+
+def _damaged(recording: Recording, cache: Cache, before: int) -> Iterator[str]:
+    """Why checkpoints before a frame cannot be read; they are noted to be removed."""
+    for frame in cache.checkpoints():
+        if frame < before:
+            try:
+                cache.checkpoint(frame)
+            except CacheError as why:
+                recording.damaged.append(frame)
+                yield f"{why}, and is removed"
+
+
+def _restored(world: World, cache: Cache, frame: int, state: str) -> str | None:
+    """Put the world where a checkpoint left it; why that is not possible, in words that stand alone."""
+    path = checkpoint_path(cache.folder, frame)
+    try:
+        restore(world, read_checkpoint(cache, frame))
+    except CacheError as why:
+        return str(why)
+    except CheckpointError as why:
+        return f"`{path}` is damaged: {why}"
+    return None if state_hash(world) == state else f"`{path}` does not hold the state of frame {frame}"
 
 
 def record(recording: Recording, watch: Callable[[str, int], None] = lambda what, frame: None) -> Iterator[Recording]:
@@ -130,7 +163,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         camera=_camera(shot),
     )
     with CacheWriter(recording.folder, manifest, recording.written) as writer:
-        writer.begin(world, recording.static, maker, recording.resumed_from)
+        writer.begin(world, recording.static, maker, recording.resumed_from, recording.damaged)
         if recording.resumed_from is None:
             for _ in range(model.preroll):
                 if recording.stop:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.cache import HASHES, checkpoint_path, frame_path
+from antdsl.outputs.cache import checkpoint_path, frame_path
 from antdsl.outputs.frames import FrameMaker
+from antdsl.outputs.hashes import HASHES, line_of
 from antdsl.outputs.npz import sync_file, sync_folder, to_bytes, write_whole
 from antdsl.runtime import World, dig_again, show, solid_state, state_hash
 
@@ -46,10 +46,11 @@ class Scribe:
         made = self.maker.frame(self.still)
         began = _spend(found, "frame", began)
         path = frame_path(self.folder, self.still.frame)
-        write_whole(path, to_bytes(made), sync=False)
+        data = to_bytes(made)
+        write_whole(path, data, sync=False)
         self._unsynced.append(path)
         with open(self.folder / HASHES, "ab") as hashes:
-            hashes.write(hash_line(self.still.frame, found["hash"]))
+            hashes.write(line_of(self.still.frame, found["hash"], data).text(self.still.frame))
         _spend(found, "write", began)
 
     def checkpoint(self, arrays: Arrays, found: dict[str, Any]) -> None:
@@ -78,11 +79,6 @@ JOBS: Mapping[str, Callable[[Scribe, Arrays, dict[str, Any]], None]] = {
     "checkpoint": Scribe.checkpoint,
     "sync": Scribe.sync,
 }
-
-
-def hash_line(frame: int, value: str) -> bytes:
-    """What the file of hashes has for a frame."""
-    return json.dumps({"frame": frame, "hash": value}).encode() + b"\n"
 
 
 def surface_error(world: World) -> float:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 
 import numpy as np
 
+from antdsl.bounded import blocks
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache import CacheError, checkpoint_path, open_cache
 from antdsl.outputs.manifest import ManifestError
+from antdsl.outputs.npz import FILE_BYTES
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, World, restore
 from antdsl.runtime.carrying import pose
@@ -42,11 +45,21 @@ def start_hash(shot: Shot) -> dict[str, str]:
     folder, start = source_of(shot), shot.scene.model.start
     if folder is None or start is None:
         return {}
-    path = checkpoint_path(folder, start.frame)
+    hashed = hashlib.blake2b(digest_size=16)
     try:
-        return {"from": hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()}
+        handle = shot.scene.roots.open(checkpoint_path(Path(start.cache), start.frame).as_posix())
+    except PathRefused as refused:
+        if refused.code == "no-such-file":
+            raise _missing(shot, folder) from None
+        raise _error(shot, refused.code, str(refused), "cache", refused.help) from None
+    try:
+        for block in blocks(handle, FILE_BYTES):
+            hashed.update(block)
     except OSError:
         raise _missing(shot, folder) from None
+    finally:
+        os.close(handle)
+    return {"from": hashed.hexdigest()}
 
 
 def start_from_cache(shot: Shot, world: World) -> None:

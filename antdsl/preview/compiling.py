@@ -14,7 +14,7 @@ from antdsl.loading import Parsed
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.preview.foreseen import Foreseen
 from antdsl.runtime import BindError, Built, Taken, World, take_over
-from antdsl.scene.paths import sought
+from antdsl.scene.paths import Sought, open_again, sought
 from antdsl.source import Source
 
 
@@ -26,8 +26,8 @@ class Compiler:
     instead: dict[Path, str] = field(default_factory=dict)
     built: Built = field(default_factory=Built)
     _parsed: Parsed = field(default_factory=dict)
-    _files: tuple[Path, ...] = ()  # that the last shot was made of
-    _tried: tuple[Path, ...] = ()  # that were asked for last, also those that are not there
+    _files: Sought = field(default_factory=dict)  # that the last shot was made of
+    _tried: Sought = field(default_factory=dict)  # that were asked for last, also those that are not there
     _foreseen: Foreseen | None = None
 
     def foresee(self, choices: Choices | None = None) -> None:
@@ -46,7 +46,7 @@ class Compiler:
             return foreseen.shot, foreseen.report
         with _without_pauses(), sought() as found:
             shot, report = open_scene(self.scene, choices, parsed=self._parsed, thorough=False)
-        self._tried = tuple(found)
+        self._tried = found
         if shot is not None:
             self._files = self._tried
         return shot, report
@@ -61,9 +61,17 @@ class Compiler:
         self.built.forget()
         return made, taken, Report()
 
-    def files(self) -> list[Path]:
-        """All files that the scene was last made of, and those that it was tried with since: some may not be there yet."""
-        return list(dict.fromkeys([self.scene, *self._files, *self._tried, *(Path(place) for place in self._parsed)]))
+    def files(self) -> Sought:
+        """All files that the scene was last made of, and those that it was tried with since: some may not be there yet. Each with
+        the root below which no link is followed."""
+        found: Sought = {self.scene: None, **self._files, **self._tried}
+        for path in map(Path, self._parsed):
+            found.setdefault(path, path.parent)
+        return found
+
+    def open_file(self, path: Path) -> int:
+        """A handle on one of these files, to be closed by the caller; OSError where it is not there, or is no regular file."""
+        return open_again(path, self.files().get(path, path.parent))
 
     def _forget_changed(self) -> None:
         for path, text in self.instead.items():

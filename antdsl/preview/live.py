@@ -92,7 +92,7 @@ class Live:
         self.observers: list[Observer] = []
         for make in OBSERVERS:
             self.observers.append(make(self))
-        self._watch = Watch(compiler.files) if watch else None
+        self._watch = Watch(compiler.files, opened=compiler.open_file) if watch else None
         self._queue: deque[tuple[Ask | str, Client]] = deque()
         self._later: list[tuple[Ask, Client]] = []  # asked before there was a session
         self._changed, self._over = Condition(), False

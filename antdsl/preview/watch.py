@@ -6,16 +6,19 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from hashlib import sha256
+from hashlib import blake2b
 from pathlib import Path
 from threading import Event
 from time import monotonic
+
+from antdsl.bounded import TooLarge, blocks, open_regular
 
 _QUIET = 0.03  # seconds that a file has to stay as it is
 _ABSENT = 0.3  # the same for one that is not there or empty: half of a save by most editors
 _AGAIN = 1.0  # seconds after which small files are read though nothing tells of a change: clocks of disks can be coarse
 _SMALL = 1 << 20
-_BLOCK = 1 << 20
+_AT_ONCE = 1 << 20  # bytes of such files that are read in one look
+_READ = 1 << 26  # bytes of one file that are read; a larger one is known by its date and size alone
 _UNKNOWN = b""  # no hash of any contents
 
 Stamp = tuple[int, int, int] | None
@@ -32,20 +35,30 @@ class _File:
 
 
 class Watch:
-    """Files, by what `paths` gives each time: an edit may bring in others. `clock` counts seconds."""
+    """Files, by what `paths` gives each time: an edit may bring in others. `opened` gives a handle on a regular file, or an
+    OSError; `clock` counts seconds.
 
-    def __init__(self, paths: Callable[[], Iterable[Path]], *, clock: Callable[[], float] = monotonic) -> None:
-        self._paths, self._clock = paths, clock
+    What is no regular file counts as one that is not there, until one takes its place."""
+
+    def __init__(
+        self,
+        paths: Callable[[], Iterable[Path]],
+        *,
+        opened: Callable[[Path], int] = open_regular,
+        clock: Callable[[], float] = monotonic,
+    ) -> None:
+        self._paths, self._opened, self._clock = paths, opened, clock
         self._files: dict[Path, _File] = {}
+        self._left = 0  # bytes that may still be read in this look without a sign of change
         self.look()
 
     def look(self) -> tuple[Path, ...]:
         """Files that have other contents than when they were last told of, or first seen, and have come to rest."""
-        now, paths = self._clock(), list(dict.fromkeys(self._paths()))
+        now, paths, self._left = self._clock(), list(dict.fromkeys(self._paths())), _AT_ONCE
         changed = [path for path in paths if path in self._files and self._changed(path, self._files[path], now)]
         for path in paths:
             if path not in self._files:
-                self._files[path] = _File(stamp := _stamp(path), _contents(path), stamp, read=now)
+                self._files[path] = _File(stamp := _stamp(path), self._contents(path), stamp, read=now)
         for path in set(self._files) - set(paths):
             del self._files[path]
         return tuple(changed)
@@ -75,17 +88,36 @@ class Watch:
         stamp = _stamp(path)
         if stamp != known.stamp:
             known.stamp, known.since, known.stirred = stamp, now, True
-        elif known.since is None and stamp is not None and stamp[1] <= _SMALL and now - known.read >= _AGAIN:
+        elif known.since is None and stamp is not None and stamp[1] <= _SMALL and now - known.read >= _AGAIN and self._left > 0:
             known.since = now
+            self._left -= stamp[1]
         if known.since is None or now - known.since < (_ABSENT if stamp is None or stamp[1] == 0 else _QUIET):
             return False
-        contents = _contents(path)
+        contents = self._contents(path)
         if _stamp(path) != stamp:  # written to while it was read
             known.since = now
             return False
         known.since, known.read, known.stirred = None, now, False
         other, known.contents, known.held = contents != known.contents, contents, stamp
         return other
+
+    def _contents(self, path: Path) -> bytes | None:
+        """A hash of what is in a regular file; of a large one, of its stamp."""
+        hashed = blake2b(digest_size=16)
+        try:
+            handle = self._opened(path)
+        except (OSError, ValueError):
+            return None
+        try:
+            for block in blocks(handle, _READ):
+                hashed.update(block)
+        except TooLarge:
+            return repr(_stamp(path)).encode()
+        except OSError:
+            return None
+        finally:
+            os.close(handle)
+        return hashed.digest()
 
 
 def _stamp(path: Path) -> Stamp:
@@ -94,14 +126,3 @@ def _stamp(path: Path) -> Stamp:
     except (OSError, ValueError):
         return None
     return status.st_mtime_ns, status.st_size, status.st_ino
-
-
-def _contents(path: Path) -> bytes | None:
-    hashed = sha256()
-    try:
-        with open(path, "rb") as file:
-            while block := file.read(_BLOCK):
-                hashed.update(block)
-    except (OSError, ValueError):
-        return None
-    return hashed.digest()

@@ -83,6 +83,17 @@ def show(still: World, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Put a world, bound to the same plan and setting, into a state. Raises CheckpointError, and then the world is of no use."""
+    try:
+        _restore(world, arrays)
+        for population in world.populations.values():
+            world.ground.position(population.footing)  # no face that is not there: compiled code would not look
+    except CheckpointError:
+        raise
+    except (ValueError, TypeError, IndexError, KeyError, OverflowError) as why:  # arrays that somebody else has made
+        raise CheckpointError(f"it does not hold together ({type(why).__name__})") from why
+
+
+def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     world.frame = int(_take(arrays, "frame"))
     world.faults.count = int(_take(arrays, "faults"))
     for name in world.params:

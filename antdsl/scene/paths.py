@@ -6,18 +6,20 @@ from __future__ import annotations
 
 import os
 import re
-import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from antdsl.bounded import NotRegular, TooLarge, open_regular, read_handle
+
 _DEVICES = frozenset(["con", "prn", "aux", "nul", *(f"com{i}" for i in range(10)), *(f"lpt{i}" for i in range(10))])
 _PART = re.compile(r"[A-Za-z0-9_.,+@() \u00a1-\uffff\-]+")
 _GRANTED = re.compile(r"([A-Za-z][A-Za-z0-9_]{1,31}):(?!//)(.*)", re.DOTALL)
 _PATH_CHARACTERS = 500
-_sought: ContextVar[dict[Path, None] | None] = ContextVar("sought", default=None)
+Sought = dict[Path, Path | None]
+_sought: ContextVar[Sought | None] = ContextVar("sought", default=None)
 _SEQUENCE = re.compile("([^#]*?)(#{1,9})([^#/]*)")
 
 
@@ -30,9 +32,10 @@ class PathRefused(Exception):
 
 
 @contextmanager
-def sought() -> Iterator[dict[Path, None]]:
-    """All files that are asked for at this door meanwhile, in order, whether they are there or not."""
-    found: dict[Path, None] = {}
+def sought() -> Iterator[Sought]:
+    """All files that are asked for at this door meanwhile, in order, whether they are there or not; each with the root below
+    which no link is followed, None for one that the person named."""
+    found: Sought = {}
     before = _sought.set(found)
     try:
         yield found
@@ -69,18 +72,19 @@ class Roots:
 
     def read(self, text: str, cap: int) -> bytes:
         """The bytes of a regular file of at most `cap` bytes; PathRefused says why not."""
+        return _bytes(self.open(text), text, cap)
+
+    def open(self, text: str) -> int:
+        """A handle on a regular file, to be closed by the caller; PathRefused says why there is none."""
         root, parts = self.locate(text)
-        _note(root.joinpath(*parts))
-        handle = _open_below(root, parts, text)
-        return _bytes(handle, text, cap)
+        _note(root.joinpath(*parts), root)
+        return _open_below(root, parts, text)
 
     def exists(self, text: str) -> int:
         """The size of a regular file in bytes, without reading it; PathRefused says why not."""
-        root, parts = self.locate(text)
-        _note(root.joinpath(*parts))
-        handle = _open_below(root, parts, text)
+        handle = self.open(text)
         try:
-            return _regular(handle, text)
+            return os.fstat(handle).st_size
         finally:
             os.close(handle)
 
@@ -106,36 +110,39 @@ class Roots:
 def read_named(path: Path, cap: int) -> bytes:
     """The bytes of a file that the person named on the command line: links are followed, anything but a regular file refused."""
     shown = str(path)
-    _note(path)
+    _note(path, None)
     try:
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        handle = open_regular(path)
     except FileNotFoundError:
         raise PathRefused("no-such-file", f"there is no file `{shown}`") from None
     except OSError as problem:
-        raise PathRefused("no-such-file", f"cannot open `{shown}`: {(problem.strerror or 'it is refused').lower()}") from None
+        raise _refused(problem, shown) from None
     return _bytes(handle, shown, cap)
 
 
-def _note(path: Path) -> None:
+def open_again(path: Path, root: Path | None) -> int:
+    """A handle on a regular file that was asked for before, to be closed by the caller: below its root no link is followed. For
+    whoever looks whether it has changed; OSError where it cannot be had."""
+    if root is None:
+        return open_regular(path)
+    try:
+        return _open_below(root, path.relative_to(root).parts, path.name)
+    except PathRefused as refused:
+        raise OSError(str(refused)) from None
+
+
+def _note(path: Path, root: Path | None) -> None:
     found = _sought.get()
     if found is not None:
-        found[path] = None
+        found[path] = root
 
 
 def _bytes(handle: int, shown: str, cap: int) -> bytes:
     """All of an open regular file of at most `cap` bytes, one that grows meanwhile included; the handle is closed."""
     try:
-        size = _regular(handle, shown)
-        parts: list[bytes] = []
-        left = cap + 1 if size <= cap else 0
-        while left > 0 and (part := os.read(handle, min(left, 1 << 24))):
-            parts.append(part)
-            left -= len(part)
-    finally:
-        os.close(handle)
-    if left <= 0:
-        raise PathRefused("too-large", f"`{shown}` has {size:,} bytes, and more than {cap:,} are not read")
-    return b"".join(parts)
+        return read_handle(handle, cap)
+    except OSError as problem:
+        raise _refused(problem, shown) from None
 
 
 def _refuse(text: str, why: str, help: str | None) -> PathRefused:
@@ -167,12 +174,13 @@ def _parts(text: str, rest: str) -> tuple[str, ...]:
     return parts
 
 
-def _regular(handle: int, shown: str) -> int:
-    about = os.fstat(handle)
-    if not stat.S_ISREG(about.st_mode):
-        kind = "a folder" if stat.S_ISDIR(about.st_mode) else "not a regular file"
-        raise PathRefused("not-a-file", f"`{shown}` is {kind}", "name a file")
-    return about.st_size
+def _refused(problem: OSError, shown: str) -> PathRefused:
+    """Why a file that is there is not read."""
+    if isinstance(problem, NotRegular):
+        return PathRefused("not-a-file", f"`{shown}` is {problem.kind}", "name a file")
+    if isinstance(problem, TooLarge):
+        return PathRefused("too-large", f"`{shown}` has {problem.size:,} bytes, and more than {problem.cap:,} are not read")
+    return PathRefused("no-such-file", f"cannot open `{shown}`: {(problem.strerror or 'it is refused').lower()}")
 
 
 def _open_below(root: Path, parts: tuple[str, ...], shown: str) -> int:
@@ -182,12 +190,14 @@ def _open_below(root: Path, parts: tuple[str, ...], shown: str) -> int:
         whole = root.joinpath(*parts)
         if not whole.resolve().is_relative_to(root.resolve()):
             raise _refuse(shown, "leaves its folder by a link", None)
-        return os.open(whole, os.O_RDONLY | getattr(os, "O_BINARY", 0))
+        try:
+            return open_regular(whole)
+        except OSError as problem:
+            raise _why_not(problem, os.fspath(whole.parent), shown) from None
     folder = _folder_below(root, parts[:-1], shown)
     try:
         _exact_name(folder, parts[-1], shown)
-        # O_NONBLOCK: opening a named pipe must not wait for somebody to write
-        return os.open(parts[-1], os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
+        return open_regular(parts[-1], follow=False, folder=folder)
     except OSError as problem:
         raise _why_not(problem, folder, shown) from None
     finally:
@@ -237,7 +247,7 @@ def _exact_name(folder: int, part: str, shown: str) -> None:
             )
 
 
-def _why_not(problem: OSError, folder: int, shown: str) -> PathRefused:
+def _why_not(problem: OSError, folder: int | str, shown: str) -> PathRefused:
     import errno
 
     if problem.errno == errno.ENOENT:
@@ -249,4 +259,4 @@ def _why_not(problem: OSError, folder: int, shown: str) -> PathRefused:
         return PathRefused(
             "bad-path", f"a part of `{shown}` is a link or no folder; links are not followed", "name the file itself"
         )
-    return PathRefused("no-such-file", f"cannot open `{shown}`: {(problem.strerror or 'it is refused').lower()}")
+    return _refused(problem, shown)

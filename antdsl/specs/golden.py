@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from antdsl import __version__, limits
+from antdsl.bounded import TooLarge, read_bounded
 from antdsl.outputs.npz import write_whole
 from antdsl.program.model import Program
 from antdsl.runtime import World, state_hash
@@ -108,11 +109,11 @@ def here() -> dict[str, str]:
 def read_golden(path: Path) -> Golden | None:
     """The golden runs of a file, None where there is no file; GoldenError says what is wrong with one."""
     try:
-        if path.stat().st_size > _BYTES:
-            raise GoldenError(f"`{path.name}` is larger than a file of golden runs can be")
-        return Golden.model_validate_json(path.read_bytes())
+        return Golden.model_validate_json(read_bounded(path, _BYTES))
     except FileNotFoundError:
         return None
+    except TooLarge:
+        raise GoldenError(f"`{path.name}` is larger than a file of golden runs can be") from None
     except OSError as problem:
         raise GoldenError(f"`{path.name}` cannot be read: {(problem.strerror or str(problem)).lower()}") from None
     except (ValidationError, RecursionError):

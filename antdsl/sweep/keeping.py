@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from antdsl import __version__
+from antdsl import __version__, limits
+from antdsl.bounded import read_bounded
 from antdsl.outputs.npz import write_whole
 from antdsl.sweep.jobs import Job
 
 MARK = "sweep.json"
+_BYTES = 16 * limits.MIB  # of what is kept of one run
 
 
 class OtherFiles(Exception):
@@ -34,8 +36,8 @@ class Keeper:
     def kept(self, job: Job) -> dict[str, Any] | None:
         """The measures of a run that was finished before, or None."""
         try:
-            document = json.loads(self.path(job).read_bytes())
-        except (OSError, ValueError):
+            document = json.loads(read_bounded(self.path(job), _BYTES))
+        except (OSError, ValueError, RecursionError):
             return None
         fits = isinstance(document, dict) and document.get("key") == job.key and isinstance(document.get("measures"), dict)
         return document["measures"] if fits else None

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-import stat
 
 from antdsl import limits
+from antdsl.bounded import NotRegular, TooLarge, open_regular, read_handle
 from antdsl.diagnostics.model import Report
 from antdsl.source import Source, Span
 
@@ -33,14 +33,15 @@ _OTHERS = (
 )
 
 
-def read(path: str | os.PathLike[str]) -> tuple[Source | None, Report]:
-    """Read a `.ant` file: regular, at most 256 KiB, UTF-8 (a byte order mark is dropped, line ends become LF).
+def read(path: str | os.PathLike[str], handle: int | None = None) -> tuple[Source | None, Report]:
+    """Read a `.ant` file: regular, at most 256 KiB, UTF-8 (a byte order mark is dropped, line ends become LF). `handle`: the
+    file, where somebody has opened it already; it is closed.
 
     Returns no source when it cannot be read; the report says why. Never raises for whatever the path names.
     """
     report = Report()
     name = os.fspath(path)
-    data = _bytes(name, report)
+    data = _bytes(name, handle, report)
     if data is None:
         return None, report
     return read_bytes(name, data)
@@ -66,46 +67,26 @@ def _wanted(kind: str) -> str:
     return "save it as UTF-8" if kind.startswith("UTF-16") else "name a text file that begins with `ant 1`"
 
 
-def _bytes(name: str, report: Report) -> bytes | None:
+def _bytes(name: str, handle: int | None, report: Report) -> bytes | None:
     if "\0" in name:
         report.error("cannot-read", "file name with a zero character in it", None, "name a `.ant` file")
         return None
     try:
-        # without O_NONBLOCK, opening a pipe waits for somebody to write into it
-        descriptor = os.open(name, os.O_RDONLY | sum(getattr(os, flag, 0) for flag in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY")))
-    except OSError as error:
-        report.error("cannot-read", f"cannot read `{name}`: {_reason(error)}", None, "check the name and your right to read it")
-        return None
-    try:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            kind = "a folder" if stat.S_ISDIR(status.st_mode) else "no regular file"
-            report.error("cannot-read", f"`{name}` is {kind}", None, "name a `.ant` file")
-            return None
-        data = _at_most(descriptor, limits.ANT_FILE_BYTES + 1) if status.st_size <= limits.ANT_FILE_BYTES else None
-    except OSError as error:
-        report.error("cannot-read", f"cannot read `{name}`: {_reason(error)}", None, "check the disk")
-        return None
-    finally:
-        os.close(descriptor)
-    if data is None:
+        return read_handle(open_regular(name) if handle is None else handle, limits.ANT_FILE_BYTES)
+    except TooLarge:
         _too_large(name, report)
-    return data
+    except NotRegular as why:
+        report.error("cannot-read", f"`{name}` is {why.kind}", None, "name a `.ant` file")
+    except OSError as error:
+        reason = (error.strerror or "unknown reason").lower()
+        report.error("cannot-read", f"cannot read `{name}`: {reason}", None, "check the name and your right to read it")
+    return None
 
 
 def _too_large(name: str, report: Report) -> None:
     most = limits.ANT_FILE_BYTES // limits.KIB
     help = 'split it, and bring the parts in with `use "./part.ant" as part`'
     report.error("file-too-large", f"`{name}` is larger than {most} KiB", None, help)
-
-
-def _at_most(descriptor: int, count: int) -> bytes:
-    """Up to `count` bytes, even of a file that grows meanwhile."""
-    parts = []
-    while count > 0 and (part := os.read(descriptor, count)):
-        parts.append(part)
-        count -= len(part)
-    return b"".join(parts)
 
 
 def _decode(name: str, data: bytes, report: Report) -> str | None:
@@ -118,7 +99,3 @@ def _decode(name: str, data: bytes, report: Report) -> str | None:
         help = "save the file as UTF-8 in your editor"
         report.error("not-utf8", message, Span(shown, place, place + 1), help)
         return None
-
-
-def _reason(error: OSError) -> str:
-    return (error.strerror or "unknown reason").lower()

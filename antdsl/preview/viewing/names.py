@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from antdsl.bounded import read_handle
 from antdsl.diagnostics import Diagnostic
 from antdsl.resources import library_file
 from antdsl.scene.document import decode
@@ -75,12 +77,11 @@ def utf16(text: str) -> int:
     return len(text) + sum(letter > "\uffff" for letter in text)
 
 
-def text_of(path: Path) -> str | None:
-    """The text of a program or a scene as those who read it count, whatever is wrong with it; None where there is none."""
+def text_of(path: Path, opened: Callable[[Path], int]) -> str | None:
+    """The text of a program or a scene as those who read it count, whatever is wrong with it; None where there is none. `opened`
+    gives a handle on a regular file, or an OSError."""
     try:
-        if path.stat().st_size > TEXT_BYTES:
-            return None
-        data = path.read_bytes()
+        data = read_handle(opened(path), TEXT_BYTES)
     except OSError:
         return None
     source, _ = reading.read_bytes(str(path), data) if path.suffix == ".ant" else decode(data, str(path))

@@ -106,7 +106,7 @@ def _layers(session: Session, names: Names, population: Population) -> list[dict
         found.append({"text": span.text, "file": names.of(span.source.path), "line": line, "on": True})
     for (species, text), path in session.off.items():
         if species == population.name:
-            whole = text_of(path) or ""
+            whole = text_of(path, session.compiler.open_file) or ""
             own = re.search(rf"^\s*species\s+{re.escape(species)}\b", whole, re.MULTILINE)
             line = whole.count("\n", 0, max(whole.find(text, own.start() if own else 0), 0)) + 1
             found.append({"text": text, "file": names.of(path), "line": line, "on": False})

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from antdsl import __version__
+from antdsl.diagnostics import Report
+from antdsl.diagnostics.render import shown
 from antdsl.preview.session import Outcome
 from antdsl.preview.viewing.names import is_library, text_of
 
@@ -27,9 +29,13 @@ def scene_file(live: Live) -> str:
 
 def texts(live: Live) -> Message:
     """All programs and scenes, as they are on the disk."""
-    found = []
-    for path in dict.fromkeys(Path(os.path.realpath(each)) for each in live.compiler.files()):
-        if path.suffix in (".ant", ".yaml", ".yml") and (text := text_of(path)) is not None:
+    found, told = [], set()
+    for each in live.compiler.files():
+        path = Path(os.path.realpath(each))
+        if path in told or path.suffix not in (".ant", ".yaml", ".yml"):
+            continue
+        if (text := text_of(each, live.compiler.open_file)) is not None:
+            told.add(path)
             kind = "library" if is_library(path) else "ant" if path.suffix == ".ant" else "yaml"
             found.append({"file": live.screen.names.of(path), "text": text, "kind": kind})
     return {"op": "texts", "texts": found}
@@ -37,11 +43,20 @@ def texts(live: Live) -> Message:
 
 def problems(live: Live) -> Message:
     """What is wrong with the files, as of the last time that they were tried."""
-    return {"op": "problems", "problems": [live.screen.names.problem(each) for each in live.report.sorted()]}
+    return {"op": "problems", "problems": _problems(live, live.report)}
+
+
+def _problems(live: Live, report: Report) -> list[Message]:
+    """What is wrong, as far as it is shown, and how much more there is."""
+    kept = shown(report)
+    found, more = [live.screen.names.problem(each) for each in kept], len(report.diagnostics) - len(kept)
+    if more:
+        found.append({**found[-1], "message": f"… and {more:,} more", "help": "", "file": None, "start": 0, "end": 0})
+    return found
 
 
 def outcome(live: Live, of: str, done: Outcome, file: str = "") -> Message:
-    found = [live.screen.names.problem(each) for each in done.report.sorted()]
+    found = _problems(live, done.report)
     return {"op": "outcome", "of": of, "ok": done.ok, "line": done.line, "text": done.text, "file": file, "problems": found}
 
 

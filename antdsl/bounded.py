@@ -1,0 +1,115 @@
+"""Bounded reads: the one way in which a file that a person can name is opened. Only regular files, never waiting, at most so many
+bytes."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from collections.abc import Iterator
+from typing import IO
+
+_BLOCK = 1 << 20
+_READ = os.O_RDONLY | sum(getattr(os, flag, 0) for flag in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY", "O_NOCTTY"))
+_LEVELS_BELOW = os.open in os.supports_dir_fd and os.stat in os.supports_dir_fd
+
+Name = str | os.PathLike[str]
+
+
+class NotRegular(OSError):
+    """A folder, a pipe, a socket or a device; the text says which, in words that fit after the file's name and `is`."""
+
+    def __init__(self, kind: str) -> None:
+        super().__init__(errno.EINVAL, f"it is {kind}")
+        self.kind = kind
+
+    def __str__(self) -> str:
+        return self.kind
+
+
+class TooLarge(OSError):
+    """A file of `size` bytes, where fewer are read."""
+
+    def __init__(self, size: int, cap: int) -> None:
+        super().__init__(errno.EFBIG, f"it has {size:,} bytes, and more than {cap:,} are not read")
+        self.size, self.cap = size, cap
+
+
+def open_regular(path: Name, *, follow: bool = True, folder: int | None = None) -> int:
+    """A handle on a regular file, to be closed by the caller. `follow`: a link at the end of the path is followed; `folder`: an
+    open one that the path is relative to. NotRegular, or another OSError, says why not.
+
+    What is no regular file is not even opened: that alone can wake who writes into a pipe, or start a device. Where another takes
+    its place in between, O_NONBLOCK keeps the opening from waiting, and the handle is asked again."""
+    below = {"dir_fd": folder} if folder is not None and _LEVELS_BELOW else {}
+    try:
+        _demand_regular(os.stat(path, follow_symlinks=follow, **below))
+        handle = os.open(path, _READ | (0 if follow else getattr(os, "O_NOFOLLOW", 0)), **below)
+    except ValueError:  # a name with a zero character
+        raise OSError(errno.EINVAL, "it has a name that no file can have") from None
+    try:
+        _demand_regular(os.fstat(handle))
+    except BaseException:
+        os.close(handle)
+        raise
+    return handle
+
+
+def _demand_regular(about: os.stat_result) -> None:
+    if stat.S_ISLNK(about.st_mode):
+        raise OSError(errno.ELOOP, "it is a link")
+    if not stat.S_ISREG(about.st_mode):
+        raise NotRegular("a folder" if stat.S_ISDIR(about.st_mode) else "not a regular file")
+
+
+def size_of(handle: int, cap: int) -> int:
+    """The size of an open file in bytes; TooLarge above `cap`."""
+    size = os.fstat(handle).st_size
+    if size > cap:
+        raise TooLarge(size, cap)
+    return size
+
+
+def blocks(handle: int, cap: int) -> Iterator[bytes]:
+    """What is in an open file, block by block; TooLarge above `cap` bytes, before anything is read or, of a file that grows
+    meanwhile, as soon as it is known. The handle stays open."""
+    size_of(handle, cap)
+    left = cap + 1
+    while part := os.read(handle, min(left, _BLOCK)):
+        left -= len(part)
+        if left <= 0:
+            raise TooLarge(max(os.fstat(handle).st_size, cap + 1), cap)
+        yield part
+
+
+def read_handle(handle: int, cap: int) -> bytes:
+    """All of an open file, which is closed; TooLarge above `cap` bytes."""
+    try:
+        return b"".join(blocks(handle, cap))
+    finally:
+        os.close(handle)
+
+
+def read_bounded(path: Name, cap: int, *, follow: bool = True) -> bytes:
+    """All of a regular file; NotRegular, TooLarge or another OSError says why not. `follow` as in `open_regular`."""
+    return read_handle(open_regular(path, follow=follow), cap)
+
+
+def read_start(path: Name, count: int) -> bytes:
+    """The first bytes of a regular file, at most `count`; links are followed. OSError where there is none."""
+    handle = open_regular(path)
+    try:
+        return os.read(handle, count)
+    finally:
+        os.close(handle)
+
+
+def open_bounded(path: Name, cap: int, *, follow: bool = True) -> IO[bytes]:
+    """A regular file of at most `cap` bytes, to be read here and there; OSError says why not. `follow` as in `open_regular`."""
+    handle = open_regular(path, follow=follow)
+    try:
+        size_of(handle, cap)
+        return os.fdopen(handle, "rb")
+    except BaseException:
+        os.close(handle)
+        raise

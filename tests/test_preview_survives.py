@@ -1,0 +1,195 @@
+"""A preview whose files are damaged while it runs, and whose pages flood it or sleep: the ants run on, and all goes on by itself
+once the files are whole and the pages back."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+import shutil
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from time import process_time
+
+import pytest
+from live_client import EXAMPLES, Page
+
+pytest.importorskip("websockets")
+
+from preview_served import Served
+from websockets.asyncio.client import ClientConnection
+from websockets.exceptions import ConnectionClosed
+
+from antdsl.preview import Live
+from antdsl.preview.packing import unpack
+from antdsl.preview.serving.addresses import listen
+from antdsl.preview.serving.guard import Guard
+from antdsl.preview.serving.pages import pages
+from antdsl.preview.serving.server import Server
+
+SECONDS = 120  # that a test may take at most, on a machine that is busy
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    shutil.copytree(EXAMPLES / "minimal", tmp_path / "walkers", ignore=shutil.ignore_patterns("out"))
+    return tmp_path / "walkers"
+
+
+@pytest.fixture
+def live(folder: Path) -> Iterator[Live]:
+    made = Live.open(folder / "scene.yaml")
+    made.start()
+    yield made
+    made.stop()
+
+
+def aliases(levels: int) -> bytes:
+    """A text of a few hundred bytes that is 9 to the power of `levels` words once its aliases are put in."""
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, levels)]
+    return ("antdsl: 1\n" + "\n".join(lines) + "\n").encode()
+
+
+NOISE = random.Random(7).randbytes(4000)
+DAMAGE: dict[str, bytes] = {
+    "nothing": b"",
+    "noise": NOISE,
+    "zeros": bytes(100_000),
+    "a picture": b"\x89PNG\r\n\x1a\n" + NOISE,
+    "UTF-16": "antdsl: 1".encode("utf-16"),
+    "too much": b"# " + b"x" * (2 << 20),
+    "aliases": aliases(10),
+    "merges": b"antdsl: 1\na: &a {b: 1}\nc: {<<: *a, <<: *a}\n",
+    "an alias of itself": b"antdsl: 1\na: &a [*a]\n",
+    "brackets": b"antdsl: 1\nworld: " + b"[" * 100_000,
+    "braces": b"ant 1\n" + b"{" * 100_000,
+    "levels": b"\n".join(b" " * k + b"a:" for k in range(400)),
+    "tags": b"antdsl: 1\nworld: !!python/object/apply:os.system [touch pwned]\n",
+    "a header that lies": b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n",
+}
+
+
+@pytest.mark.parametrize("name", ["scene.yaml", "walker.ant", "ground.ply"])
+def test_whatever_is_saved_the_last_good_program_runs_on(live: Live, folder: Path, name: str) -> None:
+    page = Page(live)
+    frame = page.status(frame=1)["frame"]
+    good = (folder / name).read_bytes()
+    for number, (kind, data) in enumerate(DAMAGE.items()):
+        began, before = process_time(), sum(each["op"] == "outcome" for each in page.told)
+        (folder / name).write_bytes(data)
+        outcome = page.until(
+            lambda before=before: sum(each["op"] == "outcome" for each in page.told) > before and page.last("outcome")
+        )
+        assert not outcome["ok"] and outcome["problems"], kind
+        assert process_time() - began < 5, kind
+        page.ask("step", count=1)
+        frame += 1
+        page.status(frame=frame)
+        if number % 5 == 4:
+            (folder / name).write_bytes(good)
+            page.until(lambda: page.last("outcome")["ok"])
+    (folder / name).write_bytes(good)
+    page.until(lambda: page.last("outcome")["ok"])
+    assert not [each for each in page.told if each["op"] == "refused"]
+    assert not (folder / "pwned").exists()
+
+
+def test_a_scene_whose_folder_is_gone_and_comes_back_goes_on(live: Live, folder: Path) -> None:
+    page = Page(live)
+    page.status(frame=1)
+    folder.rename(folder.with_name("elsewhere"))
+    assert not page.until(lambda: page.last("outcome"))["ok"]
+    page.ask("step", count=3)
+    page.status(frame=4)
+    folder.with_name("elsewhere").rename(folder)
+    page.until(lambda: page.last("outcome")["ok"])
+    page.ask("step", count=1)
+    page.status(frame=5)
+
+
+def with_live(live: Live, test: Callable[[Served], Awaitable[None]]) -> None:
+    @asynccontextmanager
+    async def served():  # type: ignore[no-untyped-def]
+        listening = listen(port=0)
+        guard = Guard(listening.names)
+        made = Served(live, guard, pages(), listening)  # type: ignore[arg-type]
+        async with asyncio.timeout(SECONDS), Server(live, guard, made.pages, listening).running():
+            yield made
+
+    async def run() -> None:
+        async with served() as made:
+            await test(made)
+
+    asyncio.run(run())
+
+
+async def frames(client: ClientConnection, count: int) -> list[int]:
+    """The numbers of so many frames that a page is shown."""
+    found: list[int] = []
+    while len(found) < count:
+        got = await client.recv()
+        if isinstance(got, bytes):
+            header, _ = unpack(got)
+            if header["slot"] == "frame":
+                found.append(header["frame"])
+    return found
+
+
+async def looks_on(made: Served) -> list[int]:
+    """A page comes, hears all it has to and sees the ants go on."""
+    async with made.connect(max_size=None, max_queue=None) as client:
+        ops: set[str] = set()
+        while not {"hello", "scene", "texts", "status"} <= ops:
+            got = await client.recv()
+            ops |= {json.loads(got)["op"]} if isinstance(got, str) else set()
+        await client.send('{"op": "speed", "times": 0}')
+        await client.send('{"op": "play"}')
+        seen = await frames(client, 4)
+        assert seen == sorted(seen) and seen[-1] > seen[0]
+        return seen
+
+
+def test_after_a_flood_pages_come_back_and_the_ants_go_on(live: Live) -> None:
+    async def flood(made: Served) -> None:
+        async with made.connect(max_size=None, max_queue=None) as client:
+            with suppress(ConnectionClosed):
+                for _ in range(40):
+                    for _ in range(200):
+                        await client.send('{"op": "step", "count": 1}')
+                    await asyncio.sleep(0)
+                await client.wait_closed()
+            assert client.close_code in (1006, 1013)
+
+    async def test(made: Served) -> None:
+        last = 0
+        for _ in range(3):
+            await asyncio.gather(*(flood(made) for _ in range(4)))
+            seen = await looks_on(made)
+            assert seen[-1] > last
+            last = seen[-1]
+        while live.clients:
+            await asyncio.sleep(0.01)
+
+    with_live(live, test)
+
+
+def test_pages_that_read_nothing_hold_up_nobody_and_may_come_back(live: Live) -> None:
+    async def test(made: Served) -> None:
+        asleep = [await made.connect(max_size=None, max_queue=1, ping_interval=None) for _ in range(8)]
+        for client in asleep:
+            client.transport.pause_reading()
+        first = await looks_on(made)
+        second = await looks_on(made)
+        assert second[-1] > first[-1]
+        for client in asleep:
+            client.transport.abort()
+        again = [await made.connect(max_size=None) for _ in range(8)]
+        for client in again:
+            assert json.loads(await client.recv())["op"] == "hello"
+            await client.close()
+        while live.clients:
+            await asyncio.sleep(0.01)
+
+    with_live(live, test)
