@@ -191,9 +191,8 @@ def _overrides(scene: Scene, program: Program, choices: Choices, report: Report)
         try:
             found[name] = parse_quantity(text)
         except BadQuantity as why:
-            report.error(
-                "wrong-value", f"`--set {name}={text}`: `{text}` {why}", None, "write a number and a unit: `--set NAME=50mm`"
-            )
+            usual = "write a number and a unit: `--set NAME=50mm`"
+            report.error("wrong-value", f"`--set {name}={text}`: `{text}` {why}", None, why.help or usual)
             continue
         check_param(scene, program, report, name, found[name])
     return found

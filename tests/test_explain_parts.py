@@ -392,7 +392,9 @@ def test_no_folder_of_the_machine_is_written_into_a_cache(tmp_path: Path) -> Non
     assert way_to(tmp_path / "link" / "scene.yaml", tmp_path / "out") == "../link/scene.yaml"
 
 
-@pytest.mark.parametrize("path", ["/etc/scene.yaml", "..\\\\scene.yaml", "C:/scene.yaml", "scene.yaml\\n", "../out", "a//b.yaml", ""])
+@pytest.mark.parametrize(
+    "path", ["/etc/scene.yaml", "..\\\\scene.yaml", "C:/scene.yaml", "scene.yaml\\n", "../out", "a//b.yaml", ""]
+)
 def test_a_manifest_with_another_kind_of_path_is_damaged(copy: Cache, path: str) -> None:
     file = copy.folder / "manifest.json"
     text = file.read_text()

@@ -11,6 +11,7 @@ from typing import Any
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.source import Source, Span
+from antdsl.syntax.numbers import comma_in_number, number_with_comma
 
 Key = str | int
 
@@ -236,6 +237,11 @@ class _Reader:
             if not isinstance(key, ScalarNode) or not key.text:
                 self.report.error("wrong-value", "a key must be one word", key.span, "write `key: value`")
                 continue
+            if isinstance(value, ScalarNode) and not value.text and not value.quoted:  # `{radius: 0,4 m}`
+                number = number_with_comma(self.source, key.span.start - 1)
+                if number is not None:
+                    self.report.add(comma_in_number(number))
+                    continue
             if key.text == "<<":
                 self.report.error(
                     "yaml-alias", "merges are not supported", key.span, "write the values out where they are wanted"

@@ -14,6 +14,7 @@ from antdsl.scene.document import Key, MappingNode, decode, find, plain, read_do
 from antdsl.scene.extending import extended
 from antdsl.scene.paths import PathRefused, Roots, read_named
 from antdsl.source import Source, Span
+from antdsl.syntax.numbers import WITH_COMMAS, comma_in_number
 
 if TYPE_CHECKING:
     from antdsl.scene.model import SceneModel
@@ -109,6 +110,10 @@ def _complain(report: Report, document: MappingNode, error: Any) -> None:
         return
     bad_key = bool(path) and path[-1] == "[key]"
     span, _ = find(document, path[:-1] if bad_key else path, key=bad_key)
+    number = WITH_COMMAS.search(span.text) if kind == "too_long" else None
+    if number is not None:  # `[0,4, 1, 2]`
+        report.add(comma_in_number(Span(span.source, span.start + number.start(), span.start + number.end())))
+        return
     if kind == "scene":
         context = error["ctx"]
         report.error("wrong-value", context["words"], span, context["help"] or None)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from antdsl.diagnostics.model import Diagnostic, Fix, replacement
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Span
-from antdsl.syntax.scan import unit_help
+from antdsl.syntax.numbers import comma_in_number, number_with_comma, unit_help
 from antdsl.syntax.words import BELONGS, FIELD_SETTINGS, FORMS, LINE_WORDS, OTHER_WORDS, RULE_FORMS, WORLD_KINDS
 
 
@@ -255,13 +255,11 @@ def _label(surprise: Surprise) -> Diagnostic | None:
 
 
 def _comma(surprise: Surprise) -> Diagnostic | None:
-    """`0,15 s`, as numbers are written in many countries."""
-    parts = (surprise.before, surprise.next)
-    if surprise.found != "," or surprise.before_kind != "number" or not parts[0].isdigit() or not parts[1][:1].isdigit():
-        return None
-    message = f"found `,` in the number `{parts[0]},{parts[1]}`"
-    help = f"write a dot: `{parts[0]}.{parts[1]}`"
-    return Diagnostic("unexpected-text", message, surprise.span, help=help, fix=Fix(surprise.span, "."))
+    """`(0,15)`, as numbers are written in many countries, where it cannot be two arguments."""
+    found, source = surprise.span, surprise.span.source
+    comma = found.start if surprise.found == "," else found.start - 1 if surprise.before == "," else -1
+    span = number_with_comma(source, comma) if comma > 0 else None
+    return None if span is None else comma_in_number(span)
 
 
 def _unit(surprise: Surprise) -> Diagnostic | None:
