@@ -20,7 +20,9 @@ from antdsl.syntax.scan import scan
 
 ROOT = Path(__file__).resolve().parent.parent
 FILES = sorted((ROOT / "examples").rglob("*.ant"))
-AROUND = "ant 1\nuse steering\nworld {{ surface ground; items food {{ load = 0 }} }}\nspecies bug {{ calm = 0; state go {{ {} }} }}\n"
+AROUND = (
+    "ant 1\nuse steering\nworld {{ surface ground; items food {{ load = 0 }} }}\nspecies bug {{ calm = 0; state go {{ {} }} }}\n"
+)
 
 
 @cache
@@ -64,7 +66,12 @@ def test_any_number_written_with_a_comma_is_one_error_there(path: Path) -> None:
 
 
 LISTS = ["steer vector(1,2,3)", "calm = min(0,4)", "calm = pick(0,4)", "calm = pick(1,2,3,4)", "calm = uniform(0,4)"]
-LISTS += ["calm = min(0.5,4)", "calm = clamp(calm, 0 .. 1)", "calm = max(calm,4)", "calm = count(n in neighbours(4 mm,4 rad): n.calm > 1)"]
+LISTS += [
+    "calm = min(0.5,4)",
+    "calm = clamp(calm, 0 .. 1)",
+    "calm = max(calm,4)",
+    "calm = count(n in neighbours(4 mm,4 rad): n.calm > 1)",
+]
 
 
 @pytest.mark.parametrize("line", LISTS)
@@ -98,7 +105,9 @@ def test_what_can_be_meant_by_one_thing_alone_is_mended(line: str) -> None:
     mended = MENDED[line]
     assert (error.fix is None) == (mended is None)
     if error.fix is not None and mended is not None:
-        assert text[: error.fix.span.start] + error.fix.text + text[error.fix.span.end :] == AROUND.format(f"enter {{ {mended} }}")
+        assert text[: error.fix.span.start] + error.fix.text + text[error.fix.span.end :] == AROUND.format(
+            f"enter {{ {mended} }}"
+        )
 
 
 def test_a_behaviour_keeps_its_arguments() -> None:

@@ -151,7 +151,7 @@ def _settable(scope: Scope, member: nodes.Given) -> bool:
             name.span,
             did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"),
         )
-        told_before(scope, "name", name.text)  # it was to be declared here
+        told_before(scope, "name", name)  # it was to be declared here
     value(scope.inside(once=True), member.value)
     return False
 

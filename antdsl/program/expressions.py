@@ -212,7 +212,7 @@ def _unknown(scope: Scope, node: nodes.NameRef) -> Expr:
     name, report = node.name.text, scope.report
     if name in scope.declared.unclear:
         return bad(node.span)
-    if told_before(scope, "name", name):
+    if told_before(scope, "name", node.name):
         return bad(node.span)
     if name in RESERVED:
         report.error("not-yet", f"`{name}` is a word of the language that does not work yet", node.span, "leave it out for now")

@@ -233,7 +233,7 @@ def _deposit(scope: Scope, line: nodes.Deposit, block: Block) -> model.Statement
     if name not in scope.declared.fields:
         fields = scope.declared.fields
         advice = did_you_mean(name, fields, f"declare it: `field {name} on … {{ cell 4 mm; half_life 8 s }}`")
-        if not told_before(scope, "name", name):
+        if not told_before(scope, "name", line.field):
             scope.report.error("unknown-field", f"no field `{name}`", line.field.span, advice)
         return None
     scope.use("field", name)

@@ -181,7 +181,8 @@ def _frames(value: Any) -> FrameRange:
     try:
         return parse_frames(text)
     except BadQuantity as why:
-        raise refuse(f"{_shown(text)} {why}", why.help or "write the first and the last with two dots between: `1001..1240`") from None
+        usual = "write the first and the last with two dots between: `1001..1240`"
+        raise refuse(f"{_shown(text)} {why}", why.help or usual) from None
 
 
 def _path(value: Any) -> str:
