@@ -143,10 +143,8 @@ def test_what_seems_idle_beside_a_mistake_is_not_told(right: str, wrong: str, co
 def test_uses_of_a_state_that_was_taken_out_are_one_complaint_with_all_places() -> None:
     text = GOOD.replace("state approach {", "state approach_it {").replace("when scent > faint", "when time_in_state > 9 s")
     text = text.replace("approach_it", "nearer").replace("deposit trail 2 /s", "deposit trail 2 /s; when no meal -> approach")
-    text = text.replace(
-        "  layers {",
-        "  from any except approach when load > 9 -> choose { search: 1; approach: 2 }\n  layers { heading when state == approach; ",
-    )
+    anywhere = "from any except approach when load > 9 -> choose { search: 1; approach: 2 }"
+    text = text.replace("  layers {", f"  {anywhere}\n  layers {{ heading when state == approach; ")
     text += 'spec "x" on "scene.yaml" { always: share(state == approach) < 1; each forager { never: previous == approach } }\n'
     (found,) = [d for d in complaints(text) if d.severity == "error"]
     assert found.code == "unknown-state" and found.span is not None

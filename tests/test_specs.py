@@ -396,7 +396,7 @@ def test_runs_come_out_alike_whatever_was_asked_before(folder: Path) -> None:
         assert told == {lines[0]: 7, lines[1]: 4, lines[2]: 3, lines[3]: 31}
 
 
-SPEC = 'spec "{}" on "{}" {{ for 1 s; {} always: count(walker) > 0 }}\n'
+SPEC = 'spec "{}" on "{}" {{ {}; for 1 s; always: count(walker) > 0 }}\n'
 
 
 def test_check_finds_scenes_of_specs_that_are_not_there(tmp_path: Path) -> None:
@@ -404,8 +404,8 @@ def test_check_finds_scenes_of_specs_that_are_not_there(tmp_path: Path) -> None:
     for file in ("walker.ant", "ground.ply", "scene.yaml"):
         shutil.copy(EXAMPLES / "minimal" / file, tmp_path)
     program = tmp_path / "walker.ant"
-    text = program.read_text() + SPEC.format("a", "scene.yaml", "") + SPEC.format("b", "scen.yaml", "")
-    text += SPEC.format("c", "scene.yaml", 'against "other.yaml"') + SPEC.format("d", "../scene.yaml", "")
+    text = program.read_text() + SPEC.format("a", "scene.yaml", "seeds 1") + SPEC.format("b", "scen.yaml", "seeds 1")
+    text += SPEC.format("c", "scene.yaml", 'against "other.yaml"') + SPEC.format("d", "../scene.yaml", "seeds 1")
     program.write_text(text)
     for path in (program, tmp_path / "scene.yaml"):
         errors = check_path(path)[1].errors
@@ -419,7 +419,7 @@ def test_check_finds_scenes_of_specs_that_are_not_there(tmp_path: Path) -> None:
 def test_two_specs_of_one_file_have_two_names(tmp_path: Path) -> None:
     shutil.copytree(EXAMPLES / "minimal", tmp_path, dirs_exist_ok=True)
     program = tmp_path / "walker.ant"
-    program.write_text(program.read_text() + 3 * SPEC.format("a", "scene.yaml", ""))
+    program.write_text(program.read_text() + 3 * SPEC.format("a", "scene.yaml", "seeds 1"))
     errors = check_path(program)[1].errors
     assert [(e.code, len(e.labels)) for e in errors] == [("duplicate-name", 1)] * 2
     assert {e.labels[0].span.start for e in errors} == {program.read_text().index('"a"')}

@@ -49,7 +49,7 @@ def with_all_places(report: Report, places: Mapping[Span, Sequence[Span]]) -> Re
 
 
 def _also(found: Diagnostic, places: Mapping[Span, Sequence[Span]]) -> tuple[Label, ...]:
-    others = places[found.span] if found.code in _MISSING and found.span is not None else ()
+    others = [each for each in places[found.span] if each != found.span] if found.code in _MISSING and found.span else []
     left = len(others) - _SHOWN
     labels = [Label(span, "and here") for span in others[:_SHOWN]]
     if left > 0:

@@ -47,9 +47,8 @@ def comma_in_number(span: Span, *, only: bool = True) -> Diagnostic:
     return Diagnostic("bad-number", message, span, help=help, fix=None if fix is None else Fix(span, fix))
 
 
-def number_problem(characters: str, start: int, end: int) -> tuple[str, int, str] | None:
-    """What is wrong with the number between two offsets, where it really ends, and what to write."""
-    piece = characters[start:end]
+def number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str] | None:
+    """What is wrong with a number that ends at an offset of a text, where it really ends, and what to write."""
     glued = _GLUED.match(characters, end)
     rest = glued.group() if glued else ""
     whole = f"{piece}{rest}"[:80]

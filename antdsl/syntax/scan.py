@@ -242,7 +242,7 @@ class _Scanner:
         commas = WITH_COMMAS.match(self.characters, start)
         if commas is not None and (not self.inside or NO_SECOND.search(commas.group())):
             return self.commas(start, commas.end())
-        problem = number_problem(self.characters, start, end)
+        problem = number_problem(piece, self.characters, end)
         if problem is not None:
             message, stop, help = problem
             self.found.error("bad-number", message, start, stop, help)
