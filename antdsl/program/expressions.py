@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from antdsl.program.missing import missing_thing
 from antdsl.program.model import (
     Attribute,
     Binding,
@@ -94,7 +95,7 @@ def name_of(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
         found = look(scope, name, span)
         if found is not None:
             return found
-    return _unknown(scope, node)
+    return _unknown(scope, node, want)
 
 
 def _local(scope: Scope, name: str, span: Span) -> Expr | None:
@@ -208,7 +209,7 @@ def visible(scope: Scope) -> set[str]:
     return names
 
 
-def _unknown(scope: Scope, node: nodes.NameRef) -> Expr:
+def _unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
     name, report = node.name.text, scope.report
     if name in scope.declared.unclear:
         return bad(node.span)
@@ -233,8 +234,10 @@ def _unknown(scope: Scope, node: nodes.NameRef) -> Expr:
         advice = "a unit stands behind its number, without blanks inside: `30 mm/s`"
         report.error("unknown-name", f"no `{name}` is known here", node.span, advice)
     else:
-        advice = did_you_mean(name, visible(scope), f"declare it, or use one of {listed(visible(scope) - set(GIVEN))}")
-        report.error("unknown-name", f"no `{name}` is known here", node.span, advice)
+        advice, fix = missing_thing(scope, name, want) or (None, None)
+        if advice is None:
+            advice = did_you_mean(name, visible(scope), f"declare it, or use one of {listed(visible(scope) - set(GIVEN))}")
+        report.error("unknown-name", f"no `{name}` is known here", node.span, advice, fix=fix)
     return bad(node.span)
 
 

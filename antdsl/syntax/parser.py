@@ -24,7 +24,16 @@ from antdsl.syntax.builder import Builder, Header, Result
 from antdsl.syntax.depth import deep_places
 from antdsl.syntax.scan import UNREADABLE, Scan, scan
 from antdsl.syntax.tables import load_parser
-from antdsl.syntax.wording import Surprise, begins_line, better_first_word, complain, gives_with_two, misplaced, plain_complaint
+from antdsl.syntax.wording import (
+    Surprise,
+    begins_line,
+    better_first_word,
+    complain,
+    forgets_brackets,
+    gives_with_two,
+    misplaced,
+    plain_complaint,
+)
 from antdsl.syntax.words import BELONGS, BODIES, LINE_WORDS
 
 if TYPE_CHECKING:
@@ -331,6 +340,8 @@ class _Reading:
             yield text.splice(position, position + 1, "==")
         if gives_with_two(surprise):
             yield text.splice(position, position + 2, "=")
+        if forgets_brackets(surprise):
+            yield text.splice(position, position + len(surprise.found), f"({surprise.found})")
         lefts, rights, clause = self.slots(line, text, position)
         for left in lefts:
             for right in rights:
