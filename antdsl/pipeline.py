@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl import __version__, limits
 from antdsl.bounded import read_start
-from antdsl.diagnostics import Report
+from antdsl.diagnostics import Fix, Report
 from antdsl.loading import CheckedOnce, Loaded, Parsed, shown
 from antdsl.source import Source
 
@@ -193,9 +194,8 @@ def _overrides(scene: Scene, program: Program, choices: Choices, report: Report)
         try:
             found[name] = parse_quantity(text)
         except BadQuantity as why:
-            report.error(
-                "wrong-value", f"`--set {name}={text}`: `{text}` {why}", None, "write a number and a unit: `--set NAME=50mm`"
-            )
+            usual = "write a number and a unit: `--set NAME=50mm`"
+            report.error("wrong-value", f"`--set {name}={text}`: `{text}` {why}", None, why.help or usual)
             continue
         check_param(scene, program, report, name, found[name])
     return found
@@ -266,19 +266,46 @@ def check_scene_text(
 
 
 def check_path(
-    path: Path, choices: Choices | None = None, *, strict: bool = False, parsed: Parsed | None = None
+    path: Path, choices: Choices | None = None, *, strict: bool = False, parsed: Parsed | None = None, specs: bool = True
 ) -> tuple[Program | None, Report]:
     """All that can be known about one file without running it: a program by itself, or a scene with its programs and meshes.
-    With one `parsed` for many files, what is wrong with a program is at the same place whoever names it."""
-    if path.suffix == ".ant":
-        return compile_files([path], strict=strict, parsed=parsed)
+    With one `parsed` for many files, what is wrong with a program is at the same place whoever names it. `specs`: also whether
+    the scenes are there that its specs run on."""
     choices = choices or Choices()
+    if path.suffix == ".ant":
+        program, report = compile_files([path], strict=strict, parsed=parsed)
+        report.extend(spec_scenes(program, choices.grants) if specs else ())
+        return program, report
     scene, program, _, report = _read_scene(path, choices, strict, parsed)
+    report.extend(spec_scenes(program, choices.grants) if specs else ())
     if scene is not None and program is not None and report.ok and scene.model.world:
         from antdsl.scene.staging import stage
 
         report.extend(stage(scene, program, _overrides(scene, program, choices, Report()))[1])
     return program, report
+
+
+def spec_scenes(program: Program | None, grants: Mapping[str, Path] | None = None) -> Report:
+    """Complaints about scenes that specs name and that are not there. The files are not read."""
+    from antdsl.scene.paths import PathRefused, Roots
+
+    report = Report()
+    named = (text for spec in (program.specs if program else ()) for text in (spec.scene, spec.against and spec.against.scene))
+    for text in named:
+        if text is None or not text.text.endswith((".yaml", ".yml")):
+            continue
+        roots = Roots(Path(text.span.source.path).resolve().parent, grants or {})
+        try:
+            roots.exists(text.text)
+        except PathRefused as refused:
+            near = _MEANT.fullmatch(refused.help or "")
+            fix = Fix(text.span, f'"{near[1]}"') if near and "/" not in text.text else None
+            advice = refused.help or "name a scene that lies beside this program or below its folder"
+            report.error(refused.code, str(refused), text.span, advice, fix=fix)
+    return report
+
+
+_MEANT = re.compile(r"did you mean `([^`]+)`\?")
 
 
 def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:

@@ -15,6 +15,7 @@ from explained import cached, differences, explanations, facts, shot_of
 from antdsl.cli import _run as run_in_process
 from antdsl.explain import CacheHistory, ExplainError, Explanation, Replay, accounts, as_json, explain, open_shot, tell
 from antdsl.outputs.cache import Cache, open_cache
+from antdsl.outputs.manifest import ManifestError, way_to
 
 ROOT = Path(__file__).resolve().parent.parent
 BUG = """ant 1
@@ -356,3 +357,48 @@ def test_json_says_the_same(cache: Cache, capsys: pytest.CaptureFixture[str], mo
     found = json.loads(capsys.readouterr().out)
     assert found == json.loads(json.dumps(as_json(explain(cache, 3, 30, species="bug"))))
     assert found["format"] == 1 and found["machines"][0]["looked"][0]["place"]["line"] > 0
+
+
+def test_the_scene_is_found_where_it_was_from_the_cache(cache: Cache, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cache of `--out`, far from its scene; with the two of them moved together; and another scene of that name nearer by."""
+    home = cache.folder.parent.parent
+    shutil.copytree(home, tmp_path / "work" / "shots" / "a" / "b", ignore=shutil.ignore_patterns("out"))
+    made = cached(tmp_path / "work" / "shots" / "a" / "b" / "scene.yaml", 12, tmp_path / "work" / "out" / "b")
+    assert made.manifest.scene_path == "../../shots/a/b/scene.yaml"
+    (tmp_path / "work" / "scene.yaml").write_text("antdsl: 1\n")
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "work").rename(tmp_path / "moved")
+    for folder in (tmp_path / "moved" / "out", tmp_path / "elsewhere", tmp_path / "moved" / "shots", tmp_path):
+        monkeypatch.chdir(folder)
+        there = open_cache(Path(os.path.relpath(tmp_path / "moved" / "out" / "b")))
+        assert explain(there, 1, 10, species="bug").frame == 10
+    shutil.rmtree(tmp_path / "moved" / "shots")
+    (tmp_path / "moved" / "scene.yaml").unlink()
+    gone = refused(there, 1, 10, "bug")
+    assert gone.usage and "`../../shots/a/b/scene.yaml`" in str(gone) and "--scene" in gone.help
+    scene = explain(there, 1, 10, species="bug", scene=home / "scene.yaml")
+    assert scene.frame == 10
+
+
+def test_no_folder_of_the_machine_is_written_into_a_cache(tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text("antdsl: 1\n")
+    assert way_to(tmp_path / "scene.yaml", tmp_path / "out" / "scene") == "../../scene.yaml"
+    assert way_to(tmp_path / "scene.yaml", tmp_path) == "scene.yaml"
+    top = Path(tmp_path.anchor)
+    assert way_to(tmp_path / "scene.yaml", top / "cache") is None
+    assert way_to(top / "scene.yaml", tmp_path) is None
+    assert way_to(tmp_path / ("x" * 250) / ("y" * 250) / "scene.yaml", tmp_path / "out") is None
+    (tmp_path / "link").symlink_to(tmp_path / "far" / "away", target_is_directory=True)
+    assert way_to(tmp_path / "link" / "scene.yaml", tmp_path / "out") == "../link/scene.yaml"
+
+
+@pytest.mark.parametrize(
+    "path", ["/etc/scene.yaml", "..\\\\scene.yaml", "C:/scene.yaml", "scene.yaml\\n", "../out", "a//b.yaml", ""]
+)
+def test_a_manifest_with_another_kind_of_path_is_damaged(copy: Cache, path: str) -> None:
+    file = copy.folder / "manifest.json"
+    text = file.read_text()
+    assert '"scene_path": "../../scene.yaml"' in text
+    file.write_text(text.replace('"../../scene.yaml"', f'"{path}"'))
+    with pytest.raises(ManifestError, match="damaged"):
+        open_cache(copy.folder)

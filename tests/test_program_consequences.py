@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from antdsl.diagnostics import Diagnostic
@@ -56,7 +58,7 @@ SLIPS = [  # what is written, what the slip makes of it, code, text at the place
     ("param faint", "parm faint", "unknown-line", "parm", "`param`"),
     ("with: load > 0", "with load > 0", "unexpected-text", "load", "arguments"),
     ("35 deg", "35\u00b0", "unknown-sign", "\u00b0", "`deg`"),
-    ("0.15 s", "0,15 s", "unexpected-text", ",", "0.15 s"),
+    ("0.15 s", "0,15 s", "bad-number", "0,15", "`0.15`"),
     ("state turn_home {", "state turn-home {", "bad-name", "turn-home", "turn_home"),
     ("state approach {", "state approach (", "missing-brace", "(", "`{`"),
     ("give all load to nest", "give all load too nest", "unexpected-text", "too", "give all load to"),
@@ -112,4 +114,46 @@ def test_a_state_without_a_way_out_is_still_a_trap() -> None:
 
 def test_choose_without_states_has_no_target() -> None:
     found = complaints(GOOD.replace("when meal -> approach", "when meal -> choose { }"))
-    assert [d.code for d in found] == ["missing-target", "unreachable-state"]
+    assert [d.code for d in found] == ["missing-target"]
+
+
+BESIDE = [  # what seems idle beside a mistake, and may be what was meant there
+    ("within: smell", "within: 110 s", "wrong-unit"),
+    ("scent > faint", "scent > 110 s", "units-differ"),
+    ("scent > faint", "scent > 0.05 mm", "units-differ"),
+    ("when meal -> approach", "when meal approach", "unexpected-text"),
+    ("when meal -> approach", "when meal", "unfinished-line"),
+    ("when meal -> approach", "when food -> approach", "wrong-kind"),
+    ("when scent > faint -> turn_home", "when nest -> turn_home", "wrong-kind"),
+    ("when meal -> approach\n    when scent > faint", "when nest -> approach\n    when scent > faint", "wrong-kind"),
+    ("deposit trail 2 /s", "deposit 2 /s", "unexpected-text"),
+    ("steer seek(meal) * 0.8", "steer seek(meal, meal) * 0.8", "wrong-arity"),
+    ("max(trail, nearest: 16)", "max(1.001 x trail, nearest: 16)", "unknown-unit"),
+    ("swing: 40 deg", "swing: 40 deg, 3", "argument-order"),
+]
+
+
+@pytest.mark.parametrize(("right", "wrong", "code"), BESIDE, ids=[case[1].splitlines()[0] for case in BESIDE])
+def test_what_seems_idle_beside_a_mistake_is_not_told(right: str, wrong: str, code: str) -> None:
+    assert right in GOOD
+    found = complaints(GOOD.replace(right, wrong, 1))
+    assert [d.code for d in found] == [code], [f"{d.span}: {d.message}" for d in found]
+
+
+def test_uses_of_a_state_that_was_taken_out_are_one_complaint_with_all_places() -> None:
+    text = GOOD.replace("state approach {", "state approach_it {").replace("when scent > faint", "when time_in_state > 9 s")
+    text = text.replace("approach_it", "nearer").replace("deposit trail 2 /s", "deposit trail 2 /s; when no meal -> approach")
+    anywhere = "from any except approach when load > 9 -> choose { search: 1; approach: 2 }"
+    text = text.replace("  layers {", f"  {anywhere}\n  layers {{ heading when state == approach; ")
+    text += 'spec "x" on "scene.yaml" { always: share(state == approach) < 1; each forager { never: previous == approach } }\n'
+    (found,) = [d for d in complaints(text) if d.severity == "error"]
+    assert found.code == "unknown-state" and found.span is not None
+    places = [found.span, *(label.span for label in found.labels)]
+    assert {span.text for span in places} == {"approach"} and len({span.start for span in places}) == len(places)
+    assert len(places) == len([1 for _ in re.finditer(r"\bapproach\b", text)]) == 7
+
+
+def test_of_very_many_places_some_are_shown() -> None:
+    text = GOOD.replace("deposit trail 2 /s\n", "".join(f"when age > {n} s -> gone\n" for n in range(30)))
+    (found,) = [d for d in complaints(text) if d.severity == "error"]
+    assert len(found.labels) == 12 and found.labels[-1].text == "and here, and at 17 more places"

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import itertools
+import shutil
 from pathlib import Path
 
 import pytest
 
 from antdsl.diagnostics import Report
-from antdsl.pipeline import Choices, open_scene
+from antdsl.pipeline import Choices, check_path, open_scene
 from antdsl.runtime import Options, bind, state_hash, step
 from antdsl.specs import Case, Run, Work, cases, run_cases
 from antdsl.specs.coverage import Coverage
 from antdsl.specs.judge import Judge
 
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 WALKER = """ant 1
 world { items food { load = 0 }; items nest { load = 0 } }
 species walker {
@@ -392,3 +394,32 @@ def test_runs_come_out_alike_whatever_was_asked_before(folder: Path) -> None:
         (case,) = judged(folder, spec("; ".join(order)))
         told = {f.message.split(" (")[0]: f.frame for f in case.failures}
         assert told == {lines[0]: 7, lines[1]: 4, lines[2]: 3, lines[3]: 31}
+
+
+SPEC = 'spec "{}" on "{}" {{ {}; for 1 s; always: count(walker) > 0 }}\n'
+
+
+def test_check_finds_scenes_of_specs_that_are_not_there(tmp_path: Path) -> None:
+    """In the program that names them and in a scene that brings the program; running another spec is not held up by it."""
+    for file in ("walker.ant", "ground.ply", "scene.yaml"):
+        shutil.copy(EXAMPLES / "minimal" / file, tmp_path)
+    program = tmp_path / "walker.ant"
+    text = program.read_text() + SPEC.format("a", "scene.yaml", "seeds 1") + SPEC.format("b", "scen.yaml", "seeds 1")
+    text += SPEC.format("c", "scene.yaml", 'against "other.yaml"') + SPEC.format("d", "../scene.yaml", "seeds 1")
+    program.write_text(text)
+    for path in (program, tmp_path / "scene.yaml"):
+        errors = check_path(path)[1].errors
+        found = [(e.code, e.span.text) for e in errors if e.span is not None]
+        assert found == [("no-such-file", '"scen.yaml"'), ("no-such-file", '"other.yaml"'), ("bad-path", '"../scene.yaml"')]
+        assert all(e.help for e in errors) and errors[0].fix is not None and errors[0].fix.text == '"scene.yaml"'
+    runs, report = cases([program], named="a")
+    assert report.ok and len(runs) == 1
+
+
+def test_two_specs_of_one_file_have_two_names(tmp_path: Path) -> None:
+    shutil.copytree(EXAMPLES / "minimal", tmp_path, dirs_exist_ok=True)
+    program = tmp_path / "walker.ant"
+    program.write_text(program.read_text() + 3 * SPEC.format("a", "scene.yaml", "seeds 1"))
+    errors = check_path(program)[1].errors
+    assert [(e.code, len(e.labels)) for e in errors] == [("duplicate-name", 1)] * 2
+    assert {e.labels[0].span.start for e in errors} == {program.read_text().index('"a"')}

@@ -43,4 +43,4 @@ def frame_range(text: str | None, flag: str = "--frames"):  # type: ignore[no-un
     try:
         return parse_frames(text)
     except BadQuantity as why:
-        raise typer.BadParameter(f"`{text}` {why}: write A..B", param_hint=flag) from None
+        raise typer.BadParameter(f"`{text}` {why}: {why.help or 'write A..B'}", param_hint=flag) from None

@@ -49,7 +49,7 @@ def check(
     from antdsl.cli.arguments import grants
     from antdsl.cli.reports import show, verdict
     from antdsl.cli.run import cores
-    from antdsl.diagnostics.ignoring import judged
+    from antdsl.diagnostics.ignoring import judged, without_ignored
     from antdsl.pipeline import Choices, find_files
 
     files, report = find_files(paths)
@@ -61,8 +61,10 @@ def check(
         report = _strict(report)
     show(report, format.value)
     if format is Format.full and report.diagnostics:
-        codes = {diagnostic.code for diagnostic in report.diagnostics}
-        typer.echo(f"`antdsl check --explain {codes.pop() if len(codes) == 1 else 'CODE'}` says more\n")
+        shown = list(dict.fromkeys(each.code for each in without_ignored(report).sorted()))
+        others = ", ".join(f"`{code}`" for code in shown[1:4]) + (" …" if len(shown) > 4 else "")
+        if shown:
+            typer.echo(f"`antdsl check --explain {shown[0]}` says more{f'; so for {others}' if others else ''}\n")
     if params or cost:
         from antdsl.cli.check_tables import cost_table, params_table
 

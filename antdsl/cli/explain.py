@@ -20,7 +20,7 @@ def explain(
 ) -> None:
     """Say why an agent did what it did in a frame: each change looked at, each layer's push, what it sensed and drew."""
     from antdsl.cli.arguments import grants
-    from antdsl.cli.reports import demand
+    from antdsl.cli.reports import demand, show
     from antdsl.cli.run import cores
     from antdsl.explain import ExplainError, as_json, tell
     from antdsl.explain import explain as explained
@@ -41,7 +41,7 @@ def explain(
         raise Stop(Exit.FINDINGS) from None
     except ExplainError as why:
         if why.report is not None:
-            demand(why.report)
+            show(why.report, to_stderr=True)
         raise Stop(Exit.USAGE if why.usage else Exit.FINDINGS, f"error: {why}", f"help: {why.help}" if why.help else "") from None
     if json:
         from json import dumps

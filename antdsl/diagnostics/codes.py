@@ -73,6 +73,7 @@ CODES: dict[str, str] = {
     "wrong-rate": "a value changes more often than its place allows",
     "wrong-unit": "a value has another dimension than its place wants",
     # --- calls, sets and memory ---
+    "argument-order": "an argument without a name stands behind one that has a name",
     "draw-in-set": "a random number is drawn inside a set",
     "duplicate-argument": "an argument is given twice",
     "keep-inside": "a behaviour that remembers something stands where it would not be clear whose memory it is",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -36,7 +37,8 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
     choices = Choices(grants or {}, FrameRange(manifest.first, manifest.last), manifest.seed, params)
     shot, report = open_scene(path, choices)
     if shot is None or not report.ok:
-        raise ExplainError(f"`{path}` does not check", report=report)
+        other = "" if scene is not None else f"if `{path}` is not its scene, say which: `--scene FILE`"
+        raise ExplainError(f"`{path}` does not check", other, report=report)
     try:
         now = {**shot.inputs, **start_hash(shot)}
     except StartError as why:
@@ -45,18 +47,24 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
     different = sorted(name for name in {**then, **now} if then.get(name) != now.get(name))
     if different:
         names = ", ".join(f"`{name}`" for name in different[:5])
+        other = "" if scene is not None else f"; if `{path}` is not its scene, say which: `--scene FILE`"
         raise ExplainError(
             f"the cache was made from other inputs: {names}",
-            "what happened can only be told from the texts it happened with: put them back, or run the scene again",
+            f"what happened can only be told from the texts it happened with: put them back, or run the scene again{other}",
         )
     return shot
 
 
 def _scene_of(cache: Cache) -> Path:
-    """The scene's file: beside the folder `out` where runs put caches, or in a folder above, or where one is."""
+    """The scene's file: where it was, seen from the cache; else beside the folder `out` where runs put caches, in a folder above,
+    or where one is."""
     name = Path(cache.manifest.scene).name
     folder = cache.folder.resolve()
-    for place in (*list(folder.parents)[:4], Path.cwd()):
-        if (place / name).is_file():
-            return place / name
-    raise ExplainError(f"the scene `{name}` of `{cache.folder}` is not near it", "say where it is: `--scene FILE`", usage=True)
+    then = Path(os.path.normpath(folder / cache.manifest.scene_path)) if cache.manifest.scene_path else None
+    near = (place / name for place in (*list(folder.parents)[:4], Path.cwd()))
+    for path in (*([then] if then is not None else []), *near):
+        if path.is_file():
+            return path
+    was = f", nor where it was from there: `{cache.manifest.scene_path}`" if then is not None else ""
+    words = f"the scene `{name}` of `{cache.folder}` is not near it{was}"
+    raise ExplainError(words, "say where it is: `--scene FILE`", usage=True)

@@ -166,6 +166,7 @@ def describe(
     *,
     version: str,
     scene: str,
+    scene_path: str | None,
     inputs: Mapping[str, str],
     units: str,
     up: str,
@@ -183,6 +184,7 @@ def describe(
     return Manifest(
         antdsl=version,
         scene=scene,
+        scene_path=scene_path,
         inputs=dict(inputs),
         units=units,  # type: ignore[arg-type]
         up=up,  # type: ignore[arg-type]

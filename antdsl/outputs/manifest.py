@@ -4,11 +4,12 @@ read."""
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from antdsl import limits
 from antdsl.bounded import TooLarge, read_bounded
@@ -19,6 +20,7 @@ MANIFEST = "manifest.json"
 _BYTES = 16 * limits.MIB
 
 Word = Annotated[str, Field(max_length=500)]
+Way = Annotated[str, Field(max_length=500, pattern=r"^([^:/\\\x00-\x1f]+/)*[^:/\\\x00-\x1f]+\.ya?ml$")]
 Triple = tuple[float, float, float]
 
 
@@ -96,11 +98,12 @@ class CameraEntry(Part):
 
 class Manifest(Part):
     """`inputs` has a hash for all that the frames depend on; `fps` is a fraction, `24/1`; `first` and `last` are the frames
-    asked for."""
+    asked for. `scene_path` leads from the cache's folder to the scene's file, where `way_to` knows one."""
 
     format: Literal[1] = 1
     antdsl: Word
     scene: Word
+    scene_path: Way | None = None
     inputs: dict[Word, Word]
     units: Literal["mm", "cm", "m"]
     up: Literal["y", "z"]
@@ -121,6 +124,20 @@ class Manifest(Part):
 
 class ManifestError(Exception):
     """Why a folder is no cache, in words that stand alone."""
+
+
+def way_to(file: Path, folder: Path) -> str | None:
+    """The path from a folder to a file, with `/` and `..`; None where it would lead through the root of the file system and so
+    name the machine's own folders, or is longer than a manifest takes."""
+    start = folder.resolve()
+    for end in (Path(os.path.abspath(file)), file.resolve()):  # the way through links first: it stays below what both share
+        if end.anchor == start.anchor and os.path.commonpath((start, end)) != start.anchor:
+            way = Path(os.path.relpath(end, start)).as_posix()
+            try:
+                return TypeAdapter(Way).validate_python(way)
+            except ValidationError:
+                continue
+    return None
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:

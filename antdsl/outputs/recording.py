@@ -14,7 +14,7 @@ from antdsl.outputs.cache import Cache, CacheError, checkpoint_path
 from antdsl.outputs.cache_writer import CacheWriter, Whole, prepare_folder, read_checkpoint, whole_part
 from antdsl.outputs.feelers import feelers_of
 from antdsl.outputs.frames import FrameMaker, describe, static_arrays
-from antdsl.outputs.manifest import CameraEntry
+from antdsl.outputs.manifest import CameraEntry, way_to
 from antdsl.outputs.solid_pieces import PieceMaker
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
@@ -148,6 +148,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         shot.setting,
         version=shot.inputs["antdsl"],
         scene=Path(shot.scene.source.path).name,
+        scene_path=way_to(Path(shot.scene.source.path), recording.folder),
         inputs=recording.inputs,
         units=model.units,
         up=model.up,

@@ -324,7 +324,8 @@ def _quantity(shot: Shot, name: str, value: str) -> tuple[Quantity | None, Repor
     try:
         quantity = parse_quantity(value)
     except BadQuantity as why:
-        report.error("wrong-value", f"`{name}: {value}`: `{value}` {why}", None, f"write a number and a unit: `{name}: 50 mm`")
+        usual = f"write a number and a unit: `{name}: 50 mm`"
+        report.error("wrong-value", f"`{name}: {value}`: `{value}` {why}", None, why.help or usual)
         return None, report
     if name not in shot.program.params and name not in settable(shot.program):
         report.error("unknown-thing", f"no program has a param `{name}`", None)

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from antdsl.diagnostics import Fix, Label
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.scope import Scope, listed
+from antdsl.program.wording import quoted
 from antdsl.source import Span
 from antdsl.syntax import nodes
+from antdsl.syntax.numbers import comma_in_number, number_with_comma
+
+Called = nodes.Call | nodes.Emit | nodes.Carve
+Found = dict[str, list[nodes.Argument]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,10 +27,10 @@ class Slot:
     variadic: bool = False
 
 
-def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: nodes.Call) -> dict[str, list[nodes.Argument]] | None:
-    """The arguments by the slot they belong to; None after a complaint that leaves the call without sense."""
-    found: dict[str, list[nodes.Argument]] = {}
-    names, position, sound = [slot.name for slot in slots], 0, True
+def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: Called, form: str = "") -> Found | None:
+    """The arguments by the slot they belong to; None after a complaint that leaves the call without sense. `form`: how the call
+    is written up to its bracket, where that is not `called`."""
+    form = form or called
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
             scope.report.error(
@@ -34,23 +40,34 @@ def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: nodes.Call)
                 "that is for `sum mean min max count any every best`",
             )
             return None
+    arguments = [each for each in node.arguments if isinstance(each, nodes.Argument)]
+    comma = _decimal_comma(slots, arguments)
+    if comma is not None:
+        scope.report.add(comma_in_number(comma, only=not _sound(slots, [each.name for each in arguments])))
+        return None
+    found: Found = {}
+    names, position, sound = [slot.name for slot in slots], 0, True
+    late: list[tuple[nodes.Argument, str]] = []  # without a name, behind one that has a name
+    for number, argument in enumerate(arguments):
         if argument.name is not None:
             sound = _named(scope, called, names, found, argument) and sound
             continue
         while position < len(slots) and slots[position].name in found and not slots[position].variadic:
             position += 1
         if position >= len(slots):
-            scope.report.error(
-                "wrong-arity", f"`{called}` takes {_how_many(slots)}", argument.span, f"write `{_shape(called, slots)}`"
-            )
+            advice = f"write `{_shape(form, slots)}`"
+            scope.report.error("wrong-arity", f"`{called}` takes {_how_many(slots)}", argument.span, advice)
             return None
         found.setdefault(slots[position].name, []).append(argument)
+        if any(each.name is not None for each in arguments[:number]):
+            late.append((argument, slots[position].name))
         position += 0 if slots[position].variadic else 1
+    if late and sound:
+        _late(scope, next(each.name for each in arguments if each.name is not None), late)
+        return None
     missing = [slot.name for slot in slots if slot.required and slot.name not in found]
     if missing and sound:
-        scope.report.error(
-            "missing-argument", f"`{called}` wants {listed(missing)}", node.span, f"write `{_shape(called, slots)}`"
-        )
+        scope.report.error("missing-argument", f"`{called}` wants {listed(missing)}", node.span, f"write `{_shape(form, slots)}`")
     return None if missing or not sound else found
 
 
@@ -92,7 +109,7 @@ def _shape(called: str, slots: Sequence[Slot]) -> str:
     return f"{called}({', '.join(slot.name if slot.required else slot.name + ': …' for slot in slots)})"
 
 
-def type_all(scope: Scope, node: nodes.Call) -> None:
+def type_all(scope: Scope, node: Called) -> None:
     """Look at the arguments of a call that makes no sense, so that what they use counts as used and their own slips are told."""
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
@@ -102,3 +119,54 @@ def type_all(scope: Scope, node: nodes.Call) -> None:
             scope.typed(argument.value.high)
         else:
             scope.typed(argument.value)
+
+
+def _late(scope: Scope, first: nodes.Name, late: Sequence[tuple[nodes.Argument, str]]) -> None:
+    """Arguments by place behind `first`, one that has a name: the names that they would have by their place are written out."""
+    span = Span(late[0][0].span.source, late[0][0].span.start, late[-1][0].span.end)
+    text, done = "", span.start
+    for argument, slot in late:
+        text += f"{span.source.text[done : argument.span.start]}{slot}: "
+        done = argument.span.start
+    text += span.source.text[done : span.end]
+    scope.report.error(
+        "argument-order",
+        f"{quoted(late[0][0].span)} has no name and stands behind `{first.text}:`, which has one",
+        late[0][0].span,
+        f"say which it is: `{' '.join(text.split())}`, or write it before the first with a name",
+        fix=Fix(span, text),
+    )
+
+
+def _decimal_comma(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -> Span | None:
+    """The first number with a comma that was read as two arguments. A comma parts two of them where the call would lack something
+    with such numbers taken as one, and in a list such as `vector(1,2,3)`."""
+    joints: dict[int, Span] = {}
+    whole = False  # whether the argument is a number that is the second half of one already
+    tight = 0
+    for number, (argument, following) in enumerate(pairwise(arguments)):
+        span = None
+        if following.span.start == argument.span.end + 1:
+            tight += 1
+            span = number_with_comma(argument.span.source, argument.span.end)
+        if span is not None and not whole:
+            joints[number] = span
+        whole = number in joints and isinstance(following.value, (nodes.Number, nodes.Quantity))
+    if not joints:
+        return None
+    merged = [each.name for number, each in enumerate(arguments) if number - 1 not in joints]
+    in_a_row = tight > 1 and tight == len(arguments) - 1 and _sound(slots, [each.name for each in arguments])
+    return joints[min(joints)] if _sound(slots, merged, least=2) and not in_a_row else None
+
+
+def _sound(slots: Sequence[Slot], given: Sequence[nodes.Name | None], least: int = 1) -> bool:
+    """Whether as many arguments, by place and by name, are what is called takes; `least`: of what takes any number of them."""
+    names = [slot.name for slot in slots]
+    places = sum(name is None for name in given)
+    found = {name.text for name in given if name is not None}
+    many = any(slot.variadic for slot in slots)
+    if any(name is None for name in given[places:]) or not found <= set(names) or len(found) + places < len(given):
+        return False
+    if (places > len(slots) and not many) or (many and places < least) or found & set(names[:places]):
+        return False
+    return all(slot.name in found or number < places for number, slot in enumerate(slots) if slot.required)

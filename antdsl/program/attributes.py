@@ -1,108 +1,23 @@
-"""Params and attributes of a species: their starting values and types, those first that others start from."""
+"""Attributes of a species: their starting values and types, those first that others start from."""
 
 from __future__ import annotations
 
-from antdsl.diagnostics import Fix
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program import model
 from antdsl.program.behaviours import declared_type
 from antdsl.program.defaults import node_of
 from antdsl.program.folding import constant_behind
-from antdsl.program.model import Const, Expr, Kind, Type
+from antdsl.program.model import Expr, Kind
 from antdsl.program.operators import value, wanted
 from antdsl.program.ordering import ordered
 from antdsl.program.scope import BAD, Keys, Scope, bad, did_you_mean, duplicate, told_before, type_from_words
-from antdsl.program.units import constant, dimension_words, shown, unit_spelling
 from antdsl.program.vocabulary import GIVEN
-from antdsl.program.wording import fits, mismatch, quoted, type_words
+from antdsl.program.wording import quoted, type_words
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
 _STORED = (Kind.NUMBER, Kind.VECTOR, Kind.BOOL, Kind.ITEM, Kind.AGENT, Kind.BAD)
 _EARLY = "starting values are worked out before the animal has sensed anything"
-
-
-# --- params ----------------------------------------------------------------------------------------------------------
-
-
-def param(scope: Scope, node: nodes.Declaration) -> model.Param | None:
-    names, name = scope.species, node.name.text
-    assert names is not None
-    names.params[name] = BAD
-    for extra, word in ((node.relax, "relax"), (node.each, "for each")):
-        if extra is not None:
-            scope.report.error(
-                "wrong-kind",
-                f"a param is one value for all agents, so it has no `{word}`",
-                extra.span,
-                f"leave `param` out to make `{name}` an attribute",
-            )
-    default = _fixed(scope, node.value, f"param `{name}`")
-    if default is None:
-        return None
-    if node.type is not None:
-        type = declared_type(scope, node.type)
-        if not fits(default.type, type):
-            mismatch(scope.report, node.value, default.type, type, f"param `{name}`")
-    default = _with_unit_of_range(scope, node, default)
-    names.params[name] = default.type
-    low, high = _param_range(scope, node, default)
-    help = node.help.text if node.help else ""
-    return model.Param(f"{names.name}.{name}", default.type, default, low, high, unit_spelling(node.value), help, node.name.span)
-
-
-def _with_unit_of_range(scope: Scope, node: nodes.Declaration, default: Const) -> Const:
-    """Complains about a plain number whose range has units at both ends, and takes it in the unit of the lower one."""
-    value, ends = node.value, node.range
-    if not isinstance(value, nodes.Number) or ends is None:
-        return default
-    if not isinstance(ends.low, nodes.Quantity) or not isinstance(ends.high, nodes.Quantity):
-        return default
-    low, high = (constant(value.value, end.unit, value.span) for end in (ends.low, ends.high))
-    if low is None or high is None or low.type != high.type or low.type == default.type:
-        return default
-    message = f"{quoted(value.span)} has no unit, and the range of `{node.name.text}` is {dimension_words(low.type.dim)}"
-    scope.report.error("missing-unit", message, value.span, f"write `{shown(value.value)} {ends.low.unit}`")
-    return low
-
-
-def _fixed(scope: Scope, node: nodes.Expr, who: str, want: Type | None = None) -> Const | None:
-    """A constant."""
-    found = value(scope, node) if want is None else wanted(scope, node, want, who)
-    constant = constant_behind(found)
-    if constant is None and found.type.kind is not Kind.BAD:
-        scope.report.error(
-            "wrong-rate",
-            f"{quoted(node.span)} is not a plain number, which {who} starts with",
-            node.span,
-            "write a number with its unit, such as `40 mm`",
-        )
-    return constant
-
-
-def _param_range(scope: Scope, node: nodes.Declaration, default: Const) -> tuple[Const | None, Const | None]:
-    if node.range is None:
-        return None, None
-    ends = [_fixed(scope, end, f"the range of `{node.name.text}`", default.type) for end in (node.range.low, node.range.high)]
-    low, high = ends
-    alike = [c for c in (low, default, high) if c is not None and (c.u, c.step) == (default.u, default.step)]
-    if low is not None and high is not None and len(alike) == 3:
-        if low.number > high.number:
-            scope.report.error(
-                "empty-range",
-                f"the range {quoted(node.range.span)} ends before it begins",
-                node.range.span,
-                "write the lesser end first",
-                fix=Fix(node.range.span, f"{node.range.high.span.text} .. {node.range.low.span.text}"),
-            )
-        elif not low.number <= default.number <= high.number:
-            scope.report.error(
-                "out-of-range",
-                f"{quoted(node.value.span)} lies outside of {quoted(node.range.span)}",
-                node.value.span,
-                "start inside the range, or widen it",
-            )
-    return low, high
 
 
 # --- attributes ------------------------------------------------------------------------------------------------------
@@ -151,7 +66,7 @@ def _settable(scope: Scope, member: nodes.Given) -> bool:
             name.span,
             did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"),
         )
-        told_before(scope, "name", name.text)  # it was to be declared here
+        told_before(scope, "name", name)  # it was to be declared here
     value(scope.inside(once=True), member.value)
     return False
 

@@ -145,8 +145,8 @@ def _check_parts(declared: Declared, info: BehaviourInfo, report: Report) -> Non
     returns = returned_type(scope, node)
     if not fits(result.type, returns):
         mismatch(report, node.result, result.type, returns, f"`{name}`")
-    if isinstance(node.result, nodes.BadExpr):
-        return  # the line that is missing may use all of them
+    if not report.ok or info.file.node.broken:
+        return  # what is wrong may have been their use
     for argument in node.arguments:
         if ("local", f"{argument.name.span}:{argument.name.text}") not in declared.used:
             report.warning(

@@ -146,7 +146,7 @@ def _argument(
     word, _, variable = arg.type.partition(" ")
     who = f"`{arg.name}` of `{called}`"
     if word == "range":
-        return _range(scope, who, node, variable, variables)
+        return _range(scope, called, who, node, variable, variables)
     if word == "place":
         return [place(scope, node, who)]
     if word == "count":
@@ -155,6 +155,7 @@ def _argument(
         return [
             _same(
                 scope,
+                called,
                 node,
                 scope.typed(node, variables[variable][1].type if variable in variables else want),
                 variable,
@@ -173,7 +174,7 @@ def _argument(
                 who,
             )
             return [bad(node.span)]
-        return [_same(scope, node, found, variable, variables, dims_only=True)]
+        return [_same(scope, called, node, found, variable, variables, dims_only=True)]
     type = type_from_words(word) or BAD
     found = scope.typed(node, type) if type.kind in THINGS else value(scope, node, type)
     if type.kind is Kind.OBSTACLE and found.type.kind in (Kind.SURFACE, Kind.SOLID):
@@ -184,7 +185,9 @@ def _argument(
     return [found]
 
 
-def _same(scope: Scope, node: nodes.Expr, found: Expr, variable: str, variables: Variables, dims_only: bool = False) -> Expr:
+def _same(
+    scope: Scope, called: str, node: nodes.Expr, found: Expr, variable: str, variables: Variables, dims_only: bool = False
+) -> Expr:
     """Bind a variable of the table, or hold the value against what bound it before."""
     found = as_value(found)
     if variable not in variables or variables[variable][1].type.kind is Kind.BAD:
@@ -198,11 +201,11 @@ def _same(scope: Scope, node: nodes.Expr, found: Expr, variable: str, variables:
     )
     if agrees:
         return found
-    disagree(scope.report, "this call", node.span, (first_node, first), (node, found))
+    disagree(scope.report, called, node.span, (first_node, first), (node, found))
     return bad(node.span)
 
 
-def _range(scope: Scope, who: str, node: nodes.Expr, variable: str, variables: Variables) -> list[Expr | None]:
+def _range(scope: Scope, called: str, who: str, node: nodes.Expr, variable: str, variables: Variables) -> list[Expr | None]:
     if not isinstance(node, nodes.RangeExpr):
         found = scope.typed(node)
         if found.type.kind is not Kind.BAD:
@@ -219,8 +222,8 @@ def _range(scope: Scope, who: str, node: nodes.Expr, variable: str, variables: V
             mismatch(scope.report, end, found.type, NUMBER, who)
             return [bad(node.span), bad(node.span)]
     ends: list[Expr | None] = [
-        _same(scope, node.low, low, variable, variables, True),
-        _same(scope, node.high, high, variable, variables, True),
+        _same(scope, called, node.low, low, variable, variables, True),
+        _same(scope, called, node.high, high, variable, variables, True),
     ]
     a, b = constant_behind(low), constant_behind(high)
     if "from" in who and a and b and (a.u, a.step, a.number) == (b.u, b.step, b.number):

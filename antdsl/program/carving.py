@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from antdsl.program import model
+from antdsl.program.arguments import Slot, arranged, type_all
 from antdsl.program.folding import constant_behind
 from antdsl.program.model import Dim, Kind, Type
 from antdsl.program.operators import wanted
@@ -10,25 +11,20 @@ from antdsl.program.scope import LENGTH, PUSH, Scope, did_you_mean
 from antdsl.program.wording import mismatch, quoted
 from antdsl.syntax import nodes
 
+_SLOTS = (Slot("radius", required=True), Slot("toward", required=False), Slot("into", required=False))
+
 
 def carve(scope: Scope, line: nodes.Carve, block: object) -> model.Statement | None:
     """The statement, or None after a complaint. It says the same in a body and in an action: a ball of that size, now."""
     thing = scope.declared.things.get(line.solid.text)
-    radius = toward = into = None
-    for argument in line.arguments:
-        match "radius" if argument.name is None else argument.name.text:
-            case "radius":
-                radius = wanted(scope, argument.value, LENGTH, "`radius` of `carve`")
-            case "toward":
-                toward = wanted(scope, argument.value, PUSH, "`toward` of `carve`")
-            case "into":
-                into = _soil(scope, argument.value)
-            case other:
-                assert argument.name is not None
-                scope.report.error(
-                    "unknown-argument", f"`carve` has no argument `{other}`", argument.name.span,
-                    "it takes `radius`, `toward` (a way) and `into` (an attribute)",
-                )  # fmt: skip
+    found = arranged(scope, "carve", _SLOTS, line, f"carve {line.solid.text}") if line.arguments else {}
+    if found is None:
+        type_all(scope, line)
+        found = {}
+    values = {slot: arguments[0].value for slot, arguments in found.items()}
+    radius = wanted(scope, values["radius"], LENGTH, "`radius` of `carve`") if "radius" in values else None
+    toward = wanted(scope, values["toward"], PUSH, "`toward` of `carve`") if "toward" in values else None
+    into = _soil(scope, values["into"]) if "into" in values else None
     if thing is None or thing.kind != "solid":
         solids = [t.name for t in scope.declared.things.values() if t.kind == "solid"]
         scope.report.error(

@@ -6,17 +6,18 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-from antdsl.diagnostics import Report
+from antdsl.diagnostics import Label, Report
 from antdsl.program import model
 from antdsl.program.behaviours import check_behaviour
 from antdsl.program.checks import CHECKS, OF_EACH, OF_SOUND, OF_STATES, Check, Checked
 from antdsl.program.collect import Library, Loader, declare
-from antdsl.program.consequences import without_consequences
+from antdsl.program.consequences import with_all_places, without_consequences
 from antdsl.program.memo import Memo, part, seen
 from antdsl.program.rules import RULES
 from antdsl.program.scope import Declared, FileNames, SpeciesNames
 from antdsl.program.species import complete, draft
 from antdsl.program.specs import check_spec
+from antdsl.program.wording import quoted
 from antdsl.program.world import check_brought, check_field, declare_fields, declare_world
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -57,7 +58,7 @@ def check(
     for look in CHECKS:
         _look(checked, look, report)
     doubtful = [span for each in loader.known.values() for span in each.node.doubtful]
-    sound = report.ok and not doubtful
+    sound = report.ok and not any(each.node.broken for each in loader.known.values())
     for look in OF_SOUND if sound else ():
         _look(checked, look, report)
     if memo is not None:
@@ -65,7 +66,8 @@ def check(
         memo.forget()
         if any(each.wanting for each in loader.known.values()):
             memo.known.clear()  # parts kept silent about what a missing `use` would bring
-    return program, without_consequences(*_whole(loader, report, doubtful))
+    places = {first: tuple(dict.fromkeys(others)) for first, *others in declared.told.values() if others}
+    return program, without_consequences(*_whole(loader, with_all_places(report, places), doubtful))
 
 
 def _look(checked: Checked, look: Check, report: Report) -> None:
@@ -140,6 +142,8 @@ def _program(
     params = {param.name: param for each in species.values() for param in each.params}
     written = [(file, item) for file in names for item in file.node.items if isinstance(item, nodes.Spec)]
     known = (*params.values(), *(b for each in species.values() for b in (*each.lets, *each.latches)))
+    for file in names:
+        _spec_names(declared, file)
     specs = tuple(
         part(declared, ("spec", item, known), partial(check_spec, declared, file, item, params, made_fields))
         for file, item in written
@@ -147,6 +151,18 @@ def _program(
     return model.Program(
         species, dict(declared.things), made_fields, params, tuple(declared.events), specs, tuple(file.node for file in names)
     )  # fmt: skip
+
+
+def _spec_names(declared: Declared, file: FileNames) -> None:
+    """Specs are told apart by their names, in reports and where results are kept: in one file each has its own."""
+    first: dict[str, Span] = {}
+    for spec in (item for item in file.node.items if isinstance(item, nodes.Spec)):
+        if spec.name.text in first:
+            declared.report.error(
+                "duplicate-name", f"two specs are called {quoted(spec.name.span)}", spec.name.span, "give one another name",
+                labels=(Label(first[spec.name.text], "first here"),),
+            )  # fmt: skip
+        first.setdefault(spec.name.text, spec.name.span)
 
 
 def _modules(names: Sequence[FileNames]) -> list[FileNames]:

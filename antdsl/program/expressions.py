@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from antdsl import limits
+from antdsl.program.missing import missing_thing
 from antdsl.program.model import (
     Attribute,
     Binding,
@@ -98,7 +99,7 @@ def name_of(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
         found = look(scope, name, span)
         if found is not None:
             return found
-    return _unknown(scope, node)
+    return _unknown(scope, node, want)
 
 
 def _local(scope: Scope, name: str, span: Span) -> Expr | None:
@@ -212,11 +213,11 @@ def visible(scope: Scope) -> set[str]:
     return names
 
 
-def _unknown(scope: Scope, node: nodes.NameRef) -> Expr:
+def _unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
     name, report = node.name.text, scope.report
     if name in scope.declared.unclear:
         return bad(node.span)
-    if told_before(scope, "name", name):
+    if told_before(scope, "name", node.name):
         return bad(node.span)
     if name in RESERVED:
         report.error("not-yet", f"`{name}` is a word of the language that does not work yet", node.span, "leave it out for now")
@@ -237,8 +238,10 @@ def _unknown(scope: Scope, node: nodes.NameRef) -> Expr:
         advice = "a unit stands behind its number, without blanks inside: `30 mm/s`"
         report.error("unknown-name", f"no `{name}` is known here", node.span, advice)
     else:
-        advice = did_you_mean(name, visible(scope), f"declare it, or use one of {listed(visible(scope) - set(GIVEN))}")
-        report.error("unknown-name", f"no `{name}` is known here", node.span, advice)
+        advice, fix = missing_thing(scope, name, want) or (None, None)
+        if advice is None:
+            advice = did_you_mean(name, visible(scope), f"declare it, or use one of {listed(visible(scope) - set(GIVEN))}")
+        report.error("unknown-name", f"no `{name}` is known here", node.span, advice, fix=fix)
     return bad(node.span)
 
 

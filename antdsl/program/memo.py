@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from antdsl.diagnostics import Diagnostic
+from antdsl.source import Span
 
 if TYPE_CHECKING:
     from antdsl.program.scope import Declared
@@ -38,7 +39,7 @@ class _Known:
     expanded: int
 
 
-class _Told(set[tuple[str, ...]]):
+class _Told(dict[tuple[str, ...], list[Span]]):
     """Unknown names that were told. A part that kept silent because of them may have to speak another time."""
 
     silenced = False

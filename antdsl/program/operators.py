@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from antdsl.diagnostics import Fix
 from antdsl.program.expressions import MAY_BE_NONE, THINGS
 from antdsl.program.folding import constant_behind, fold
 from antdsl.program.model import Const, Expr, Kind, Op, Rate, Type
@@ -113,9 +114,12 @@ def _none_test(scope: Scope, node: nodes.Expr, found: Expr, span: Span, word: st
     if kind in MAY_BE_NONE or kind in (Kind.SET, Kind.BAD, Kind.PLACE):
         return op("is_none", BOOL, span, found)
     advice = "`not` turns a yes into a no" if kind is Kind.BOOL else "only an item, an agent, a hit or a set can be none"
+    fix = None
     if kind in (Kind.ITEMS, Kind.SPECIES):
-        advice = f"write `no nearest({' '.join(node.span.text.split())})`"
-    scope.report.error("wrong-kind", f"{quoted(node.span)} is {type_words(found.type)}, which is never none", node.span, advice)
+        nearest = f"nearest({' '.join(node.span.text.split())})"
+        advice, fix = f"ask for one of them: `no {nearest}`", Fix(node.span, nearest)
+    message = f"{quoted(node.span)} is {type_words(found.type)}, which is never none"
+    scope.report.error("wrong-kind", message, node.span, advice, fix=fix)
     return bad(span)
 
 

@@ -13,7 +13,7 @@ PLACES = frozenset({Kind.ITEM, Kind.AGENT, Kind.HIT, Kind.CURVE, Kind.OBSTACLE, 
 
 def place(scope: Scope, node: nodes.Expr, who: str) -> Expr:
     """An expression as a place."""
-    found = scope.typed(node)
+    found = scope.typed(node, Type(Kind.PLACE))
     if found.type.kind in PLACES or found.type.kind is Kind.BAD or found.type == Type(Kind.VECTOR, Dim(length=1)):
         return found
     if found.type.kind in (Kind.ITEMS, Kind.SPECIES):

@@ -94,19 +94,22 @@ class Declared:
     used: set[tuple[str, str]] = field(default_factory=set)
     written: set[str] = field(default_factory=set)  # attributes, as `species.name`
     unclear: set[str] = field(default_factory=set)  # things of the world of which the kind is not known, told already
-    told: set[tuple[str, ...]] = field(default_factory=set)  # unknown names, by where they are missing
+    told: dict[tuple[str, ...], list[Span]] = field(default_factory=dict)  # unknown names by where they are missing: all places
     expanded: int = 0  # operations of all behaviours that were put in place
     memo: Memo | None = None  # what an earlier check found
     outside: int = 0  # stands for all that a part of the program can see of the others, as far as it is known
 
 
-def told_before(scope: Scope, kind: str, name: str) -> bool:
+def told_before(scope: Scope, kind: str, name: nodes.Name, owner: str = "") -> bool:
     """Whether it was told that a name is missing; from now on it was. What is not there is missing everywhere: that is one
-    mistake. `kind` keeps names of different kinds apart."""
-    where = (kind, scope.file.node.source.path, scope.species.name if scope.species else "", scope.behaviour or "", name)
+    mistake, and the places are noted. `kind` keeps names of different kinds apart; `owner` is a species to which such a name
+    belongs wherever it is asked for."""
+    around = (scope.file.node.source.path, scope.species.name if scope.species else "", scope.behaviour or "")
+    where = (kind, *((owner,) if owner else around), name.text)
     if where in scope.declared.told:
+        scope.declared.told[where].append(name.span)
         return True
-    scope.declared.told.add(where)
+    scope.declared.told[where] = [name.span]
     return False
 
 

@@ -9,7 +9,7 @@ from antdsl import limits
 from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.attributes import attributes as attributes_in
-from antdsl.program.attributes import names_state, param
+from antdsl.program.attributes import names_state
 from antdsl.program.collect import EVENTS, free_in_species
 from antdsl.program.expressions import referable
 from antdsl.program.folding import constant_behind
@@ -18,6 +18,7 @@ from antdsl.program.memo import part
 from antdsl.program.model import Binding, Dim, Kind, Rate, Type
 from antdsl.program.operators import condition, wanted
 from antdsl.program.ordering import ordered
+from antdsl.program.params import param
 from antdsl.program.resting import rest
 from antdsl.program.scope import (
     BAD,

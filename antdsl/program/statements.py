@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from antdsl.diagnostics import Fix, Label
 from antdsl.program import model
+from antdsl.program.arguments import Slot, arranged, type_all
 from antdsl.program.carving import carve
 from antdsl.program.model import Dim, Expr, Kind, Type
 from antdsl.program.operators import value, wanted
@@ -143,6 +144,9 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
         return None
     scope.declared.written.add(f"{species.name}.{name}")
     if line.op != "=":
+        if type.kind is Kind.BAD:
+            value(scope, line.value)
+            return None
         if type.kind not in (Kind.NUMBER, Kind.VECTOR):
             scope.report.error(
                 "wrong-kind",
@@ -221,7 +225,7 @@ def _deposit(scope: Scope, line: nodes.Deposit, block: Block) -> model.Statement
     if name not in scope.declared.fields:
         fields = scope.declared.fields
         advice = did_you_mean(name, fields, f"declare it: `field {name} on … {{ cell 4 mm; half_life 8 s }}`")
-        if not told_before(scope, "name", name):
+        if not told_before(scope, "name", line.field):
             scope.report.error("unknown-field", f"no field `{name}`", line.field.span, advice)
         return None
     scope.use("field", name)
@@ -238,17 +242,11 @@ def _keeps_greatest(scope: Scope, name: str) -> bool:
 
 def _emit(scope: Scope, line: nodes.Emit, block: Block) -> model.Statement | None:
     scope.use("emit", line.event.text)
-    within = None
-    for argument in line.arguments:
-        if argument.name is None or argument.name.text == "within":
-            within = wanted(scope, argument.value, LENGTH, "`within` of `emit`")
-        else:
-            scope.report.error(
-                "unknown-argument",
-                f"`emit` has no argument `{argument.name.text}`",
-                argument.name.span,
-                "it takes `within`, how far it is noticed",
-            )
+    found = arranged(scope, "emit", (Slot("within", required=False),), line, f"emit {line.event.text}")
+    if found is None:
+        type_all(scope, line)
+        return None
+    within = wanted(scope, found["within"][0].value, LENGTH, "`within` of `emit`") if found else None
     return model.Emit(line.event.text, within, line.span)
 
 

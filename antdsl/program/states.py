@@ -81,7 +81,7 @@ def state_named(scope: Scope, asked: Expr, node: nodes.Expr) -> tuple[Expr, Expr
 def unknown_state(scope: Scope, name: nodes.Name, species: str, known: list[str]) -> str | None:
     """Complain about a name that no state has. Gives the state that was probably meant, to go on with."""
     meant = nearest_name(name.text, known)
-    if told_before(scope, f"state of {species}", name.text):
+    if told_before(scope, "state", name, species):
         return meant
     advice = did_you_mean(name.text, known, f"`{species}` has the states {listed(known)}" if known else None)
     scope.report.error("unknown-state", f"no state `{name.text}` in species `{species}`", name.span, advice)

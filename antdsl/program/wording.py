@@ -25,6 +25,8 @@ _KINDS: dict[Kind, str] = {
     Kind.MAP: "a map",
     Kind.FIELD: "a field",
 }
+# Things that are named and are no value, so that something must be asked of them.
+_THINGS = frozenset({Kind.ITEMS, Kind.SPECIES, Kind.SURFACE, Kind.OBSTACLE, Kind.SOLID, Kind.CURVE})
 _VECTORS: dict[Dim, str] = {
     Dim(): "a push or direction",
     Dim(length=1): "a position",
@@ -108,9 +110,24 @@ def _mismatch(node: nodes.Expr, actual: Type, wanted: Type, place: str) -> Diagn
         return Diagnostic("wrong-unit", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=advice)
     advice = _advice(node, actual, wanted)
     message = f"{text} is {type_words(actual)}, and {place} wants {want}"
-    return Diagnostic(
-        "wrong-kind", message, node.span, help=advice, fix=None if wanted.kind is Kind.FLOW else _made_of(node, advice)
-    )
+    fix = _with_units(node) if wanted.kind is Kind.PLACE and actual == Type(Kind.VECTOR) else None
+    if fix is None and wanted.kind is not Kind.FLOW and not (wanted.kind is Kind.BOOL and actual.kind in _THINGS):
+        fix = _made_of(node, advice)
+    return Diagnostic("wrong-kind", message, node.span, help=advice, fix=fix)
+
+
+def _with_units(node: nodes.Expr) -> Fix | None:
+    """`vector(10, 0, 0)` with lengths in it, and so a place."""
+    if not isinstance(node, nodes.Call) or node.function.span.text != "vector":
+        return None
+    values = [each.value for each in node.arguments if isinstance(each, nodes.Argument)]
+    if len(values) < 3 or not all(isinstance(each, nodes.Number) or _is_minus(each) for each in values):
+        return None
+    return Fix(node.span, f"vector({', '.join(f'{each.span.text} mm' for each in values)})")
+
+
+def _is_minus(node: nodes.Expr) -> bool:
+    return isinstance(node, nodes.Unary) and node.op == "-" and isinstance(node.operand, nodes.Number)
 
 
 def _made_of(node: nodes.Expr, advice: str) -> Fix | None:
@@ -122,6 +139,17 @@ def _made_of(node: nodes.Expr, advice: str) -> Fix | None:
 def _advice(node: nodes.Expr, actual: Type, wanted: Type) -> str:
     text = " ".join(node.span.text.split())
     short = text if len(text) <= 30 else "…"
+    if wanted.kind is Kind.BOOL and actual.kind in _THINGS:
+        any_there = f", or `nearest({short})` for whether there is any" if actual.kind in (Kind.ITEMS, Kind.SPECIES) else ""
+        return f"ask something of it: `touching({short})`, `distance({short}) < 20 mm`{any_there}"
+    if wanted.kind is Kind.PLACE:
+        made = _with_units(node) if actual.kind is Kind.VECTOR else None
+        if made is not None:
+            return f"a place has lengths: `{made.text}`"
+        if actual.kind is Kind.VECTOR and actual.dim == Dim():
+            ahead = f"{short} * 20 mm" if not isinstance(node, nodes.Binary) else f"({short}) * 20 mm"
+            return f"a direction is no place: steer by it as it is, or name the place that way: `position + {ahead}`"
+        return "name an item, an agent or a position, such as `nearest(food)` or `vector(10 mm, 0 mm, 0 mm)`"
     if wanted.kind is Kind.BOOL and actual.kind is Kind.NUMBER:
         if isinstance(node, (nodes.Number, nodes.Quantity)):
             return "a number alone asks nothing: compare something with it"

@@ -9,8 +9,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from antdsl import limits
-from antdsl.diagnostics import Label, Report
+from antdsl.diagnostics import Diagnostic, Label, Report
+from antdsl.scene.indenting import indented_otherwise, without_colon
 from antdsl.source import Source, Span
+from antdsl.syntax.numbers import comma_in_number, number_with_comma
 
 Key = str | int
 
@@ -159,6 +161,10 @@ class _Reader:
         words = (getattr(problem, "problem", None) or "this is not YAML").replace("'\\t'", "a tab")
         text, help = self.source.text, None
         labels: list[Label] = []
+        better = self.better(problem, start)
+        if better is not None:
+            self.report.add(better)
+            return _Refused()
         if text[start : start + 1] == "\t" or "a tab" in words:
             words, help = "a tab cannot indent a line", "indent with blanks"
         elif "%" in text[start : start + 1]:
@@ -172,6 +178,17 @@ class _Reader:
             labels = [Label(Span(self.source, opened, opened + 1), "this is still open")]
         place = Span(self.source, start, min(start + 1, len(text)))
         return self.refuse("scene-syntax", f"cannot read the scene here: {words}", place, help, *labels)
+
+    def better(self, problem: Any, start: int) -> Diagnostic | None:
+        """What can be said more exactly of a line that YAML stumbles over."""
+        if str(getattr(problem, "context", "")).startswith("while parsing a flow"):
+            return None
+        begun = getattr(problem, "context_mark", None)
+        if "could not find expected ':'" in (getattr(problem, "problem", None) or "") and begun is not None:
+            found = without_colon(self.source, self.offset(begun))
+            if found is not None:
+                return found
+        return indented_otherwise(self.source, start) or without_colon(self.source, start)
 
     def consume(self, yaml: Any, events: Any) -> Node | None:
         """Build the tree from the stream of events with a stack of our own, so that depth and number are known before they
@@ -236,6 +253,11 @@ class _Reader:
             if not isinstance(key, ScalarNode) or not key.text:
                 self.report.error("wrong-value", "a key must be one word", key.span, "write `key: value`")
                 continue
+            if isinstance(value, ScalarNode) and not value.text and not value.quoted:  # `{radius: 0,4 m}`
+                number = number_with_comma(self.source, key.span.start - 1)
+                if number is not None:
+                    self.report.add(comma_in_number(number))
+                    continue
             if key.text == "<<":
                 self.report.error(
                     "yaml-alias", "merges are not supported", key.span, "write the values out where they are wanted"

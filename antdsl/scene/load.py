@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from antdsl import limits
-from antdsl.diagnostics import Report
+from antdsl.diagnostics import Diagnostic, Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.scene.document import Key, MappingNode, decode, find, plain, read_document
+from antdsl.scene.document import Key, MappingNode, ScalarNode, decode, find, plain, read_document
 from antdsl.scene.extending import extended
 from antdsl.scene.paths import PathRefused, Roots, read_named
 from antdsl.source import Source, Span
+from antdsl.syntax.numbers import WITH_COMMAS, comma_in_number
 
 if TYPE_CHECKING:
     from antdsl.scene.model import SceneModel
@@ -85,10 +87,43 @@ def load_text(data: bytes, name: str, roots: Roots, texts: Mapping[Path, bytes] 
     try:
         model = SceneModel.model_validate(plain(document))
     except ValidationError as problem:
+        outside = _outside(document)
         for error in problem.errors(include_url=False, include_input=False):
-            _complain(report, document, error)
+            path = tuple(error["loc"])
+            if path[:1] and path[0] in outside and len(path) == 1:
+                report.add(outside[path[0]])
+            else:
+                _complain(report, document, error)
         return None, report
     return Scene(model, document, source, roots), report
+
+
+_WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "lod", "output"))
+
+
+def _outside(document: MappingNode) -> dict[Key, Diagnostic]:
+    """Lines at the left edge that belong below the one before, which has no value: the complaint about the first of them, by the
+    keys about which nothing else is to be said."""
+    from antdsl.scene.model import SceneModel
+
+    known = {field.alias or name for name, field in SceneModel.model_fields.items()}
+    found: dict[Key, Diagnostic] = {}
+    names = list(document.entries)
+    for number, name in enumerate(names):
+        node = document.entries[name]
+        inner = list(takewhile(lambda each: each not in known and not nearest_name(each, known), names[number + 1 :]))
+        if name not in _WITH_LINES or not inner or not isinstance(node, ScalarNode) or node.text or node.quoted:
+            continue
+        first, last = document.keys[inner[0]], document.entries[inner[-1]].span
+        source = first.source
+        text = source.text[first.start : last.end].replace("\n", "\n  ")
+        told = Diagnostic(
+            "scene-syntax", f"`{inner[0]}` stands at the left edge, and `{name}:` has nothing below it", first,
+            help=f"begin the lines below `{name}:` with 2 blanks",
+            fix=Fix(Span(source, first.start, last.end), f"  {text}"),
+        )  # fmt: skip
+        found |= dict.fromkeys((name, *inner), told)
+    return found
 
 
 def _complain(report: Report, document: MappingNode, error: Any) -> None:
@@ -109,6 +144,10 @@ def _complain(report: Report, document: MappingNode, error: Any) -> None:
         return
     bad_key = bool(path) and path[-1] == "[key]"
     span, _ = find(document, path[:-1] if bad_key else path, key=bad_key)
+    number = WITH_COMMAS.search(span.text) if kind == "too_long" else None
+    if number is not None:  # `[0,4, 1, 2]`
+        report.add(comma_in_number(Span(span.source, span.start + number.start(), span.start + number.end())))
+        return
     if kind == "scene":
         context = error["ctx"]
         report.error("wrong-value", context["words"], span, context["help"] or None)

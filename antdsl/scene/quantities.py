@@ -9,12 +9,18 @@ from math import isfinite
 from antdsl import limits
 from antdsl.program.model import Dim
 from antdsl.program.units import measure
+from antdsl.source import Source, Span
+from antdsl.syntax.numbers import WITH_COMMAS, comma_in_number
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
 
 
 class BadQuantity(ValueError):
-    """Why a text is no quantity, in words that fit after the text in question."""
+    """Why a text is no quantity, in words that fit after the text in question; `help`: what to write, where that is known."""
+
+    def __init__(self, message: str, help: str = "") -> None:
+        super().__init__(message)
+        self.help = help
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +51,7 @@ class Quantity:
 def parse_number(text: str) -> float:
     """A decimal number; BadQuantity says why not."""
     text = text.strip()
+    _refuse_comma(text)
     if not _NUMBER.fullmatch(text):
         raise BadQuantity("is not a number")
     if sum(c.isdigit() for c in text) > limits.NUMBER_DIGITS:
@@ -58,6 +65,7 @@ def parse_number(text: str) -> float:
 def parse_quantity(text: str) -> Quantity:
     """A number and its unit, `30 mm/s`; BadQuantity says why not."""
     text = text.strip()
+    _refuse_comma(text)
     found = _NUMBER.match(text)
     if not found:
         raise BadQuantity("is not a number with a unit")
@@ -72,3 +80,13 @@ def parse_quantity(text: str) -> Quantity:
     if not isfinite(value):
         raise BadQuantity("is not representable")
     return Quantity(value, known.dim, unit, text, known.u, known.step)
+
+
+def _refuse_comma(text: str) -> None:
+    """`0,4mm`, as numbers are written in many countries: what it means is said in the words that a program is told in."""
+    found = WITH_COMMAS.match(text.lstrip("+-"))
+    if found is not None:
+        start = len(text) - len(text.lstrip("+-"))
+        told = comma_in_number(Span(Source("", text), start, start + found.end()))
+        better = None if told.fix is None else text[:start] + told.fix.text + text[start + found.end() :]
+        raise BadQuantity("has a comma in its number", f"write `{better}`" if better else told.help or "")

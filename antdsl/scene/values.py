@@ -60,9 +60,8 @@ def _quantity(value: Any) -> Quantity:
     try:
         return parse_quantity(text)
     except BadQuantity as why:
-        raise refuse(
-            f"{_shown(text)} {why}", "write a number and a unit of mm cm m u s min step rad deg turn mg g kg N uN %"
-        ) from None
+        usual = "write a number and a unit of mm cm m u s min step rad deg turn mg g kg N uN %"
+        raise refuse(f"{_shown(text)} {why}", why.help or usual) from None
 
 
 def of_dim(dim: Dim) -> Callable[[Any], Quantity]:
@@ -100,7 +99,7 @@ def number(low: float, high: float) -> Callable[[Any], float]:
         try:
             found = parse_number(text)
         except BadQuantity as why:
-            raise refuse(f"{_shown(text)} {why}") from None
+            raise refuse(f"{_shown(text)} {why}", why.help) from None
         if not low <= found <= high:
             raise refuse(f"`{text}` is not between {low:g} and {high:g}")
         return found
@@ -156,11 +155,17 @@ class FrameRange(NamedTuple):
     last: int
 
 
+# What else people write between two frames.
+_OTHER_RANGE = re.compile(r"\[?\s*(-?[0-9]{1,9})\s*(?:-|–|—|…|\.{3}|:|,|;|to|bis)\s*(-?[0-9]{1,9})\s*\]?", re.ASCII)
+
+
 def parse_frames(text: str) -> FrameRange:
     """`1001..1720` or one frame; BadQuantity says why not."""
     found = re.fullmatch(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))?", text.strip(), re.ASCII)
     if not found:
-        raise BadQuantity("is not a range of frames")
+        other = _OTHER_RANGE.fullmatch(text.strip())
+        ends = sorted((int(other[1]), int(other[2]))) if other else []
+        raise BadQuantity("is not a range of frames", f"write `{ends[0]}..{ends[1]}`" if ends else "")
     first = int(found[1])
     last = int(found[2]) if found[2] is not None else first
     if last < first:
@@ -171,11 +176,13 @@ def parse_frames(text: str) -> FrameRange:
 
 
 def _frames(value: Any) -> FrameRange:
-    text = _text(value, "a range of frames")
+    text = ",".join(value) if isinstance(value, list) and all(isinstance(v, str) for v in value) else value
+    text = _text(text, "a range of frames")
     try:
         return parse_frames(text)
     except BadQuantity as why:
-        raise refuse(f"{_shown(text)} {why}", "write `1001..1240`") from None
+        usual = "write the first and the last with two dots between: `1001..1240`"
+        raise refuse(f"{_shown(text)} {why}", why.help or usual) from None
 
 
 def _path(value: Any) -> str:

@@ -105,7 +105,7 @@ def cases(
     parsed = CheckedOnce()
     finder = _Finder(dict(grants or {}), parsed, report)
     for file in (file for file in files if file.suffix == ".ant" or file in paths):
-        program, findings = check_path(file, Choices(finder.grants), parsed=parsed)
+        program, findings = check_path(file, Choices(finder.grants), parsed=parsed, specs=False)
         report.extend(findings)
         if program is None or not findings.ok:
             continue

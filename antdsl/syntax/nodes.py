@@ -562,7 +562,7 @@ TopItem = Use | World | FieldDecl | Species | Behaviour | Spec
 @node
 class File:
     """One parsed file. `items` holds what could be read, in text order, even where other parts were broken; `doubtful` are the
-    places where a line was not understood as it stands, of which the report of parsing tells."""
+    places where a line was not understood as it stands, of which the report of parsing tells; `broken`: it tells an error."""
 
     source: Source
     edition: Number | None
@@ -570,6 +570,7 @@ class File:
     items: tuple[TopItem, ...]
     comments: tuple[Comment, ...] = field(default=())
     doubtful: tuple[Span, ...] = field(default=())
+    broken: bool = field(default=False)
     parts: Mapping[Source, int] = field(default_factory=dict)
 
     def whole(self, span: Span) -> Span:

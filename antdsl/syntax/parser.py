@@ -24,7 +24,16 @@ from antdsl.syntax.builder import Builder, Header, Result
 from antdsl.syntax.depth import deep_places
 from antdsl.syntax.scan import UNREADABLE, Scan, scan
 from antdsl.syntax.tables import load_parser
-from antdsl.syntax.wording import Surprise, begins_line, better_first_word, complain, gives_with_two, misplaced, plain_complaint
+from antdsl.syntax.wording import (
+    Surprise,
+    begins_line,
+    better_first_word,
+    complain,
+    forgets_brackets,
+    gives_with_two,
+    misplaced,
+    plain_complaint,
+)
 from antdsl.syntax.words import BELONGS, BODIES, LINE_WORDS
 
 if TYPE_CHECKING:
@@ -87,15 +96,15 @@ def parse(source: Source) -> tuple[n.File, Report]:
     other = _other_language(source.text)
     if other is not None:
         report.error("not-an-ant-file", f"text looks like {other}", Span(source, 0, 1), "a `.ant` file begins with `ant 1`")
-        return n.File(source, None, None, ()), report
+        return n.File(source, None, None, (), broken=True), report
     scanned = scan(source, report)
     if all(token.kind == "end" for token in scanned.tokens):
         if report.ok:
             report.error("empty-file", "file has nothing in it", Span(source, 0, 0), "begin with `ant 1`, then write a `species`")
-        return n.File(source, None, None, (), tuple(scanned.comments)), report
+        return n.File(source, None, None, (), tuple(scanned.comments), broken=True), report
     tokens = pair(scanned)
     if tokens is None:
-        return n.File(source, None, None, (), tuple(scanned.comments)), report
+        return n.File(source, None, None, (), tuple(scanned.comments), broken=True), report
     lines = cut(scanned, tokens)
     scanned.faults.sort()
     with _lock:
@@ -158,7 +167,8 @@ class _Reading:
         if not items and self.report.ok:
             help_text = "write a `species`, or a `behaviour` that other files can use"
             self.report.error("empty-file", "file declares nothing", Span(self.source, 0, 0), help_text)
-        return n.File(self.source, edition, help, items, tuple(self.scan.comments), self.doubtful())
+        comments, broken = tuple(self.scan.comments), not self.report.ok
+        return n.File(self.source, edition, help, items, comments, self.doubtful(), broken)
 
     def beginning(self, lines: list[Line]) -> tuple[n.Number | None, n.Text | None, list[Line]]:
         """The edition and the help of a file, and the lines that follow."""
@@ -330,6 +340,8 @@ class _Reading:
             yield text.splice(position, position + 1, "==")
         if gives_with_two(surprise):
             yield text.splice(position, position + 2, "=")
+        if forgets_brackets(surprise):
+            yield text.splice(position, position + len(surprise.found), f"({surprise.found})")
         lefts, rights, clause = self.slots(line, text, position)
         for left in lefts:
             for right in rights:

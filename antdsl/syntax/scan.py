@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 
 from antdsl import limits
 from antdsl.diagnostics.model import Fix, Report
-from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
 from antdsl.syntax.lookalikes import DOUBLE_QUOTES, SINGLE_QUOTES, WRONG_SIGNS, ascii_for, word_instead
 from antdsl.syntax.nodes import Comment
+from antdsl.syntax.numbers import NO_SECOND, WITH_COMMAS, comma_in_number, number_problem, unit_help
 from antdsl.syntax.pasted import blank_lines, look_over
 from antdsl.syntax.words import UNIT_NAMES, UNIT_SLIPS
 
@@ -87,7 +87,6 @@ _PIECE = re.compile(
     re.VERBOSE | re.DOTALL,
 )
 _QUANTITY = re.compile(rf"[ \t]*(?:%|{_UNIT}|/(?:{_UNIT}))(?:[/*](?:{_UNIT}))*")
-_GLUED = re.compile(r"[A-Za-z_][A-Za-z_0-9]*|\.[0-9][0-9.]*|\.(?!\.)")
 _WORD = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 _HYPHENED = re.compile(r"[A-Za-z][A-Za-z_0-9]*(?:-[A-Za-z][A-Za-z_0-9]*)+(?![A-Za-z_0-9])")
 _NAMING = frozenset(
@@ -120,6 +119,7 @@ class _Scanner:
         self.indent = 0  # of the line so far, -1 after its first token
         self.told: set[str] = set()  # names and kinds of slip that have been complained about already
         self.last_end = -1  # offset where the last token ended
+        self.inside = 0  # how many ( and [ are open that may hold values with commas between them
 
     def run(self) -> None:
         position = 0
@@ -161,9 +161,12 @@ class _Scanner:
         return self.token("sign", start, end)
 
     def open(self, start: int, end: int, piece: str) -> int:
+        declares = [self.characters[each.start : each.end] for each in self.found.tokens[-2:-1]] == ["behaviour"]
+        self.inside = 0 if piece == "{" or declares else self.inside + 1
         return self.token("open", start, end)
 
     def close(self, start: int, end: int, piece: str) -> int:
+        self.inside = max(0, self.inside - 1) if piece != "}" else 0
         return self.token("close", start, end)
 
     # --- words and numbers ---
@@ -236,7 +239,10 @@ class _Scanner:
         return tail.end() if tail else end
 
     def number(self, start: int, end: int, piece: str) -> int:
-        problem = self.number_problem(start, end, piece)
+        commas = WITH_COMMAS.match(self.characters, start)
+        if commas is not None and (not self.inside or NO_SECOND.search(commas.group())):
+            return self.commas(start, commas.end())
+        problem = number_problem(piece, self.characters, end)
         if problem is not None:
             message, stop, help = problem
             self.found.error("bad-number", message, start, stop, help)
@@ -256,32 +262,21 @@ class _Scanner:
             return self.unreadable(start, glued.end())
         return self.token("number", start, end)
 
+    def commas(self, start: int, end: int) -> int:
+        """A number with a comma in it, where no comma can part two: it is read on with a dot if that is what is meant."""
+        told = comma_in_number(Span(self.found.source, start, end))
+        self.found.report.add(told)
+        self.found.faults.append(start)
+        if told.fix is None or len(told.fix.text) < end - start:
+            return self.unreadable(start, self.quantity_end(end))
+        self.found.replace(start, told.fix.text)
+        return self.token("number", start, self.quantity_end(end))
+
     def unreadable(self, start: int, end: int) -> int:
         """A number of which the unit is not known: whoever checks units has nothing to say about it."""
         self.found.blank(start, end)
         self.found.replace(start, UNREADABLE)
         return self.token("number", start, end)
-
-    def number_problem(self, start: int, end: int, piece: str) -> tuple[str, int, str] | None:
-        """What is wrong with a number, where it ends, and what to write."""
-        glued = _GLUED.match(self.characters, end)
-        rest = glued.group() if glued else ""
-        whole = f"{piece}{rest}"[:80]
-        stop = end + len(rest)
-        if rest[:1] == "." and rest[1:2].isdigit():
-            return f"number `{whole}` has two dots", stop, "write one dot at most, as in `1.25`"
-        if rest == ".":
-            return f"number `{whole}` ends in a dot", stop, f"write `{piece}`"
-        if rest[:1] == "_" or (piece == "0" and rest[:1] in ("x", "X", "o", "O", "b", "B")):
-            return f"`{whole}` is not a number", stop, "write it with digits and at most one dot, as in `1200` or `1.25`"
-        if len(piece) > 1 and piece[0] == "0" and piece[1].isdigit():
-            return f"number `{piece[:80]}` begins with a needless 0", end, f"write `{piece.lstrip('0') or '0'}`"[:80]
-        if sum(character.isdigit() for character in piece) > limits.NUMBER_DIGITS:
-            return f"number of {len(piece)} digits", end, f"write at most {limits.NUMBER_DIGITS} digits"
-        value = float(piece)
-        if value > 1e38 or (value < 1e-38 and re.search(r"[1-9]", re.split("[eE]", piece)[0])):
-            return f"number `{piece[:80]}` cannot be represented", end, "write a number between 1e-38 and 1e38"
-        return None
 
     # --- what does not belong ---
 
@@ -390,11 +385,3 @@ def text_before(found: Scan) -> str:
     """The text of the token that was read last."""
     last = found.tokens[-1]
     return found.source.text[last.start : last.end]
-
-
-def unit_help(word: str) -> str:
-    """What to write in place of a word that is not a unit."""
-    near = UNIT_SLIPS.get(word.lower())
-    if near is None and (name := nearest_name(word, UNIT_NAMES)) is not None:
-        near = f"did you mean `{name}`?"
-    return near or f"units are {' '.join(UNIT_NAMES)} and %; to multiply, write `*`"

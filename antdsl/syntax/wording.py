@@ -8,8 +8,19 @@ from dataclasses import dataclass
 from antdsl.diagnostics.model import Diagnostic, Fix, replacement
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Span
-from antdsl.syntax.scan import unit_help
-from antdsl.syntax.words import BELONGS, FIELD_SETTINGS, FORMS, LINE_WORDS, OTHER_WORDS, RULE_FORMS, WORLD_KINDS
+from antdsl.syntax.numbers import comma_in_number, number_with_comma, unit_help
+from antdsl.syntax.words import (
+    AFTER,
+    BELONGS,
+    FIELD_SETTINGS,
+    FORMS,
+    LINE_WORDS,
+    OTHER_WORDS,
+    RULE_FORMS,
+    UNIT_NAMES,
+    UNIT_SLIPS,
+    WORLD_KINDS,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,57 +41,6 @@ class Surprise:
     earlier: str = ""  # the text before `before`
 
 
-# After these words or signs, what comes next, in words.
-_AFTER = {
-    "when": "a condition",
-    "and": "a condition",
-    "or": "a condition",
-    "not": "a condition",
-    "no": "a sense, such as `meal`",
-    "if": "a condition",
-    "then": "a value",
-    "else": "a value",
-    "steer": "a push, such as `seek(meal)`",
-    "held": "a time, such as `0.5 s`",
-    "after": "a time, such as `0.5 s`",
-    "over": "a time, such as `4 s`",
-    "within": "a time, such as `20 s`",
-    "least": "a time, such as `1 s`",
-    "take": "an amount, such as `1 load`",
-    "give": "an amount, such as `all load`",
-    "from": "where from",
-    "to": "where to",
-    "in": "a range, such as `0 mm .. 200 mm`",
-    "chance": "a rate, such as `20 %/s`",
-    "until": "a condition",
-    "state": "the name of the state",
-    "start": "the name of a state",
-    "species": "a name",
-    "field": "the name of the field",
-    "machine": "the name of the machine",
-    "behaviour": "the name of the behaviour",
-    "param": "the name of the parameter",
-    "let": "a name",
-    "latch": "a name",
-    "fuzzy": "a name",
-    "keep": "a name",
-    "use": "the name of a library, or the path of a file in quotes",
-    "as": "a name",
-    "spec": "a name in quotes",
-    "deposit": "the name of a field",
-    "carve": "the name of a solid",
-    "spawn": "the name of a species",
-    "emit": "the name of an event",
-    "play": "the name of a clip",
-    "choose": "`{`",
-    "each": "the name of a species",
-    "of": "a name",
-    "is": "`none` or `not none`",
-    "(": "a value or `)`",
-    "..": "the upper end of the range",
-    "ant": "the edition, `1`",
-    "{": "a line or `}`",
-}
 # Of the terminals that can follow a finished value, the ones that a line needs, most telling first.
 _NEEDED = (
     ("ARROW", "`->`"),
@@ -116,6 +76,10 @@ _ASSIGNING = {"=", "+=", "-=", "[", "."}
 # The beginning of a question to all: its brackets hold a condition and no argument's name.
 _ASKING = re.compile(r"\b(?:share|count|any|every)\(\s*[a-z_][a-z_0-9.]*\s*\Z|[(,]\s*(?:state|previous|next)\s*\Z")
 _WRITING = ("=", "+=", "-=")
+# After these a value begins.
+_BEGINS_VALUE = frozenset(
+    ("when", "and", "or", "not", "no", "steer", "then", "else", "if", "until", "(", ",", *"=<>+-*/", *_WRITING, "<=", ">=", "==")
+)
 _COMPARISONS = {"==", "!=", "<", ">", "<=", ">=", "is"}
 
 
@@ -143,6 +107,9 @@ def complain(surprise: Surprise) -> Diagnostic:
         help, fix = f"write a comma before `{surprise.found}:`", _behind(surprise, ",")
     elif _forgets_arrow(surprise):
         help, fix = f"write `-> {surprise.found}`", _before(surprise, "-> ")
+    elif forgets_brackets(surprise):
+        help = f"write `{surprise.before}({surprise.found})`"
+        fix = Fix(Span(surprise.span.source, _behind(surprise, "").span.start, surprise.span.end), f"({surprise.found})")
     return Diagnostic("unexpected-text", f"{message}, expected {_wanted(surprise)}", surprise.span, help=help, fix=fix)
 
 
@@ -180,6 +147,12 @@ def _slip(surprise: Surprise) -> str | None:
 
 def _forgets_arrow(surprise: Surprise) -> bool:
     return "ARROW" in surprise.wanted and surprise.found_kind == "word" and surprise.next in ("", "{")
+
+
+def forgets_brackets(surprise: Surprise) -> bool:
+    """`touching nest`: a name behind one that begins a value, and so could be called with it."""
+    names = surprise.before_kind == surprise.found_kind == "word" and surprise.next not in ("(", ".", "[", ":")
+    return names and surprise.earlier in _BEGINS_VALUE and {surprise.before, surprise.found}.isdisjoint(_keywords() | _JOINING)
 
 
 def _forgets_colon(surprise: Surprise) -> bool:
@@ -255,13 +228,11 @@ def _label(surprise: Surprise) -> Diagnostic | None:
 
 
 def _comma(surprise: Surprise) -> Diagnostic | None:
-    """`0,15 s`, as numbers are written in many countries."""
-    parts = (surprise.before, surprise.next)
-    if surprise.found != "," or surprise.before_kind != "number" or not parts[0].isdigit() or not parts[1][:1].isdigit():
-        return None
-    message = f"found `,` in the number `{parts[0]},{parts[1]}`"
-    help = f"write a dot: `{parts[0]}.{parts[1]}`"
-    return Diagnostic("unexpected-text", message, surprise.span, help=help, fix=Fix(surprise.span, "."))
+    """`(0,15)`, as numbers are written in many countries, where it cannot be two arguments."""
+    found, source = surprise.span, surprise.span.source
+    comma = found.start if surprise.found == "," else found.start - 1 if surprise.before == "," else -1
+    span = number_with_comma(source, comma) if comma > 0 else None
+    return None if span is None else comma_in_number(span)
 
 
 def _unit(surprise: Surprise) -> Diagnostic | None:
@@ -270,12 +241,14 @@ def _unit(surprise: Surprise) -> Diagnostic | None:
         return None
     if surprise.next in _ASSIGNING and "$END" in surprise.wanted:
         return _line_end(surprise)
+    if _forgets_arrow(surprise) and surprise.found not in UNIT_SLIPS and nearest_name(surprise.found, UNIT_NAMES) is None:
+        return None
     message, help = f"`{surprise.found}` is not a unit", unit_help(surprise.found)
     return Diagnostic("unknown-unit", message, surprise.span, help=help, fix=replacement(message, surprise.span, help))
 
 
 def _keywords() -> frozenset[str]:
-    return frozenset(word for words in LINE_WORDS.values() for word in words) | set(_AFTER) | {"relax", "strongest"}
+    return frozenset(word for words in LINE_WORDS.values() for word in words) | set(AFTER) | {"relax", "strongest"}
 
 
 def _equals(surprise: Surprise) -> Diagnostic | None:
@@ -352,12 +325,12 @@ def _wanted(surprise: Surprise) -> str:
             surprise.rule, "the name of a state"
         )
     if wanted >= _VALUE:
-        return _AFTER.get(surprise.before, "a value")
+        return AFTER.get(surprise.before, "a value")
     if {"RPAR", "_COMMA"} <= wanted:
         return "`,` or `)`"
     begins = wanted & {"NAME", "STRING", "NUMBER", "NONE"} and "PLUS" not in wanted
-    if begins and surprise.before in _AFTER and surprise.before not in ("{", "("):
-        return _AFTER[surprise.before]
+    if begins and surprise.before in AFTER and surprise.before not in ("{", "("):
+        return AFTER[surprise.before]
     if surprise.rule == "world_item" and "NAME" in wanted:
         return f"a name after one of {' '.join(WORLD_KINDS)}" if not surprise.before else "a name"
     if surprise.rule == "setting" and not surprise.before:

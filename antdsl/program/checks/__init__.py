@@ -25,17 +25,18 @@ from antdsl.program.checks.writers import writers
 Check = Callable[[Checked, Report], None]
 CHECKS: tuple[Check, ...] = (
     empty,  # a file that does nothing says so before anything else is looked for in it
-    reachability,  # states that nothing leads to, and that nothing leads out of
-    shadowed,  # changes that can never be looked at
     writers,  # two machines that set the same attribute
     layering,  # what the states steer must have its line
-    events,  # raised and never noticed, noticed and never raised
     steps,  # for `--strict`: what is said in steps
-    unused,  # last: it only makes sense of what is otherwise right
 )
 
-# What can only be said of a program without errors: it reads meaning out of what is written.
+# What can only be said of a program without errors: it reads meaning out of what is written, and out of what is not. Where
+# something is wrong, what seems idle may be what was meant there.
 OF_SOUND: tuple[Check, ...] = (
+    reachability,  # states that nothing leads to, and that nothing leads out of
+    shadowed,  # changes that can never be looked at
+    events,  # raised and never noticed, noticed and never raised
+    unused,  # declared and never asked for
     firing,  # changes whose condition never holds, or always
     flicker,  # two states that send the animal to each other
     draws,  # numbers drawn in a condition

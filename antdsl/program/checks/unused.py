@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Report
 from antdsl.program.checks.checked import Checked
-from antdsl.program.kinds import Kind
 from antdsl.program.model import Op, Species
 from antdsl.syntax import nodes
 
@@ -40,7 +39,7 @@ def _species(checked: Checked, species: Species, report: Report) -> None:
                 "unused-attribute", f"attribute `{attribute.name}` is never used", attribute.span, "use it, or delete it"
             )
     for binding in (*species.lets, *species.latches):
-        if not checked.uses("let", f"{species.name}.{binding.name}") and binding.type.kind is not Kind.BAD:
+        if not checked.uses("let", f"{species.name}.{binding.name}"):
             word = "fuzzy" if isinstance(binding.value, Op) and binding.value.name == "fuzzy" else binding.role
             report.warning(
                 f"unused-{binding.role}", f"`{word} {binding.name}` is never used", binding.span, "use it, or delete it"
@@ -52,11 +51,9 @@ def _behaviours(checked: Checked, report: Report) -> None:
     for file in checked.files:
         if not any(isinstance(item, nodes.Species) for item in file.node.items):
             continue
-        # what stands in a behaviour that could not be checked was not looked at, and may call these
-        perhaps = {id(called) for info in file.own.values() if info.state == "broken" for called in info.calls}
         for info in file.own.values():
             name = info.node.name
-            if not checked.uses("behaviour", f"{name.span}") and id(info) not in perhaps:
+            if not checked.uses("behaviour", f"{name.span}"):
                 report.warning(
                     "unused-behaviour",
                     f"behaviour `{name.text}` is never called",

@@ -1,0 +1,215 @@
+"""Where a scene's text is no YAML: the line that is indented otherwise than those it stands among, or lacks its colon, with what
+to write. YAML itself names the place where it could not go on, which is often a line or a word further."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from antdsl.diagnostics import Diagnostic, Fix
+from antdsl.source import Source, Span
+
+_CODE = "scene-syntax"
+_KEY = re.compile(r"""("[^"]*"|'[^']*'|[^\s#:\[\]{},&*!|>%@`"'-][^#:\[\]{},]*?)\s*:(?=\s|$)""")
+_GLUED = re.compile(r"(?:- +)?([A-Za-z_][\w.]*):(?=[^\s:/\\])(.+)")
+_NO_COLON = re.compile(r"(?:- +)?([A-Za-z_][\w.]*)[ \t]+([^\s:#=].*|[=] ?.*)")
+_SHOWN = 40
+
+
+@dataclass(slots=True)
+class _Line:
+    """A line of a block: how far it is indented, its text without comment, and where that stands."""
+
+    start: int
+    indent: int
+    text: str
+
+    @property
+    def dash(self) -> bool:
+        return self.text == "-" or self.text.startswith("- ")
+
+
+@dataclass(slots=True)
+class _Level:
+    """Lines that stand below each other: how far they are indented, whether they are items of a list, the last of them and its
+    text from there on."""
+
+    indent: int
+    dash: bool
+    line: _Line | None
+    text: str = ""
+
+
+@dataclass(slots=True)
+class _Odd:
+    """A line that stands among no others, and those that it is nearest to."""
+
+    line: _Line
+    level: _Level
+
+
+def indented_otherwise(source: Source, stop: int) -> Diagnostic | None:
+    """The complaint about the first line, up to the one that `stop` is in, that is indented like none of those it could belong
+    to. Where all is well once the line before it is shifted instead, it is about that one."""
+    odd = _first_odd(source.text, stop)
+    if odd is None:
+        return None
+    line, level, shift = odd.line, odd.level, odd.level.indent - odd.line.indent
+    start, end, text = _shifted(source.text, line, shift)
+    before = level.line
+    if before is not None and _first_odd(source.text[:start] + text + source.text[end:]) and before.indent >= shift:
+        other = _shifted(source.text, before, -shift, alone=True)
+        if _first_odd(source.text[: other[0]] + other[2] + source.text[other[1] :]) is None:
+            line, level, shift, (start, end, text) = before, _Level(before.indent - shift, before.dash, None), -shift, other
+    where = "at the left edge" if not level.indent else f"with {_blanks(level.indent)}"
+    beside = level.text if len(level.text) <= _SHOWN else level.text[: _SHOWN - 1] + "…"
+    message = f"this line begins with {_blanks(line.indent)}, and those it stands among with {_blanks(level.indent)}"
+    help = f"begin it {where}" + (f", below `{beside}`" if beside else "")
+    span = Span(source, line.start, line.start + len(line.text))
+    return Diagnostic(_CODE, message, span, help=help, fix=Fix(Span(source, start, end), text))
+
+
+def _first_odd(text: str, stop: int | None = None) -> _Odd | None:
+    levels: list[_Level] = []
+    opened = False  # the line before has a key without a value
+    for line in _lines(text, len(text) if stop is None else stop):
+        if "\t" in text[line.start - line.indent : line.start]:
+            return None
+        wanted = _wanted(levels, line, opened)
+        if wanted is not None:
+            return _Odd(line, wanted)
+        while levels and (levels[-1].indent > line.indent or (levels[-1].indent == line.indent and levels[-1].dash > line.dash)):
+            levels.pop()
+        opened = _enter(levels, line)
+    return None
+
+
+def _enter(levels: list[_Level], line: _Line) -> bool:
+    """Takes a line in. Whether its last key has no value, so that a block may follow."""
+    indent, text = line.indent, line.text
+    while True:
+        dash = text == "-" or text.startswith("- ")
+        if levels and levels[-1].indent == indent and levels[-1].dash == dash:
+            levels[-1].line, levels[-1].text = line, text
+        else:
+            levels.append(_Level(indent, dash, line, text))
+        if not dash:
+            break
+        rest = text[1:].lstrip()
+        indent += len(text) - len(rest)
+        text = rest
+        if not text or not (_KEY.match(text) or text.startswith("- ")):
+            return not text
+    key = _KEY.match(text)
+    return key is not None and not text[key.end() :].strip()
+
+
+def _wanted(levels: list[_Level], line: _Line, opened: bool) -> _Level | None:
+    """The lines among which this one was to stand; None where it does."""
+    if not levels:
+        return _Level(0, line.dash, None) if line.indent else None
+    last = levels[-1]
+    if opened and (line.indent > last.indent or (line.dash and line.indent == last.indent)):
+        return None
+    fitting = [level for level in levels if level.dash == line.dash] or levels
+    if any(level.indent == line.indent for level in fitting if level.dash == line.dash):
+        return None
+    return min(reversed(fitting), key=lambda level: abs(level.indent - line.indent))
+
+
+def _shifted(text: str, line: _Line, shift: int, *, alone: bool = False) -> tuple[int, int, str]:
+    """A line shifted, with all that hangs on it: the stretch of the text, and what is to stand there."""
+    start = line.start - line.indent
+    hangs = not alone and (shift < 0 or line.dash or line.text.endswith(":"))
+    end = _below(text, line) if hangs else _end(text, line.start)
+    lines = text[start:end].split("\n")
+    moved = [" " * shift + each if shift > 0 and each.strip() else each[max(0, -shift) :] for each in lines]
+    return start, end, "\n".join(moved)
+
+
+def _below(text: str, line: _Line) -> int:
+    """Where a line ends with all that is indented more below it."""
+    last = _end(text, line.start)
+    while last < len(text):
+        stop = _end(text, last + 1)
+        following = text[last + 1 : stop]
+        if following.strip() and len(following) - len(following.lstrip(" ")) <= line.indent:
+            break
+        if not following.strip():
+            break
+        last = stop
+    return last
+
+
+def _blanks(count: int) -> str:
+    return "no blank" if not count else f"{count} blank{'s' if count > 1 else ''}"
+
+
+def _end(text: str, start: int) -> int:
+    end = text.find("\n", start)
+    return len(text) if end < 0 else end
+
+
+def _lines(text: str, stop: int) -> Iterator[_Line]:
+    """The lines up to an offset that hold something and do not go on with a bracket, a text in quotes or a block of text."""
+    position, depth, quote, block = 0, 0, "", -1
+    while position < len(text) and position <= stop:
+        end = _end(text, position)
+        line = text[position:end].rstrip("\r")
+        bare = line.lstrip(" \t")
+        indent = len(line) - len(bare)
+        inside = depth > 0 or quote or (block >= 0 and (indent > block or not bare))
+        if not inside:
+            block = -1
+        content, depth, quote = _read(line, depth, quote) if block < 0 else (line, 0, "")
+        content = content.strip(" \t")
+        if not inside and content and content not in ("---", "..."):
+            yield _Line(position + indent, indent, content)
+            if re.search(r"[:-]\s+[|>][+-]?[0-9]?$", content):
+                block = indent
+        position = end + 1
+
+
+def _read(line: str, depth: int, quote: str) -> tuple[str, int, str]:
+    """A line without its comment, how many brackets are open at its end, and the quote that is."""
+    before = " "
+    for place, character in enumerate(line):
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "\"'" and before in " \t[{,:-":
+            quote = character
+        elif character == "#" and before in " \t":
+            return line[:place], depth, quote
+        elif character in "[{":
+            depth += 1
+        elif character in "]}":
+            depth = max(0, depth - 1)
+        before = character
+    return line, depth, quote
+
+
+def without_colon(source: Source, start: int) -> Diagnostic | None:
+    """The complaint about a line such as `fps 24` or `fps:24`, at or above an offset, that was read on into the next."""
+    line, _ = source.line_column(start)
+    for number in (line, line - 1):
+        text = source.line_text(number)
+        bare = text.lstrip()
+        begin = _start(source, number) + len(text) - len(bare)
+        for pattern, lack in ((_GLUED, "no blank behind `{}:`"), (_NO_COLON, "no `:` behind `{}`")):
+            found = pattern.fullmatch(bare)
+            if found is None or _KEY.match(bare.removeprefix("- ").lstrip()):
+                continue
+            better = f"{found[1]}: {found[2].lstrip('= ')}"
+            span = Span(source, begin + found.start(1), begin + len(bare.rstrip()))
+            return Diagnostic(_CODE, f"there is {lack.format(found[1])}", span, help=f"write `{better}`", fix=Fix(span, better))
+    return None
+
+
+def _start(source: Source, line: int) -> int:
+    """Where a line begins, counted from 1."""
+    low, high = 0, len(source.text)
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (middle + 1, high) if source.line_column(middle)[0] < line else (low, middle)
+    return low

@@ -1,0 +1,77 @@
+"""What is told about numbers and units that are not written as the language has them: commas, needless signs, slips of units."""
+
+from __future__ import annotations
+
+import re
+
+from antdsl import limits
+from antdsl.diagnostics.model import Diagnostic, Fix
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.source import Source, Span
+from antdsl.syntax.words import UNIT_NAMES, UNIT_SLIPS
+
+# Digits with commas between them; a dot may follow. Not the end of a name or of a number with a dot.
+WITH_COMMAS = re.compile(r"[0-9]+(?:,[0-9]+)+(?:\.[0-9]+)?(?![0-9.]*\.[0-9])")
+NO_SECOND = re.compile(r",0[0-9]")  # a comma behind which no second number can begin
+_GLUED = re.compile(r"[A-Za-z_][A-Za-z_0-9]*|\.[0-9][0-9.]*|\.(?!\.)")
+_LEFT = re.compile(r"(?<![A-Za-z0-9_.])[0-9]+\Z")
+_RIGHT = re.compile(r"[0-9]+(?!\.?[0-9])")
+_THOUSANDS = re.compile(r"[1-9][0-9]{0,2}(?:,[0-9]{3})+(?:\.[0-9]+)?")
+_LONGEST = 60  # characters of a number that are shown
+
+
+def number_with_comma(source: Source, comma: int) -> Span | None:
+    """The place of the number that a comma stands in, with no blank on either side; None where it can only part two things."""
+    left = _LEFT.search(source.text, max(0, comma - _LONGEST), comma)
+    right = _RIGHT.match(source.text, comma + 1)
+    return Span(source, left.start(), right.end()) if left and right and source.text[comma : comma + 1] == "," else None
+
+
+def comma_in_number(span: Span, *, only: bool = True) -> Diagnostic:
+    """The complaint about a number with commas. `only`: it cannot be two numbers with a comma between them."""
+    text = span.text
+    whole, dotted = text.replace(",", ""), text.replace(",", ".")
+    thousands, once = _THOUSANDS.fullmatch(text), text.count(",") == 1 and "." not in text
+    fix: str | None = None
+    two = text.replace(",", ", ")
+    if once and not thousands:
+        help = f"write a dot: `{dotted}`" + ("" if only else f"; two values have a blank between them: `{two}`")
+        fix = dotted if only else None
+    elif once:
+        help = f"write `{whole}`, or `{dotted}` with a dot" + ("" if only else f", or `{two}` for two values")
+    elif thousands:
+        help, fix = f"write `{whole}`", whole
+    else:
+        help = "write it with digits and at most one dot, as in `1200` or `1.25`"
+    message = f"number `{text if len(text) <= _LONGEST else text[: _LONGEST - 1] + '…'}` has a comma in it"
+    return Diagnostic("bad-number", message, span, help=help, fix=None if fix is None else Fix(span, fix))
+
+
+def number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str] | None:
+    """What is wrong with a number that ends at an offset of a text, where it really ends, and what to write."""
+    glued = _GLUED.match(characters, end)
+    rest = glued.group() if glued else ""
+    whole = f"{piece}{rest}"[:80]
+    stop = end + len(rest)
+    if rest[:1] == "." and rest[1:2].isdigit():
+        return f"number `{whole}` has two dots", stop, "write one dot at most, as in `1.25`"
+    if rest == ".":
+        return f"number `{whole}` ends in a dot", stop, f"write `{piece}`"
+    if rest[:1] == "_" or (piece == "0" and rest[:1] in ("x", "X", "o", "O", "b", "B")):
+        return f"`{whole}` is not a number", stop, "write it with digits and at most one dot, as in `1200` or `1.25`"
+    if len(piece) > 1 and piece[0] == "0" and piece[1].isdigit():
+        return f"number `{piece[:80]}` begins with a needless 0", end, f"write `{piece.lstrip('0') or '0'}`"[:80]
+    if sum(character.isdigit() for character in piece) > limits.NUMBER_DIGITS:
+        return f"number of {len(piece)} digits", end, f"write at most {limits.NUMBER_DIGITS} digits"
+    value = float(piece)
+    if value > 1e38 or (value < 1e-38 and re.search(r"[1-9]", re.split("[eE]", piece)[0])):
+        return f"number `{piece[:80]}` cannot be represented", end, "write a number between 1e-38 and 1e38"
+    return None
+
+
+def unit_help(word: str) -> str:
+    """What to write in place of a word that is not a unit."""
+    near = UNIT_SLIPS.get(word.lower())
+    if near is None and (name := nearest_name(word, UNIT_NAMES)) is not None:
+        near = f"did you mean `{name}`?"
+    return near or f"units are {' '.join(UNIT_NAMES)} and %; to multiply, write `*`"
