@@ -58,8 +58,12 @@ class Breakpoints:
         self._shot: Shot | None = None  # that they are made for
         self._seen: tuple[World, int] | None = None  # the world and frame that they have seen
 
-    def set(self, session: Session, asks: Sequence[Break]) -> None:
-        """All breakpoints there are; of those that were there before nothing is left."""
+    def set(self, session: Session, asks: Sequence[Break], tried: Break | None = None) -> None:
+        """All breakpoints there are; of those that were there before nothing is left. Misfit where the one that is `tried` besides
+        does not fit the program: then all stays as it was."""
+        if tried is not None and tried not in asks:
+            KINDS[type(tried)](session, tried, self.specs)
+            asks = [*asks, tried]
         self.breaks = [Breakpoint(ask) for ask in asks]
         self.specs.want([ask.spec for ask in asks if isinstance(ask, SpecBreak)])
         self._fit(session)

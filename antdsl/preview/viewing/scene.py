@@ -31,7 +31,8 @@ def scene(live: Live, box: Box, charts: list[dict[str, Any]], charts_need: str) 
     world, program = session.world, session.shot.program
     low, high = box.of(session)
     return {
-        "op": "scene", "name": names.of(live.compiler.scene), "fps": float(world.setting.fps), "unit_mm": world.setting.unit_mm,
+        "op": "scene", "name": names.of(live.compiler.scene), "fps": float(world.setting.fps), "last": session.shot.frames.last,
+        "unit_mm": world.setting.unit_mm,
         "up": [float(x) for x in world.up], "low": low, "high": high,
         "camera": _camera(session),
         "species": [_species(session, names, population) for population in world.populations.values()],

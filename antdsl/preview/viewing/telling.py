@@ -42,7 +42,12 @@ def problems(live: Live) -> Message:
 
 def outcome(live: Live, of: str, done: Outcome, file: str = "") -> Message:
     found = [live.screen.names.problem(each) for each in done.report.sorted()]
-    return {"op": "outcome", "of": of, "ok": done.ok, "line": done.line, "text": done.text, "file": file, "problems": found}
+    return {"op": "outcome", "of": of, "ok": done.ok, "did": done.did, "line": done.line, "text": done.text, "file": file, "problems": found}
+
+
+def stops(live: Live) -> Message:
+    """The frames at which play was stopped, and why."""
+    return {"op": "stops", "stops": [{"frame": frame, "line": why} for frame, why in live.session.timeline.stops.items()]}
 
 
 def status(live: Live, rate: float, hash: str | None) -> Message:
