@@ -23,15 +23,14 @@ from antdsl.scene.adjusting import settable
 from antdsl.scene.matching import check_param
 from antdsl.scene.quantities import BadQuantity, Quantity, parse_quantity
 
-
 _AGAIN = "simulated again from the first frame"
 _LAYER = 60  # letters of a layer that are told
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of an edit: `did` says what was edited, `line` what was kept, moved and reset; `text` is what to write into a file
-    to have the same for good. With errors in the report nothing has changed."""
+    """What came of an edit: `did` says what was edited, `line` what was kept, moved and reset; `text` is what to write into a
+    file to have the same for good. With errors in the report nothing has changed."""
 
     report: Report = field(default_factory=Report)
     line: str = ""

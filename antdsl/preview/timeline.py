@@ -156,8 +156,8 @@ class Branch:
 class Timeline:
     """Stretches in order of time. A checkpoint each `every` frames; `budget` bytes in all, above which light frames go first,
     the oldest ones, until they take a quarter; then checkpoints between others, where they are closest; then whole stretches,
-    the oldest ones. `curves` are in order of frames, the last 50,000 of them; `branches` the last 8; `stops` are the frames at which
-    play was stopped, with why, the last 256."""
+    the oldest ones. `curves` are in order of frames, the last 50,000 of them; `branches` the last 8; `stops` are the frames at
+    which play was stopped, with why, the last 256."""
 
     def __init__(self, every: int, budget: int) -> None:
         self.every, self.budget = every, budget

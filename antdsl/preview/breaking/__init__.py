@@ -59,8 +59,8 @@ class Breakpoints:
         self._seen: tuple[World, int] | None = None  # the world and frame that they have seen
 
     def set(self, session: Session, asks: Sequence[Break], tried: Break | None = None) -> None:
-        """All breakpoints there are; of those that were there before nothing is left. Misfit where the one that is `tried` besides
-        does not fit the program: then all stays as it was."""
+        """All breakpoints there are; of those that were there before nothing is left. Misfit where the one that is `tried`
+        besides does not fit the program: then all stays as it was."""
         if tried is not None and tried not in asks:
             KINDS[type(tried)](session, tried, self.specs)
             asks = [*asks, tried]

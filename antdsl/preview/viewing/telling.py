@@ -42,7 +42,8 @@ def problems(live: Live) -> Message:
 
 def outcome(live: Live, of: str, done: Outcome, file: str = "") -> Message:
     found = [live.screen.names.problem(each) for each in done.report.sorted()]
-    return {"op": "outcome", "of": of, "ok": done.ok, "did": done.did, "line": done.line, "text": done.text, "file": file, "problems": found}
+    about = {"did": done.did, "line": done.line, "text": done.text, "file": file}
+    return {"op": "outcome", "of": of, "ok": done.ok, **about, "problems": found}
 
 
 def stops(live: Live) -> Message:
