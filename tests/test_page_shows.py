@@ -24,7 +24,8 @@ ITEMS = [
 ]
 SQUARE = np.array([[0, 0, 0], [0, 0, 100], [100, 0, 100], [100, 0, 0]], np.float32)
 FACES = np.array([[0, 1, 2], [0, 2, 3]], np.uint32)
-SIZES = "() => [...document.querySelectorAll('.tabs button, #bar .frame, h3, .note')].map((e) => parseFloat(getComputedStyle(e).fontSize))"
+SIZES = """() => [...document.querySelectorAll("#text .tabs button, #bar .frame, #side h3, .note, .end")]
+    .map((each) => parseFloat(getComputedStyle(each).fontSize))"""
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +133,7 @@ def test_errors_at_the_start_are_gone_to_and_told_where_the_ants_would_be(page: 
     box, editor = page.page.locator("#editor .pointed").bounding_box(), page.find("editor").bounding_box()
     assert box is not None and editor is not None and editor["y"] <= box["y"] <= editor["y"] + editor["height"]
     said = page.find("nothing").inner_text()
-    assert "there is an error" in said and "ant.ant:207 no `pase` is known here — did you mean `pace`?" in said
+    assert "there is an error" in said and "ant.ant:206 no `pase` is known here — did you mean `pace`?" in said
     page.tell(scene(), texts(), {"op": "problems", "problems": []}, status(1))
     assert page.find("nothing").is_hidden()
     assert page.page.locator("#editor .pointed").count() == 0, "what is mended is lit no more"
@@ -188,16 +189,15 @@ def test_marks_and_the_end_of_the_scene_are_those_of_the_run(page: Stage) -> Non
         page.drawn()
         return str(page.find("curves").evaluate("canvas => canvas.toDataURL()"))
 
+    stops = {"op": "stops", "stops": [{"frame": 70, "line": "ant 11 entered rest"}]}
     page.tell(scene(last=200), texts(), status(50, head=100))
     plain = chart()
-    page.tell({"op": "stops", "stops": [{"frame": 70, "line": "ant 11 entered rest"}]})
+    page.tell(stops)
     marked = chart()
     assert marked != plain
     page.page.reload()
     page.page.wait_for_function("document.getElementById('stale').hidden")
-    page.tell(
-        scene(last=200), texts(), status(50, head=100), {"op": "stops", "stops": [{"frame": 70, "line": "ant 11 entered rest"}]}
-    )
+    page.tell(scene(last=200), texts(), status(50, head=100), stops)
     assert chart() == marked, "another page has the same"
     page.tell({"op": "stops", "stops": []})
     assert chart() == plain
