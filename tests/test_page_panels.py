@@ -252,7 +252,7 @@ def test_curves_are_kept_forgotten_and_drawn(page: Stage) -> None:
     old = {"first": 10, "line": "set: {ant.pace: 30 mm/s}", "frames": [11, 12], "values": {"ant.main.walk": [3.0, 3.0]}}
     page.tell(curves([10, 11, 20], [2.0, 1.0, 1.0], reset=True, branches=[old]), status(20, head=20))
     assert legend.inner_text().split()[:2] == ["walk", "1"]
-    assert "before set: {ant.pace: 30 mm/s} at frame 10" in page.find("branches").inner_text()
+    assert "before: set: {ant.pace: 30 mm/s}, at frame 10" in page.find("branches").inner_text()
     assert page.find("curves").evaluate("canvas => canvas.toDataURL()") != blank
     page.find("curve-chooser").click()
     page.find("curve-ant.main.walk").uncheck()

@@ -92,7 +92,7 @@ def test_items_are_as_large_as_what_is_left_of_what_they_had_at_first(page: Stag
 def test_a_field_has_one_scale_with_numbers(page: Stage) -> None:
     page.tell(scene(fields=[{"name": "trail", "unit": "", "colour": [1, 0.5, 0], "on": True, "full": 100}]), texts(), status())
     numbers = page.find("scale-trail").locator("p span")
-    assert numbers.all_inner_texts() == ["0.001", "0.1", "10", "100"]
+    assert numbers.all_inner_texts() == ["0.001", "0.1", "1", "100"]
     mesh = pack("fieldmesh:trail", {"position": SQUARE, "face": FACES})
 
     def shown(value: int) -> bytes:
@@ -106,7 +106,7 @@ def test_a_field_has_one_scale_with_numbers(page: Stage) -> None:
     page.find("side-tab-view").click()
     page.find("full-trail").fill("1")
     page.find("full-trail").press("Enter")
-    assert numbers.all_inner_texts() == ["0.00001", "0.001", "0.1", "1"]
+    assert numbers.all_inner_texts() == ["0.00001", "0.001", "0.01", "1"]
     assert shown(100) != faint
     page.find("view-fields-trail").uncheck()
     assert page.find("scale-trail").count() == 0

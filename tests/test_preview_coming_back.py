@@ -1,5 +1,5 @@
-"""A page and its server part and meet again: an old page loads itself anew, a server that is gone is told of and come back to when it
-is started again, and a connection that breaks is made again."""
+"""A page and its server part and meet again: an old page loads itself anew, a server that is gone is told of, one that is started
+again is come back to, and a connection that breaks is made again."""
 
 from __future__ import annotations
 

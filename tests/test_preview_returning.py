@@ -93,8 +93,6 @@ def test_a_server_lets_in_who_proves_a_key_and_tells_the_token(tmp_path: Path) -
             try:
                 options: dict[str, Any] = {"origin": origin, "subprotocols": ["antdsl.1", "token.old"], "proxy": None}
                 async with connect(f"ws://{host}/ws", **options) as client:
-                    f"ws://{host}/ws", origin=origin, subprotocols=["antdsl.1", "token.old"], proxy=None
-                ) as client:  # type: ignore[arg-type, list-item]
                     told.append(json.loads(await client.recv()))
                     if answer is not None:
                         await client.send(answer.replace("{nonce}", proof(before.key, host, told[0]["nonce"])))

@@ -117,7 +117,8 @@ class Stretch:
             self._unedited = before._unedited
         elif before.fresh and not before.changes:
             self._unedited = before._made_of(), state_hash(old)
-        self.fresh = self._unedited is not None and self._unedited == (self._made_of(), state_hash(world))
+        same = self._unedited is not None and self._unedited[0] == self._made_of()
+        self.fresh = same and self._unedited == (self._made_of(), state_hash(world))
 
     def _made_of(self) -> object:
         return dict(self.shot.inputs), frozenset(self.off)

@@ -64,7 +64,8 @@ class Breakpoints:
         if tried is not None and tried not in asks:
             KINDS[type(tried)](session, tried, self.specs)
             asks = [*asks, tried]
-        self.breaks = [Breakpoint(ask) for ask in asks]
+        known = {each.ask: each for each in self.breaks}
+        self.breaks = [known.get(ask) or Breakpoint(ask) for ask in asks]
         self.specs.want([ask.spec for ask in asks if isinstance(ask, SpecBreak)])
         self._fit(session)
 
@@ -106,7 +107,9 @@ class Breakpoints:
             try:
                 each.waits, each.why = KINDS[type(each.ask)](session, each.ask, self.specs), None
             except Misfit as why:
-                each.waits, each.why = None, why
+                told, each.waits, each.why = _told(each.why), None, why
+                if told == _told(why):
+                    continue
                 self.tell({"op": "refused", "of": "breaks", "message": f"{words(each.ask)}: {why.message}", "help": why.help})
         self.tell(self.message())
 

@@ -4,7 +4,7 @@ import * as THREE from "three";
 import { SHOWN, fullOf } from "../scales";
 import type { Sight } from "../sight";
 
-const TICKS = [0, 2, 4, 5]; // powers of ten above the least, of SHOWN in all
+const TICKS = [0, 2, 3, 5]; // powers of ten above the least, of SHOWN in all
 
 export function scales({ stage, store }: Sight): void {
   const box = document.createElement("div");
