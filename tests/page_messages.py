@@ -56,6 +56,7 @@ def scene(**other: Any) -> dict[str, Any]:
     }  # fmt: skip
     return {
         "op": "scene", "name": "walk.yaml", "fps": 24, "unit_mm": 1, "up": [0, 1, 0], "low": [0, 0, 0], "high": [100, 10, 100],
+        "last": 240,
         "species": [species], "params": [param, free], "flows": [], "curves": [], "solids": [], "items": [],
         "fields": [{"name": "trail", "unit": "", "colour": [1, 0.5, 0], "on": True, "full": 1}],
         "specs": ["all is well"], "charts": [chart], "charts_need": "", "camera": None, **other,

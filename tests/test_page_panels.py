@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -34,7 +36,17 @@ def page(browser: Browser) -> Iterator[Stage]:
 
 
 def outcome(**other: Any) -> dict[str, Any]:
-    return {"op": "outcome", "of": "saved", "ok": True, "line": "kept 3 agents", "text": "", "file": "", "problems": [], **other}
+    return {
+        "op": "outcome",
+        "of": "saved",
+        "ok": True,
+        "did": "ant.ant line 6",
+        "line": "kept 3 agents",
+        "text": "",
+        "file": "",
+        "problems": [],
+        **other,
+    }
 
 
 # --- the bar ---------------------------------------------------------------------------------------------------------
@@ -73,13 +85,27 @@ def test_an_edited_run_says_so_and_can_be_simulated_again(page: Stage) -> None:
 
 
 def test_what_came_of_a_save_is_told_aloud(page: Stage) -> None:
-    page.tell(outcome())
     line = page.find("outcome")
-    assert line.inner_text() == "saved: kept 3 agents" and line.get_attribute("aria-live") == "polite"
-    page.tell(outcome(ok=False, line="", problems=problems()["problems"]))
-    assert line.inner_text() == "saved: no `pase` is known here — the last good program runs on"
+
+    def told() -> str:
+        found = re.fullmatch(r"\d\d:\d\d:\d\d, frame 20: (.*)", line.inner_text())
+        return found[1] if found else line.inner_text()
+
+    page.page.clock.install(time=datetime(2024, 5, 1, 12, 0, 0))
+    page.tell(outcome())
+    assert told() == "saved: ant.ant line 6 · kept 3 agents" and line.get_attribute("aria-live") == "polite"
+    words, flashes = line.inner_text(), "line => line.getAnimations().map((each) => each.currentTime)"
+    page.page.clock.run_for(5000)
+    page.tell(outcome())
+    assert line.inner_text() != words and told() == "saved: ant.ant line 6 · kept 3 agents", "the same words, at another time"
+    assert len(line.evaluate(flashes)) == 1, "it is seen that something was told"
+    assert len((line.get_attribute("title") or "").splitlines()) == 2, "what was told before can still be read"
+    page.tell(outcome(of="layer", did="layer `wander()` is off"))
+    assert told() == "layer `wander()` is off · kept 3 agents"
+    page.tell(outcome(ok=False, line="", did="", problems=problems()["problems"]))
+    assert told() == "saved: no `pase` is known here — the last good program runs on"
     page.tell({"op": "refused", "of": "seek", "message": "there is no frame 9", "help": "one of 1 to 5"})
-    assert line.inner_text() == "there is no frame 9 — one of 1 to 5"
+    assert told() == "there is no frame 9 — one of 1 to 5"
 
 
 def test_keys_move_through_time_but_not_while_one_writes(page: Stage) -> None:
@@ -226,7 +252,7 @@ def test_curves_are_kept_forgotten_and_drawn(page: Stage) -> None:
     old = {"first": 10, "line": "set: {ant.pace: 30 mm/s}", "frames": [11, 12], "values": {"ant.main.walk": [3.0, 3.0]}}
     page.tell(curves([10, 11, 20], [2.0, 1.0, 1.0], reset=True, branches=[old]), status(20, head=20))
     assert legend.inner_text().split()[:2] == ["walk", "1"]
-    assert "before set: {ant.pace: 30 mm/s} at frame 10" in page.find("branches").inner_text()
+    assert "before: set: {ant.pace: 30 mm/s}, at frame 10" in page.find("branches").inner_text()
     assert page.find("curves").evaluate("canvas => canvas.toDataURL()") != blank
     page.find("curve-chooser").click()
     page.find("curve-ant.main.walk").uncheck()
@@ -257,12 +283,25 @@ def test_breakpoints_are_set_told_and_taken_away(page: Stage) -> None:
     page.find("break-state").select_option("rest")
     page.find("break-state-form").locator("button").click()
     page.find("break-condition").fill("count(state == lost) > 1")
+    page.tell(
+        {"op": "breaks", "breaks": [{"made": {"kind": "state", "species": "ant", "machine": "main", "state": "rest"}, "why": ""}]}
+    )
     page.find("break-condition").press("Enter")
     state = {"kind": "state", "species": "ant", "machine": "main", "state": "rest"}
     condition = {"kind": "condition", "text": "count(state == lost) > 1"}
-    assert page.asked("breaks")[-1]["breaks"] == [state, condition]
+    assert [(each["breaks"], each["tried"]) for each in page.asked("breaks")] == [([], state), ([state], condition)]
+    wrong = page.find("break-condition-form-wrong")
+    page.tell({"op": "refused", "of": "breaks", "message": "no state is `lost`", "help": "one of walk, rest"})
+    assert wrong.inner_text() == "no state is `lost`: one of walk, rest"
+    assert page.find("breaks").locator("li").count() == 1, "what is wrong is not added"
+    assert page.find("break-condition").input_value() == condition["text"], "and can be mended where it was written"
+    page.find("break-condition").press("End")
+    page.find("break-condition").press_sequentially(" ")
+    assert wrong.is_hidden()
+    page.find("break-condition").press("Enter")
     unfit = "no state is `lost`; one of walk, rest"
     page.tell({"op": "breaks", "breaks": [{"made": state, "why": ""}, {"made": condition, "why": unfit}]})
+    assert page.find("break-condition").input_value() == "", "it was added"
     assert page.find("break-misfit").all_inner_texts() == ["", f"does not fit this program: {unfit}"]
     page.find("breaks").locator("button").nth(1).click()
     assert page.asked("breaks")[-1]["breaks"] == [state]

@@ -312,6 +312,50 @@ def test_looking_on_changes_nothing(name: str) -> None:
     assert driver.session.hash == plain.hash
 
 
+def test_a_breakpoint_that_is_wrong_is_not_added(scene: Path) -> None:
+    driver = Driver(scene, state("rest"), condition("count(state == rest) > 1"))
+    before = driver.breaks.message()
+    wrong = ConditionBreak(kind="condition", text="count(state == rset) > 1")
+    with pytest.raises(Misfit, match="rset"):
+        driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breaks], wrong)
+    assert driver.breaks.message() == before
+    good = ConditionBreak(kind="condition", text="count(state == rest) > 2")
+    driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breaks], good)
+    assert [each.ask for each in driver.breaks.breaks][-1] == good
+    edit(scene, "rest", "sleep")
+    driver.session.reload()
+    driver.step()
+    misfits = len(driver.misfits)
+    assert misfits == 3
+    driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breaks], state("sleep"))
+    assert len(driver.misfits) == misfits, "what waits is not told of again"
+
+
+def test_play_stops_at_the_scenes_last_frame_and_is_marked_for_all(scene: Path) -> None:
+    scene.write_text(scene.read_text().replace("frames: 1..60", "frames: 1..9"))
+    live = Live.open(scene)
+    live.start()
+    try:
+        page = Page(live)
+        page.ask("speed", times=0)
+        page.ask("play")
+        assert page.until(lambda: page.last("scene"))["last"] == 9
+        told = page.status(playing=False, frame=9)
+        assert told["paused_by"] == "frame 9 is the scene's last: play goes on behind it"
+        marks = [{"frame": 9, "line": told["paused_by"]}]
+        page.until(lambda: page.last("stops")["stops"] == marks)
+        other = Page(live)
+        assert other.until(lambda: other.last("stops"))["stops"] == marks
+        page.ask("play")
+        page.until(lambda: page.last("status")["frame"] > 12)
+        page.ask("pause")
+        page.ask("seek", frame=5, exact=True)
+        page.done("set", name="walker.brisk", value="0.5")
+        page.until(lambda: page.last("stops")["stops"] == [])
+    finally:
+        live.stop()
+
+
 def test_a_page_sets_breakpoints_and_hears_of_them(scene: Path) -> None:
     live = Live.open(scene)
     live.start()

@@ -48,23 +48,32 @@ def test_a_state_of_the_graph_selects_its_agents(browser: Browser, tmp_path: Pat
 
 def test_an_edit_at_an_earlier_frame_begins_a_branch(browser: Browser, tmp_path: Path) -> None:
     scene = few(tmp_path, 100)
+    scene.write_text(scene.read_text().replace("frames: 1..960", "frames: 1..40"))
     program = scene.parent / "forager.ant"
+    branch = "() => document.querySelector('[data-test=branches]').textContent.includes({words!r})"
     with previewed(scene) as address, opened(browser, address) as seen:
         seen.press("play")
-        seen.until("a.frame >= 40", 30)
-        seen.press("play")
+        seen.find("paused-by").filter(has_text="frame 40 is the scene's last").wait_for(timeout=40_000)
+        assert seen.now("frame") == 40
         seen.find("scrub").focus()
         seen.find("scrub").fill("20")
         seen.find("scrub").dispatch_event("change")
         seen.until("a.frame === 20 && a.still")
         assert not seen.find("edited").is_visible()
-        program.write_text(program.read_text().replace("max_speed 30 mm/s", "max_speed 12 mm/s"))
+        text = program.read_text()
+        program.write_text(text.replace("max_speed 30 mm/s", "max_speed 12 mm/s"))
+        seen.find("edited").wait_for(timeout=5000)
+        seen.find("outcome").filter(has_text="saved: forager.ant line 24 · kept 100 agents").wait_for(timeout=5000)
+        program.write_text(text)
+        seen.find("edited").wait_for(state="hidden", timeout=5000)  # it is what a fresh run gives again
+        program.write_text(text.replace("max_speed 30 mm/s", "max_speed 12 mm/s"))
         seen.find("edited").wait_for(timeout=5000)
         assert seen.now("frame") == 20 and seen.find("scrub").get_attribute("max") == "20"
-        seen.page.wait_for_function("() => document.querySelector('[data-test=branches]').textContent.trim() !== ''", polling=50)
+        seen.page.wait_for_function(branch.format(words="before: forager.ant line 24, at frame 20"), polling=50)
         seen.press("restart")
         seen.find("edited").wait_for(state="hidden", timeout=8000)
         seen.until("a.frame === 1", 8)
+        seen.page.wait_for_function(branch.format(words="before: simulated again from the first frame, at frame 1"), polling=50)
 
 
 def test_costs_are_told_by_phase_and_line(browser: Browser, tmp_path: Path) -> None:

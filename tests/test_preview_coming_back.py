@@ -1,8 +1,11 @@
-"""A page and its server part and meet again: an old page loads itself anew, a server that is gone is told of, an old token is
-not let in, and a connection that breaks is made again."""
+"""A page and its server part and meet again: an old page loads itself anew, a server that is gone is told of, one that is started
+again is come back to, and a connection that breaks is made again."""
 
 from __future__ import annotations
 
+import json
+import socket
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -55,19 +58,44 @@ def test_a_page_of_another_build_loads_itself_again_and_only_once(page: Page, tm
         assert page.evaluate("[sessionStorage.getItem('loads'), location.hash]") == ["2", ""]
 
 
-def test_a_server_that_is_gone_is_told_of_and_its_token_is_of_no_use_later(page: Page, tmp_path: Path) -> None:
+def test_a_page_comes_back_to_a_server_that_is_started_again_on_its_port(
+    page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     scene = copied("minimal", tmp_path) / "scene.yaml"
-    with previewed(scene) as whole:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = str(probe.getsockname()[1])
+    page.add_init_script(
+        """window.sent = [];
+        window.WebSocket = class extends WebSocket {
+          constructor(...all) { super(...all); window.sent.push(...all[1]); }
+          send(words) { window.sent.push(words); super.send(words); }
+        };"""
+    )
+    with previewed(scene, "--port", port) as whole:  # the last `--port` counts
         page.goto(whole)
         page.wait_for_function(FRESH, timeout=20_000)
+        page.evaluate("() => (window.mine = true)")
     said = page.wait_for_function(STALE, timeout=5000).json_value()
     assert "does not answer" in said
-    port = whole.split(":")[2].split("/")[0]
-    with previewed(scene, "--port", port) as again:  # the last `--port` counts
-        assert again.split("#")[0] == whole.split("#")[0] and again != whole
-        page.wait_for_function(f"() => String(({STALE})()).includes('terminal')", timeout=15_000)
+    with previewed(scene, "--port", port) as again:
+        assert again.split("#")[0] == whole.split("#")[0] and again != whole, "the token is another one"
+        page.wait_for_function(FRESH, timeout=20_000)
+        assert page.evaluate("() => window.mine"), "it was not loaded again"
+        [place] = (tmp_path / "state" / "antdsl" / "preview").iterdir()
+        keys = json.loads(place.read_text())["keys"]
+        assert len(keys) == 2 and stat.S_IMODE(place.stat().st_mode) == 0o600
+        sent = page.evaluate("() => window.sent.join(' ')")
+        assert not any(key in sent for key in keys), "what it comes back with is never sent"
+        assert not any(key in page.evaluate("() => JSON.stringify([{...sessionStorage}, {...localStorage}])") for key in keys)
+        page.reload()  # it has the new token
+        page.wait_for_function(FRESH, timeout=20_000)
+    place.unlink()  # nobody knows it any more
+    with previewed(scene, "--port", port) as last:
+        page.wait_for_function(f"() => String(({STALE})()).includes('terminal')", timeout=20_000)
         page.goto("about:blank")
-        page.goto(again)
+        page.goto(last)
         page.wait_for_function(FRESH, timeout=20_000)
 
 

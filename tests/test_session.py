@@ -144,6 +144,92 @@ def test_what_cannot_be_set_is_refused(shot: Path, name: str, value: str, code: 
     assert not session.edited
 
 
+def test_an_edit_that_was_undone_leaves_a_fresh_run(shot: Path) -> None:
+    session = opened(shot, every=6)
+    go(session, 6)
+    edit(shot, "30 mm/s", "45 mm/s")
+    assert session.reload().did == "forager.ant line 24"
+    assert session.edited
+    edit(shot, "45 mm/s", "30 mm/s")
+    session.reload()
+    assert not session.edited  # at the frame at which it was made
+    go(session, 4)
+    assert session.hash == fresh(shot, session) and not session.edited
+    session.set("forager.swing", "120 deg")
+    assert session.edited
+    session.set("forager.swing", "80 deg")
+    session.set("forager.swing", "50 deg")  # as it was
+    assert not session.edited
+    session.layer("forager", "separate(radius: 1.2 * size, fov: 260 deg)", on=False)
+    assert session.edited
+    assert (
+        session.layer("forager", "separate(radius: 1.2 * size, fov: 260 deg)", on=True).did
+        == "layer `separate(radius: 1.2 * size, fov: 260 deg)` is on again"
+    )
+    go(session, 3)
+    assert session.hash == fresh(shot, session) and not session.edited
+    session.seek(8)
+    edit(shot, "30 mm/s", "45 mm/s")
+    session.reload()
+    go(session, 3)
+    session.seek(7)
+    assert session.edited  # the files are not what this frame was made with
+    edit(shot, "45 mm/s", "30 mm/s")
+    session.reload()  # and now they are again
+    go(session, 6)
+    assert session.hash == fresh(shot, session) and not session.edited
+
+
+def test_what_was_lost_by_an_edit_does_not_come_back_by_undoing_it(shot: Path) -> None:
+    session = opened(shot)
+    go(session, 6)
+    session.field("trail", on=False)
+    session.field("trail", on=True)  # and begins anew
+    assert session.edited
+    session.restart()
+    go(session, 3)
+    edit(shot, "30 mm/s", "45 mm/s")
+    session.reload()
+    session.step()
+    edit(shot, "45 mm/s", "30 mm/s")
+    session.reload()  # a frame too late
+    assert session.edited and session.hash != fresh(shot, session)
+
+
+def test_what_was_edited_is_told(shot: Path) -> None:
+    session = opened(shot)
+    go(session, 2)
+    done = session.set("forager.smell", "60 mm")
+    assert (done.did, done.line) == ("`forager.smell` is 60 mm", "from the next frame on")
+    assert session.field("trail", on=False).did == "field `trail` holds no scent"
+    session.restart()
+    edit(shot, "  state search ", "  state idle gray { when after 1 s -> search }\n  state search ")
+    done = session.reload()
+    assert done.did.startswith("forager.ant line ") and "`idle` is a new state" in done.line
+    edit(shot, "  state idle gray { when after 1 s -> search }\n", "")
+    done = session.reload()
+    assert done.did.startswith("forager.ant: 1 line gone after line ") and "`idle` is a state no more" in done.line
+    edit(shot, "ant 1\n", "ant 1\n# a comment\n")
+    assert session.reload().did == "forager.ant line 2"
+    scene = shot.read_text()
+    shot.write_text(scene.replace("frames: 1..960", "frames: 1..30"))
+    done = session.reload()
+    assert (done.did, done.line) == ("scene.yaml line 6", "the run stays as it is")
+    assert session.shot.frames.last == 30
+    assert session.reload().line == "nothing has changed"
+
+
+def test_a_run_that_is_simulated_again_is_kept_as_a_branch(shot: Path) -> None:
+    session = opened(shot)
+    go(session, 9)
+    curves = dict(session.timeline.curves)
+    session.timeline.stop(4, "somebody rests")
+    session.restart()
+    [branch] = session.timeline.branches
+    assert (branch.first, branch.line, branch.curves) == (1, "simulated again from the first frame", curves)
+    assert not session.timeline.stops
+
+
 def test_a_clean_run_is_what_a_fresh_run_gives(shot: Path) -> None:
     session = opened(shot)
     go(session, 6)

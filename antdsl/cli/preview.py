@@ -48,7 +48,7 @@ def preview(
     listening = _listen(host, port, let_others_in)
     try:
         live = _live(scene, choices, threads)
-        _serve(live, scene, listening, open_it=not no_open, others=host is not None and let_others_in)
+        _serve(live, scene, listening, open_it=not no_open, others=host is not None and let_others_in, again=port != 0)
     finally:
         listening.close()
 
@@ -96,12 +96,16 @@ def _only_by(choices: Choices, live: Live) -> bool:
     return shot is not None and report.ok
 
 
-def _serve(live: Live, scene: Path, listening: Listening, *, open_it: bool, others: bool) -> None:
+def _serve(live: Live, scene: Path, listening: Listening, *, open_it: bool, others: bool, again: bool) -> None:
+    """`again`: it may be started again on this port, and pages that are open now come back to it."""
     from antdsl.preview.serving.guard import Guard
     from antdsl.preview.serving.pages import pages
+    from antdsl.preview.serving.returning import Returning
     from antdsl.preview.serving.server import Server, serve_here
 
-    guard = Guard(listening.names)
+    # what goes over a network is not encrypted: who reads a key there could come back with it
+    returning = Returning.of(scene, listening.port) if again and not others else None
+    guard = Guard(listening.names, returning=returning)
     server = Server(live, guard, pages(), listening)
 
     def tell() -> None:

@@ -128,10 +128,11 @@ Break = Annotated[StateBreak | ConditionBreak | SpecBreak | FaultBreak, Field(di
 
 
 class Breaks(_Model):
-    """All breakpoints: those of before are gone."""
+    """All breakpoints: those of before are gone. `tried` is one more, which is added if it fits the program."""
 
     op: Literal["breaks"]
     breaks: tuple[Break, ...] = Field((), max_length=64)
+    tried: Break | None = None
 
 
 class Profile(_Model):

@@ -187,7 +187,9 @@ class Live:
         self.session.playing, self.stop_at, self._due = True, None, monotonic()
 
     def pause(self, why: Stop | None = None) -> None:
-        """Stand still; steps that were still to be made are not."""
+        """Stand still; steps that were still to be made are not. Where it stopped by itself the frame is marked."""
+        if why is not None:
+            self.session.timeline.stop(self.session.frame, why.line)
         self.session.playing, self.stop_at, self._steps = False, why, 0
 
     def step_on(self, count: int) -> None:
@@ -273,7 +275,9 @@ class Live:
         elif self._steps:
             self._steps = self._steps - 1 if self.step() else 0
         elif session.playing and monotonic() >= self._due and self.step():
-            now = monotonic()
+            now, last = monotonic(), session.shot.frames.last
+            if session.frame == last:
+                self.pause(Stop(f"frame {last} is the scene's last: play goes on behind it"))
             self._due = now if self.speed == 0 else max(self._due + session.world.dt / self.speed, now - _BEHIND)
 
     def _sleep(self) -> None:

@@ -14,23 +14,28 @@ from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices, Shot, crowding
 from antdsl.preview.binding_params import asked_before_the_first_step
 from antdsl.preview.compiling import Compiler
+from antdsl.preview.differing import differing
 from antdsl.preview.layers import Off, texts_without
-from antdsl.preview.timeline import Change, Light, Stretch, Timeline, nearest_checkpoint
-from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, set_param, state_hash, step, taken_line
+from antdsl.preview.timeline import Light, Stretch, Timeline, nearest_checkpoint
+from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step, taken_line
 from antdsl.runtime.profiling import Meter
 from antdsl.scene.adjusting import settable
 from antdsl.scene.matching import check_param
 from antdsl.scene.quantities import BadQuantity, Quantity, parse_quantity
 
+_AGAIN = "simulated again from the first frame"
+_LAYER = 60  # letters of a layer that are told
+
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of an edit: `line` says what was kept, moved and reset; `text` is what to write into a file to have the same for
-    good. With errors in the report nothing has changed."""
+    """What came of an edit: `did` says what was edited, `line` what was kept, moved and reset; `text` is what to write into a
+    file to have the same for good. With errors in the report nothing has changed."""
 
     report: Report = field(default_factory=Report)
     line: str = ""
     text: str = ""
+    did: str = ""
 
     @property
     def ok(self) -> bool:
@@ -45,7 +50,6 @@ class Session:
     def __init__(self, compiler: Compiler, options: Options, timeline: Timeline) -> None:
         self.compiler, self.options, self.timeline = compiler, options, timeline
         self.playing = False
-        self.edited = False  # something was changed while it ran: not what a fresh run gives
         self.fault: str | None = None  # of the last step
         self._before_off: dict[str, dict[str, str]] = {}  # what was set of fields that are off
         self.meter: Meter | None = None  # measures each step while there is one; see `measure`
@@ -96,6 +100,11 @@ class Session:
     @property
     def hash(self) -> str:
         return state_hash(self.world)
+
+    @property
+    def edited(self) -> bool:
+        """Whether something was changed while it ran, and not put back at the same frame: it is not what a fresh run gives."""
+        return any(not stretch.fresh or stretch.changes for stretch in self.timeline.stretches)
 
     @property
     def choices(self) -> Choices:
@@ -176,7 +185,7 @@ class Session:
 
     def reload(self) -> Outcome:
         """Go on with the files as they are now, from the frame one is at. With errors the last good program runs on."""
-        outcome = self._with(self.choices, self._stretch.off, unless_same=True)
+        outcome = self._with(self.choices, self._stretch.off)
         if outcome.ok or not (self.choices.params or self._stretch.off):
             return outcome
         choices, dropped = self._known(self.choices, self._stretch.off)
@@ -195,20 +204,16 @@ class Session:
 
     def set(self, name: str, value: str) -> Outcome:
         """Give a param, or a setting of a field, another value: a number and its unit. The text is the line of the scene."""
-        text = f"set: {{{name}: {value}}}"
+        text, did = f"set: {{{name}: {value}}}", f"`{name}` is {value}"
         quantity, report = _quantity(self.shot, name, value)
         if quantity is None:
             return Outcome(report)
         if name not in self.shot.plan.params or name in asked_before_the_first_step(self.shot.plan):
             choices = self.choices
-            return self._with(replace(choices, params={**choices.params, name: value}), self._stretch.off, text)
-        change = Change(self.frame, name, value, quantity.base(self.shot.scene.model.unit_mm, self.world.dt))
+            return self._with(replace(choices, params={**choices.params, name: value}), self._stretch.off, text, did)
         self.timeline.cut(self.frame, text)
-        others = [each for each in self._stretch.changes if (each.frame, each.name) != (self.frame, name)]
-        self._stretch.changes = [*others, change]
-        set_param(self.world, name, change.value)
-        self.edited = True
-        return Outcome(report, f"`{name}` is {value} from the next frame on", text)
+        self._stretch.change(self.world, name, value, quantity.base(self.shot.scene.model.unit_mm, self.world.dt))
+        return Outcome(report, "from the next frame on", text, did)
 
     def field(self, name: str, on: bool) -> Outcome:
         """Let a field hold scent, or next to none: what is laid stays below a millionth and is gone a step later."""
@@ -221,7 +226,8 @@ class Session:
         params = {key: value for key, value in chosen.items() if off.get(key) != value}
         params |= self._before_off.pop(name, {}) if on else {}
         text = "" if on else f"set: {{{', '.join(f'{key}: {value}' for key, value in off.items())}}}"
-        return self._with(replace(self.choices, params=params if on else {**params, **off}), self._stretch.off, text)
+        did = f"field `{name}` holds scent again" if on else f"field `{name}` holds no scent"
+        return self._with(replace(self.choices, params=params if on else {**params, **off}), self._stretch.off, text, did)
 
     def layer(self, species: str, layer: str, on: bool) -> Outcome:
         """Switch a layer of a species, by its text, off or on again. The text is its lines, commented out."""
@@ -229,13 +235,14 @@ class Session:
         if on:
             if off.pop(key, None) is None:
                 return _unknown(f"no layer of `{species}` that is off is `{layer}`")
-            return self._with(self.choices, off)
+            return self._with(self.choices, off, did=f"layer `{_short(layer)}` is on again")
         plan = self.shot.plan.species.get(species)
         found = next((each for each in plan.layers if each.span.text == layer), None) if plan is not None else None
         if found is None:
             return _unknown(f"no layer of `{species}` is `{layer}`")
         off[key] = Path(os.path.realpath(found.span.source.path))
-        return self._with(self.choices, off, "\n".join(f"# {line.strip()}" for line in layer.splitlines()))
+        text = "\n".join(f"# {line.strip()}" for line in layer.splitlines())
+        return self._with(self.choices, off, text, f"layer `{_short(layer)}` is off")
 
     def restart(self) -> Outcome:
         """Simulate the files as they are, with what was set by hand, from the first frame: a clean run, whose hashes are those of
@@ -251,14 +258,12 @@ class Session:
         except BindError as why:
             return Outcome(why.report)
         report.extend(crowding(shot, world))
-        branches = self.timeline.branches
-        self.timeline = Timeline(self.timeline.every, self.timeline.budget)
-        self.timeline.branches = branches
+        self.timeline = self.timeline.begun_again(_AGAIN)
         stretch = Stretch(shot, world.frame, "from the first frame", world.origin, choices, off)
         self.timeline.start(stretch, world)
-        self.edited, self.fault = False, None
+        self.fault = None
         self._enter(world, stretch)
-        return Outcome(report, f"{len(self.world):,} agents from frame {self.frame}")
+        return Outcome(report, f"{len(self.world):,} agents from frame {self.frame}", did=_AGAIN)
 
     def _opened(self, choices: Choices, off: Off) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
         """The shot of the files with these choices, and which layers are there no more."""
@@ -269,13 +274,16 @@ class Session:
             self.compiler.instead = before
         return shot, report, gone
 
-    def _with(self, choices: Choices, off: Off, text: str = "", *, unless_same: bool = False) -> Outcome:
-        """Go on with the files as they are and other choices."""
+    def _with(self, choices: Choices, off: Off, text: str = "", did: str | None = None) -> Outcome:
+        """Go on with the files as they are and other choices; without `did` it is the files that may be other ones."""
         shot, report, gone = self._opened(choices, off)
         if shot is None or not report.ok:
             return Outcome(report)
-        if unless_same and shot.inputs == self.shot.inputs:
-            return Outcome(report, self._undone() or "nothing has changed")
+        saved, did = did is None, differing(self.shot, shot) if did is None else did
+        if saved and shot.inputs == self.shot.inputs:
+            if did:  # a comment, or what no result depends on, such as the camera and the last frame
+                self._stretch.shot = shot
+            return Outcome(report, self._undone() or ("the run stays as it is" if did else "nothing has changed"), did=did)
         world, taken, findings = self.compiler.take_over(self.world, shot)
         report.extend(findings)
         if world is None:
@@ -283,11 +291,11 @@ class Session:
         report.extend(crowding(shot, world))
         line = " · ".join([taken_line(taken), *(f"layer `{layer}` is gone" for _, layer in gone)])
         off = {key: path for key, path in off.items() if key not in gone}
-        stretch = Stretch(shot, world.frame, line, world.origin, choices, off)
+        stretch = Stretch(shot, world.frame, did, world.origin, choices, off)
+        stretch.go_on_from(self._stretch, self.world, world)
         self.timeline.start(stretch, world)
-        self.edited = True
         self._enter(world, stretch)
-        return Outcome(report, line, text)
+        return Outcome(report, line, text, did)
 
     def _undone(self) -> str:
         """Where the files are again what they were at this frame, forget what came of the edit that they no longer have."""
@@ -306,6 +314,12 @@ class Session:
         fits = {name: value for name, value in choices.params.items() if _quantity(shot, name, value)[0] is not None}
         dropped = [f"`{name}: {value}` fits no more" for name, value in choices.params.items() if name not in fits]
         return replace(choices, params=fits), dropped
+
+
+def _short(text: str) -> str:
+    """A layer's text in a line."""
+    words = " ".join(text.split())
+    return words if len(words) <= _LAYER else f"{words[: _LAYER - 1]}…"
 
 
 def silenced(field: str) -> dict[str, str]:

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from antdsl.pipeline import Choices, Shot
 from antdsl.preview.turns import turn
-from antdsl.runtime import Built, Options, Population, World, checkpoint, restore, set_param
+from antdsl.runtime import Built, Options, Population, World, checkpoint, restore, set_param, state_hash
 from antdsl.runtime.binding import unpeopled
 
 _LIGHT = 0.25  # of the budget, that light frames keep
 _CURVES = 50_000  # frames
 _BRANCHES = 8
+_STOPS = 256
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -83,18 +84,20 @@ def _arrays(lights: Mapping[str, Light]) -> Iterator[NDArray[Any]]:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A param's value from a frame on, as written and in base units."""
+    """A param's value from a frame on, as written and in base units; `was` is the one before."""
 
     frame: int
     name: str
     text: str
     value: float
+    was: float
 
 
 @dataclass(slots=True, eq=False)
 class Stretch:
     """Frames from `first` on that one shot made; `line` says how it came about, `choices` and `off` what was set by hand then:
-    `off` has layers by species and text, with the file that each stands in. `changes` are params set on the way."""
+    `off` has layers by species and text, with the file that each stands in. `changes` are params set on the way. `fresh`: as far
+    as to its first frame, all is as in a run that nobody edited."""
 
     shot: Shot
     first: int
@@ -104,6 +107,30 @@ class Stretch:
     off: Mapping[tuple[str, str], Path] = field(default_factory=dict)
     checkpoints: dict[int, Arrays] = field(default_factory=dict)
     changes: list[Change] = field(default_factory=list)
+    fresh: bool = True
+    _unedited: tuple[object, str] | None = None  # what an unedited run to its first frame is made of, and the hash there
+
+    def go_on_from(self, before: Stretch, old: World, world: World) -> None:
+        """Take the place of another at the frame of `old`, with `world`, which was made of that. It is a fresh run still where an
+        edit was undone at the frame at which it was made, and nothing was lost by it."""
+        if before.first == old.frame and before._unedited is not None:
+            self._unedited = before._unedited
+        elif before.fresh and not before.changes:
+            self._unedited = before._made_of(), state_hash(old)
+        same = self._unedited is not None and self._unedited[0] == self._made_of()
+        self.fresh = same and self._unedited == (self._made_of(), state_hash(world))
+
+    def _made_of(self) -> object:
+        return dict(self.shot.inputs), frozenset(self.off)
+
+    def change(self, world: World, name: str, text: str, value: float) -> None:
+        """Set a param from the world's frame on; one that is put back at the frame at which it was set was never set."""
+        here = [each for each in self.changes if (each.frame, each.name) == (world.frame, name)]
+        was = here[0].was if here else float(world.params[name])
+        self.changes = [each for each in self.changes if each not in here]
+        if np.float32(value) != np.float32(was):
+            self.changes.append(Change(world.frame, name, text, value, was))
+        set_param(world, name, value)
 
     def world(self, arrays: Arrays, options: Options, built: Built) -> World:
         """A world of its own, as a checkpoint has it."""
@@ -130,13 +157,15 @@ class Branch:
 class Timeline:
     """Stretches in order of time. A checkpoint each `every` frames; `budget` bytes in all, above which light frames go first,
     the oldest ones, until they take a quarter; then checkpoints between others, where they are closest; then whole stretches,
-    the oldest ones. `curves` are in order of frames, the last 50,000 of them; `branches` the last 8."""
+    the oldest ones. `curves` are in order of frames, the last 50,000 of them; `branches` the last 8; `stops` are the frames at
+    which play was stopped, with why, the last 256."""
 
     def __init__(self, every: int, budget: int) -> None:
         self.every, self.budget = every, budget
         self.stretches: list[Stretch] = []
         self.branches: list[Branch] = []
         self.curves: dict[int, dict[str, float]] = {}
+        self.stops: dict[int, str] = {}
         self.light = Lights()
         self._bytes = 0  # of checkpoints
 
@@ -171,7 +200,8 @@ class Timeline:
         """Forget what comes after a frame but for its curves."""
         old = {each: values for each, values in self.curves.items() if each > frame}
         if old:
-            self.branches = [*self.branches[1 - _BRANCHES :], Branch(frame, line, old)]
+            self._branch(Branch(frame, line, old))
+        self.stops = {each: why for each, why in self.stops.items() if each <= frame}
         for each_stretch in [each for each in self.stretches if each.first > frame]:
             self._drop(each_stretch)
         for stretch in self.stretches:
@@ -183,6 +213,24 @@ class Timeline:
             self.light.drop(each)
         if old:
             self.curves.setdefault(frame, {})  # it may be older than all that there are
+
+    def begun_again(self, line: str) -> Timeline:
+        """An empty one. What there was becomes a branch of it, if it was more than a frame."""
+        made = Timeline(self.every, self.budget)
+        made.branches = self.branches
+        if len(self.curves) > 1:
+            made._branch(Branch(next(iter(self.curves)), line, self.curves))
+        return made
+
+    def stop(self, frame: int, why: str) -> None:
+        """Mark a frame as one at which play was stopped."""
+        self.stops.pop(frame, None)
+        self.stops[frame] = why
+        while len(self.stops) > _STOPS:
+            del self.stops[next(iter(self.stops))]
+
+    def _branch(self, branch: Branch) -> None:
+        self.branches = [*self.branches[1 - _BRANCHES :], branch]
 
     def note(self, stretch: Stretch, world: World) -> None:
         """Keep what a world is like at its frame: once for a frame, however often it is gone through again."""

@@ -25,6 +25,8 @@ def _species(kept: Kept, of: str) -> list[str]:
         f"{count:,} of removed state `{of}{_plain(gone)}` {'begins' if count == 1 else 'begin'} anew in `{of}{_plain(start)}`"
         for (gone, start), count in sorted(kept.begun.items())
     ]
+    parts += _listed([of + _plain(name) for name in kept.states], "is a new state", "are new states")
+    parts += _listed([of + _plain(name) for name in kept.lost], "is a state no more", "are states no more")
     if kept.moved:
         parts.append(f"{kept.moved:,} {_agents(kept.moved)} moved with the ground" + (f" of `{kept.species}`" if of else ""))
     parts += _listed([of + name for name in kept.new], "is new", "are new")

@@ -28,6 +28,8 @@ class Kept:
     agents: int = 0
     moved: int = 0
     begun: dict[tuple[str, str], int] = field(default_factory=dict)  # (state that is no more, start state) -> agents
+    states: list[str] = field(default_factory=list)  # new ones
+    lost: list[str] = field(default_factory=list)  # states that are no more, and that nobody was in
     new: list[str] = field(default_factory=list)
     other: list[str] = field(default_factory=list)  # of another type now
     rewritten: list[str] = field(default_factory=list)  # set at birth alone, and set otherwise now
@@ -140,6 +142,9 @@ def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDA
         now = values[f"{machine.name}.state"]
         state = number[now]
         lost = state < 0
+        occupied = {known.states[index] for index in np.unique(now[lost])}
+        kept.states += [f"{machine.name}.{state}" for state in machine.states if state not in known.states]
+        kept.lost += [f"{machine.name}.{state}" for state in known.states if state not in (*machine.states, *occupied)]
         for index in np.unique(now[lost]):
             key = (f"{machine.name}.{known.states[index]}", f"{machine.name}.{machine.states[machine.start]}")
             kept.begun[key] = int(np.count_nonzero(now == index))

@@ -88,7 +88,7 @@ def load_text(data: bytes, name: str, roots: Roots, texts: Mapping[Path, bytes] 
         model = SceneModel.model_validate(plain(document))
     except ValidationError as problem:
         outside = _outside(document)
-        for error in problem.errors(include_url=False, include_input=False):
+        for error in _single(problem.errors(include_url=False, include_input=False)):
             path = tuple(error["loc"])
             if path[:1] and path[0] in outside and len(path) == 1:
                 report.add(outside[path[0]])
@@ -126,10 +126,30 @@ def _outside(document: MappingNode) -> dict[Key, Diagnostic]:
     return found
 
 
+def _single(found: list[Any]) -> list[Any]:
+    """The errors less those that follow from a key which is written wrongly: it is not known, and the one that was meant is
+    missing; where any key may stand, its value is of the wrong kind instead of the key unknown."""
+    missing = {tuple(error["loc"]) for error in found if error["type"] == "missing"}
+    kept: dict[tuple[Key, ...], Any] = {}
+    meant: set[tuple[Key, ...]] = set()
+    for error in found:
+        path = tuple(error["loc"])
+        for length in range(len(path), 0, -1):
+            above, key = path[: length - 1], path[length - 1]
+            wanted = [each[-1] for each in missing if each[:-1] == above and each != path and isinstance(each[-1], str)]
+            near = nearest_name(key, wanted) if isinstance(key, str) and key not in wanted else None
+            if near:
+                meant.add((*above, near))
+                error = {**error, "type": "extra_forbidden", "loc": path[:length], "meant": near}
+                break
+        kept.setdefault(tuple(error["loc"]), error)
+    return [error for path, error in kept.items() if error["type"] != "missing" or path not in meant]
+
+
 def _complain(report: Report, document: MappingNode, error: Any) -> None:
     kind, path = error["type"], tuple(error["loc"])
     if kind == "extra_forbidden":
-        _unknown_key(report, document, path)
+        _unknown_key(report, document, path, error.get("meant"))
         return
     if kind == "missing":
         span, walked = find(document, path[:-1], key=bool(path[:-1]))
@@ -171,11 +191,11 @@ def _words(kind: str, error: Any) -> str:
     return _SHAPES.get(kind) or str(error["msg"]).rstrip(".").replace("Input should be", "this should be").lower()
 
 
-def _unknown_key(report: Report, document: MappingNode, path: tuple[Key, ...]) -> None:
+def _unknown_key(report: Report, document: MappingNode, path: tuple[Key, ...], meant: str | None) -> None:
     key = str(path[-1])
     span, _ = find(document, path, key=True)
     allowed = sorted(_allowed(path))
-    near = nearest_name(key, allowed)
+    near = meant or nearest_name(key, allowed)
     if len(path) == 1 and key in _ELSEWHERE:
         report.error("unknown-key", f"`{key}` is not a scene setting", span, _ELSEWHERE[key])
         return

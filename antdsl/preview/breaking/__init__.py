@@ -58,9 +58,14 @@ class Breakpoints:
         self._shot: Shot | None = None  # that they are made for
         self._seen: tuple[World, int] | None = None  # the world and frame that they have seen
 
-    def set(self, session: Session, asks: Sequence[Break]) -> None:
-        """All breakpoints there are; of those that were there before nothing is left."""
-        self.breaks = [Breakpoint(ask) for ask in asks]
+    def set(self, session: Session, asks: Sequence[Break], tried: Break | None = None) -> None:
+        """All breakpoints there are; of those that were there before nothing is left. Misfit where the one that is `tried`
+        besides does not fit the program: then all stays as it was."""
+        if tried is not None and tried not in asks:
+            KINDS[type(tried)](session, tried, self.specs)
+            asks = [*asks, tried]
+        known = {each.ask: each for each in self.breaks}
+        self.breaks = [known.get(ask) or Breakpoint(ask) for ask in asks]
         self.specs.want([ask.spec for ask in asks if isinstance(ask, SpecBreak)])
         self._fit(session)
 
@@ -102,7 +107,9 @@ class Breakpoints:
             try:
                 each.waits, each.why = KINDS[type(each.ask)](session, each.ask, self.specs), None
             except Misfit as why:
-                each.waits, each.why = None, why
+                told, each.waits, each.why = _told(each.why), None, why
+                if told == _told(why):
+                    continue
                 self.tell({"op": "refused", "of": "breaks", "message": f"{words(each.ask)}: {why.message}", "help": why.help})
         self.tell(self.message())
 

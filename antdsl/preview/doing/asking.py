@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 from antdsl.preview import asks
 from antdsl.preview.breaking import Breakpoints
+from antdsl.preview.breaking.model import Misfit
 from antdsl.preview.explaining import Explainer
+from antdsl.preview.live import Refusal
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
@@ -19,4 +21,7 @@ def explain(live: Live, ask: asks.Explain, client: Client) -> None:
 
 
 def breaks(live: Live, ask: asks.Breaks, client: Client) -> None:
-    live.observer(Breakpoints).set(live.session, ask.breaks)
+    try:
+        live.observer(Breakpoints).set(live.session, ask.breaks, ask.tried)
+    except Misfit as why:
+        raise Refusal(why.message, why.help) from None

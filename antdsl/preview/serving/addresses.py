@@ -28,6 +28,10 @@ class Listening:
     names: frozenset[str]
     addresses: tuple[str, ...]
 
+    @property
+    def port(self) -> int:
+        return int(self.sockets[0].getsockname()[1])
+
     def close(self) -> None:
         for each in self.sockets:
             each.close()

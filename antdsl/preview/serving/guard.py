@@ -10,6 +10,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
+from antdsl.preview.serving.returning import Returning
+
 PROTOCOL = "antdsl.1"
 _TOKEN = "token."
 
@@ -23,11 +25,13 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Guard:
-    """`names`: hosts with their port, as they stand in addresses: `localhost:8765`, `[::1]:8765`."""
+    """`names`: hosts with their port, as they stand in addresses: `localhost:8765`, `[::1]:8765`. `returning` where pages of a
+    server that is started again are let in again."""
 
     names: frozenset[str]
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
     _codes: set[str] = field(default_factory=set, repr=False)
+    returning: Returning | None = None
 
     def invite(self) -> str:
         """A code that stands for the token once: for the address that a browser is started with, which other people on this

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
+import secrets
 import signal
 import sys
 import traceback
@@ -110,6 +112,8 @@ class Server:
     # --- sockets -------------------------------------------------------------------------------------------------------
 
     async def _client(self, connection: ServerConnection) -> None:
+        if not self._door.is_in(connection) and await self._comes_back(connection):
+            self._door.let_in(connection, invited=True)
         if not self._door.is_in(connection):
             # only a page can read why: a browser tells it nothing of an answer that is no socket
             await _let_go(connection, CloseCode.POLICY_VIOLATION, "wrong token")
@@ -120,6 +124,8 @@ class Server:
         hello = {"build": self._pages.build}
         if self._door.is_invited(connection):
             hello["token"] = self._guard.token
+        if self._guard.returning is not None:
+            hello["key"] = self._guard.returning.key
         mailbox = Mailbox(asyncio.get_running_loop(), hello, lambda: self._too_slow(connection))
         self._clients.add(connection)
         self._live.join(mailbox)
@@ -133,6 +139,19 @@ class Server:
             sender.cancel()
             with suppress(asyncio.CancelledError):
                 await sender
+
+    async def _comes_back(self, connection: ServerConnection) -> bool:
+        """Whether a page of ours with a wrong token proves that it was let in before this server was started again."""
+        returning = self._guard.returning
+        if returning is None or not returning.before or connection.request is None:
+            return False
+        nonce = secrets.token_urlsafe(32)
+        try:
+            async with asyncio.timeout(_OPEN):
+                await connection.send(json.dumps({"op": "return", "nonce": nonce}))
+                return returning.proves(await connection.recv(), connection.request.headers["Host"], nonce)
+        except (TimeoutError, ConnectionClosed):
+            return False
 
     async def _hear(self, connection: ServerConnection, mailbox: Mailbox) -> None:
         """Read asks until the client has gone, or has to go."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from antdsl.preview.packing import pack
 from antdsl.preview.viewing.field_meshes import FieldMesh, cells_in_use, field_mesh
@@ -11,18 +12,30 @@ from antdsl.runtime import World
 
 _EVERY = 0.125  # seconds between two showings while it plays
 _MESH_EVERY = 1.0  # the same of meshes that grow
-_FULLEST = 98.0  # per cent of the cells that hold anything: what is shown as full where there is no limit
+_FULL = 100.0  # what is shown as full where a field has no limit
+LEAST, DECADES = 1e-8, 16  # the values that a byte can tell: 1 is the least of them, 255 is so many powers of ten more
+
+
+def full(limit: float) -> float:
+    """What is shown as full at first. It goes by the program alone, so that a frame looks the same whatever was played before."""
+    return float(limit) if np.isfinite(limit) and limit > 1e-3 else _FULL
+
+
+def in_bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Values on a scale of powers of ten, with steps of 16 %: 0 for what is below `LEAST`."""
+    there = values >= LEAST
+    level = 1 + np.log10(np.where(there, values, LEAST) / LEAST) * (254 / DECADES)
+    return np.where(there, np.clip(np.rint(level), 1, 255), 0).astype(np.uint8)
 
 
 class Fields:
-    """The slots `fieldmesh:NAME` and `field:NAME`: a byte a vertex, 255 is `full`."""
+    """The slots `fieldmesh:NAME` and `field:NAME`: a byte a vertex, see `in_bytes`."""
 
     def __init__(self) -> None:
         self._world: World | None = None
         self._cells: dict[str, tuple[object, int, float]] = {}  # what a mesh was made of, and when
         self._moving: set[str] = set()  # meshes
         self._meshes: dict[str, FieldMesh] = {}
-        self._full: dict[str, float] = {}
         self._shown: dict[str, int] = {}  # the frame shown last
         self._last = -1.0
 
@@ -61,16 +74,5 @@ class Fields:
             slot = f"fieldmesh:{name}"
             yield slot, pack(slot, {"position": mesh.places(world), "face": mesh.face})
         self._shown[name] = world.frame
-        full = self._fullest(name, field.values, field.limit)
-        shown = mesh.shown(field.values)
-        value = np.clip(shown * np.float32(255 / full), 0, 255).astype(np.uint8)
-        yield f"field:{name}", pack(f"field:{name}", {"value": value}, full=full, frame=world.frame)
-
-    def _fullest(self, name: str, values: np.ndarray[tuple[int], np.dtype[np.float64]], limit: float) -> float:
-        """What is shown as full: the limit; without one, the most so far of what nearly all cells stay below."""
-        if np.isfinite(limit) and limit > 1e-3:
-            return float(limit)
-        held = values[values > 0]
-        now = float(np.percentile(held, _FULLEST)) if len(held) else 0.0
-        self._full[name] = max(now, self._full.get(name, 0.0), 1e-6)
-        return self._full[name]
+        value = in_bytes(mesh.shown(field.values))
+        yield f"field:{name}", pack(f"field:{name}", {"value": value}, frame=world.frame)

@@ -10,9 +10,10 @@ import numpy as np
 from antdsl.outputs.feelers import feelers_of
 from antdsl.preview.session import Session, silenced
 from antdsl.preview.viewing.bodies import body_name
+from antdsl.preview.viewing.fields import full
 from antdsl.preview.viewing.names import Names, text_of
 from antdsl.preview.viewing.units import base, colourable, unit_for, worth
-from antdsl.program.model import Param
+from antdsl.program.model import ItemAttribute, Param
 from antdsl.runtime import Population
 from antdsl.scene.model import Camera, millimetres
 from antdsl.scene.quantities import parse_quantity
@@ -30,7 +31,8 @@ def scene(live: Live, box: Box, charts: list[dict[str, Any]], charts_need: str) 
     world, program = session.world, session.shot.program
     low, high = box.of(session)
     return {
-        "op": "scene", "name": names.of(live.compiler.scene), "fps": float(world.setting.fps), "unit_mm": world.setting.unit_mm,
+        "op": "scene", "name": names.of(live.compiler.scene), "fps": float(world.setting.fps), "last": session.shot.frames.last,
+        "unit_mm": world.setting.unit_mm,
         "up": [float(x) for x in world.up], "low": low, "high": high,
         "camera": _camera(session),
         "species": [_species(session, names, population) for population in world.populations.values()],
@@ -138,7 +140,7 @@ def _fields(session: Session) -> list[dict[str, Any]]:
         {
             "name": name, "unit": "", "colour": list(_PALETTE[number % len(_PALETTE)]),
             "on": not chosen.items() >= silenced(name).items(),
-            "full": float(field.limit) if np.isfinite(field.limit) else 1.0,
+            "full": full(field.limit),
         }
         for number, (name, field) in enumerate(session.world.fields.items())
     ]  # fmt: skip
@@ -149,7 +151,17 @@ def _items(session: Session) -> list[dict[str, Any]]:
     return [
         {
             "name": name, "kind": things[name].kind, "names": list(items.names),
-            "amounts": [{"name": a.name, "unit": unit_for(a)} for a in things[name].attributes if a.name in items.amounts],
+            "amounts": [
+                {"name": a.name, "unit": unit_for(a), "first": _first(session, name, a)}
+                for a in things[name].attributes if a.name in items.amounts
+            ],
         }
         for name, items in session.world.items.items()
     ]  # fmt: skip
+
+
+def _first(session: Session, name: str, amount: ItemAttribute) -> list[float]:
+    """What each item of a name has at first, in the unit that the author wrote."""
+    unit_mm, dt = session.world.setting.unit_mm, session.world.dt
+    usual, one = base(amount.default, unit_mm, dt), worth(unit_for(amount), unit_mm, dt)
+    return [each.attributes.get(amount.name, usual) / one for each in session.world.setting.items[name]]

@@ -51,6 +51,7 @@ class Screen:
         self._shown_at = self._told_at = -inf
         self._scene: dict[str, Any] = {}
         self._status: dict[str, Any] = {}
+        self._stops: dict[int, str] = {}
         self._hash: tuple[object, int, str] | None = None
 
     # --- what happened -----------------------------------------------------------------------------------------------
@@ -107,6 +108,7 @@ class Screen:
                     other.tell(news)
             client.tell(self.live.observer(Specs).message())
             client.tell(self.live.observer(Breakpoints).message())
+            client.tell(telling.stops(self.live))
             sent = self._show(self.live.session, monotonic())
             for slot, packet in self._standing.items():
                 if slot not in sent:
@@ -174,6 +176,9 @@ class Screen:
         if told != self._status:
             self._status = told
             self.live.tell_all(told)
+        if session is not None and session.timeline.stops != self._stops:
+            self._stops = dict(session.timeline.stops)
+            self.live.tell_all(telling.stops(self.live))
         news = self._curves.news(session.timeline) if session is not None else None
         if news is not None:
             self.live.tell_all(news)

@@ -57,7 +57,13 @@ def _problems(live: Live, report: Report) -> list[Message]:
 
 def outcome(live: Live, of: str, done: Outcome, file: str = "") -> Message:
     found = _problems(live, done.report)
-    return {"op": "outcome", "of": of, "ok": done.ok, "line": done.line, "text": done.text, "file": file, "problems": found}
+    about = {"did": done.did, "line": done.line, "text": done.text, "file": file}
+    return {"op": "outcome", "of": of, "ok": done.ok, **about, "problems": found}
+
+
+def stops(live: Live) -> Message:
+    """The frames at which play was stopped, and why."""
+    return {"op": "stops", "stops": [{"frame": frame, "line": why} for frame, why in live.session.timeline.stops.items()]}
 
 
 def status(live: Live, rate: float, hash: str | None) -> Message:

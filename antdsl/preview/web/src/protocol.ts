@@ -32,7 +32,7 @@ export type Ask =
       follow: { species: string; agent: number } | null; // whose feelers are felt in each frame
     }
   | { op: "explain"; species: string; agent: number; frame: number }
-  | { op: "breaks"; breaks: Break[] }
+  | { op: "breaks"; breaks: Break[]; tried?: Break } // all there are; one more, which is added if it fits the program
   | { op: "profile"; on: boolean };
 
 // --- what a page is told -------------------------------------------------------------------------------------------
@@ -42,7 +42,8 @@ export interface Hello {
   version: string;
   build: string; // of the page that the server has: another one than this page's means to load it again
   scene: string;
-  token?: string; // to come back with, for a page that was opened by a code that is good once
+  token?: string; // to come back with, for a page that was let in without it
+  key?: string; // proves to a server that is started again that this page was let in here
 }
 
 export interface Attribute {
@@ -128,6 +129,7 @@ export interface Scene {
   op: "scene";
   name: string;
   fps: number;
+  last: number; // the last frame that the scene asks for
   unit_mm: number;
   up: Triple;
   low: Triple; // of all ground and agents
@@ -135,11 +137,11 @@ export interface Scene {
   camera: Camera | null; // the scene's own, as it is in the first frame
   species: Species[];
   params: Param[];
-  fields: { name: string; unit: string; colour: Triple; on: boolean; full: number }[];
+  fields: { name: string; unit: string; colour: Triple; on: boolean; full: number }[]; // `full`: where its colours end at first
   flows: string[];
   curves: string[];
   solids: string[];
-  items: { name: string; kind: string; names: string[]; amounts: Attribute[] }[];
+  items: { name: string; kind: string; names: string[]; amounts: (Attribute & { first: number[] })[] }[]; // what each had at first
   specs: string[];
   charts: Chart[];
   charts_need: string; // why there are no charts: what to install; empty where there are
@@ -189,6 +191,7 @@ export interface Outcome {
   op: "outcome";
   of: string; // the op that it answers, or `saved`
   ok: boolean;
+  did: string; // what was edited: a line of a file, a value, a switch
   line: string; // what was kept, moved and reset
   text: string; // what to write into a file to have the same for good
   file: string; // where it would stand; empty where nothing is to be written
@@ -242,6 +245,17 @@ export interface BreaksSet {
   breaks: { made: Break; why: string }[]; // `why` it does not fit the program, which it waits for; empty where it does
 }
 
+export interface Stops {
+  op: "stops"; // the frames at which play was stopped by itself, and why; all of them each time
+  stops: { frame: number; line: string }[];
+}
+
+/** Asks a page with an old token to prove that it was let in before: see connection.ts. Comes before anything else. */
+export interface Return {
+  op: "return";
+  nonce: string;
+}
+
 export interface Refused {
   op: "refused";
   of: string;
@@ -249,7 +263,7 @@ export interface Refused {
   help: string;
 }
 
-export type Told = Hello | Scene | Status | Problems | Texts | Outcome | Curves | Specs | BreaksSet | Profile | Explained | Refused;
+export type Told = Hello | Scene | Status | Problems | Texts | Outcome | Curves | Specs | BreaksSet | Stops | Return | Profile | Explained | Refused;
 
 // --- the explanation, as `antdsl explain --json` prints it ---------------------------------------------------------
 
@@ -342,7 +356,7 @@ export interface Explanation {
 // body:NAME:fine  the same for close-ups
 // item:KIND:NAME  position f32[n,3] face u32[m,3] colour f32[n,3]: an item's mesh, radius 1, up +y; header: items (name), index, shape
 // fieldmesh:NAME  position f32[n,3] face u32[m,3]: before the first `field`, and where ground was dug or has moved
-// field:NAME      value u8[n]: 255 is header full or more
+// field:NAME      value u8[n]: 0 nothing, 1 is 1e-8 and 255 is 1e8, in even steps of their powers of ten
 // flow:NAME       from f32[n,3] way f32[n,3]
 // curve:NAME      point f32[n,3]; header: closed
 // solid:NAME:N    position f32[n,3] normal f32[n,3] face u32[m,3]; an empty one takes a piece away

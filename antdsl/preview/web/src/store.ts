@@ -20,13 +20,14 @@ export interface Shared {
   camera: "orbit" | "follow" | "ride";
   colour: string; // `state`, `state/MACHINE`, `speed`, or an attribute's name
   fields: string[]; // shown on the ground
+  full: Record<string, number>; // where the colours of a field end, of those for which somebody chose it
   flows: string[];
   trails: boolean;
   feelers: boolean;
   neighbours: boolean;
   curvesShown: boolean;
   glass: boolean; // what hides ants is seen through: solids, stones, things to walk on
-  goto: { file: string; line: number } | null; // a place in the text to be shown
+  goto: { file: string; line: number; mistake?: boolean } | null; // a place in the text to be shown
 }
 
 type Key = keyof Shared;
@@ -44,6 +45,7 @@ export class Store {
     camera: "orbit",
     colour: "state",
     fields: [],
+    full: {},
     flows: [],
     trails: false,
     feelers: true,

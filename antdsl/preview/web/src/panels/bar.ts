@@ -17,6 +17,7 @@ const SPEEDS: [number, string][] = [
 ];
 const IDLE = "Edit the files in your own editor: each save goes on from this frame.";
 const BROKEN = "There are errors: mend them and save, and it starts by itself.";
+const NEWS = 12; // of what was told last, that can be read by resting on it
 const REFUSED = 12_000; // ms that it stands there why something was refused
 
 export function bar(store: Store, place: HTMLElement): void {
@@ -79,27 +80,43 @@ function clock(store: Store): HTMLElement {
 function outcome(store: Store): HTMLElement {
   const line = el("div", { class: "outcome", test: "outcome", role: "status", "aria-live": "polite" });
   let timer = 0;
-  const tell = (words: string, kind: string, lasts = true) => {
+  const past: string[] = [];
+  const tell = (words: string, kind: string) => {
     clearTimeout(timer);
-    if (!lasts) timer = window.setTimeout(() => tell(IDLE, ""), REFUSED);
     line.className = `outcome ${kind}`;
-    line.title = words;
+    line.title = [words, ...past].join("\n");
     say(line, words);
+  };
+  /** Something was done, and when: told anew also where the words are those of before. */
+  const news = (words: string, kind: string) => {
+    const when = `${new Date().toLocaleTimeString("en-GB")}, frame ${store.now.status?.frame ?? 0}`;
+    tell(words, kind);
+    past.unshift(`${when}: ${words}`);
+    past.length = Math.min(past.length, NEWS);
+    line.title = past.join("\n");
+    line.prepend(el("span", { class: "quiet when", text: `${when}: ` }));
+    line.getAnimations().forEach((each) => each.cancel());
+    line.animate([{ backgroundColor: "color-mix(in srgb, currentColor 45%, transparent)" }, { backgroundColor: "transparent" }], 1200);
   };
   tell(IDLE, "");
   store.on("problems", () => {
     const errors = store.now.problems?.problems.some((each) => each.severity === "error");
-    if (errors && !store.now.scene) tell(BROKEN, "bad");
+    if (!errors || store.now.scene) return;
+    tell(BROKEN, "bad");
+    goToFirst(store, store.now.problems?.problems ?? []);
   });
   store.on("scene", () => line.textContent === BROKEN && tell(IDLE, ""));
   store.connection.on("outcome", (message) => {
     const first = message.problems.find((each) => each.severity === "error") ?? message.problems[0];
     if (!message.ok && message.of === "saved") goToFirst(store, message.problems);
     const of = message.of === "saved" ? "saved: " : "";
-    if (message.ok) tell(`${of}${message.line}`, "good");
-    else tell(`${of}${message.line || first?.message || "that does not go"}${message.of === "saved" ? " — the last good program runs on" : ""}`, "bad");
+    if (message.ok) news(of + [message.did, message.line].filter(Boolean).join(" · "), "good");
+    else news(`${of}${message.line || first?.message || "that does not go"}${message.of === "saved" ? " — the last good program runs on" : ""}`, "bad");
   });
-  store.connection.on("refused", (message) => tell([message.message, message.help].filter(Boolean).join(" — "), "bad", false));
+  store.connection.on("refused", (message) => {
+    news([message.message, message.help].filter(Boolean).join(" — "), "bad");
+    timer = window.setTimeout(() => tell(IDLE, ""), REFUSED);
+  });
   return line;
 }
 
@@ -143,7 +160,7 @@ function marks(store: Store): HTMLElement {
 
 function goToFirst(store: Store, problems: readonly Problem[]): void {
   const first = problems.find((each) => each.severity === "error" && each.file !== null);
-  if (first?.file) store.set("goto", { file: first.file, line: first.line });
+  if (first?.file) store.set("goto", { file: first.file, line: first.line, mistake: true });
 }
 
 function themeButton(): HTMLElement {

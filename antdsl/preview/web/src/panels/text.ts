@@ -34,6 +34,8 @@ export function text(store: Store, place: HTMLElement): void {
     list.hidden = problems.length === 0;
     rows(problems);
     showProblems(store, editor, tabs);
+    const to = store.now.goto;
+    if (to?.mistake && !problems.some((each) => each.file !== null && same(each.file, to.file) && each.line === to.line)) store.set("goto", null);
   });
   list.hidden = true;
   store.on("goto", () => {
@@ -75,7 +77,7 @@ function problemRow(store: Store) {
   let now: Problem | null = null;
   const button = el("button", {
     type: "button",
-    on: { click: () => now?.file && store.set("goto", { file: now.file, line: now.line }) },
+    on: { click: () => now?.file && store.set("goto", { file: now.file, line: now.line, mistake: true }) },
   }, where, words);
   const element = el("li", {}, button);
   return {

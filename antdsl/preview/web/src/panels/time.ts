@@ -33,24 +33,20 @@ export function time(store: Store, place: HTMLElement): void {
   store.on(["status", "scene"], () => {
     showTime(store, slider);
     const status = store.now.status;
-    noteStop(store, chart);
+    const last = store.now.scene?.last;
     say(first, status ? String(status.first) : "");
-    say(head, status ? String(status.head) : "");
+    say(head, status ? [String(status.head), last && `the scene ends at ${last}`].filter(Boolean).join(" · ") : "");
     say(mode, status?.light ? "remembered: let go to see all of it" : "");
+    draw();
+  });
+  store.connection.on("stops", ({ stops }) => {
+    chart.stops = new Map(stops.map(({ frame, line }) => [frame, line]));
     draw();
   });
   document.addEventListener("theme", draw);
   new ResizeObserver(draw).observe(canvas);
   dragging(store, slider, draw);
   pointing(store, canvas, chart, draw);
-}
-
-/** Where breakpoints stopped it, to be marked; a run that is simulated again, or otherwise, forgets what comes after. */
-function noteStop(store: Store, chart: Chart): void {
-  const status = store.now.status;
-  if (!status) return;
-  for (const frame of chart.stops.keys()) if (frame > status.head) chart.stops.delete(frame);
-  if (status.paused_by) chart.stops.set(status.frame, status.paused_by);
 }
 
 function showTime(store: Store, slider: HTMLInputElement): void {

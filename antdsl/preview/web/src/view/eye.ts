@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import type { Scene } from "../protocol";
+import type { NumberArray, Scene } from "../protocol";
 import type { Agent, Store } from "../store";
 import type { Herds } from "./herds";
 import type { Stage } from "./stage";
@@ -19,7 +19,9 @@ export class Eye {
   private at = 0;
   private placed = false;
   private fresh = false; // nothing of this scene was looked at yet
+  private first: (() => void) | null = null; // looks again as at first, until somebody moves the camera
   private readonly look = new THREE.Vector3();
+  private readonly clipped = new THREE.Vector3(Number.POSITIVE_INFINITY, 0, 0); // where the camera was as that was set
   private readonly seat = new THREE.Vector3();
   private readonly here = new THREE.Vector3();
   private readonly head = new THREE.Vector3();
@@ -34,6 +36,7 @@ export class Eye {
     store.on("scene", () => this.scene(store.now.scene as Scene));
     store.on(["camera", "selected"], () => this.mode());
     herds.onFrame(() => this.begin());
+    stage.onResize(() => this.first?.()); // the page may still be coming to its size as the first frame arrives
     stage.add((now) => this.move(now));
   }
 
@@ -45,13 +48,24 @@ export class Eye {
     return null;
   }
 
+  /** What is looked at, and from where, in mm. */
+  get place(): { at: THREE.Vector3; target: THREE.Vector3 } {
+    return { at: this.stage.camera.position, target: this.controls.target };
+  }
+
   /** See all there is. */
   all(): void {
+    this.first = null;
     this.fit(this.stage.low, this.stage.high);
   }
 
   /** See what the scene's own camera sees, from as far as it takes in a view of another shape. Whether the scene has one. */
   own(): boolean {
+    this.first = null;
+    return this.likeScene();
+  }
+
+  private likeScene(): boolean {
     const camera = this.store.now.scene?.camera;
     if (!camera) return false;
     const target = new THREE.Vector3(...camera.look_at);
@@ -66,14 +80,14 @@ export class Eye {
     return true;
   }
 
-  /** Which part of all agents lies within the view. */
-  private share(): number {
+  /** Which part of some places lies within the view. */
+  private share(places: readonly NumberArray[]): number {
     const { camera } = this.stage;
+    this.clip(); // the distance that is drawn to is that of the camera before
     camera.updateMatrixWorld();
     let seen = 0;
     let all = 0;
-    for (const [name, place] of this.herds.packet?.arrays ?? []) {
-      if (!name.endsWith("/position")) continue;
+    for (const place of places) {
       for (let k = 0; k < place.length; k += 3, all++) {
         this.here.fromArray(place, k).project(camera);
         if (Math.abs(this.here.x) < 1 && Math.abs(this.here.y) < 1 && this.here.z < 1) seen++;
@@ -87,15 +101,18 @@ export class Eye {
   private begin(): void {
     if (!this.fresh || this.herds.count === 0) return;
     this.fresh = false;
+    const places = [...(this.herds.packet?.arrays ?? [])].filter(([name]) => name.endsWith("/position")).map(([, place]) => place);
+    this.first = () => this.beginAt(places);
+    this.first();
+  }
+
+  private beginAt(places: readonly NumberArray[]): void {
+    if (this.likeScene() && this.share(places) >= ENOUGH) return;
     const box = new THREE.Box3();
-    for (const [name, place] of this.herds.packet?.arrays ?? []) {
-      if (!name.endsWith("/position")) continue;
-      for (let k = 0; k < place.length; k += 3) box.expandByPoint(this.here.fromArray(place, k));
-    }
-    if (this.own() && this.share() >= ENOUGH) return;
+    for (const place of places) for (let k = 0; k < place.length; k += 3) box.expandByPoint(this.here.fromArray(place, k));
     box.expandByScalar(box.getSize(this.here).length() * AROUND);
     box.intersect(new THREE.Box3(this.stage.low, this.stage.high));
-    if (box.isEmpty()) this.all();
+    if (box.isEmpty()) this.fit(this.stage.low, this.stage.high);
     else this.fit(box.min, box.max);
   }
 
@@ -125,6 +142,7 @@ export class Eye {
 
   /** Go near the agent that is followed. */
   near(): void {
+    this.first = null;
     const agent = this.follows;
     if (!agent || !this.find(agent)) return;
     const herd = this.herds.byName.get(agent.species);
@@ -138,6 +156,7 @@ export class Eye {
 
   /** Turn around the point looked at, by radians across and up; `closer` is a factor of the distance. */
   turn(across: number, up: number, closer = 1): void {
+    this.first = null;
     const { camera } = this.stage;
     const off = camera.position.clone().sub(this.controls.target);
     off.applyAxisAngle(this.stage.up, across);
@@ -161,6 +180,7 @@ export class Eye {
     made.dampingFactor = 0.12;
     made.zoomToCursor = true;
     made.addEventListener("change", () => this.stage.wake());
+    made.addEventListener("start", () => (this.first = null));
     return made;
   }
 
@@ -179,12 +199,14 @@ export class Eye {
     if (!same) {
       this.seen = scene.name;
       this.fresh = true;
-      this.all();
+      this.first = null;
+      this.fit(low, high);
     }
     this.mode();
   }
 
   private mode(): void {
+    if (this.store.now.camera !== "orbit") this.first = null;
     this.controls.enabled = this.store.now.camera !== "ride";
     this.placed = false;
     this.stage.wake();
@@ -249,7 +271,8 @@ export class Eye {
     const { camera } = stage;
     const far = camera.position.distanceTo(this.controls.target);
     const near = Math.max(far * 0.02, stage.extent * 1e-5);
-    if (Math.abs(camera.near / near - 1) < 0.1) return;
+    if (Math.abs(camera.near / near - 1) < 0.1 && this.clipped.distanceTo(camera.position) < stage.extent) return;
+    this.clipped.copy(camera.position);
     camera.near = near;
     camera.far = camera.position.length() + stage.extent * 3;
     camera.updateProjectionMatrix();

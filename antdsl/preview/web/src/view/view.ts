@@ -5,12 +5,14 @@ import { ACTS } from "./acts/list";
 import { Bodies } from "./bodies";
 import { Eye } from "./eye";
 import { Herds } from "./herds";
+import { nothing } from "./nothing";
 import { SCENERY } from "./scenery/list";
 import type { Scenery, Sight } from "./sight";
 import { Stage } from "./stage";
 import "./view.css";
 
 export function view(store: Store, place: HTMLElement): void {
+  nothing(store, place);
   let stage: Stage;
   try {
     stage = new Stage(place);

@@ -27,7 +27,7 @@ export class ChartDrawing {
     const shown = this.element.getBoundingClientRect();
     if (!shown.width) return;
     const scale = Math.min(shown.width / (this.chart.width + 8), shown.height / (this.chart.height + 8));
-    const letter = Math.max(1, 1 / scale);
+    const letter = Math.max(1, fontScale() / scale);
     this.element.style.setProperty("--letter", `${letter}px`);
     this.element.classList.toggle("small", scale < 0.8);
     for (const fit of this.fitted) fit();
@@ -133,6 +133,11 @@ export class ChartDrawing {
     this.arrows.push({ arrow, line, rate, x, title });
     return group;
   }
+}
+
+/** How large the browser's letters are, of those that the page was drawn for. */
+function fontScale(): number {
+  return Number.parseFloat(getComputedStyle(document.documentElement).fontSize) / 13;
 }
 
 type Point = [number, number];

@@ -23,8 +23,11 @@ export const breaks: Panel = (store, place, shown) => {
     show(now);
     store.connection.ask({ op: "breaks", breaks: [...all] }, true);
   };
-  const add = (made: Break) => {
-    if (!all.some((each) => JSON.stringify(each) === JSON.stringify(made))) change([...all, made]);
+  let asked: { made: string; done: (wrong: string) => void } | null = null; // what was added, and is not answered yet
+  const add: Add = (made, done = () => {}) => {
+    if (all.some((each) => JSON.stringify(each) === JSON.stringify(made))) return done("");
+    asked = { made: JSON.stringify(made), done };
+    store.connection.ask({ op: "breaks", breaks: [...all], tried: made });
   };
   place.append(fired, list, none, stateForm(store, add), conditionForm(store, add), specForm(store, add), faultForm(add), specs(store));
   store.on("status", () => {
@@ -38,8 +41,18 @@ export const breaks: Panel = (store, place, shown) => {
     unfit.clear();
     for (const each of message.breaks) unfit.set(JSON.stringify(each.made), each.why);
     show(message.breaks.map((each) => each.made));
+    store.connection.remember({ op: "breaks", breaks: [...all] });
+    if (asked && all.some((each) => JSON.stringify(each) === asked?.made)) answer("");
   });
+  store.connection.on("refused", (message) => message.of === "breaks" && answer([message.message, message.help].filter(Boolean).join(": ")));
+  const answer = (wrong: string) => {
+    asked?.done(wrong);
+    asked = null;
+  };
 };
+
+/** Add a breakpoint; `done` hears what is wrong with it, or nothing. */
+type Add = (made: Break, done?: (wrong: string) => void) => void;
 
 let told = ""; // the stop whose agents were selected: once, so that one may then select others
 
@@ -82,16 +95,22 @@ function row(unfit: ReadonlyMap<string, string>, remove: (gone: Break) => void):
   };
 }
 
-function form(title: string, test: string, add: () => void, ...children: Node[]): HTMLFormElement {
-  const made = el("form", { class: "add", test }, el("h3", { text: title }), el("div", { class: "row" }, ...children, el("button", { type: "submit", text: "Add" })));
+function form(title: string, test: string, add: (told: (wrong: string) => void) => void, ...children: Node[]): HTMLFormElement {
+  const wrong = el("p", { class: "bad-note", test: `${test}-wrong`, role: "alert", hidden: true });
+  const told = (words: string) => {
+    wrong.hidden = !words;
+    say(wrong, words);
+  };
+  const made = el("form", { class: "add", test }, el("h3", { text: title }), el("div", { class: "row" }, ...children, el("button", { type: "submit", text: "Add" })), wrong);
+  made.addEventListener("input", () => told(""));
   made.addEventListener("submit", (event) => {
     event.preventDefault();
-    add();
+    add(told);
   });
   return made;
 }
 
-function stateForm(store: Store, add: (made: Break) => void): HTMLElement {
+function stateForm(store: Store, add: Add): HTMLElement {
   const select = el("select", { "aria-label": "State", test: "break-state" });
   let options: { words: string; made: Break }[] = [];
   const made = form("An agent enters a state", "break-state-form", () => options[select.selectedIndex] && add((options[select.selectedIndex] as { made: Break }).made), select);
@@ -117,18 +136,25 @@ function stateForm(store: Store, add: (made: Break) => void): HTMLElement {
   return made;
 }
 
-function conditionForm(store: Store, add: (made: Break) => void): HTMLElement {
+function conditionForm(store: Store, add: Add): HTMLElement {
   const field = el("input", { type: "text", maxlength: 2000, spellcheck: "false", "aria-label": "Condition, as in a spec", test: "break-condition" });
   store.on("scene", () => {
     const state = store.now.scene?.species[0]?.machines[0]?.states.at(-1);
     field.placeholder = state ? `count(state == ${state}) > 10` : "";
   });
-  return form("A condition becomes true", "break-condition-form", () => field.value.trim() && add({ kind: "condition", text: field.value.trim() }), field);
+  return form("A condition becomes true", "break-condition-form", (told) => {
+    const text = field.value.trim();
+    if (!text) return;
+    add({ kind: "condition", text }, (wrong) => {
+      told(wrong);
+      if (!wrong && field.value.trim() === text) field.value = "";
+    });
+  }, field);
 }
 
-function specForm(store: Store, add: (made: Break) => void): HTMLElement {
+function specForm(store: Store, add: Add): HTMLElement {
   const select = el("select", { "aria-label": "Spec", test: "break-spec" });
-  const made = form("A spec fails", "break-spec-form", () => select.value && add({ kind: "spec", spec: select.value }), select);
+  const made = form("A spec fails", "break-spec-form", (told) => select.value && add({ kind: "spec", spec: select.value }, told), select);
   let seen = "";
   store.on("scene", () => {
     const specs = store.now.scene?.specs ?? [];
@@ -140,6 +166,6 @@ function specForm(store: Store, add: (made: Break) => void): HTMLElement {
   return made;
 }
 
-function faultForm(add: (made: Break) => void): HTMLElement {
+function faultForm(add: Add): HTMLElement {
   return form("A value is at fault", "break-fault-form", () => add({ kind: "fault" }), el("span", { class: "quiet", text: "no number, or far away" }));
 }

@@ -3,6 +3,7 @@
 import type { Ask } from "../../protocol";
 import type { Shared, Store } from "../../store";
 import { button, el, keyed, type Row, say } from "../dom";
+import { fullOf } from "../../view/scales";
 import type { Panel } from "../side";
 
 type Toggle = "trails" | "feelers" | "neighbours" | "curvesShown" | "glass";
@@ -110,10 +111,21 @@ function nameRow(store: Store, key: "fields" | "flows"): Row<string> {
     const others = store.now[key].filter((name) => name !== now);
     store.set(key, box.checked ? [...others, now] : others);
   });
+  const full = el("input", { type: "number", class: "number", min: 0, step: "any" });
+  full.addEventListener("change", () => {
+    const { [now]: _, ...others } = store.now.full;
+    const value = Number(full.value);
+    store.set("full", value >= 1e-7 && value <= 1e7 ? { ...others, [now]: value } : others);
+    full.value = String(fullOf(store.now, now));
+  });
+  const tick = el("label", { class: "tick" }, box, words);
   return {
-    element: el("label", { class: "tick" }, box, words),
+    element: key === "fields" ? el("div", { class: "row" }, tick, el("span", { class: "quiet", text: "full at" }), full) : tick,
     update: (name) => {
       now = name;
+      full.dataset.test = `full-${name}`;
+      full.setAttribute("aria-label", `where the colours of ${name} end`);
+      if (document.activeElement !== full) full.value = String(fullOf(store.now, name));
       box.dataset.test = `view-${key}-${name}`;
       box.checked = store.now[key].includes(name);
       say(words, name);

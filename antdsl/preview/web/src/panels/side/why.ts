@@ -21,6 +21,17 @@ export const why: Panel = (store, place) => {
   place.append(hint, head, message, body);
   head.hidden = true;
 
+  let several = "";
+  /** What is told is of a frame: where another one is shown it is dimmed, and says so. */
+  const age = () => {
+    const explained = store.now.explained;
+    const status = store.now.status;
+    if (!explained || !status) return;
+    const old = explained.frame !== status.frame;
+    body.classList.toggle("old", old);
+    const now = old ? `, and now it is frame ${status.frame}: ${status.playing ? "pause it, or press Explain" : "it is asked again"}` : several;
+    say(about, `the step to frame ${explained.frame}${now}`);
+  };
   const show = () => {
     const one = store.now.selected[store.now.selected.length - 1];
     const explained = store.now.explained;
@@ -30,18 +41,21 @@ export const why: Panel = (store, place) => {
     if (!one || !fits) {
       say(title, one ? `${one.species} ${one.id}` : "");
       say(about, "its step is done again…");
+      body.classList.remove("old");
       body.replaceChildren();
       message.hidden = true;
       return;
     }
     const all = store.now.selected.length;
     say(title, `${one.species} ${one.id}`);
-    say(about, `the step to frame ${explained.frame}${all > 1 ? `; the last one of ${all} that are selected` : ""}`);
+    several = all > 1 ? `; the last one of ${all} that are selected` : "";
+    age();
     message.hidden = !explained.message;
     say(message, explained.message);
     fill(store, body, explained);
   };
   store.on(["explained", "selected"], show);
+  store.on("status", () => about.textContent?.startsWith("the step") && age());
   keepAsking(store);
   leadToText(store);
 };

@@ -14,7 +14,7 @@ type Text = Texts["texts"][number];
 const MONO = "ui-monospace, SFMono-Regular, 'Cascadia Code', Menlo, Consolas, 'DejaVu Sans Mono', monospace";
 
 const look = EditorView.theme({
-  "&": { height: "100%", fontSize: "12px", color: "var(--words)", backgroundColor: "var(--raised)" },
+  "&": { height: "100%", fontSize: "0.923rem", color: "var(--words)", backgroundColor: "var(--raised)" },
   "&.cm-focused": { outline: "2px solid var(--mark)", outlineOffset: "-2px" },
   ".cm-scroller": { fontFamily: MONO, lineHeight: "1.5" },
   ".cm-gutters": { backgroundColor: "var(--raised)", color: "var(--quiet)", border: "none" },

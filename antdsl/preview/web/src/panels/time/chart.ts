@@ -11,7 +11,7 @@ const BAND = 5;
 
 export class Chart {
   hover: number | null = null;
-  readonly stops = new Map<number, string>(); // the frames that a breakpoint stopped at, and why
+  stops: ReadonlyMap<number, string> = new Map(); // the frames at which play was stopped, and why
   drawn: () => void = () => {};
   private readonly context: CanvasRenderingContext2D;
   private width = 0;
@@ -45,6 +45,7 @@ export class Chart {
     specs.forEach((spec, k) => this.band(spec, below + 3 + k * (BAND + 2)));
     const words = getComputedStyle(this.canvas).getPropertyValue("color");
     this.upright(status.frame, words, 1);
+    this.end(words);
     for (const frame of this.stops.keys()) this.stop(frame);
     if (this.hover !== null) this.upright(this.hover, words, 0.4);
     this.drawn();
@@ -76,6 +77,16 @@ export class Chart {
     pen.lineTo(x, this.height);
     pen.stroke();
     pen.globalAlpha = 1;
+  }
+
+  /** The scene's last frame, once one has come as far. */
+  private end(colour: string): void {
+    const last = this.store.now.scene?.last;
+    const { first, head } = this.store.now.status as { first: number; head: number };
+    if (last === undefined || last < first || last > head) return;
+    this.context.setLineDash([2, 3]);
+    this.upright(last, colour, 0.7);
+    this.context.setLineDash([]);
   }
 
   private stop(frame: number): void {

@@ -17,8 +17,8 @@ export function legend(store: Store, data: CurveData, chart: Chart): HTMLElement
     say(where, [chart.hover === null ? "now" : `at frame ${frame}`, chart.stops.get(frame)].filter(Boolean).join(": "));
     rows(chosen.shown.map((each) => [each, data.valueAt(each.name, frame)]));
     const last = data.branches[data.branches.length - 1];
-    say(branch, last ? `╌╌ before ${last.line || "the edit"} at frame ${last.first}` : "");
-    branch.title = data.branches.map((each) => `from frame ${each.first}: ${each.line}`).join("\n");
+    say(branch, last ? `╌╌ before: ${last.line || "edited"}, at frame ${last.first}` : "");
+    branch.title = data.branches.map((each) => `at frame ${each.first}: ${each.line}`).join("\n");
   });
   chart.drawn = show;
   return el("div", { class: "legend-box" }, el("div", { class: "row" }, branch, where), list);

@@ -1,6 +1,7 @@
 // `window.antdsl`: plain numbers of what is seen, for tests in a browser and for the curious. It reads, and changes nothing.
 
 import { onScreen } from "../picking";
+import { drawnItems } from "../scenery/items";
 import type { Sight } from "../sight";
 import { tally } from "./legend";
 
@@ -14,6 +15,8 @@ export interface Hook {
   screen(species: string, id: number): [number, number] | null; // CSS px in the view
   ids(species: string): number[];
   position(species: string, id: number): [number, number, number] | null;
+  item(names: string, name: string): number | null; // mm that it is drawn large
+  camera(): number[]; // where it is and what it looks at, in mm
 }
 
 declare global {
@@ -51,6 +54,8 @@ export function hook(sight: Sight): void {
     },
     screen: (species, id) => onScreen(sight, { species, id }),
     ids: (species) => Array.from(herds.byName.get(species)?.ids ?? []),
+    item: (names, name) => drawnItems.get(`${names}.${name}`) ?? null,
+    camera: () => [...sight.eye.place.at.toArray(), ...sight.eye.place.target.toArray()],
     position(species, id) {
       const herd = herds.byName.get(species);
       const row = herd?.row(id) ?? -1;

@@ -8,6 +8,7 @@ import { keys } from "./keys";
 import { legend } from "./legend";
 import { marks } from "./marks";
 import { pointer } from "./pointer";
+import { scales } from "./scales";
 import { trails } from "./trails";
 
-export const ACTS: Act[] = [marks, trails, feelers, forces, legend, pointer, keys, hook];
+export const ACTS: Act[] = [marks, trails, feelers, forces, legend, scales, pointer, keys, hook];

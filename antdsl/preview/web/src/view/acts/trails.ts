@@ -21,6 +21,12 @@ export function trails(sight: Sight): void {
   const past = new Map<string, Past[]>();
   const strokes = new Strokes(stage, { order: 6 });
   const colour = new THREE.Color();
+  const note = document.createElement("p");
+  note.className = "sight-note";
+  note.dataset.test = "trails-note";
+  note.setAttribute("role", "status");
+  note.hidden = true;
+  stage.place.append(note);
 
   function remember(): void {
     for (const [name, herd] of herds.byName) {
@@ -46,6 +52,18 @@ export function trails(sight: Sight): void {
       }
     }
     if (strokes.count || strokes.object.visible) strokes.done();
+    const words = trails ? why() : "";
+    note.hidden = !words;
+    if (note.textContent !== words) note.textContent = words;
+  }
+
+  /** Why there are no trails, or not all; nothing where they are as one expects. */
+  function why(): string {
+    const chosen = store.now.selected.length;
+    const all = herds.count;
+    if (chosen > MOST) return `trails of the last ${MOST} of ${chosen.toLocaleString("en")} that are selected`;
+    if (!chosen && all > FEW) return `no trails: ${all.toLocaleString("en")} are too many at once — select those whose trails you want to see`;
+    return strokes.count ? "" : "no trails yet: they grow as it plays";
   }
 
   function trail(kept: Past[], id: number, herd: Herd, wide: number, marked: boolean): void {

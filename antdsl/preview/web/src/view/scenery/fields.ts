@@ -1,6 +1,7 @@
 // `fieldmesh:NAME` and `field:NAME`: what is laid on the ground, as colour over it, the stronger the more there is.
 
 import * as THREE from "three";
+import { DECADES, LEAST, SHOWN, fullOf } from "../scales";
 import type { Scenery, Sight } from "../sight";
 
 const VERTEX = /* glsl */ `
@@ -12,15 +13,16 @@ void main() {
   gl_Position.z -= 6e-5 * gl_Position.w;
 }`;
 
-// One hue to the middle, then lighter: faint traces are seen, and strong ones still differ.
+// One hue to the middle, then lighter: faint traces are seen, and strong ones still differ. The same as `shade` of scales.ts.
 const FRAGMENT = /* glsl */ `
 uniform vec3 colour;
 uniform vec3 strong;
+uniform float end;
 varying float vValue;
 void main() {
-  float v = clamp(vValue, 0.0, 1.0);
-  if (v < 0.003) discard;
-  float seen = pow(v, 0.55);
+  float power = (vValue * 255.0 - 1.0) * ${(DECADES / 254).toFixed(8)} + ${LEAST.toFixed(1)};
+  float seen = clamp(1.0 + (power - end) / ${SHOWN.toFixed(1)}, 0.0, 1.0);
+  if (vValue < 0.002 || seen <= 0.0) discard;
   gl_FragColor = vec4(mix(colour, strong, smoothstep(0.45, 1.0, seen)), 0.72 * seen);
   #include <colorspace_fragment>
 }`;
@@ -40,12 +42,14 @@ export function fields(sight: Sight): Scenery {
       mesh.material.uniforms.colour!.value.setRGB(...colour, THREE.SRGBColorSpace);
       const strong = mesh.material.uniforms.strong!.value.setRGB(...colour, THREE.SRGBColorSpace);
       strong.lerp(stage.palette.ink, 0.55);
+      mesh.material.uniforms.end!.value = Math.log10(fullOf(store.now, name));
     }
     stage.wake();
   }
 
   let scene = "";
   stage.palette.onChange(dress);
+  store.on("full", dress);
   store.on("fields", refresh);
   store.on("scene", () => {
     const names = new Set(store.now.scene?.fields.map((field) => field.name));
@@ -69,7 +73,7 @@ export function fields(sight: Sight): Scenery {
       const material = new THREE.ShaderMaterial({
         vertexShader: VERTEX,
         fragmentShader: FRAGMENT,
-        uniforms: { colour: { value: new THREE.Color() }, strong: { value: new THREE.Color() } },
+        uniforms: { colour: { value: new THREE.Color() }, strong: { value: new THREE.Color() }, end: { value: 0 } },
         transparent: true,
         depthWrite: false,
         side: THREE.DoubleSide,

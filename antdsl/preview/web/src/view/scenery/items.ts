@@ -20,7 +20,6 @@ export function items(sight: Sight): Scenery {
   const { stage, herds, store } = sight;
   const labels = new Labels(stage);
   const shown = new Map<string, Item>();
-  const most = new Map<string, number>(); // of each amount that was ever seen
 
   function away(slot: string): void {
     const old = shown.get(slot);
@@ -32,6 +31,7 @@ export function items(sight: Sight): Scenery {
     }
     labels.drop(slot);
     shown.delete(slot);
+    drawnItems.delete(`${old.group}.${old.name}`);
   }
 
   function place(): void {
@@ -53,32 +53,31 @@ export function items(sight: Sight): Scenery {
     item.object.quaternion.setFromUnitVectors(UP, stage.up);
     const [part, words] = amount(item);
     item.object.scale.setScalar(size * (LEAST + (1 - LEAST) * Math.cbrt(part)));
+    drawnItems.set(`${item.group}.${item.name}`, item.object.scale.x);
     labels.set(slot, item.name, words, item.object.position, stage.up, size * 1.6);
     return !BEFORE.equals(item.object.position) || Math.abs(item.object.scale.x / wide - 1) > 0.01;
   }
 
-  /** How much is left, as a part of the most there was, and in words. */
+  /** How much is left, as a part of what it had at first, and in words. What had nothing at first, such as a nest, is whole. */
   function amount(item: Item): [number, string] {
     const about = store.now.scene?.items.find((each) => each.name === item.group)?.amounts ?? [];
-    let part = 1;
+    let part: number | null = null;
     const words: string[] = [];
-    about.forEach((each, number) => {
+    for (const each of about) {
       const value = herds.packet?.arrays.get(`item/${item.group}/amount/${each.name}`)?.[item.index] as number | undefined;
-      if (value === undefined) return;
-      const key = `${item.group}/${item.index}/${each.name}`;
-      const top = Math.max(most.get(key) ?? 0, value);
-      most.set(key, top);
-      if (number === 0 && store.now.scene?.items.find((g) => g.name === item.group)?.kind !== "nest" && top > 0) part = value / top;
+      if (value === undefined) continue;
+      const first = each.first[item.index] ?? 0;
+      if (first > 0) part ??= Math.min(Math.max(value / first, 0), 1);
       words.push(`${Number(value.toPrecision(4)).toLocaleString("en")}${each.unit && ` ${each.unit}`} ${each.name}`);
-    });
-    return [part, words.join(" · ")];
+    }
+    return [part ?? 1, words.join(" · ")];
   }
 
   herds.onFrame(place);
   store.on("scene", () => {
     const there = new Set(store.now.scene?.items.flatMap((group) => group.names.map((name) => `item:${group.name}:${name}`)));
     for (const slot of [...shown.keys()]) if (!there.has(slot)) away(slot);
-    most.clear();
+    place();
   });
 
   return {
@@ -93,6 +92,9 @@ export function items(sight: Sight): Scenery {
     },
   };
 }
+
+/** How large items are drawn now, in mm, by `NAMES.NAME`. */
+export const drawnItems = new Map<string, number>();
 
 function made(packet: Packet): Item {
   const [, kind = "", name = ""] = packet.slot.split(":");

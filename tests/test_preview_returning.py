@@ -1,0 +1,116 @@
+"""Who is let in again after a server was started again: who proves a key that an earlier start gave out, and nobody else."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("websockets")
+
+from preview_served import SECONDS, Noted
+from websockets.exceptions import ConnectionClosed
+
+from antdsl.preview.serving.addresses import listen
+from antdsl.preview.serving.guard import Guard
+from antdsl.preview.serving.pages import pages
+from antdsl.preview.serving.returning import Returning
+from antdsl.preview.serving.server import Server
+
+SCENE = Path("scene.yaml")
+
+
+def proof(key: str, host: str, nonce: str) -> str:
+    return hmac.new(key.encode(), f"antdsl return\n{host}\n{nonce}".encode(), "sha256").hexdigest()
+
+
+def test_keys_of_the_last_starts_are_known_to_this_scene_and_port_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "kept"
+    starts = [Returning.of(SCENE, 8765, folder) for _ in range(6)]
+    assert all(starts) and len({each.key for each in starts if each}) == 6
+    last = starts[-1]
+    assert last is not None
+    assert last.before == tuple(each.key for each in reversed(starts[1:5]) if each)
+    known, forgotten, other = (starts[4], starts[0], Returning.of(SCENE, 8766, folder))
+    assert known is not None and forgotten is not None and other is not None and other.before == ()
+    host = "127.0.0.1:8765"
+    assert last.proves(proof(known.key, host, "n"), host, "n")
+    for wrong in (proof(forgotten.key, host, "n"), proof(last.key, host, "n"), proof(known.key, host, "m"), known.key, "", "é"):
+        assert not last.proves(wrong, host, "n")
+    assert not last.proves(proof(known.key, "127.0.0.1:9999", "n"), host, "n"), "nor what was signed for another port"
+    assert not last.proves(proof(known.key, host, "n").encode(), host, "n")
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system has other ways to keep files private")
+def test_only_private_files_of_keys_are_read(tmp_path: Path) -> None:
+    folder = tmp_path / "kept"
+    first = Returning.of(SCENE, 1, folder)
+    assert first is not None
+    [place] = folder.iterdir()
+    assert place.stat().st_mode & 0o777 == 0o600 and folder.stat().st_mode & 0o777 == 0o700
+    whole = place.read_text()
+    for text in ("", "{", "[]", '{"keys": 3}', '{"keys": ["short", 5, null]}', "[" * 3000):
+        place.write_text(text)
+        assert (found := Returning.of(SCENE, 1, folder)) is not None and found.before == ()
+    place.write_text(whole)
+    place.chmod(0o644)  # others may have read it
+    assert (found := Returning.of(SCENE, 1, folder)) is not None and found.before == ()
+    place.unlink()
+    elsewhere = tmp_path / "elsewhere.json"
+    elsewhere.write_text(whole)
+    elsewhere.chmod(0o600)
+    place.symlink_to(elsewhere)
+    assert (found := Returning.of(SCENE, 1, folder)) is not None and found.before == ()
+    assert elsewhere.read_text() == whole, "what a link leads to is left alone"
+    place.unlink()
+    os.mkfifo(place)
+    assert (found := Returning.of(SCENE, 1, folder)) is not None and found.before == ()
+    folder.chmod(0o755)
+    assert Returning.of(SCENE, 1, folder) is None, "a folder that others look into keeps nothing"
+
+
+def test_a_server_lets_in_who_proves_a_key_and_tells_the_token(tmp_path: Path) -> None:
+    """As a page with an old token, which is not let in else."""
+    from websockets.asyncio.client import connect
+
+    async def test() -> None:
+        listening = listen(port=0)
+        before = Returning.of(SCENE, listening.port, tmp_path / "kept")
+        now = Returning.of(SCENE, listening.port, tmp_path / "kept")
+        assert before is not None and now is not None
+        guard = Guard(listening.names, returning=now)
+        live = Noted()
+        host = f"127.0.0.1:{listening.port}"
+
+        async def come(answer: str | None, origin: str | None = f"http://{host}") -> list[dict[str, str]]:
+            """What one is told who answers so; `{nonce}` stands for a right proof."""
+            told = []
+            try:
+                options: dict[str, Any] = {"origin": origin, "subprotocols": ["antdsl.1", "token.old"], "proxy": None}
+                async with connect(f"ws://{host}/ws", **options) as client:
+                    told.append(json.loads(await client.recv()))
+                    if answer is not None:
+                        await client.send(answer.replace("{nonce}", proof(before.key, host, told[0]["nonce"])))
+                    told.append(json.loads(await client.recv()))
+            except ConnectionClosed as why:
+                told.append({"op": "closed", "reason": why.rcvd.reason if why.rcvd else ""})
+            return told
+
+        async with asyncio.timeout(SECONDS), Server(live, guard, pages(), listening).running():
+            asked, hello = await come("{nonce}")
+            assert asked["op"] == "return" and hello["op"] == "hello"
+            assert (hello["token"], hello["key"]) == (guard.token, now.key)
+            for wrong in ("", "{nonce}0", proof(before.key, host, "another"), '{"op": "play"}'):
+                assert (await come(wrong))[-1] == {"op": "closed", "reason": "wrong token"}
+            assert live.joined == 1 and not live.asks
+            with pytest.raises(Exception, match="403"):
+                await come("{nonce}", origin="http://example.com")
+            with pytest.raises(Exception, match="403"):
+                await come("{nonce}", origin=None)
+
+    asyncio.run(test())
