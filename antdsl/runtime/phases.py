@@ -91,9 +91,14 @@ def move(world: World) -> None:
                 moving.move(world, population, substep)
 
 
+def measure(world: World) -> None:
+    """How everybody has moved."""
+    with np.errstate(all="ignore"):
+        world.motion.observe(world)
+
+
 def bear(world: World) -> None:
     """The dead go, the new come."""
-    world.motion.observe(world)
     births.deaths_and_births(world)
     births.settle_newborn(world)
     faults.gather(world)  # of births, while their rows and the frame are still these
@@ -151,6 +156,7 @@ PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
     ("fields", fields),  # what is there spreads and fades, then deposits land: what is laid at t is whole at t+1
     ("solids", digging.dig),  # before moving: who digs goes on into what it dug
     ("move", move),
+    ("motion", measure),  # before the ground goes on: what it carries along is no step of theirs
     ("carry", carrying.carry),  # after walking: who has walked stands on ground that goes on from here
     ("births", bear),  # after moving: a child starts where its parent is now
     ("commit", commit),
