@@ -15,7 +15,7 @@ from antdsl.runtime import compiled, kernels
 from antdsl.runtime import vectors as vec
 from antdsl.runtime.obstacles import slide
 from antdsl.runtime.senses.ground import MoveResult
-from antdsl.runtime.tilting import tilted
+from antdsl.runtime.tilting import bodies
 from antdsl.runtime.vectors import Vector
 from antdsl.runtime.world import AXES, Population, World
 
@@ -23,6 +23,7 @@ _HEADING_TIME = 0.1  # s, of the heading on its way to the direction of movement
 _SLOW = np.float32(0.1)  # of max_speed: below it the heading follows more and more slowly
 _BOUNCE = np.float32(0.3)  # of the speed into the border of an open surface that is turned back
 _F = np.float32
+_TWELFTH, _NINETIETH = _F(1 / 12), _F(1 / 90)
 
 
 def move(world: World, population: Population, substep: int) -> None:
@@ -31,7 +32,7 @@ def move(world: World, population: Population, substep: int) -> None:
         return
     now = population.now
     dt = _F(world.dt / world.setting.substeps)
-    up = _read(population, "up")
+    up = vec.columns(population.normal, np.float32)
     velocity = _velocity(world, population, up, dt, substep)
     if population.quarantined.any():
         velocity = vec.choose(population.quarantined, (_F(0),) * 3, velocity)  # type: ignore[arg-type]
@@ -40,33 +41,41 @@ def move(world: World, population: Population, substep: int) -> None:
     if step is not wanted:
         stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
         velocity = vec.choose(stopped, vec.scale(step, _F(1) / dt), velocity)
+    body = bodies(world, population, dt)
+    step, kept = body.paced(step)
+    if kept is not None:
+        velocity = vec.scale(velocity, kept)
     moved = world.ground.move(
         population.footing,
         vec.rows(step),
-        vec.rows(_read(population, "heading")),
+        vec.rows(body.looking()),
         vec.rows(up),
         now["size"].astype(np.float64),
         world.options.threads,
     )
-    if world.solids:
-        on_solid = moved.footing.mesh >= len(world.ground.names) - len(world.solids)
-        moved = tilted(moved, vec.rows(up), np.maximum(now["max_turn"], _F(0)) * dt, on_solid)
-    _arrive(population, velocity, step, moved, dt)
+    hasty = _arrive(population, velocity, step, moved, body.most, dt)
     population.footing, population.position = moved.footing, moved.position
+    body.follow(hasty, moved.travelled, dt)
 
 
-def _arrive(population: Population, velocity: Vector, step: Vector, moved: MoveResult, dt: np.float32) -> None:
-    """Velocity and heading where the walk has led, with place and up."""
+def _arrive(
+    population: Population, velocity: Vector, step: Vector, moved: MoveResult, most: NDArray[np.float32], dt: np.float32
+) -> NDArray[np.bool_]:
+    """Velocity and heading where the walk has led, with place, and up as that of the ground there; says whose body would tilt by
+    more than `most` (radians) by that."""
     now = population.now
+    old_up = _read(population, "up")
     if compiled.wanted(len(population)):
         from antdsl.runtime.moving_compiled import arrive
 
         walked = (moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
+        hasty = np.empty(len(population), np.bool_)
         arrive(
-            velocity, step, population.position, *walked, now["max_speed"], now["max_turn"], dt, _share(dt), _SLOW, _BOUNCE,
-            *(_read(population, name) for name in ("position", "velocity", "heading", "up")),
+            velocity, step, population.position, *walked, now["max_speed"], now["max_turn"], most, dt, _share(dt), _SLOW, _BOUNCE,
+            *(_read(population, name) for name in ("position", "velocity", "heading", "up")), hasty,
         )  # fmt: skip
-        return
+        population.normal = np.stack(old_up, axis=1)
+        return hasty
     new_up = vec.columns(moved.up, np.float32)
     speed = vec.length(velocity)
     velocity = vec.scale(vec.columns(moved.direction, np.float32), speed)
@@ -75,7 +84,9 @@ def _arrive(population: Population, velocity: Vector, step: Vector, moved: MoveR
         lost = vec.sub(vec.scale(step, _F(1) / dt), gone)
         velocity = vec.choose(moved.blocked, vec.sub(gone, vec.scale(lost, _BOUNCE)), velocity)
     velocity = vec.flat(velocity, new_up)
-    heading = _face(population, vec.columns(moved.heading, np.float32), velocity, new_up, dt)
+    tilt = _squared_angle(vec.sub(new_up, old_up))
+    hasty = tilt > most * most
+    heading = _face(population, vec.columns(moved.heading, np.float32), velocity, new_up, np.minimum(tilt, most * most), dt)
     for name, value in (
         ("velocity", velocity),
         ("heading", heading),
@@ -84,6 +95,15 @@ def _arrive(population: Population, velocity: Vector, step: Vector, moved: MoveR
     ):
         for axis, component in zip(AXES, value, strict=True):
             now[f"{name}.{axis}"][:] = component
+    population.normal = np.stack(new_up, axis=1)
+    return hasty
+
+
+def _squared_angle(chord: Vector) -> NDArray[np.float32]:
+    """The square of the angle between unit vectors a chord apart, by the first terms of its series: less than it beyond 1 rad."""
+    square = vec.dot(chord, chord)
+    angle: NDArray[np.float32] = square * (_F(1) + square * (_TWELFTH + square * _NINETIETH))
+    return angle
 
 
 def _read(population: Population, name: str) -> Vector:
@@ -169,8 +189,11 @@ def _share(dt: np.float32) -> np.float32:
     return _F(1.0 - float(kernels.exp(_F(-float(dt) / _HEADING_TIME))))
 
 
-def _face(population: Population, heading: Vector, velocity: Vector, up: Vector, dt: np.float32) -> Vector:
-    """Turn the heading towards the movement: exponentially within _HEADING_TIME, and no faster than max_turn."""
+def _face(
+    population: Population, heading: Vector, velocity: Vector, up: Vector, tilt: NDArray[np.float32], dt: np.float32
+) -> Vector:
+    """Turn the heading towards the movement: exponentially within _HEADING_TIME, and with the body's tilt, whose squared angle is
+    given, no faster than max_turn."""
     now = population.now
     heading = vec.unit(vec.flat(heading, up), vec.across(up))
     speed = vec.length(velocity)
@@ -187,5 +210,6 @@ def _face(population: Population, heading: Vector, velocity: Vector, up: Vector,
     if np.isfinite(turn).any():
         size = vec.length(change)
         most = np.where(np.isfinite(turn), np.maximum(turn, _F(0)) * dt, np.inf).astype(np.float32)
+        most = np.sqrt(np.maximum(most * most - tilt, _F(0)))
         change = vec.scale(change, np.where(size > most, most / np.where(size > 0, size, _F(1)), _F(1)))
     return vec.unit(vec.flat(vec.add(heading, change), up), heading)

@@ -78,6 +78,7 @@ class Population:
     effects: Effects = field(default_factory=Effects)
     version: int = 0  # changes whenever rows do
     next_id: int = 0
+    normal: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 3), np.float32))  # of what the feet are on, its side
     _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
 
     @property
@@ -209,7 +210,7 @@ def empty_population(plan: ir.SpeciesPlan, ground: Any) -> Population:
 
 def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
     """Keep these rows, in this order."""
-    for name in ("ids", "born", "quarantined", "position"):
+    for name in ("ids", "born", "quarantined", "position", "normal"):
         setattr(population, name, getattr(population, name)[rows])
     population.footing = _footing(lambda array: array[rows], population.footing)
     population.cells.clear()
@@ -226,6 +227,7 @@ def add_rows(population: Population, ids: NDArray[np.int64], frame: int, positio
     population.born = np.concatenate([population.born, np.full(count, frame, np.int64)])
     population.quarantined = np.concatenate([population.quarantined, np.zeros(count, np.bool_)])
     population.position = np.concatenate([population.position, position])
+    population.normal = np.concatenate([population.normal, np.zeros((count, 3), np.float32)])
     population.footing = _footing(lambda a, b: np.concatenate([a, b]), population.footing, footing)
     for table in (population.events, population.raised):
         for name, array in table.items():
