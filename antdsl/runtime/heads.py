@@ -14,13 +14,13 @@ DEEP = 0.02  # of a body: as far inside is but touching
 def heads_inside(world: World, population: Population) -> NDArray[np.bool_]:
     """Whose head bool[n] is inside of the ground or a solid, as they stand now.
 
-    A head is half a body ahead of the middle, which is over the feet. It is inside where a surface lies between the two, or where
+    A head is half a body ahead of the middle, which is over the feet: half by the ground's way up, half by the body's. It is inside where a surface lies between the two, or where
     it is in a solid."""
     now = population.now
     size = now["size"].astype(np.float64)
     up, heading = population.vector("up"), population.vector("heading")
     high = np.maximum(RAISED * size, now["clearance"])[:, None]
-    middle = population.position + up * high
+    middle = population.position + (up + population.normal) * (high / 2)
     ahead = heading * (size / 2)[:, None]
     found = np.zeros(len(population), np.bool_)
     meshes = world.ground.meshes

@@ -41,7 +41,7 @@ def move(world: World, population: Population, substep: int) -> None:
     if step is not wanted:
         stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
         velocity = vec.choose(stopped, vec.scale(step, _F(1) / dt), velocity)
-    body = bodies(world, population, dt)
+    body = bodies(world, population, step, dt)
     step, kept = body.paced(step)
     if kept is not None:
         velocity = vec.scale(velocity, kept)
@@ -53,16 +53,17 @@ def move(world: World, population: Population, substep: int) -> None:
         now["size"].astype(np.float64),
         world.options.threads,
     )
-    hasty = _arrive(population, velocity, step, moved, body.most, dt)
+    hasty = _arrive(population, velocity, step, moved, body.at_once(), dt)
+    went = moved.position - population.position
     population.footing, population.position = moved.footing, moved.position
-    body.follow(hasty, moved.travelled, dt)
+    body.follow(hasty, went, dt)
 
 
 def _arrive(
     population: Population, velocity: Vector, step: Vector, moved: MoveResult, most: NDArray[np.float32], dt: np.float32
 ) -> NDArray[np.bool_]:
     """Velocity and heading where the walk has led, with place, and up as that of the ground there; says whose body would tilt by
-    more than `most` (radians) by that."""
+    more than `most` (radians) by that. What it tilts by, up to `most`, its heading turns less."""
     now = population.now
     old_up = _read(population, "up")
     if compiled.wanted(len(population)):

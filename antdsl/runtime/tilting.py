@@ -59,6 +59,13 @@ class Bodies:
         found[:, self.leaning] = _laid(self._of(self.heading), self._of(self.up), self._feet(self.leaning))
         return (found[0], found[1], found[2])
 
+    def at_once(self) -> NDArray[np.float32]:
+        """By what angle bodies may tilt that stand as their feet do: 0 of others, which `follow` turns."""
+        found = self.most.copy()
+        found[self.leaning] = 0
+        found[self.rises.rows] = 0
+        return found
+
     def paced(self, step: Vector) -> tuple[Vector, NDArray[np.float32] | None]:
         """Steps (mm) as long as the bodies can follow, and the share of its speed that each keeps (None: all keep all)."""
         rows = np.union1d(self.leaning, self.rises.rows)
@@ -69,16 +76,16 @@ class Bodies:
         size = np.sqrt(_dot(way, way))
         stood = self.up[:, rows].astype(np.float64)
         normal = self._feet(rows)
-        wanted = self.rises.tilted(rows, normal, np.zeros(len(rows)))
+        wanted = self.rises.tilted(rows, normal, np.zeros((3, len(rows))))
         free = np.minimum(1.0, 2.0 * np.maximum(_dot(stood, wanted), 0.0))  # as a way that leads off the ground by as much
         far = self.rises.room(rows, stood, way / np.maximum(size, 1e-300), self.most[rows].astype(np.float64))
         share[rows] = np.minimum(free, np.clip(far / np.maximum(size, 1e-300), 0.0, 1.0))
         part = share.astype(np.float32)
         return vec.scale(step, part), np.maximum(part, _F(_WAITING))
 
-    def follow(self, hasty: NDArray[np.bool_], travelled: Floats, dt: np.float32) -> None:
+    def follow(self, hasty: NDArray[np.bool_], went: Floats, dt: np.float32) -> None:
         """Turn the bodies of those who lean, would tilt too fast or have something rise before them; all others stand as their
-        feet do already. The population's up and heading are those of its feet."""
+        feet do already. The population's up and heading are those of its feet, which `went` (n, 3) mm."""
         chosen = hasty.copy()
         chosen[self.leaning] = True
         chosen[self.rises.rows] = True
@@ -90,7 +97,8 @@ class Bodies:
         ahead = _across(ahead, before)
         normal = np.stack([now[f"up.{axis}"][rows] for axis in AXES]).astype(np.float64)
         looking = np.stack([now[f"heading.{axis}"][rows] for axis in AXES]).astype(np.float64)
-        wanted = self.rises.tilted(rows, normal, travelled[rows])
+        gone = went[rows].T
+        wanted = self.rises.tilted(rows, normal, gone)
         most = self.most[rows]
         axis, cosine, sine = _axis(before, wanted, ahead)
         whole = kernels.atan2(sine.astype(np.float32), cosine.astype(np.float32))
@@ -108,6 +116,9 @@ class Bodies:
         yaw = kernels.atan2(_dot(left, other).astype(np.float32), _dot(one, other).astype(np.float32))
         part = np.sign(yaw) * np.minimum(np.abs(yaw), room)
         facing = np.where(np.abs(yaw) <= room, other, _unit(one * kernels.cos(part) + left * kernels.sin(part)))
+        # Who would turn its head into a wall tilts first.
+        into = self.rises.clear(rows, up, facing, gone) < np.minimum(self.rises.clear(rows, up, one, gone), 0)
+        facing = np.where(into, one, facing)
         for name, value in (("up", up), ("heading", facing)):
             for axis_name, component in zip(AXES, value, strict=True):
                 now[f"{name}.{axis_name}"][rows] = component
@@ -119,13 +130,13 @@ class Bodies:
         return self.population.normal[rows].T.astype(np.float64)
 
 
-def bodies(world: World, population: Population, dt: np.float32) -> Bodies:
-    """The bodies of a species before it moves for a time."""
+def bodies(world: World, population: Population, step: Vector, dt: np.float32) -> Bodies:
+    """The bodies of a species about to make steps (mm) in a time."""
     now = population.now
     up, heading = (np.stack([now[f"{name}.{axis}"] for axis in AXES]) for name in ("up", "heading"))
     leaning = np.flatnonzero((up != population.normal.T).any(axis=0))
     found = Bodies(population, up, heading, limits(now, dt), leaning, Rises.none())
-    found.rises = rises(world, population, np.stack(found.looking()))
+    found.rises = rises(world, population, np.stack(found.looking()), step)
     return found
 
 
