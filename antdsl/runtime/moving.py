@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from antdsl.runtime import compiled, kernels
 from antdsl.runtime import vectors as vec
+from antdsl.runtime.falling import in_the_air
 from antdsl.runtime.obstacles import slide
 from antdsl.runtime.senses.ground import MoveResult
 from antdsl.runtime.tilting import bodies
@@ -53,6 +54,8 @@ def move(world: World, population: Population, substep: int) -> None:
         now["size"].astype(np.float64),
         world.options.threads,
     )
+    if world.solids:
+        moved = in_the_air(world, population, moved, dt)
     hasty = _arrive(population, velocity, step, moved, body.at_once(), dt)
     went = moved.position - population.position
     population.footing, population.position = moved.footing, moved.position
