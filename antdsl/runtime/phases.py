@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.plan.ir import Kind
-from antdsl.runtime import births, carrying, claims, digging, faults, moving
+from antdsl.runtime import births, carrying, claims, digging, faults, moving, tilting
 from antdsl.runtime.senses.sorting import stable_order
 from antdsl.runtime.world import Population, World, select_rows
 
@@ -30,6 +30,7 @@ def sense(world: World) -> None:
         flow.begin(world)
     for population in world.populations.values():
         births.find_cells(world, population)
+        tilting.lay(population)
         for name, register in population.plan.registers.items():
             if register.role == "temp":
                 population.now[name].fill(register.zero)
@@ -86,6 +87,8 @@ def fields(world: World) -> None:
 def move(world: World) -> None:
     """Everybody moves, once a substep."""
     with np.errstate(all="ignore"):
+        for population in world.populations.values():
+            tilting.stand_up(population)
         for substep in range(world.setting.substeps):
             for population in world.populations.values():
                 moving.move(world, population, substep)

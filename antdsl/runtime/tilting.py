@@ -2,7 +2,8 @@
 them.
 
 Feet are exact: their footing and the normal of what they are on (`Population.normal`) change at once, at an edge by any angle.
-The body's up and heading are turned towards them step by step. Before a wall the body tilts ahead of the feet, a right angle
+The body's up and heading are turned towards them step by step, and are what frames hold; programs read and push along the feet's.
+Before a wall the body tilts ahead of the feet, a right angle
 over about its own length; where it cannot tilt as fast as it walks, the feet wait for it.
 """
 
@@ -27,7 +28,7 @@ _F = np.float32
 _RIGHT_ANGLE = _F(np.pi / 2)
 _LEAST = _F(np.pi / 4)  # rad/s that a body tilts at least: who turns slower still comes round an edge
 _OPPOSITE = 0.05  # sine of an angle near half a turn, below which its axis is drowned in rounding: it goes over the head then
-_WAITING = 0.05  # of its speed that an animal keeps whose feet wait
+_WAITING = 0.05
 
 
 def limits(now: dict[str, NDArray[Any]], dt: np.float32) -> NDArray[np.float32]:
@@ -138,6 +139,33 @@ def bodies(world: World, population: Population, step: Vector, dt: np.float32) -
     found = Bodies(population, up, heading, limits(now, dt), leaning, Rises.none())
     found.rises = rises(world, population, np.stack(found.looking()), step)
     return found
+
+
+def lay(population: Population) -> None:
+    """Show programs the heading and up of the feet, along the ground, while a step is made: a push ahead leads on, over whatever
+    edge the body tilts just then."""
+    start, now = population.start, population.now
+    up, heading = (np.stack([start[f"{name}.{axis}"] for axis in AXES]) for name in ("up", "heading"))
+    rows = np.flatnonzero((up != population.normal.T).any(axis=0))
+    normal = population.normal[rows].T
+    along = _laid(heading[:, rows].astype(np.float64), up[:, rows].astype(np.float64), normal.astype(np.float64))
+    population.laid = (rows, up[:, rows], heading[:, rows], along.astype(np.float32))
+    for name, shown in (("up", normal), ("heading", population.laid[3])):
+        for axis, component in zip(AXES, shown, strict=True):
+            start[f"{name}.{axis}"][rows] = now[f"{name}.{axis}"][rows] = component
+
+
+def stand_up(population: Population) -> None:
+    """Give the bodies back what `lay` took; who has been told another heading has that."""
+    if population.laid is None:
+        return
+    rows, up, heading, along = population.laid
+    population.laid = None
+    told = np.stack([population.now[f"heading.{axis}"][rows] for axis in AXES])
+    kept = np.where((told == along).all(axis=0), heading, told)
+    for k, axis in enumerate(AXES):
+        population.start[f"up.{axis}"][rows] = population.now[f"up.{axis}"][rows] = up[k]
+        population.start[f"heading.{axis}"][rows], population.now[f"heading.{axis}"][rows] = heading[k], kept[k]
 
 
 def _dot(a: Floats, b: Floats) -> Floats:

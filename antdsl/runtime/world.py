@@ -79,6 +79,7 @@ class Population:
     version: int = 0  # changes whenever rows do
     next_id: int = 0
     normal: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 3), np.float32))  # of what the feet are on, its side
+    laid: tuple[NDArray[Any], ...] | None = None  # bodies of those who lean, while a step shows them as their feet stand
     _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
 
     @property
