@@ -151,6 +151,7 @@ class World:
     faults: FaultLog
     motion: Motion
     timings: dict[str, float] = field(default_factory=dict)  # seconds by phase, all steps together
+    worked: dict[str, float] = field(default_factory=dict)  # the same of the processors, all threads together
     grids: dict[tuple[str, float], Any] = field(default_factory=dict)  # of this step
     clearances: dict[tuple[str, str, int], NDArray[Any]] = field(default_factory=dict)  # of this step
     transitions: dict[str, int] = field(default_factory=dict)
