@@ -8,9 +8,7 @@ import pytest
 from meshes import box
 
 from antdsl.runtime import Options, World, bind, step
-from antdsl.runtime.senses.ground import Footing, MoveResult
 from antdsl.runtime.solids import Volume, move
-from antdsl.runtime.tilting import tilted
 
 PROGRAM = """ant 1
 use steering
@@ -61,34 +59,6 @@ def test_a_body_tilts_before_an_edge_and_over_it_in_several_steps() -> None:
     assert tilts[0.5] > 40 and tilts[5.0] < 30
 
 
-def test_nobody_tilts_faster_than_it_turns_and_none_changes_the_side_of_a_mesh() -> None:
-    draw = np.random.default_rng(4)
-
-    def units(count: int) -> np.ndarray:
-        v = draw.normal(size=(count, 3))
-        return v / np.linalg.norm(v, axis=1)[:, None]
-
-    n = 200
-    up, after = units(n), units(n)
-    after[:20] = up[:20]
-    after[20:30] = -up[20:30]
-    heading, direction = np.cross(after, units(n)), np.cross(after, units(n))
-    heading, direction = (v / np.linalg.norm(v, axis=1)[:, None] for v in (heading, direction))
-    none = np.zeros(n)
-    moved = MoveResult(Footing.nowhere(n), after, after, heading, direction, none, none > 0, none > 0)
-    most = np.full(n, np.radians(20.0), np.float32)
-    most[100:120] = np.inf
-    solid = np.arange(n) % 2 == 0
-    found = tilted(moved, up, most, solid)
-    turn, left = degrees(found.up, up), degrees(found.up, after)
-    assert (turn[solid & np.isfinite(most)] < 20.01).all()
-    assert (left[~solid] < 60.01).all(), "on a mesh up still says on which side"
-    assert np.array_equal(found.up[:20], after[:20]) and np.array_equal(found.up[100:120], after[100:120])
-    for vectors in (found.heading, found.direction):
-        assert np.abs((vectors * found.up).sum(axis=1)).max() < 1e-9
-        assert np.linalg.norm(vectors, axis=1) == pytest.approx(1, abs=1e-9)
-
-
 @pytest.fixture(scope="module")
 def pit(tmp_path_factory: pytest.TempPathFactory) -> World:
     """A shaft from the top of the hill half way down, with walkers at its bottom."""
@@ -121,4 +91,4 @@ def test_who_seeks_something_outside_a_pit_climbs_out_of_it(pit: World) -> None:
         step(pit)
         arrived |= np.hypot(walkers.position[:, 0] - 19, walkers.position[:, 2]) < 4
     assert arrived.mean() > 0.9
-    assert pit.motion.summary()["turn_p99"] < 24, "a tilt of at most 16.7 degrees a step, and a turn of as much across it"
+    assert pit.motion.summary()["turn_p99"] < 16.9, "tilt and turn together are at most 16.7 degrees a step"

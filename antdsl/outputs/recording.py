@@ -173,6 +173,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
                 watch("preroll", world.frame)
             world.motion.reset()
             world.timings.clear()
+            world.worked.clear()
             _write(recording, writer)
             yield recording
         while recording.frame is not None and recording.frame < shot.frames.last and not recording.stop:
@@ -199,6 +200,7 @@ def _advance(recording: Recording, what: str) -> None:
     else:
         recording.spend("first_step", began)
         recording.world.timings.clear()
+        recording.world.worked.clear()
 
 
 def _is_checkpoint(recording: Recording, frame: int) -> bool:

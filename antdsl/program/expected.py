@@ -115,4 +115,15 @@ class Spec:
 
 
 GEOMETRY = {"overlap": "number", "penetration": "length", "off_surface": "length"}
-MOTION = {"turn_p99": "angle", "circling": "number", "standing": "number", "overlap_p99": "number", "straightness": "number"}
+MOTION = {
+    "turn_p99": "angle",
+    "tilt_p99": "angle",
+    "tilt_max": "angle",
+    "step_max": "number",
+    "circling": "number",
+    "standing": "number",
+    "heads_inside": "number",
+    "overlap_start": "number",
+    "overlap_p99": "number",
+    "straightness": "number",
+}

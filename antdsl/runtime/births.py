@@ -115,7 +115,7 @@ def _coming(world: World) -> dict[str, Births]:
             order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.species == species])
             rows = rows[np.lexsort((order, population.ids[rows]))]
             footing = type(population.footing)(*(getattr(population.footing, f)[rows] for f in population.footing.__slots__))
-            carried = {name: population.now[name][rows].copy() for name in _CARRIED}
+            carried = {name: population.now[name][rows].copy() for name in _CARRIED} | {"normal": population.normal[rows]}
             found.setdefault(species, []).append((population, rows, population.position[rows], footing, carried))
     return found
 
@@ -135,7 +135,7 @@ def _bear(world: World, population: Population, births: Births) -> NDArray[np.in
         population.next_id += count
         new = add_rows(population, ids, world.frame + 1, position[:count], footing)
         for name, value in carried.items():
-            population.now[name][new] = value[:count]
+            (population.normal if name == "normal" else population.now[name])[new] = value[:count]
     return np.arange(old, len(population))
 
 

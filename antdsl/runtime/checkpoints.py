@@ -68,7 +68,7 @@ def show(still: World, arrays: Mapping[str, NDArray[Any]]) -> None:
             population.ids = shown["ids"].copy()
             population.version += 1
         population.born, population.quarantined, population.position = shown["born"], shown["quarantined"], shown["position"]
-        population.footing = _footing(population, shown)
+        population.normal, population.footing = shown["normal"], _footing(population, shown)
         population.events = {event: shown[f"event.{event}"] for event in population.events}
         population.now |= {key.removeprefix("register."): shown[key] for key in shown if key.startswith("register.")}
         population.next_id = int(arrays[f"species.{name}.next_id"])
@@ -132,7 +132,7 @@ def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _arrays(population: Population) -> Arrays:
-    found: Arrays = {name: getattr(population, name) for name in ("ids", "born", "quarantined", "position")}
+    found: Arrays = {name: getattr(population, name) for name in ("ids", "born", "quarantined", "position", "normal")}
     found |= {f"footing.{name}": getattr(population.footing, name) for name in type(population.footing).__dataclass_fields__}
     found |= {f"event.{name}": flags for name, flags in population.events.items()}
     kept = (name for name, register in population.plan.registers.items() if register.role != "temp")
@@ -156,7 +156,7 @@ def _restore_population(population: Population, arrays: Mapping[str, NDArray[Any
         taken[key] = array.copy()
     population.ids, population.born = taken["ids"], taken["born"]
     population.quarantined, population.position = taken["quarantined"], taken["position"]
-    population.footing = _footing(population, taken)
+    population.normal, population.footing = taken["normal"], _footing(population, taken)
     for name in population.events:
         population.events[name] = taken[f"event.{name}"]
         population.raised[name] = np.zeros(count, np.bool_)

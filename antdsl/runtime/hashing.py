@@ -20,7 +20,7 @@ def state_hash(world: World) -> str:
         population = world.populations[name]
         rows = population.in_id_order()
         digest.update(f"\0{name}\0{len(rows)}".encode())
-        for array in (population.ids, population.born, population.quarantined, population.position):
+        for array in (population.ids, population.born, population.quarantined, population.position, population.normal):
             digest.update(array.take(rows, axis=0).data)
         for field_name in type(population.footing).__dataclass_fields__:
             digest.update(getattr(population.footing, field_name).take(rows, axis=0).data)

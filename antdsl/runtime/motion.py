@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from antdsl.runtime import kernels
 from antdsl.runtime import vectors as vec
-from antdsl.runtime.senses.neighbours import CellGrid
+from antdsl.runtime.heads import heads_inside
+from antdsl.runtime.overlaps import worst_overlaps
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import Population, World
@@ -24,7 +25,11 @@ _CIRCLING = 0.15  # net way of a whole window at most this share of the way walk
 _MOVED = 3.0  # body lengths walked in a window, to have a way at all
 _WISH = 0.2  # a push that is meant
 _STILL = 0.03  # of max_speed: standing
-_COUNTS = ("turns", "overlaps", "standing", "wishing", "ways", "circling", "straightness", "steps")
+_TOUCH = 0.01  # of the room that two take: closer than this they stand in each other
+_COUNTS = (
+    "turns", "tilts", "overlaps", "standing", "wishing", "ways", "circling", "straightness", "steps",
+    "tilt_max", "step_max", "heads", "heads_inside", "placed", "overlapping",
+)  # fmt: skip
 _WAYS = ("ids", "start", "path", "age")
 
 
@@ -43,6 +48,7 @@ class Motion:
     """Counts so far."""
 
     turns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
+    tilts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
     overlaps: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
     standing: int = 0
     wishing: int = 0
@@ -50,6 +56,12 @@ class Motion:
     circling: int = 0
     straightness: float = 0.0
     steps: int = 0
+    tilt_max: float = 0.0
+    step_max: float = 0.0
+    heads: int = 0
+    heads_inside: int = 0
+    placed: int = 0
+    overlapping: int = 0
     windows: dict[str, Window] = field(default_factory=dict)
 
     def reset(self) -> None:
@@ -78,21 +90,27 @@ class Motion:
         return motion
 
     def observe(self, world: World) -> None:
-        """Count one step; called after the move, before it is committed."""
+        """Count one step; called after the move, before the ground goes on."""
         second = max(1, round(1.0 / world.dt))
         for population in world.populations.values():
             if len(population):
+                if self.steps == 0:
+                    self._begin(population)
                 self._step(world, population)
                 if self.steps % second == 0:
-                    self._overlap(population)
+                    self._bodies(world, population)
         self.steps += 1
 
     def _step(self, world: World, population: Population) -> None:
         now, start = population.now, population.start
-        chord = vec.length(tuple(now[f"heading.{a}"] - start[f"heading.{a}"] for a in "xyz"))  # type: ignore[arg-type]
-        half = np.minimum(chord * np.float32(0.5), np.float32(1))
-        angle = np.degrees(2 * kernels.atan2(half, np.sqrt(1 - half * half)))
-        self.turns += np.bincount((angle * np.float32(_BINS / 180)).astype(np.int64), minlength=_BINS + 1)[: _BINS + 1]
+        self.turns += _histogram(_turned(population, "heading"))
+        tilts = _turned(population, "up")
+        self.tilts += _histogram(tilts)
+        self.tilt_max = max(self.tilt_max, float(tilts.max()))
+        gone = vec.length(tuple(now[f"position.{a}"] - start[f"position.{a}"] for a in "xyz"))  # type: ignore[arg-type]
+        longest = now["max_speed"] * np.float32(world.dt)
+        share = gone[longest > 0] / longest[longest > 0]
+        self.step_max = max(self.step_max, float(share.max(initial=0.0)))
         speed = vec.length(tuple(now[f"velocity.{a}"] for a in "xyz"))  # type: ignore[arg-type]
         wish = vec.length(tuple(now[f"push.{a}"] for a in "xyz")) > _WISH  # type: ignore[arg-type]
         self.wishing += len(population)
@@ -128,28 +146,48 @@ class Motion:
         self.windows[population.name] = fresh
         return fresh
 
-    def _overlap(self, population: Population) -> None:
-        """How far agents stand inside each other: 0 apart, 1 in one place; the worst neighbour of each counts."""
-        radius = population.now["radius"]
-        widest = float(radius.max(initial=0.0))
-        if not np.isfinite(widest) or widest <= 0:
-            return
-        x, y, z = (population.now[f"position.{a}"] for a in "xyz")
-        found = CellGrid(x, y, z, population.ids, 2 * widest).pairs(None, 2 * widest)
-        room = np.maximum(radius[found.i] + radius[found.j], np.float32(1e-9))
-        worst = np.zeros(len(population), np.float32)
-        np.maximum.at(worst, found.i, np.clip(1 - found.distance / room, 0, 1))
+    def _bodies(self, world: World, population: Population) -> None:
+        """How far agents stand inside each other, 0 apart to 1 in one place, the worst neighbour of each; and inside the ground."""
+        worst = worst_overlaps(*(population.now[f"position.{a}"] for a in "xyz"), population.now["radius"])
         self.overlaps += np.bincount((worst * _BINS).astype(np.int64), minlength=_BINS + 1)
+        self.heads += len(population)
+        self.heads_inside += int(np.count_nonzero(heads_inside(world, population)))
+
+    def _begin(self, population: Population) -> None:
+        """Who stands inside another before anybody has moved."""
+        start = population.start
+        worst = worst_overlaps(*(start[f"position.{a}"] for a in "xyz"), start["radius"])
+        self.placed += len(population)
+        self.overlapping += int(np.count_nonzero(worst > _TOUCH))
 
     def summary(self) -> dict[str, float]:
-        """turn_p99 (degrees a step), circling, standing (shares), overlap_p99 (0 apart .. 1 in one place), straightness."""
+        """turn_p99, tilt_p99, tilt_max (degrees a step), step_max (of the longest step allowed), circling, standing, heads_inside,
+        overlap_start (shares), overlap_p99 (0 apart .. 1 in one place), straightness."""
         return {
             "turn_p99": _percentile(self.turns) * 180.0,
+            "tilt_p99": _percentile(self.tilts) * 180.0,
+            "tilt_max": self.tilt_max,
+            "step_max": self.step_max,
             "circling": self.circling / max(1, self.ways),
             "standing": self.standing / max(1, self.wishing),
+            "heads_inside": self.heads_inside / max(1, self.heads),
+            "overlap_start": self.overlapping / max(1, self.placed),
             "overlap_p99": _percentile(self.overlaps),
             "straightness": self.straightness / max(1, self.ways),
         }
+
+
+def _turned(population: Population, name: str) -> NDArray[np.float32]:
+    """By how many degrees a unit vector of each agent has turned in the step."""
+    now, start = population.now, population.start
+    chord = vec.length(tuple(now[f"{name}.{a}"] - start[f"{name}.{a}"] for a in "xyz"))  # type: ignore[arg-type]
+    half = np.minimum(chord * np.float32(0.5), np.float32(1))
+    angle: NDArray[np.float32] = np.degrees(2 * kernels.atan2(half, np.sqrt(1 - half * half)))
+    return angle
+
+
+def _histogram(angle: NDArray[np.float32]) -> NDArray[np.int64]:
+    return np.bincount((angle * np.float32(_BINS / 180)).astype(np.int64), minlength=_BINS + 1)[: _BINS + 1]
 
 
 def _percentile(counts: NDArray[Any]) -> float:

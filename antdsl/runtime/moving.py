@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from antdsl.runtime import compiled, kernels
 from antdsl.runtime import vectors as vec
+from antdsl.runtime.falling import in_the_air
 from antdsl.runtime.obstacles import slide
 from antdsl.runtime.senses.ground import MoveResult
-from antdsl.runtime.tilting import tilted
+from antdsl.runtime.tilting import bodies
 from antdsl.runtime.vectors import Vector
 from antdsl.runtime.world import AXES, Population, World
 
@@ -24,6 +25,7 @@ _HEADING_TIME = 0.1  # s, of the heading on its way to the direction of movement
 _SLOW = np.float32(0.1)  # of max_speed: below it the heading follows more and more slowly
 _BOUNCE = np.float32(0.3)  # of the speed into the border of an open surface that is turned back
 _F = np.float32
+_TWELFTH, _NINETIETH = _F(1 / 12), _F(1 / 90)
 
 
 def move(world: World, population: Population, substep: int) -> None:
@@ -32,7 +34,7 @@ def move(world: World, population: Population, substep: int) -> None:
         return
     now = population.now
     dt = _F(world.dt / world.setting.substeps)
-    up = _read(population, "up")
+    up = vec.columns(population.normal, np.float32)
     velocity = _velocity(world, population, up, dt, substep)
     if population.quarantined.any():
         velocity = vec.choose(population.quarantined, (_F(0),) * 3, velocity)  # type: ignore[arg-type]
@@ -41,33 +43,52 @@ def move(world: World, population: Population, substep: int) -> None:
     if step is not wanted:
         stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
         velocity = vec.choose(stopped, vec.scale(step, _F(1) / dt), velocity)
+    body = bodies(world, population, step, dt)
+    step, kept = body.paced(step)
+    if kept is not None:
+        velocity = vec.scale(velocity, kept)
     moved = world.ground.move(
         population.footing,
         vec.rows(step),
-        vec.rows(_read(population, "heading")),
+        vec.rows(body.looking()),
         vec.rows(up),
         now["size"].astype(np.float64),
         world.options.threads,
     )
     if world.solids:
-        on_solid = moved.footing.mesh >= len(world.ground.names) - len(world.solids)
-        moved = tilted(moved, vec.rows(up), np.maximum(now["max_turn"], _F(0)) * dt, on_solid)
-    _arrive(population, velocity, step, moved, dt, _F(world.dt))
+        moved = in_the_air(world, population, moved, dt)
+    hasty = _arrive(population, velocity, step, moved, body.at_once(), dt, _F(world.dt))
+    went = moved.position - population.position
     population.footing, population.position = moved.footing, moved.position
+    body.follow(hasty, went, dt)
 
 
-def _arrive(population: Population, velocity: Vector, step: Vector, moved: MoveResult, dt: np.float32, whole: np.float32) -> None:
-    """Velocity and heading where the walk of a substep has led, with place and up; `whole` is the time of all substeps."""
+def _arrive(
+    population: Population,
+    velocity: Vector,
+    step: Vector,
+    moved: MoveResult,
+    most: NDArray[np.float32],
+    dt: np.float32,
+    whole: np.float32,
+) -> NDArray[np.bool_]:
+    """Velocity and heading where the walk of a substep has led, with place, and up as that of the ground there; says whose body
+    would tilt by more than `most` (radians) by that. What it tilts by, up to `most`, its heading turns less. `whole` is the time of
+    all substeps."""
     now = population.now
+    old_up = _read(population, "up")
     if compiled.wanted(len(population)):
         from antdsl.runtime.moving_compiled import arrive
 
         walked = (moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
+        hasty = np.empty(len(population), np.bool_)
         arrive(
             velocity, step, population.position, *walked, now["max_speed"], now["max_turn"], now["response"], whole * _F(1.0001),
-            dt, _share(dt), _SLOW, _BOUNCE, *(_read(population, name) for name in ("position", "velocity", "heading", "up")),
+            most, dt, _share(dt), _SLOW, _BOUNCE,
+            *(_read(population, name) for name in ("position", "velocity", "heading", "up")), hasty,
         )  # fmt: skip
-        return
+        population.normal = np.stack(old_up, axis=1)
+        return hasty
     new_up = vec.columns(moved.up, np.float32)
     speed = vec.length(velocity)
     velocity = vec.scale(vec.columns(moved.direction, np.float32), speed)
@@ -76,7 +97,10 @@ def _arrive(population: Population, velocity: Vector, step: Vector, moved: MoveR
         lost = vec.sub(vec.scale(step, _F(1) / dt), gone)
         velocity = vec.choose(moved.blocked, vec.sub(gone, vec.scale(lost, _BOUNCE)), velocity)
     velocity = vec.flat(velocity, new_up)
-    heading = _face(population, vec.columns(moved.heading, np.float32), velocity, new_up, dt, _at_once(now, whole))
+    tilt = _squared_angle(vec.sub(new_up, old_up))
+    hasty = tilt > most * most
+    ahead, tilt = vec.columns(moved.heading, np.float32), np.minimum(tilt, most * most)
+    heading = _face(population, ahead, velocity, new_up, tilt, dt, _at_once(now, whole))
     for name, value in (
         ("velocity", velocity),
         ("heading", heading),
@@ -85,6 +109,15 @@ def _arrive(population: Population, velocity: Vector, step: Vector, moved: MoveR
     ):
         for axis, component in zip(AXES, value, strict=True):
             now[f"{name}.{axis}"][:] = component
+    population.normal = np.stack(new_up, axis=1)
+    return hasty
+
+
+def _squared_angle(chord: Vector) -> NDArray[np.float32]:
+    """The square of the angle between unit vectors a chord apart, by the first terms of its series: less than it beyond 1 rad."""
+    square = vec.dot(chord, chord)
+    angle: NDArray[np.float32] = square * (_F(1) + square * (_TWELFTH + square * _NINETIETH))
+    return angle
 
 
 def _read(population: Population, name: str) -> Vector:
@@ -176,9 +209,16 @@ def _share(dt: np.float32) -> np.float32:
 
 
 def _face(
-    population: Population, heading: Vector, velocity: Vector, up: Vector, dt: np.float32, at_once: NDArray[np.bool_]
+    population: Population,
+    heading: Vector,
+    velocity: Vector,
+    up: Vector,
+    tilt: NDArray[np.float32],
+    dt: np.float32,
+    at_once: NDArray[np.bool_],
 ) -> Vector:
-    """Turn the heading towards the movement, exponentially within _HEADING_TIME or at once, and no faster than max_turn."""
+    """Turn the heading towards the movement: exponentially within _HEADING_TIME or at once, and with the body's tilt, whose
+    squared angle is given, no faster than max_turn."""
     now = population.now
     heading = vec.unit(vec.flat(heading, up), vec.across(up))
     speed = vec.length(velocity)
@@ -195,5 +235,6 @@ def _face(
     if np.isfinite(turn).any():
         size = vec.length(change)
         most = np.where(np.isfinite(turn), np.maximum(turn, _F(0)) * dt, np.inf).astype(np.float32)
+        most = np.sqrt(np.maximum(most * most - tilt, _F(0)))
         change = vec.scale(change, np.where(size > most, most / np.where(size > 0, size, _F(1)), _F(1)))
     return vec.unit(vec.flat(vec.add(heading, change), up), heading)

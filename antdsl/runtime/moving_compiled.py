@@ -12,6 +12,7 @@ _ZERO, _ONE = _F(0), _F(1)
 _TINY, _STEEP = _F(1e-12), _F(0.9)  # as `vectors.unit` and `vectors.across`
 _PI = _F(np.pi)
 _SURELY = _F(1e-3)
+_TWELFTH, _NINETIETH = _F(1 / 12), _F(1 / 90)  # as `moving`
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -46,10 +47,11 @@ def velocities(  # type: ignore[no-untyped-def]  # numba takes the types from th
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def arrive(  # type: ignore[no-untyped-def]
-    velocity, step, old, place, above, ahead, direction, blocked, max_speed, max_turn, response, at_once, dt, share, slow, bounce,
-    position, to, heading, up,
+    velocity, step, old, place, above, ahead, direction, blocked, max_speed, max_turn, response, at_once, most, dt, share, slow,
+    bounce, position, to, heading, up, hasty,
 ):  # fmt: skip
-    """Velocity and heading where the walk has led, with place and up, into three arrays each: `position`, `to`, `heading`, `up`.
+    """Velocity and heading where the walk has led, with place and up, into three arrays each: `position`, `to`, `heading`, `up`;
+    and in `hasty` whose up turns by more than `most` (radians).
 
     `velocity`, `step`: before the walk, (3, n) float32; `old` the place before it, (n, 3); then the walk's, (3, n) float64.
     `at_once` is the longest response of who faces at once where it goes.
@@ -66,7 +68,11 @@ def arrive(  # type: ignore[no-untyped-def]
             v = _sub(gone, _scale(lost, bounce))
         v = _flat(v, u)
         h = (_F(ahead[0, i]), _F(ahead[1, i]), _F(ahead[2, i]))
-        h = _faced(h, v, u, max_speed[i], max_turn[i], response[i] <= at_once, dt, share, slow)
+        chord = _sub(u, (up[0][i], up[1][i], up[2][i]))
+        square, limit = _dot(chord, chord), most[i] * most[i]
+        tilt = square * (_ONE + square * (_TWELFTH + square * _NINETIETH))
+        hasty[i] = tilt > limit
+        h = _faced(h, v, u, max_speed[i], max_turn[i], response[i] <= at_once, _minimum(tilt, limit), dt, share, slow)
         to[0][i], to[1][i], to[2][i] = v
         heading[0][i], heading[1][i], heading[2][i] = h
         up[0][i], up[1][i], up[2][i] = u
@@ -74,7 +80,7 @@ def arrive(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _faced(heading, velocity, up, max_speed, max_turn, at_once, dt, share, slow):  # type: ignore[no-untyped-def]
+def _faced(heading, velocity, up, max_speed, max_turn, at_once, tilt, dt, share, slow):  # type: ignore[no-untyped-def]
     """As `moving._face`, for one."""
     heading, good = _unit(_flat(heading, up))
     if not good:
@@ -94,6 +100,7 @@ def _faced(heading, velocity, up, max_speed, max_turn, at_once, dt, share, slow)
     change = _scale(_sub(direction, heading), _ONE if at_once else share * eager)
     if np.isfinite(max_turn):
         size, most = _length(change), _maximum(max_turn, _ZERO) * dt
+        most = np.sqrt(_maximum(most * most - tilt, _ZERO))
         if size > most:
             change = _scale(change, most / (size if size > 0 else _ONE))
     turned, good = _unit(_flat(_add(heading, change), up))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.plan.ir import Kind
-from antdsl.runtime import births, carrying, claims, digging, faults, moving
+from antdsl.runtime import births, carrying, claims, digging, faults, moving, tilting
 from antdsl.runtime.senses.sorting import stable_order
 from antdsl.runtime.world import Population, World, select_rows
 
@@ -31,6 +31,7 @@ def sense(world: World) -> None:
         flow.begin(world)
     for population in world.populations.values():
         births.find_cells(world, population)
+        tilting.lay(population)
         for name, register in population.plan.registers.items():
             if register.role == "temp":
                 population.now[name].fill(register.zero)
@@ -87,14 +88,21 @@ def fields(world: World) -> None:
 def move(world: World) -> None:
     """Everybody moves, once a substep."""
     with np.errstate(all="ignore"):
+        for population in world.populations.values():
+            tilting.stand_up(population)
         for substep in range(world.setting.substeps):
             for population in world.populations.values():
                 moving.move(world, population, substep)
 
 
+def measure(world: World) -> None:
+    """How everybody has moved."""
+    with np.errstate(all="ignore"):
+        world.motion.observe(world)
+
+
 def bear(world: World) -> None:
     """The dead go, the new come."""
-    world.motion.observe(world)
     births.deaths_and_births(world)
     births.settle_newborn(world)
     faults.gather(world)  # of births, while their rows and the frame are still these
@@ -152,6 +160,7 @@ PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
     ("fields", fields),  # what is there spreads and fades, then deposits land: what is laid at t is whole at t+1
     ("solids", digging.dig),  # before moving: who digs goes on into what it dug
     ("move", move),
+    ("motion", measure),  # before the ground goes on: what it carries along is no step of theirs
     ("carry", carrying.carry),  # after walking: who has walked stands on ground that goes on from here
     ("births", bear),  # after moving: a child starts where its parent is now
     ("commit", commit),

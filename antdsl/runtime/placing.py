@@ -155,6 +155,7 @@ def _stand(world: World, population: Population, rows: NDArray[np.intp]) -> None
     ahead = vec.cross(up, side)
     heading = vec.add(vec.scale(side, kernels.cos(angle)), vec.scale(ahead, kernels.sin(angle)))
     for k, axis in enumerate(AXES):
+        population.normal[rows, k] = up[k]
         for name, value in (("position", population.position[rows, k]), ("up", up[k]), ("heading", heading[k])):
             population.now[f"{name}.{axis}"][rows] = value
             population.start[f"{name}.{axis}"][rows] = value

@@ -41,12 +41,13 @@ class LineTime:
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Milliseconds a frame, over `frames` frames. `lines` have the dearest first. They add up to less than the phases, as what is
+    """Milliseconds a frame, over `frames` frames: what passed, and for the phases what processors `worked`. `lines` have the dearest first. They add up to less than the phases, as what is
     done for all agents at once (grids of neighbours, settling claims, moving) is of no line."""
 
     frames: int = 0
     total: float = 0.0
     phases: dict[str, float] = field(default_factory=dict)
+    worked: dict[str, float] = field(default_factory=dict)
     layers: tuple[LayerTime, ...] = ()
     lines: tuple[LineTime, ...] = ()
 
@@ -58,13 +59,15 @@ class _Measured:
     steps: int
     at: float
     phases: dict[str, float]
+    worked: dict[str, float]
     calls: dict[Key, list[float]]
 
     def add(self, other: _Measured) -> None:
         self.steps += other.steps
         self.at = other.at
-        for name, seconds in other.phases.items():
-            self.phases[name] = self.phases.get(name, 0.0) + seconds
+        for mine, theirs in ((self.phases, other.phases), (self.worked, other.worked)):
+            for name, seconds in theirs.items():
+                mine[name] = mine.get(name, 0.0) + seconds
         for key, times in other.calls.items():
             known = self.calls.get(key)
             self.calls[key] = times if known is None else [a + b for a, b in zip(known, times, strict=True)]
@@ -80,7 +83,7 @@ class Meter:
         self._plan: Plan | None = None
         self._instructions: dict[Key, list[Instruction]] = {}
         self._world: World | None = None
-        self._before: dict[str, float] = {}
+        self._before: tuple[dict[str, float], dict[str, float]] = ({}, {})
 
     def begin(self, world: World) -> None:
         """Measure the step that comes."""
@@ -93,7 +96,7 @@ class Meter:
             self._plan = world.plan
             self._measured.clear()
             self._instructions = {key: metered.instructions for key, metered in _metered(world).items()}
-        self._before = dict(world.timings)
+        self._before = dict(world.timings), dict(world.worked)
         for metered in _metered(world).values():
             metered.forget()
 
@@ -101,9 +104,12 @@ class Meter:
         """Take in the step that was made."""
         if world is not self._world:
             return
-        phases = {name: seconds - self._before.get(name, 0.0) for name, seconds in world.timings.items()}
+        phases, worked = (
+            {name: seconds - before.get(name, 0.0) for name, seconds in after.items()}
+            for before, after in zip(self._before, (world.timings, world.worked), strict=True)
+        )
         calls = {key: metered.seconds for key, metered in _metered(world).items()}
-        now = _Measured(1, self._clock(), phases, calls)
+        now = _Measured(1, self._clock(), phases, worked, calls)
         if self._seconds is None and self._measured:
             self._measured[0].add(now)
             return
@@ -121,13 +127,14 @@ class Meter:
         """What was measured; nothing before the first step."""
         if not self._measured or self._plan is None:
             return Profile()
-        whole = _Measured(0, 0.0, {}, {})
+        whole = _Measured(0, 0.0, {}, {}, {})
         for each in self._measured:
             whole.add(each)
         to_ms = 1000 / whole.steps
         phases = {name: seconds * to_ms for name, seconds in whole.phases.items()}
+        worked = {name: seconds * to_ms for name, seconds in whole.worked.items()}
         lines = sorted(_lines(self._spent(whole), to_ms), key=lambda each: (-each.ms, each.file, each.line))
-        return Profile(whole.steps, sum(phases.values()), phases, self._layers(self._plan, whole, to_ms), tuple(lines))
+        return Profile(whole.steps, sum(phases.values()), phases, worked, self._layers(self._plan, whole, to_ms), tuple(lines))
 
     def _spent(self, whole: _Measured) -> Iterator[tuple[Instruction, float]]:
         for key, times in whole.calls.items():

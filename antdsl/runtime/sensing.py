@@ -174,7 +174,7 @@ def _curve_closest(world: World, population: Population, node: ir.Node, rows: Ro
 
 def _flow_value(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
     place = np.stack(_place(world, population, rows), axis=1).astype(np.float64)
-    up = np.stack([population.start[f"up.{axis}"][rows] for axis in AXES], axis=1).astype(np.float64)
+    up = population.normal[rows].astype(np.float64)
     return world.flows[node.attrs[0]].at(world.ground.meshes, _standing(population, rows), place, up)
 
 

@@ -31,7 +31,7 @@ def snapshot(world: World) -> World:
 def _population(population: Population) -> Population:
     population.in_id_order()  # found once, for the world and for all that look at it
     found = copy(population)
-    for name in ("ids", "born", "quarantined", "position"):
+    for name in ("ids", "born", "quarantined", "position", "normal"):
         setattr(found, name, getattr(population, name).copy())
     # What is no value of one step only and has one array for its start and now never changes.
     lasting = {name for name, register in population.plan.registers.items() if register.role != "temp"}

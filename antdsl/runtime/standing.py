@@ -54,8 +54,8 @@ class Standing:
         return Standing(mesh, face, b1, b2, np.zeros(n), np.zeros(n), np.zeros(n))
 
     @staticmethod
-    def on_solid(mesh: int, place: Floats) -> Standing:
-        """At places [n,3] on the surface of the solid that counts as `mesh`."""
+    def on_solid(mesh: int | NDArray[np.int32], place: Floats) -> Standing:
+        """At places [n,3] on the surface of the solid that counts as `mesh`, one or [n]."""
         n = len(place)
         x, y, z = np.ascontiguousarray(place.T)
         return Standing(np.full(n, mesh, np.int32), np.zeros(n, np.int32), np.zeros(n), np.zeros(n), x, y, z)

@@ -46,7 +46,7 @@ def take_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Kept, 
     footing = type(footing)(**{key: getattr(footing, key)[rows] for key in type(footing).__dataclass_fields__})
     add_rows(after, before.ids[rows].copy(), old.frame, place[rows], footing)
     after.born, after.quarantined = before.born[rows].copy(), before.quarantined[rows].copy()
-    after.next_id = before.next_id
+    after.normal, after.next_id = before.normal[rows].copy(), before.next_id
     for event in after.events:
         if event in before.events:
             after.events[event] = before.events[event][rows].copy()

@@ -39,7 +39,8 @@ def turn(world: World, population: Population, moved: NDArray[np.bool_]) -> None
     rows = np.flatnonzero(moved)
     if not len(rows):
         return
-    up = world.ground.upright(population.footing, population.vector("up"))
+    up = world.ground.upright(population.footing, population.normal.astype(np.float64))
+    population.normal[rows] = up[rows]
     heading, velocity = population.vector("heading"), population.vector("velocity")
     heading[rows] = level(heading[rows], up[rows])
     velocity[rows] -= (velocity[rows] * up[rows]).sum(axis=1)[:, None] * up[rows]

@@ -1,45 +1,212 @@
-"""Bodies on ground with solids tilt no faster than they turn: over the rim of a tunnel, or from its floor onto its wall, in some
-steps and not in one."""
+"""Bodies follow the ground that their feet are on: smoothly, no faster than they turn, and with the head out of what rises before
+them.
+
+Feet are exact: their footing and the normal of what they are on (`Population.normal`) change at once, at an edge by any angle.
+The body's up and heading are turned towards them step by step, and are what frames hold; programs read and push along the feet's.
+Before a wall the body tilts ahead of the feet, a right angle
+over about its own length; where it cannot tilt as fast as it walks, the feet wait for it.
+"""
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime import kernels
-from antdsl.runtime.senses.ground import MoveResult
-from antdsl.runtime.senses.walk import cross, dot, turned
+from antdsl.runtime import vectors as vec
+from antdsl.runtime.rises import Rises, rises
+from antdsl.runtime.vectors import Vector
+from antdsl.runtime.world import AXES, Population, World
 
 Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
 
-_LEANING = np.radians(60.0)  # off the normal of a mesh at most: up also says on which side of it one stands
+_F = np.float32
+_RIGHT_ANGLE = _F(np.pi / 2)
+_LEAST = _F(np.pi / 4)  # rad/s that a body tilts at least: who turns slower still comes round an edge
+_OPPOSITE = 0.05  # sine of an angle near half a turn, below which its axis is drowned in rounding: it goes over the head then
+_WAITING = 0.05
 
 
-def tilted(moved: MoveResult, up: Floats, most: NDArray[np.float32], solid: NDArray[np.bool_]) -> MoveResult:
-    """What a walk led to, `up` turned from that before it ([n,3]) by at most `most` (radians, inf for any) a body.
+def limits(now: dict[str, NDArray[Any]], dt: np.float32) -> NDArray[np.float32]:
+    """By what angle (radians) bodies tilt at most in a time: as fast as they turn, and by a right angle while they walk their own
+    length at full speed."""
+    walking = np.maximum(now["max_speed"], _F(0)) / np.where(now["size"] > 0, now["size"], _F(1)) * _RIGHT_ANGLE
+    rate = np.maximum(np.minimum(np.maximum(now["max_turn"], _F(0)), walking), _LEAST)
+    most: NDArray[np.float32] = np.where(np.isfinite(rate), rate, _F(np.pi) / dt) * dt
+    return most
 
-    Heading and direction turn with it. `solid` says who has come to stand on a solid; others are close to their normal already,
-    or are taken so far."""
-    before, after = np.asarray(up, np.float64).T, moved.up.T
-    hasty = np.flatnonzero(dot(before, after) < kernels.wide_cos(np.minimum(most, np.pi)))
-    if not len(hasty):
-        return moved
-    a, b, direction = (v.take(hasty, axis=1) for v in (before, after, moved.direction.T))
-    axis = cross(a, b)
-    sine = np.sqrt(dot(axis, axis))
-    whole = kernels.wide_atan2(sine, dot(a, b))
-    angle = np.minimum(most[hasty], whole)
-    angle = np.where(solid[hasty], angle, np.maximum(angle, whole - _LEANING))
-    # Half a turn has no axis of its own: it goes forward, over the way walked.
-    axis = np.where(sine > 1e-9, axis / np.maximum(sine, 1e-300), cross(a, direction))
-    stood = a * kernels.wide_cos(angle) + cross(axis, a) * kernels.wide_sin(angle)
-    stood /= np.sqrt(dot(stood, stood))
-    heading = turned(moved.heading.T.take(hasty, axis=1), b, stood, direction)
-    found = {}
-    for name, some in (("up", stood), ("heading", heading), ("direction", turned(direction, b, stood, direction))):
-        vectors = np.array(getattr(moved, name).T, order="C")
-        vectors[:, hasty] = some
-        found[name] = vectors.T
-    return dataclasses.replace(moved, **found)
+
+@dataclass(slots=True)
+class Bodies:
+    """The bodies of a species as a step begins: `up` and `heading` (3, n) float32 of all, the `most` that each may tilt, who leans
+    (stands otherwise than its feet), and what rises before whom."""
+
+    population: Population
+    up: NDArray[np.float32]
+    heading: NDArray[np.float32]
+    most: NDArray[np.float32]
+    leaning: Rows
+    rises: Rises
+
+    def looking(self) -> Vector:
+        """Headings (n) laid along the ground that the feet are on."""
+        if not len(self.leaning):
+            return (self.heading[0], self.heading[1], self.heading[2])
+        found = self.heading.copy()
+        found[:, self.leaning] = _laid(self._of(self.heading), self._of(self.up), self._feet(self.leaning))
+        return (found[0], found[1], found[2])
+
+    def at_once(self) -> NDArray[np.float32]:
+        """By what angle bodies may tilt that stand as their feet do: 0 of others, which `follow` turns."""
+        found = self.most.copy()
+        found[self.leaning] = 0
+        found[self.rises.rows] = 0
+        return found
+
+    def paced(self, step: Vector) -> tuple[Vector, NDArray[np.float32] | None]:
+        """Steps (mm) as long as the bodies can follow, and the share of its speed that each keeps (None: all keep all)."""
+        rows = np.union1d(self.leaning, self.rises.rows)
+        if not len(rows):
+            return step, None
+        share = np.ones(len(self.most), np.float64)
+        way = np.stack([component[rows] for component in step]).astype(np.float64)
+        size = np.sqrt(_dot(way, way))
+        stood = self.up[:, rows].astype(np.float64)
+        normal = self._feet(rows)
+        wanted = self.rises.tilted(rows, normal, np.zeros((3, len(rows))))
+        free = np.minimum(1.0, 2.0 * np.maximum(_dot(stood, wanted), 0.0))  # as a way that leads off the ground by as much
+        far = self.rises.room(rows, stood, way / np.maximum(size, 1e-300), self.most[rows].astype(np.float64))
+        share[rows] = np.minimum(free, np.clip(far / np.maximum(size, 1e-300), 0.0, 1.0))
+        part = share.astype(np.float32)
+        return vec.scale(step, part), np.maximum(part, _F(_WAITING))
+
+    def follow(self, hasty: NDArray[np.bool_], went: Floats, dt: np.float32) -> None:
+        """Turn the bodies of those who lean, would tilt too fast or have something rise before them; all others stand as their
+        feet do already. The population's up and heading are those of its feet, which `went` (n, 3) mm."""
+        chosen = hasty.copy()
+        chosen[self.leaning] = True
+        chosen[self.rises.rows] = True
+        rows = np.flatnonzero(chosen)
+        if not len(rows):
+            return
+        now = self.population.now
+        before, ahead = self.up[:, rows].astype(np.float64), self.heading[:, rows].astype(np.float64)
+        ahead = _across(ahead, before)
+        normal = np.stack([now[f"up.{axis}"][rows] for axis in AXES]).astype(np.float64)
+        looking = np.stack([now[f"heading.{axis}"][rows] for axis in AXES]).astype(np.float64)
+        gone = went[rows].T
+        wanted = self.rises.tilted(rows, normal, gone)
+        most = self.most[rows]
+        axis, cosine, sine = _axis(before, wanted, ahead)
+        whole = kernels.atan2(sine.astype(np.float32), cosine.astype(np.float32))
+        there = whole <= most
+        angle = np.where(there, whole, most)
+        c, s = (np.where(there, exact, part) for exact, part in ((cosine, kernels.cos(most)), (sine, kernels.sin(most))))
+        up = np.where(there, wanted, _unit(_rotated(before, axis, c, s)))
+        one = _across(_rotated(ahead, axis, c, s), up)
+        other = _laid(_laid(looking, normal, wanted), wanted, up)
+        turn = now["max_turn"][rows]
+        room = np.where(np.isfinite(turn), np.maximum(turn, _F(0)) * dt, _F(4)).astype(np.float64)
+        room = np.where(np.isfinite(turn), np.sqrt(np.maximum(room * room - angle.astype(np.float64) ** 2, 0.0)), room)
+        room = np.minimum(room, 4.0).astype(np.float32)
+        left = _cross(up, one)
+        yaw = kernels.atan2(_dot(left, other).astype(np.float32), _dot(one, other).astype(np.float32))
+        part = np.sign(yaw) * np.minimum(np.abs(yaw), room)
+        facing = np.where(np.abs(yaw) <= room, other, _unit(one * kernels.cos(part) + left * kernels.sin(part)))
+        # Who would turn its head into a wall tilts first.
+        into = self.rises.clear(rows, up, facing, gone) < np.minimum(self.rises.clear(rows, up, one, gone), 0)
+        facing = np.where(into, one, facing)
+        for name, value in (("up", up), ("heading", facing)):
+            for axis_name, component in zip(AXES, value, strict=True):
+                now[f"{name}.{axis_name}"][rows] = component
+
+    def _of(self, vectors: NDArray[np.float32]) -> Floats:
+        return vectors[:, self.leaning].astype(np.float64)
+
+    def _feet(self, rows: Rows) -> Floats:
+        return self.population.normal[rows].T.astype(np.float64)
+
+
+def bodies(world: World, population: Population, step: Vector, dt: np.float32) -> Bodies:
+    """The bodies of a species about to make steps (mm) in a time."""
+    now = population.now
+    up, heading = (np.stack([now[f"{name}.{axis}"] for axis in AXES]) for name in ("up", "heading"))
+    leaning = np.flatnonzero((up != population.normal.T).any(axis=0))
+    found = Bodies(population, up, heading, limits(now, dt), leaning, Rises.none())
+    found.rises = rises(world, population, np.stack(found.looking()), step)
+    return found
+
+
+def lay(population: Population) -> None:
+    """Show programs the heading and up of the feet, along the ground, while a step is made: a push ahead leads on, over whatever
+    edge the body tilts just then."""
+    start, now = population.start, population.now
+    up, heading = (np.stack([start[f"{name}.{axis}"] for axis in AXES]) for name in ("up", "heading"))
+    rows = np.flatnonzero((up != population.normal.T).any(axis=0))
+    normal = population.normal[rows].T
+    along = _laid(heading[:, rows].astype(np.float64), up[:, rows].astype(np.float64), normal.astype(np.float64))
+    population.laid = (rows, up[:, rows], heading[:, rows], along.astype(np.float32))
+    for name, shown in (("up", normal), ("heading", population.laid[3])):
+        for axis, component in zip(AXES, shown, strict=True):
+            start[f"{name}.{axis}"][rows] = now[f"{name}.{axis}"][rows] = component
+
+
+def stand_up(population: Population) -> None:
+    """Give the bodies back what `lay` took; who has been told another heading has that."""
+    if population.laid is None:
+        return
+    rows, up, heading, along = population.laid
+    population.laid = None
+    told = np.stack([population.now[f"heading.{axis}"][rows] for axis in AXES])
+    kept = np.where((told == along).all(axis=0), heading, told)
+    for k, axis in enumerate(AXES):
+        population.start[f"up.{axis}"][rows] = population.now[f"up.{axis}"][rows] = up[k]
+        population.start[f"heading.{axis}"][rows], population.now[f"heading.{axis}"][rows] = heading[k], kept[k]
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    total: Floats = (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
+    return total
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _unit(v: Floats) -> Floats:
+    unit: Floats = v / np.maximum(np.sqrt(_dot(v, v)), 1e-300)
+    return unit
+
+
+def _across(v: Floats, up: Floats) -> Floats:
+    """Unit vectors (3, n) across `up`, as near to v as can be; some where v says nothing."""
+    flat = v - up * _dot(v, up)
+    size = np.sqrt(_dot(flat, flat))
+    other = np.stack(vec.across((up[0], up[1], up[2])))
+    return np.where(size > 1e-6, flat / np.where(size > 1e-6, size, 1.0), other)
+
+
+def _axis(one: Floats, other: Floats, ahead: Floats) -> tuple[Floats, Floats, Floats]:
+    """Axis of the least turn of one unit vector into another, and the cosine and sine of its angle. Near half a turn, whose axis
+    is anywhere, it goes over `ahead`."""
+    axis, cosine = _cross(one, other), np.clip(_dot(one, other), -1.0, 1.0)
+    sine = np.sqrt(_dot(axis, axis))
+    clear = (sine > _OPPOSITE) | (cosine > 0)
+    axis = np.where(clear, axis / np.maximum(sine, 1e-300), _unit(_cross(one, ahead)))
+    return axis, cosine, sine
+
+
+def _rotated(v: Floats, axis: Floats, c: Floats, s: Floats) -> Floats:
+    """Vectors turned about unit axes by an angle of a cosine and a sine (O. Rodrigues, 1840)."""
+    turned: Floats = v * c + _cross(axis, v) * s + axis * (_dot(axis, v) * (1.0 - c))
+    return turned
+
+
+def _laid(heading: Floats, one: Floats, other: Floats) -> Floats:
+    """Headings across one normal, turned as it is turned into another."""
+    axis, cosine, sine = _axis(one, other, heading)
+    return _across(_rotated(heading, axis, cosine, sine), other)

@@ -78,6 +78,8 @@ class Population:
     effects: Effects = field(default_factory=Effects)
     version: int = 0  # changes whenever rows do
     next_id: int = 0
+    normal: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 3), np.float32))  # of what the feet are on, its side
+    laid: tuple[NDArray[Any], ...] | None = None  # bodies of those who lean, while a step shows them as their feet stand
     _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
 
     @property
@@ -163,6 +165,7 @@ class World:
     faults: FaultLog
     motion: Motion
     timings: dict[str, float] = field(default_factory=dict)  # seconds by phase, all steps together
+    worked: dict[str, float] = field(default_factory=dict)  # the same of the processors, all threads together
     grids: dict[tuple[str, float], Any] = field(default_factory=dict)  # of this step
     clearances: dict[tuple[str, str, int], NDArray[Any]] = field(default_factory=dict)  # of this step
     transitions: dict[str, int] = field(default_factory=dict)
@@ -230,7 +233,7 @@ def empty_population(plan: ir.SpeciesPlan, ground: Any) -> Population:
 
 def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
     """Keep these rows, in this order."""
-    for name in ("ids", "born", "quarantined", "position"):
+    for name in ("ids", "born", "quarantined", "position", "normal"):
         setattr(population, name, getattr(population, name)[rows])
     population.footing = _footing(lambda array: array[rows], population.footing)
     population.cells.clear()
@@ -247,6 +250,7 @@ def add_rows(population: Population, ids: NDArray[np.int64], frame: int, positio
     population.born = np.concatenate([population.born, np.full(count, frame, np.int64)])
     population.quarantined = np.concatenate([population.quarantined, np.zeros(count, np.bool_)])
     population.position = np.concatenate([population.position, position])
+    population.normal = np.concatenate([population.normal, np.zeros((count, 3), np.float32)])
     population.footing = _footing(lambda a, b: np.concatenate([a, b]), population.footing, footing)
     for table in (population.events, population.raised):
         for name, array in table.items():

@@ -76,8 +76,8 @@ class Asker:
     def _measure(self, world: World) -> None:
         for name, number in world.motion.summary().items():
             unknown = world.motion.ways == 0 and name in ("circling", "straightness")
-            turned = radians(number) if name == "turn_p99" else number
-            self.told[f"motion.{name}"] = np.float32(np.nan if unknown else turned)
+            told = radians(number) if MOTION[name] == "angle" else number
+            self.told[f"motion.{name}"] = np.float32(np.nan if unknown else told)
 
     def _judged(self, there: World, name: str) -> Population:
         """All agents of a species, all items of a name or all cells of a field, to be asked one by one."""

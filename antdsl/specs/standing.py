@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime.senses.neighbours import CellGrid
+from antdsl.runtime.overlaps import worst_overlaps
 from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float32]
@@ -27,12 +27,7 @@ def _overlap(world: World, population: Population) -> Floats:
     )
     own = next(k for k, each in enumerate(known) if each.name == population.name)
     first = sum(len(each) for each in known[:own])
-    worst = np.zeros(len(x), np.float32)
-    widest = float(radius.max(initial=0.0))
-    if np.isfinite(widest) and widest > 0:
-        found = CellGrid(x, y, z, np.arange(len(x)), 2 * widest).pairs(None, 2 * widest)
-        room = np.maximum(radius[found.i] + radius[found.j], np.float32(1e-9))
-        np.maximum.at(worst, found.i, np.clip(1 - found.distance / room, 0, 1))
+    worst = worst_overlaps(x, y, z, radius)
     return worst[first : first + len(population)]
 
 

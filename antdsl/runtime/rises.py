@@ -1,0 +1,143 @@
+"""What rises before agents: a wall of the ground that the next steps lead onto, and how far a body is to be tilted for it by then."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime import kernels
+from antdsl.runtime.heads import RAISED
+from antdsl.runtime.vectors import Vector
+from antdsl.runtime.world import Population, World
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+_STEEP = 0.7071067811865476  # cosine of the least turn of the ground that is a wall; less is smooth, or a slope
+_EYE = 0.03  # of a body: how high above the feet a ray looks for walls
+_WIDEST = 4.0  # half bodies before a wall within which a body tilts, at most
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rises:
+    """Walls before some agents (`rows`): normals `wall` (3, k) on their side, the `angle` (radians) by which the ground turns into
+    it, how `far` along their heading (`ahead`) feet are from it, and the way `over` which the body tilts; `half` its length, mm."""
+
+    rows: Rows
+    wall: Floats
+    ahead: Floats
+    angle: Floats
+    far: Floats
+    over: Floats
+    half: Floats
+
+    @staticmethod
+    def none() -> Rises:
+        return Rises(np.empty(0, np.intp), np.empty((3, 0)), np.empty((3, 0)), *np.empty((4, 0)))
+
+    def tilted(self, rows: Rows, normal: Floats, gone: Floats) -> Floats:
+        """How bodies of `rows` (ascending, all of the own among them) should stand on ground of a normal (3, m), when they have
+        `gone` (3, m) mm: as it does, or before a wall tilted towards that of the wall."""
+        found = normal.copy()
+        if not len(self.rows):
+            return found
+        at = np.searchsorted(rows, self.rows)
+        n = normal[:, at]
+        part = np.clip(1.0 - (self.far - self._nearer(gone[:, at])) / self.over, 0.0, 1.0) * self.angle
+        axis, cosine = _cross(n, self.wall), _dot(n, self.wall)
+        sine = np.sqrt(_dot(axis, axis))
+        left = kernels.atan2(sine.astype(np.float32), cosine.astype(np.float32)).astype(np.float64)
+        part = np.minimum(part, left).astype(np.float32)
+        side = _cross(axis / np.maximum(sine, 1e-300), n)
+        turned = n * kernels.cos(part) + side * kernels.sin(part)
+        turned /= np.sqrt(_dot(turned, turned))
+        tilts = (part > 0) & (sine > 1e-6)
+        found[:, at] = np.where(tilts, turned, n)
+        return found
+
+    def _nearer(self, gone: Floats) -> Floats:
+        """By how much less ways lead along `ahead` to the wall from a place as far from the first as vectors (3, k) say."""
+        less: Floats = _dot(gone, self.wall) / np.minimum(_dot(self.ahead, self.wall), -1e-3)
+        return less
+
+    def clear(self, rows: Rows, up: Floats, heading: Floats, gone: Floats) -> Floats:
+        """How far (mm) heads of `rows` are before the wall, less than 0 behind it, of bodies that stand and face so (3, m) and have
+        `gone` (3, m) mm; inf without one."""
+        found = np.full(len(rows), np.inf)
+        if len(self.rows):
+            at = np.searchsorted(rows, self.rows)
+            middle = up[:, at] * (2 * RAISED * self.half) + self.ahead * (self._nearer(gone[:, at]) - self.far)
+            found[at] = _dot(middle + heading[:, at] * self.half, self.wall)
+        return found
+
+    def room(self, rows: Rows, up: Floats, way: Floats, most: Floats) -> Floats:
+        """How far (mm) feet of `rows` may go in directions (3, m) while the body, which stands as `up` (3, m), tilts by `most`."""
+        found = np.full(len(rows), np.inf)
+        if not len(self.rows):
+            return found
+        at = np.searchsorted(rows, self.rows)
+        u, towards = up[:, at], self._nearer(way[:, at])
+        across = _cross(u, self.wall)
+        left = kernels.atan2(np.sqrt(_dot(across, across)).astype(np.float32), _dot(u, self.wall).astype(np.float32))
+        tilt = self.angle - left.astype(np.float64) + most[at]
+        free = np.maximum(self.over * (tilt / self.angle - 1.0) + self.far, 0.0)
+        found[at] = np.where(towards > 0.05, free / np.maximum(towards, 0.05), np.inf)
+        return found
+
+
+def rises(world: World, population: Population, looking: NDArray[np.float32], step: Vector) -> Rises:
+    """What rises before whom who looks along `looking` (3, n) over its ground and is about to make a step (mm): of what lies in the
+    two directions that for which it has to tilt further.
+
+    The body of length L tilts over a way of L before a wall, linearly: so its head, L/2 before its feet, keeps out of a wall that
+    rises by up to a right angle, and of one that hangs over if the way is longer by angle / sine."""
+    meshes = world.ground.meshes
+    if meshes is None:
+        return Rises.none()
+    size = np.maximum(population.now["size"], np.float32(0)).astype(np.float64)
+    half = np.where(np.isfinite(size), size / 2, 0.0)
+    on_mesh = (population.footing.mesh >= 0) & (population.footing.mesh < len(meshes.names))
+    rows = np.flatnonzero(meshes.near_rises(population.position, _WIDEST * half) & on_mesh & (half > 0))
+    if not len(rows):
+        return Rises.none()
+    half, normal, look = half[rows], population.normal[rows].T.astype(np.float64), looking[:, rows].astype(np.float64)
+    way = np.stack([component[rows] for component in step]).astype(np.float64)
+    way -= normal * _dot(way, normal)
+    size = np.sqrt(_dot(way, way))
+    way = np.where(size > 1e-9, way / np.maximum(size, 1e-300), look)
+    twice = (np.concatenate([v, v], axis=-1) for v in (rows, population.position[rows].T, normal, half))
+    rows, place, normal, half = twice
+    found = _seen(meshes, world.options.threads, rows, place, np.concatenate([look, way], axis=1), normal, half)
+    tilt = (1.0 - found.far / found.over) * found.angle
+    order = np.lexsort((-tilt, found.rows))
+    first = order[np.unique(found.rows[order], return_index=True)[1]]
+    return Rises(*(getattr(found, each.name)[..., first] for each in fields(Rises)))
+
+
+def _seen(
+    meshes: Any, threads: int, rows: Rows, place: Floats, ahead: Floats, normal: Floats, half: Floats
+) -> Rises:
+    """Walls that rays along `ahead` (3, k) meet from just above the ground."""
+    high, reach = 2 * _EYE * half, _WIDEST * half
+    met, part, footing = meshes.met((place + normal * high).T, (ahead * reach).T, threads)
+    wall = meshes.normal(footing).T
+    wall = np.where(_dot(wall, ahead) > 0, -wall, wall)
+    cosine, across = _dot(normal, wall), _cross(normal, wall)
+    sine = np.maximum(np.sqrt(_dot(across, across)), 1e-6)
+    angle = kernels.atan2(sine.astype(np.float32), cosine.astype(np.float32)).astype(np.float64)
+    over = half * np.clip(angle / sine, 2.0, _WIDEST)
+    far = np.maximum(part * reach - high * cosine / sine, 0.0)
+    who = np.flatnonzero(met & (cosine < _STEEP) & (far < over + reach))
+    return Rises(rows[who], wall[:, who], ahead[:, who], angle[who], far[who], over[who], half[who])
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    total: Floats = (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
+    return total
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
