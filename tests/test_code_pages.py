@@ -117,3 +117,70 @@ def test_explain_is_laid_out_on_a_terminal(monkeypatch: pytest.MonkeyPatch, caps
     shown = capsys.readouterr().out
     assert "did you mean `stroll`?" in shown and "when after 1 s -> strol }" in shown
     assert "```" not in shown and "## " not in shown
+
+
+def explained(*words: str) -> tuple[int, str]:
+    from typer.testing import CliRunner
+
+    from antdsl.cli import app
+
+    done = CliRunner().invoke(app, ["check", "--explain", *words])
+    said = done.stdout if done.exception is None else f"{done.exception.message}\n{done.exception.hint}"  # type: ignore[attr-defined]
+    return done.exit_code, said
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("wander", ("behaviour wander(swing: angle", "`use steering`", "keep turning")),
+        ("when", ("when meal -> approach", "leads to another state", "this layer counts only")),
+        ("touching", ("touching(x: place) -> bool",)),
+        ("max_speed", ("fastest", "default 30 mm/s")),
+        ("max", ("max(field: field", "max(n in SET: …)")),
+        ("min", ("min(a: number A", "a time", "1 min = 60 s")),
+        ("half_life", ("setting of a field",)),
+        ("spread", ("argument of `feelers`", "argument of `avoid`")),
+        ("frames", ("first and last frame",)),
+        ("amber", ("a colour of a state",)),
+        ("steering", ("`wander`", "`seek`")),
+        ("noise", ("does not work yet",)),
+        ("collision", ("two agents touch",)),
+        ("wander()", ("behaviour wander(",)),
+        ("circle", ("depend on each other in a circle",)),
+    ],
+)
+def test_words_and_behaviours_are_explained_too(word: str, said: tuple[str, ...]) -> None:
+    code, text = explained(word)
+    assert code == 0 and all(each in text for each in said), text
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [("wandr", "wander"), ("unknown-stat", "unknown-state"), ("touchin", "touching"), ("halflife", "half_life")],
+)
+def test_a_word_that_is_not_known_has_one_that_is_like_it(word: str, meant: str) -> None:
+    assert f"did you mean `{meant}`?" in explained(word)[1]
+
+
+def test_all_words_of_the_card_are_explained() -> None:
+    from antdsl.lsp.language import about, words
+
+    rows = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
+    card = set(re.findall(r"(?<![A-Za-z_.])[a-z_]{2,}(?![A-Za-z_0-9])|%", " ".join(re.findall(r"`([^`]+)`", rows))))
+    placeholders = {"attribute", "behaviours", "colour", "comment", "help", "label", "mine", "name", "rate", "scene"}
+    assert sorted(word for word in card - placeholders if about(word) is None) == []
+    assert all(about(word) is not None for word in words())
+
+
+def test_the_last_line_names_the_codes_that_were_shown(tmp_path: Path) -> None:
+    from typer.testing import CliRunner
+
+    from antdsl.cli import app
+
+    program = tmp_path / "a.ant"
+    ignored = "  energy = 0  # antdsl: ignore[unused-attribute] later\n"
+    program.write_text(f"ant 1\nspecies a {{\n{ignored}  max_speed 30\n  size 4 s\n  state go {{ steer heading }}\n}}\n")
+    said = CliRunner().invoke(app, ["check", str(program)]).stdout
+    assert "`antdsl check --explain missing-unit` says more; so for `wrong-unit`\n" in said
+    program.write_text(program.read_text().replace("30\n", "30 mm/s\n").replace("4 s", "4 mm"))
+    assert "--explain" not in CliRunner().invoke(app, ["check", str(program)]).stdout

@@ -101,3 +101,14 @@ def test_a_pattern_that_matches_nothing_is_told(tmp_path: Path) -> None:
     assert len(files) == 1 and report.ok
     files, report = find_files([tmp_path / "*.yaml"])
     assert files == [] and [d.code for d in report.errors] == ["no-such-file"]
+
+
+def test_beside_an_error_nobody_says_that_a_comment_ignores_nothing(tmp_path: Path) -> None:
+    """What it ignores is not looked for then."""
+    found = told(tmp_path, beside="# antdsl: ignore[unread-attribute] kept for later")
+    assert found == []
+    file = next(tmp_path.glob("*.ant"))
+    file.write_text(file.read_text().replace("ant 1\n", "ant 1\nuse stearing\n"))
+    report = check_path(file)[1]
+    said = judged(report, [Source(str(file), file.read_text())])
+    assert [d.code for d in said.diagnostics] == ["unknown-library"]

@@ -30,7 +30,10 @@ def check(
     format: Format = typer.Option(Format.full, "--format", help="How findings are written."),
     strict: bool = typer.Option(False, "--strict", help="Warnings count as errors."),
     explain: str = typer.Option(
-        None, "--explain", metavar="CODE", help="Show the page of a code such as `unknown-state`, and stop."
+        None,
+        "--explain",
+        metavar="WORD",
+        help="Show the page of a code such as `unknown-state`, or what a word or a behaviour means, and stop.",
     ),
     params: bool = typer.Option(False, "--params", help="List every param as a table: default, unit, range, help."),
     cost: bool = typer.Option(False, "--cost", help="List what each state asks for, and the memory an agent takes."),
@@ -90,15 +93,20 @@ def _strict(report: Report) -> Report:
     return Report([replace(d, severity="error") for d in report.diagnostics])
 
 
-def _explain(code: str) -> None:
+def _explain(word: str) -> None:
+    """The page of a code, or what is known about a word of the language, of scenes or of the library."""
+    from antdsl.cli.pages import show, show_page
     from antdsl.diagnostics.codes import CODES
     from antdsl.diagnostics.suggestion import nearest_name
+    from antdsl.lsp.language import about, words
 
-    if code not in CODES:
-        near = nearest_name(code, CODES)
-        raise Stop(
-            Exit.USAGE, f"error: no code `{code}`", f"did you mean `{near}`?" if near else "codes stand in brackets after `error`"
-        )
-    from antdsl.cli.pages import show_page
-
-    show_page(code)
+    if word in CODES:
+        show_page(word)
+        return
+    page = about(word.removesuffix("()"))
+    if page is not None:
+        show(page)
+        return
+    near = nearest_name(word, CODES) if "-" in word else nearest_name(word, {*words(), *CODES})
+    usual = "codes stand in brackets after `error`; words are those of the language and the names of its behaviours"
+    raise Stop(Exit.USAGE, f"error: no code and no word `{word}`", f"did you mean `{near}`?" if near else usual)

@@ -1,4 +1,4 @@
-"""Shows the page of a code: laid out on a terminal, the Markdown as it is elsewhere."""
+"""Shows pages such as that of a code: laid out on a terminal, the Markdown as it is elsewhere."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from antdsl.resources import code_page
 def show_page(code: str) -> None:
     """Print the page of a known code; its meaning in one line where the pages were not installed."""
     path = code_page(code)
-    text = f"# {code}\n\n{CODES[code]}\n" if path is None else path.read_text(encoding="utf-8")
+    show(f"# {code}\n\n{CODES[code]}\n" if path is None else path.read_text(encoding="utf-8"))
+
+
+def show(text: str) -> None:
+    """Print a text in Markdown."""
     if not sys.stdout.isatty():
         typer.echo(text.rstrip("\n"))
         return

@@ -26,6 +26,7 @@ CODES: dict[str, str] = {
     "wrong-quotes": 'text stands in other quotes than "',
     # --- lines and blocks ---
     "brace-on-own-line": "an opening brace stands on the line below the one that it belongs to",
+    "continued-line": "a line goes on with the one above it, outside of brackets",
     "expression-too-deep": "an expression has more operations inside each other than can be followed",
     "misplaced-line": "a line begins with a word that belongs in another kind of block",
     "missing-brace": "a block has no opening brace",

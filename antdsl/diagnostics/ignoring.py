@@ -66,9 +66,11 @@ def _ignored(found: Diagnostic, about: set[tuple[str, int, str]]) -> bool:
     return (found.span.source.path, found.span.source.line_column(found.span.start)[0], found.code) in about
 
 
-def judged(report: Report, sources: Iterable[Source], *, strict: bool = False) -> Report:
+def judged(report: Report, sources: Iterable[Source], *, strict: bool = False, sound: bool | None = None) -> Report:
     """`without_ignored`, and warnings about comments that give no reason or ignore nothing. `sources` are all texts that were
-    looked at; `strict` says whether what only `--strict` tells was looked for."""
+    looked at; `strict` says whether what only `--strict` tells was looked for. Beside errors most warnings are not looked for,
+    so that a comment may have something to ignore: `sound` says that there are none, which the report says otherwise."""
+    sound = report.ok if sound is None else sound
     found = {(d.span.source.path, d.span.source.line_column(d.span.start)[0], d.code) for d in report.diagnostics if d.span}
     result = without_ignored(report)
     for source in sources:
@@ -78,7 +80,8 @@ def judged(report: Report, sources: Iterable[Source], *, strict: bool = False) -
                     "ignore-without-reason", "this comment does not say why", ignore.span, "write the reason after the bracket"
                 )
             for code, span in ignore.codes:
-                if (source.path, ignore.line, code) not in found and (strict or code not in _STRICT_ONLY):
+                looked = code not in CODES or (sound and (strict or code not in _STRICT_ONLY))
+                if looked and (source.path, ignore.line, code) not in found:
                     _idle(result, ignore, code, span)
             if not ignore.codes:
                 result.warning("ignored-nothing", "this comment names no code", ignore.span, "write `ignore[CODE] why`")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from antdsl.lsp.context import Context
-from antdsl.lsp.describe import builtin_form, signature
+from antdsl.lsp.language import builtin_form, signature
 from antdsl.lsp.names import Names, declaration
 from antdsl.lsp.owners import owner_of
 from antdsl.lsp.uses import Place

@@ -17,9 +17,10 @@ from antdsl.lsp import protocol, tokens
 from antdsl.lsp.actions import actions
 from antdsl.lsp.completion import complete
 from antdsl.lsp.context import begins_line
-from antdsl.lsp.describe import describe, keyword
+from antdsl.lsp.describe import describe
 from antdsl.lsp.formatting import formatted
 from antdsl.lsp.hints import hints
+from antdsl.lsp.language import keyword
 from antdsl.lsp.navigation import Found, Refused, definition, meant, references, renamable, rename
 from antdsl.lsp.outline import folds, symbols
 from antdsl.lsp.scene_help import complete_scene

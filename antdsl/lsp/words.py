@@ -17,6 +17,9 @@ WORD_HELP = {
     "time": "seconds up to the frame that is made: `frame` times `dt`",
     "frame": "the number of the frame that is made",
     "slope": "between the ground and the level",
+    "uphill": "the world's up, laid along the ground",
+    "into": "the attribute that takes what is dug out",
+    "other": "what a number is in the run that the spec compares with",
     "at_start": "what the other side of the comparison was at the start",
     "motion": "how the crowd moves: `motion.turn_p99` and the like",
 }
@@ -104,6 +107,7 @@ INNER_HELP = {
     "held": "it must have been so without a break for that long",
     "chance": "happens at that rate, whatever the frames a second; a share where it is asked once",
     "for": "the shortest time in this state, or what a value is about",
+    "least": "`for at least 1 s`: nothing but `interrupt` leaves the state sooner",
     "choose": "one of several states, by weight",
     "any": "out of every state",
     "except": "but not out of these",

@@ -253,7 +253,9 @@ class Workspace:
             return []
         document, own = self.document(path), str(path)
         said = [d for d in checked.report.sorted() if d.span is None or os.path.realpath(d.span.source.path) == own]
-        return judged(Report(said), [Source(own, document.text.text)]).sorted() if document is not None else said
+        if document is None:
+            return said
+        return judged(Report(said), [Source(own, document.text.text)], sound=checked.report.ok).sorted()
 
     # --- which files belong together ---
 

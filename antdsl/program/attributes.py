@@ -11,10 +11,11 @@ from antdsl.program.model import Expr, Kind
 from antdsl.program.operators import value, wanted
 from antdsl.program.ordering import ordered
 from antdsl.program.scope import BAD, Keys, Scope, bad, did_you_mean, duplicate, told_before, type_from_words
-from antdsl.program.vocabulary import GIVEN
+from antdsl.program.vocabulary import BUILTINS, GIVEN, OTHER_SENSES, REDUCERS
 from antdsl.program.wording import quoted, type_words
 from antdsl.source import Span
 from antdsl.syntax import nodes
+from antdsl.syntax.words import WORDS
 
 _STORED = (Kind.NUMBER, Kind.VECTOR, Kind.BOOL, Kind.ITEM, Kind.AGENT, Kind.BAD)
 _EARLY = "starting values are worked out before the animal has sensed anything"
@@ -64,11 +65,20 @@ def _settable(scope: Scope, member: nodes.Given) -> bool:
             "unknown-property",
             f"an animal has no property `{name.text}`",
             name.span,
-            did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"),
+            _belongs(name.text) or did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"),
         )
         told_before(scope, "name", name)  # it was to be declared here
     value(scope.inside(once=True), member.value)
     return False
+
+
+def _belongs(word: str) -> str | None:
+    """Where a line that begins with a sense or a word of the language belongs, which no attribute can be called."""
+    if word in OTHER_SENSES:
+        return f"what it senses is asked where it is wanted: {OTHER_SENSES[word].replace('X', 'food')}"
+    if word in BUILTINS or word in REDUCERS:
+        return f"`{word}` is asked where its value is wanted: `let x = {word}(…)`"
+    return f"`{word}` is a word of the language and begins no line here" if word in WORDS else None
 
 
 def names_state(scope: Scope, word: str) -> bool:

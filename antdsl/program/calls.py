@@ -17,7 +17,7 @@ from antdsl.program.places import place
 from antdsl.program.scope import BAD, NUMBER, Scope, bad, did_you_mean, rate_of, type_from_words
 from antdsl.program.sets import SETS, reduce
 from antdsl.program.units import product, scaled
-from antdsl.program.vocabulary import BUILTINS, REDUCERS, RESERVED, Arg, Builtin
+from antdsl.program.vocabulary import BUILTINS, OTHER_SENSES, REDUCERS, RESERVED, Arg, Builtin
 from antdsl.program.wording import disagree, fits, mismatch, quoted, type_words
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -59,12 +59,12 @@ def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
         return _builtin(scope, node, name, want)
     if scope.file.behaviour(name) is not None:
         return call_behaviour(scope, node, want)
-    _unknown(scope, node, function.name)
+    _unknown(scope, node, function.name, want)
     type_all(scope, node)
     return bad(node.span)
 
 
-def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name) -> None:
+def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type | None) -> None:
     if name.text in RESERVED:
         scope.report.error(
             "not-yet", f"`{name.text}` is a word of the language that does not work yet", name.span, "leave it out for now"
@@ -84,8 +84,27 @@ def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name) -> None:
             scope.report.error("unknown-behaviour", f"`{name.text}` is in the library `{home}`", name.span, advice, fix=fix)
         return
     known = set(BUILTINS) | set(REDUCERS) | set(scope.file.own) | set(scope.file.library)
-    advice = did_you_mean(name.text, known, f"write one: `behaviour {name.text}() -> push {{ … }}`")
+    if name.text in OTHER_SENSES:
+        advice = f"ask {OTHER_SENSES[name.text].replace('X', _first_written(node))}"
+    else:
+        advice = did_you_mean(name.text, known, _own(node, name.text, want))
     scope.report.error("unknown-behaviour", f"no behaviour `{name.text}`", name.span, advice)
+
+
+def _first_written(node: nodes.Call) -> str:
+    """The first argument as written, if it is a name."""
+    first = node.arguments[0] if node.arguments else None
+    named = isinstance(first, nodes.Argument) and isinstance(first.value, nodes.NameRef)
+    return first.span.text if first is not None and named else "food"
+
+
+def _own(node: nodes.Call, name: str, want: Type | None) -> str:
+    """How a behaviour of that name would be written, for the arguments of the call and what is wanted there."""
+    kind = want.kind if want is not None else Kind.NUMBER
+    gives = {Kind.BOOL: "bool", Kind.VECTOR: "push"}.get(kind, "number")
+    arguments = ", ".join(f"{letter}: place" for letter, _ in zip("abcdefgh", node.arguments, strict=False))
+    own = f"write your own: `behaviour {name}({arguments}) -> {gives} {{ … }}`"
+    return own if gives == "push" else f"ask with `touching(x)`, `distance(x)`, `nearest(x, within: 40 mm)`, or {own}"
 
 
 # --- built-in operations ---------------------------------------------------------------------------------------------

@@ -279,6 +279,22 @@ BUILTINS: dict[str, tuple[Builtin, ...]] = {
     ),
 }
 
+# Senses as other tools and everyday words call them, and what is asked here instead.
+_OTHER_SENSES = (
+    ("smell smells smelling sniff scent odour", "`nearest(X, within: 40 mm)` for things, or the name of a field: `trail > 0.1`"),
+    (
+        "see sees look looks sight vision visible sense senses detect detects find near nearby is_near",
+        "`nearest(X, within: 40 mm)`, which is none where there is nothing",
+    ),
+    ("hear hears listen", "the name of an event that another raises with `emit`: `when alarm -> …`"),
+    ("collide collides collision bump bumps hit hits reached arrived contact", "`touching(X)`"),
+    ("dist distance_to range far", "`distance(X)`"),
+    ("raycast cast probe feeler feel feels", "`ray(heading, reach: 20 mm, on: X)`"),
+    ("rand randf random_float random_number", "`uniform(0, 1)`"),
+    ("agents others", "`neighbours(20 mm)`, and `count(n in neighbours(20 mm): true)` for how many"),
+)
+OTHER_SENSES: dict[str, str] = {word: instead for words, instead in _OTHER_SENSES for word in words.split()}
+
 # Names, not calls: `slope` is the angle between `up` and the world's up, `uphill` the world's up laid along the ground.
 SENSED_NAMES: dict[str, str] = {"slope": "angle", "uphill": "push"}
 

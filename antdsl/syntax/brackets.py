@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from antdsl import limits
+from antdsl.syntax.continuing import joined
 from antdsl.syntax.scan import Scan, Token
 from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS
 
@@ -25,6 +26,7 @@ def pair(scan: Scan) -> list[Token] | None:
             message = f"brackets nested more than {limits.NESTING} deep"
             scan.error("nesting-too-deep", message, token.start, token.end, "give inner parts a name with `let`")
             return None
+    scan.tokens = joined(scan)
     return _Braces(scan, _Parentheses(scan).run()).run()
 
 

@@ -235,3 +235,9 @@ AFTER: dict[str, str] = {
     "ant": "the edition, `1`",
     "{": "a line or `}`",
 }
+
+# All words that have a meaning of their own somewhere in a line.
+WORDS = frozenset(
+    {*(word for words in LINE_WORDS.values() for word in words), *(word for word in AFTER if word.isalpha())}
+    | {"relax", "strongest", "any", "except", "none", "all"}
+)

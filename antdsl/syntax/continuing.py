@@ -1,0 +1,79 @@
+"""Lines that go on with the one above outside of brackets: `when meal`, and below it `and near -> approach`. They are told, and
+read as one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from antdsl.diagnostics.model import Fix
+from antdsl.source import Span
+from antdsl.syntax.scan import Scan, Token
+from antdsl.syntax.words import LINE_WORDS
+
+# Nothing that stands by itself begins with these. A line of a behaviour or of `layers` may begin with `-` or `(`.
+_SIGNS = ("+", "*", "/", "^", "<", ">", "<=", ">=", "==", "!=", ",", ".")
+_GOES_ON = frozenset(
+    ("and", "or", "then", "else", "held", "take", "is", "in", "over", "relax", "strongest", "except", "->", "..", *_SIGNS)
+)
+# Behind these something must follow.
+_UNDONE = frozenset(("and", "or", "then", "else", "-", "..", *_SIGNS))
+_LINE_WORDS = frozenset(word for words in LINE_WORDS.values() for word in words)
+
+
+def joined(scan: Scan) -> list[Token]:
+    """The tokens of a text with the ends of lines left out that are none, after a complaint about each statement that goes on."""
+    tokens, open, indent = list(scan.tokens), 0, 0
+    joints: list[int] = []  # ends of lines of one statement, each followed by what belongs to it
+    left_out: set[int] = set()
+    for index, token in enumerate(tokens):
+        text = _text(scan, token)
+        indent = token.indent if token.indent >= 0 and not (joints and joints[-1] == index - 1) else indent
+        open = open + 1 if text in ("(", "[") else max(0, open - 1) if text in (")", "]") else 0 if text in ("{", "}") else open
+        if token.kind != "end" or open:
+            continue
+        if _goes_on(scan, tokens, index, indent):
+            joints.append(index)
+            left_out.add(index)
+            scan.blank(token.start, token.end)
+            tokens[index + 1] = replace(tokens[index + 1], indent=-1)
+        elif joints:
+            _told(scan, tokens, joints)
+            joints = []
+    if joints:
+        _told(scan, tokens, joints)
+    return [token for index, token in enumerate(tokens) if index not in left_out] if left_out else scan.tokens
+
+
+def _text(scan: Scan, token: Token) -> str:
+    return "".join(scan.clean[token.start : token.end])
+
+
+def _goes_on(scan: Scan, tokens: list[Token], index: int, indent: int) -> bool:
+    """Whether the line behind a line end belongs to the one before it, which is set in by `indent`."""
+    if index + 1 >= len(tokens) or index == 0 or scan.source.text[tokens[index].start] != "\n":
+        return False
+    before, following = tokens[index - 1], tokens[index + 1]
+    if before.kind == "end" or _text(scan, before) in ("{", "}") or following.kind == "end":
+        return False
+    word = _text(scan, following)
+    if word in _GOES_ON:
+        behind = _text(scan, tokens[index + 2]) if index + 2 < len(tokens) else ""
+        return not word.isalpha() or behind not in ("=", ":")
+    return _text(scan, before) in _UNDONE and following.indent > indent and word not in _LINE_WORDS and word not in "{}"
+
+
+def _told(scan: Scan, tokens: list[Token], joints: list[int]) -> None:
+    text, following = scan.source.text, tokens[joints[0] + 1]
+    word = text[following.start : following.end]
+    start, end = tokens[joints[0] - 1].end, tokens[joints[-1] + 1].start
+    better, done = "", start
+    for joint in joints:
+        better += text[done : tokens[joint - 1].end] + " "
+        done = tokens[joint + 1].start
+    comment = any(start <= each.span.start < end for each in scan.comments)
+    what = f"`{word}` begins no line" if word in _GOES_ON else "nothing is finished there"
+    span = Span(scan.source, following.start, following.end)
+    help = "write it on one line, or put round brackets around what takes several"
+    fix = None if comment else Fix(Span(scan.source, start, end), better)
+    scan.report.error("continued-line", f"this line goes on with the one above: {what}", span, help, fix=fix)
+    scan.faults.append(following.start)
