@@ -236,13 +236,15 @@ def crowding(shot: Shot, world: World) -> Report:
     for line in world.crowded:
         low, high = (f"{radius:.3g}" for radius in line.radius)
         wide = f"{low} mm" if low == high else f"{low} to {high} mm"
-        words = f"only {line.fit:,} of {line.count:,} `{line.species}` find room where they begin: with a radius of {wide} they cover"
-        words += f" {line.cover:,.0f} mm²" if line.area is None else f" {line.cover:,.0f} of {line.area:,.0f} mm²"
+        cover = f"{line.cover:,.0f} mm²" if line.area is None else f"{line.cover:,.0f} of {line.area:,.0f} mm²"
+        words = f"only {line.fit:,} of {line.count:,} `{line.species}` find room where they begin"
+        words += f": with a radius of {wide} they cover {cover}"
         place = scene.model.crowd[line.group].place
         help = "write a larger place, a smaller `count`, or a smaller `radius` in the program"
         if place.radius is not None:
             needed = math.sqrt(line.cover / (_COVERED * math.pi) / (4 if place.by == "area" else 1)) / scene.model.unit_mm
-            help = f"write `radius: {_rounded_up(needed)} {scene.model.units}`, a smaller `count`, or a smaller `radius` in the program"
+            larger = f"`radius: {_rounded_up(needed)} {scene.model.units}`"
+            help = f"write {larger}, a smaller `count`, or a smaller `radius` in the program"
         elif place.on is not None and place.by != "area" and place.density is None:
             help = "cover its sides and its underside too with `by: area`, or write a smaller `count`"
         report.warning("no-room", words, scene.span("crowd", line.group, "place"), help)
