@@ -59,11 +59,11 @@ class Shot:
 
 
 def compile_files(
-    paths: Iterable[Path], *, strict: bool = False, parsed: Parsed | None = None, memo: Memo | None = None
+    paths: Iterable[Path | str], *, strict: bool = False, parsed: Parsed | None = None, memo: Memo | None = None
 ) -> tuple[Program | None, Report]:
     """Parse and check programs together, with the library and all files that they use. `strict` adds what only `check --strict`
     tells; `parsed` and `memo` keep what was parsed and checked, for the next call."""
-    paths = list(paths)
+    paths = [Path(path) for path in paths]
     loaded = Loaded(paths[0].resolve().parent if paths else Path.cwd(), parsed={} if parsed is None else parsed)
     for path in paths:
         loaded.add_file(path)
@@ -89,10 +89,11 @@ def _checked(loaded: Loaded, strict: bool, memo: Memo | None = None) -> tuple[Pr
 
 
 def open_scene(
-    path: Path, choices: Choices | None = None, *, parsed: Parsed | None = None, thorough: bool = True
+    path: Path | str, choices: Choices | None = None, *, parsed: Parsed | None = None, thorough: bool = True
 ) -> tuple[Shot | None, Report]:
     """Everything from a scene's file to a shot: read, compile, match, lower, optimise, stage. `parsed` as in `compile_files`,
     `thorough` as in `passes.optimise`."""
+    path = Path(path)
     from antdsl import passes, plan
     from antdsl.scene.adjusting import with_fields
     from antdsl.scene.matching import layer_order

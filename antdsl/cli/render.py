@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from antdsl.cli.destinations import folder_to_write
 from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ def render(
     followed = _ids(agents)
     words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
     folder = out if out is not None else cache / "pictures"
+    folder_to_write(folder, "--out", *(["film.mp4"] if film else ["sheet.png"] if sheet else []))
     folder.mkdir(parents=True, exist_ok=True)
     if film:
         _ready_for_films()
