@@ -23,6 +23,7 @@ MOST = 100
 
 class View(StrEnum):
     scene = "scene"
+    fit = "fit"
     above = "above"
     eye = "eye"
 
@@ -43,7 +44,9 @@ def render(
     ),
     width: int = typer.Option(960, "--width", min=16, max=8192, help="Pixels."),
     height: int = typer.Option(540, "--height", min=16, max=8192, help="Pixels."),
-    camera: View = typer.Option(View.scene, "--camera", help="The scene's own, one from above, one at an agent's eye level."),
+    camera: View = typer.Option(
+        View.scene, "--camera", help="The scene's own, one that fits the crowd, one from above, one at an agent's eye level."
+    ),
     cut: str = typer.Option(
         None, "--cut", metavar="'z > 0'", help="Leave out what lies beyond a plane, in the scene's units, and look into solids."
     ),
@@ -148,7 +151,7 @@ def _draw(
         except CacheError as why:
             raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
         if standing is None or (camera is View.eye and not rest) or (camera is View.scene and gallery.camera_moves):
-            standing = _camera(gallery, picture, camera, agents, width / height)
+            standing = _camera(gallery, picture, camera, agents, width / height, frames)
         try:
             image = renderer.draw(picture, standing, show=show)
         except ValueError as why:
@@ -156,8 +159,12 @@ def _draw(
         yield frame, image
 
 
-def _camera(gallery: Gallery, picture: Picture, which: View, agents: tuple[int, ...], aspect: float) -> Camera:
-    from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_over
+def _camera(
+    gallery: Gallery, picture: Picture, which: View, agents: tuple[int, ...], aspect: float, frames: list[int]
+) -> Camera:
+    import numpy as np
+
+    from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_holding, camera_over
 
     if which is View.eye:
         found = camera_at_eye_level(picture, agents[0] if agents else None)
@@ -166,6 +173,8 @@ def _camera(gallery: Gallery, picture: Picture, which: View, agents: tuple[int, 
                 Exit.FINDINGS, f"error: there is no agent {agents[0] if agents else ''} to stand beside".replace("  ", " ")
             )
         return found
+    if which is View.fit or (which is View.scene and gallery.camera_fits):
+        return camera_holding(gallery.outline(frames), np.asarray(picture.up, np.float64), aspect=aspect)
     own = gallery.camera(picture.frame or 0) if which is View.scene else None
     return own if own is not None else camera_over(picture, aspect=aspect)
 
