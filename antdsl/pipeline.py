@@ -61,11 +61,11 @@ class Shot:
 
 
 def compile_files(
-    paths: Iterable[Path], *, strict: bool = False, parsed: Parsed | None = None, memo: Memo | None = None
+    paths: Iterable[Path | str], *, strict: bool = False, parsed: Parsed | None = None, memo: Memo | None = None
 ) -> tuple[Program | None, Report]:
     """Parse and check programs together, with the library and all files that they use. `strict` adds what only `check --strict`
     tells; `parsed` and `memo` keep what was parsed and checked, for the next call."""
-    paths = list(paths)
+    paths = [Path(path) for path in paths]
     loaded = Loaded(paths[0].resolve().parent if paths else Path.cwd(), parsed={} if parsed is None else parsed)
     for path in paths:
         loaded.add_file(path)
@@ -91,10 +91,11 @@ def _checked(loaded: Loaded, strict: bool, memo: Memo | None = None) -> tuple[Pr
 
 
 def open_scene(
-    path: Path, choices: Choices | None = None, *, parsed: Parsed | None = None, thorough: bool = True
+    path: Path | str, choices: Choices | None = None, *, parsed: Parsed | None = None, thorough: bool = True
 ) -> tuple[Shot | None, Report]:
     """Everything from a scene's file to a shot: read, compile, match, lower, optimise, stage. `parsed` as in `compile_files`,
     `thorough` as in `passes.optimise`."""
+    path = Path(path)
     from antdsl import passes, plan
     from antdsl.scene.adjusting import with_fields
     from antdsl.scene.matching import layer_order
@@ -237,13 +238,15 @@ def crowding(shot: Shot, world: World) -> Report:
     for line in world.crowded:
         low, high = (f"{radius:.3g}" for radius in line.radius)
         wide = f"{low} mm" if low == high else f"{low} to {high} mm"
-        words = f"only {line.fit:,} of {line.count:,} `{line.species}` find room where they begin: with a radius of {wide} they cover"
-        words += f" {line.cover:,.0f} mm²" if line.area is None else f" {line.cover:,.0f} of {line.area:,.0f} mm²"
+        cover = f"{line.cover:,.0f} mm²" if line.area is None else f"{line.cover:,.0f} of {line.area:,.0f} mm²"
+        words = f"only {line.fit:,} of {line.count:,} `{line.species}` find room where they begin"
+        words += f": with a radius of {wide} they cover {cover}"
         place = scene.model.crowd[line.group].place
         help = "write a larger place, a smaller `count`, or a smaller `radius` in the program"
         if place.radius is not None:
             needed = math.sqrt(line.cover / (_COVERED * math.pi) / (4 if place.by == "area" else 1)) / scene.model.unit_mm
-            help = f"write `radius: {_rounded_up(needed)} {scene.model.units}`, a smaller `count`, or a smaller `radius` in the program"
+            larger = f"`radius: {_rounded_up(needed)} {scene.model.units}`"
+            help = f"write {larger}, a smaller `count`, or a smaller `radius` in the program"
         elif place.on is not None and place.by != "area" and place.density is None:
             help = "cover its sides and its underside too with `by: area`, or write a smaller `count`"
         report.warning("no-room", words, scene.span("crowd", line.group, "place"), help)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
+import warnings
 
 # What starting and checking allocate stays until the end; looking through it for garbage every 700 objects is a tenth of a check.
 gc.set_threshold(100_000, 50, 50)
@@ -70,6 +71,13 @@ def main() -> None:
 
 
 def _run() -> int:
+    with warnings.catch_warnings():
+        if not sys.warnoptions:  # what libraries have to say to those who program with them; `python -W default` shows it
+            warnings.simplefilter("ignore")
+        return _command()
+
+
+def _command() -> int:
     try:
         try:
             app(standalone_mode=True, prog_name="antdsl")

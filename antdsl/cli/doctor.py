@@ -13,6 +13,7 @@ EXTRAS = {
     "pxr": "sets in USD files: pip install 'antdsl[usd]'",
     "matplotlib": "plots of sweeps: pip install 'antdsl[plots]'",
     "graphlay": "pictures of state machines: pip install 'antdsl[graph]'",
+    "pygls": "editors: pip install 'antdsl[lsp]'",
     "websockets": "the preview: pip install 'antdsl[preview]'",
     "numba": "speed with thousands of agents: pip install 'antdsl[fast]'",
 }

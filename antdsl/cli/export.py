@@ -6,6 +6,7 @@ from pathlib import Path
 
 import typer
 
+from antdsl.cli.destinations import file_to_write
 from antdsl.cli.exits import Exit, Stop
 
 
@@ -25,8 +26,7 @@ def export(
 
     if to.suffix.lower() not in SUFFIXES:
         raise typer.BadParameter(f"`{to.name}` is none of {', '.join(SUFFIXES)}", param_hint="--to")
-    if not to.absolute().parent.is_dir():
-        raise typer.BadParameter(f"there is no folder `{to.parent}`", param_hint="--to")
+    file_to_write(to, "--to")
     between = frame_range(frames)
     try:
         gallery = Gallery(open_cache(cache))

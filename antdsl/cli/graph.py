@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from antdsl.cli.destinations import file_to_write
 from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ def graph(
     from antdsl.cli.reports import demand
 
     chosen = _format(format, out)
+    file_to_write(None if str(out) == "-" else out, "--out")
     program, report = pipeline.check_path(file)
     demand(report)
     if program is None:

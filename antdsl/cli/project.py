@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from antdsl import __version__
+
 _PROGRAM = """\
 ant 1
 "Walkers that stroll, and rest now and then."
@@ -65,7 +67,9 @@ permissions:
   security-events: write # for the findings under Security, Code scanning
 
 env:
-  ANTDSL: antdsl # what pip installs: a name, the path of a wheel, or git+https://… with a tag
+  # antdsl is on no package index yet: its wheel lies in this repository. It is made by
+  # `pip wheel --no-deps --wheel-dir wheels FOLDER`, FOLDER being the one with antdsl's pyproject.toml.
+  ANTDSL: wheels/antdsl-VERSION-py3-none-any.whl
 
 jobs:
   crowd:
@@ -98,7 +102,7 @@ jobs:
         with:
           name: antdsl
           path: antdsl-junit.xml
-"""
+""".replace("VERSION", __version__)
 
 _HOOKS = """\
 repos:
@@ -137,8 +141,9 @@ antdsl render out/scene --sheet
 antdsl graph walker.ant
 ```
 
-On GitHub, `.github/workflows/antdsl.yml` checks and tests each push; its variable `ANTDSL` says where antdsl comes from. For
-the same before each commit and push, on your own machine:
+On GitHub, `.github/workflows/antdsl.yml` checks and tests each push. It installs antdsl from a wheel in this repository,
+which is yet to be put there: `pip wheel --no-deps --wheel-dir wheels FOLDER` makes it from the FOLDER that has antdsl's
+`pyproject.toml`. For the same checks before each commit and push, on your own machine:
 
 ```sh
 pip install pre-commit

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from antdsl.cli.destinations import folder_to_write
 from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ MOST = 100
 
 class View(StrEnum):
     scene = "scene"
+    fit = "fit"
     above = "above"
     eye = "eye"
 
@@ -42,7 +44,9 @@ def render(
     ),
     width: int = typer.Option(960, "--width", min=16, max=8192, help="Pixels."),
     height: int = typer.Option(540, "--height", min=16, max=8192, help="Pixels."),
-    camera: View = typer.Option(View.scene, "--camera", help="The scene's own, one from above, one at an agent's eye level."),
+    camera: View = typer.Option(
+        View.scene, "--camera", help="The scene's own, one that fits the crowd, one from above, one at an agent's eye level."
+    ),
     cut: str = typer.Option(
         None, "--cut", metavar="'z > 0'", help="Leave out what lies beyond a plane, in the scene's units, and look into solids."
     ),
@@ -60,6 +64,7 @@ def render(
     followed = _ids(agents)
     words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
     folder = out if out is not None else cache / "pictures"
+    folder_to_write(folder, "--out", *(["film.mp4"] if film else ["sheet.png"] if sheet else []))
     folder.mkdir(parents=True, exist_ok=True)
     if film:
         _ready_for_films()
@@ -146,7 +151,7 @@ def _draw(
         except CacheError as why:
             raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
         if standing is None or (camera is View.eye and not rest) or (camera is View.scene and gallery.camera_moves):
-            standing = _camera(gallery, picture, camera, agents, width / height)
+            standing = _camera(gallery, picture, camera, agents, width / height, frames)
         try:
             image = renderer.draw(picture, standing, show=show)
         except ValueError as why:
@@ -154,8 +159,12 @@ def _draw(
         yield frame, image
 
 
-def _camera(gallery: Gallery, picture: Picture, which: View, agents: tuple[int, ...], aspect: float) -> Camera:
-    from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_over
+def _camera(
+    gallery: Gallery, picture: Picture, which: View, agents: tuple[int, ...], aspect: float, frames: list[int]
+) -> Camera:
+    import numpy as np
+
+    from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_holding, camera_over
 
     if which is View.eye:
         found = camera_at_eye_level(picture, agents[0] if agents else None)
@@ -164,6 +173,8 @@ def _camera(gallery: Gallery, picture: Picture, which: View, agents: tuple[int, 
                 Exit.FINDINGS, f"error: there is no agent {agents[0] if agents else ''} to stand beside".replace("  ", " ")
             )
         return found
+    if which is View.fit or (which is View.scene and gallery.camera_fits):
+        return camera_holding(gallery.outline(frames), np.asarray(picture.up, np.float64), aspect=aspect)
     own = gallery.camera(picture.frame or 0) if which is View.scene else None
     return own if own is not None else camera_over(picture, aspect=aspect)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from antdsl.cli.destinations import file_to_write, folder_to_write
 from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
@@ -59,8 +60,8 @@ def run(
 
     if scene.suffix == ".ant":
         raise typer.BadParameter(f"`{scene}` is a program; name a scene that uses it, such as scene.yaml", param_hint="SCENE")
-    if summary is not None and not summary.absolute().parent.is_dir():
-        raise typer.BadParameter(f"there is no folder `{summary.parent}`", param_hint="--summary")
+    file_to_write(summary, "--summary")
+    folder_to_write(out, "--out")
     choices = Choices(grants(root), frame_range(frames), seed, pairs(set_, "--set"))
     shot, report = open_scene(scene, choices)
     demand(report)

@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from antdsl.cli.destinations import folder_to_write
 from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
     from antdsl.sweep import Job, Keeper, Outcome
     from antdsl.sweep.table import Result
+
+RESULTS = ("table.txt", "table.csv", "runs.csv", "sweep.json", "table.png")
 
 
 def sweep(
@@ -47,6 +50,7 @@ def sweep(
     for scene in scenes:
         if scene.suffix == ".ant":
             raise typer.BadParameter(f"`{scene}` is a program; name scenes that use it", param_hint="SCENE")
+    folder_to_write(out, "--out", *RESULTS)
     chosen = variations(dict.fromkeys(scenes), _varied(vary))
     numbers = _seeds(seeds)
     made, report = all_jobs(chosen, numbers, frames=frame_range(frames), until=tuple(until), grants=grants(root))

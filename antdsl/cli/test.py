@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from antdsl.cli.destinations import file_to_write, folder_to_write
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.run import Backend
 
@@ -50,9 +51,9 @@ def test(
     from antdsl.specs.telling import counted, covered, failed, golden, one_line, settled, uncovered
     from antdsl.specs.verdicts import settle
 
-    for flag, file in (("--junit", junit), ("--json", json)):
-        if file is not None and not file.absolute().parent.is_dir():
-            raise typer.BadParameter(f"there is no folder `{file.parent}`", param_hint=flag)
+    file_to_write(junit, "--junit")
+    file_to_write(json, "--json")
+    folder_to_write(keep, "--keep")
     runs, report = cases(paths, grants=grants(root), seeds=seeds, named=named)
     show(report, to_stderr=True)
     everything = [case for run in runs for case in run.cases]

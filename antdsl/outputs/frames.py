@@ -4,7 +4,7 @@ units."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,7 +177,7 @@ def describe(
     attributes: tuple[str, ...],
     bodies: Mapping[str, str],
     feelers: Mapping[str, tuple[FeelersEntry, ...]],
-    camera: CameraEntry | None,
+    camera: CameraEntry | Literal["fit"] | None,
 ) -> Manifest:
     """The manifest of a run that begins with this world."""
     scale = 1.0 / setting.unit_mm

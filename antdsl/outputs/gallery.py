@@ -3,6 +3,7 @@ ground."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -17,7 +18,7 @@ from antdsl.outputs.cutting import Cut
 from antdsl.outputs.dug_solids import DugSolids
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.flow_arrows import drawn
-from antdsl.outputs.manifest import SpeciesEntry
+from antdsl.outputs.manifest import CameraEntry, SpeciesEntry
 from antdsl.outputs.pictures.camera import three
 from antdsl.outputs.pictures.model import Arrows, Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
 from antdsl.outputs.pictures.trails import robust_full
@@ -27,6 +28,7 @@ _UPS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 WANTED = ("P", "orient", "pscale")
 _DYES = ((0.68, 0.10, 0.46), (0.05, 0.46, 0.62), (0.80, 0.40, 0.05), (0.30, 0.22, 0.66))  # fields in their order
 _ARROWS = ((250, 246, 226), (60, 214, 255), (255, 150, 60), (190, 140, 255))  # flows in their order
+_DIRECTIONS, _FRAMES_FITTED = 96, 48  # in which agents are outermost; frames that a camera is fitted to
 _LOOKED_AT = 8  # frames that say how strong a field grows
 
 
@@ -79,12 +81,36 @@ class Gallery:
     @property
     def camera_moves(self) -> bool:
         """Whether the scene's own camera is elsewhere in other frames."""
-        return self.manifest.camera is not None and self.manifest.camera.moves
+        return isinstance(self.manifest.camera, CameraEntry) and self.manifest.camera.moves
+
+    @property
+    def camera_fits(self) -> bool:
+        """Whether the scene wants a camera that holds the crowd in all frames that are drawn."""
+        return self.manifest.camera == "fit"
+
+    def outline(self, frames: Sequence[int]) -> NDArray[np.float64]:
+        """Points (n, 3) that a camera has to hold to hold all agents in frames, some of which are looked at: who is outermost
+        in many directions, and a body's length beyond."""
+        turn = np.arange(_DIRECTIONS) * (np.pi * (3.0 - np.sqrt(5.0)))  # a spiral that covers a ball evenly
+        height = 1.0 - 2.0 * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
+        flat = np.sqrt(1.0 - height * height)
+        ways = np.stack([flat * np.cos(turn), height, flat * np.sin(turn)])
+        found = [np.empty((0, 3))]
+        for k in sorted({round(k) for k in np.linspace(0, len(frames) - 1, min(len(frames), _FRAMES_FITTED))}):
+            arrays = self.cache.frame(frames[k])
+            place = np.asarray(arrays["P"], np.float64)
+            scale = np.asarray(arrays["pscale"], np.float64)
+            there = np.isfinite(place).all(axis=1) & np.isfinite(scale)
+            place, scale = place[there], scale[there]
+            if len(place):
+                outermost = (place @ ways + scale[:, None]).argmax(axis=0)
+                found.append(place[outermost] + ways.T * scale[outermost, None])
+        return np.concatenate(found)
 
     def camera(self, frame: int) -> Camera | None:
         """The scene's own camera at a frame, if it has one."""
         own = self.manifest.camera
-        if own is None:
+        if not isinstance(own, CameraEntry):
             return None
         if not own.moves:
             return Camera(own.at, own.look_at, focal=own.focal or 35.0, up=own.up)

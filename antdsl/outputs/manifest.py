@@ -119,7 +119,7 @@ class Manifest(Part):
     meshes: tuple[MeshEntry, ...]
     fields: tuple[FieldEntry, ...]
     items: tuple[ItemsEntry, ...]
-    camera: CameraEntry | None = None
+    camera: CameraEntry | Literal["fit"] | None = None  # `fit`: one that holds the crowd in the frames that are drawn
 
 
 class ManifestError(Exception):

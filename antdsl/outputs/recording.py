@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from numpy.typing import NDArray
 
@@ -216,12 +216,12 @@ def _write(recording: Recording, writer: CacheWriter) -> None:
     recording.spend("hand_over", began)
 
 
-def _camera(shot: Shot) -> CameraEntry | None:
+def _camera(shot: Shot) -> CameraEntry | Literal["fit"] | None:
     camera = shot.scene.model.camera
     if shot.setting.camera is not None:
         return _file_camera(shot.setting.camera, 1.0 / shot.setting.unit_mm)
     if not isinstance(camera, Camera):
-        return None
+        return "fit" if camera == "fit" else None
     unit_mm = shot.scene.model.unit_mm
     points: list[Any] = [tuple(part / unit_mm for part in millimetres(point, unit_mm)) for point in (camera.at, camera.look_at)]
     return CameraEntry(at=points[0], look_at=points[1], focal=camera.focal.number if camera.focal is not None else None)

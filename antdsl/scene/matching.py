@@ -274,12 +274,9 @@ def _placement(scene: Scene, program: Program, report: Report, place: Placement,
         if getattr(place, way) is not None and other:
             words = f"agents are placed by `{way}` or by `{other[0]}`, not both"
             report.error("wrong-value", words, scene.span(*path, way, key=True), "keep one of them")
-    if place.inside is not None and place.by == "area":
+    if place.by == "area" and place.inside is not None:
         words = "agents that begin `inside` stand where lines from there end, and are not spread by area"
-        report.error("wrong-value", words, scene.span(*path, "by", key=True), "leave `by` out, or write `on` instead of `inside`")
-    if place.by == "area" and not grounds:
-        words = "there is no surface to spread agents over by area"
-        report.error("wrong-value", words, scene.span(*path, "by", key=True), "leave `by` out, or add a surface to the world")
+        report.error("wrong-value", words, scene.span(*path, "by", key=True), "leave `by` out")
     _around(scene, report, place.around, place.radius, *path)
 
 
@@ -375,9 +372,10 @@ def _detail(scene: Scene, program: Program, report: Report) -> None:
     lod = scene.model.lod
     if lod is None:
         return
-    if scene.model.camera is None:
-        advice = "add `camera: {at: [200, 150, 300], look_at: [0, 0, 0]}`, or leave `lod` out"
-        report.error("missing-key", "`lod` goes by the distance from the camera, and there is none", scene.span("lod"), advice)
+    if scene.model.camera is None or isinstance(scene.model.camera, str):
+        advice = "write `camera: {at: [200, 150, 300], look_at: [0, 0, 0]}`, or leave `lod` out"
+        words = "`lod` goes by the distance from the camera, and none is placed while agents walk"
+        report.error("missing-key", words, scene.span("lod"), advice)
     unit = scene.model.unit_mm
     if lod.far is not None and lod.far.length(unit) < lod.near.length(unit):
         report.error("wrong-value", "`far` is nearer than `near`", scene.span("lod", "far"), "write the greater distance")

@@ -299,7 +299,12 @@ class UsdCamera(Part):
     prim: Word
 
 
+Fit = Annotated[str, BeforeValidator(one_of("fit"))]
+
+
 def _kind_of_camera(value: Any) -> str:
+    if isinstance(value, str):
+        return "camera-word"
     return "usd-camera" if isinstance(value, dict) and "usd" in value else "camera-here"
 
 
@@ -341,7 +346,10 @@ class SceneModel(Part):
     fields: dict[Name, FieldStart] = {}
     layers: dict[Name, tuple[str, ...]] = {}
     camera: (
-        Annotated[Annotated[Camera, Tag("camera-here")] | Annotated[UsdCamera, Tag("usd-camera")], Discriminator(_kind_of_camera)]
+        Annotated[
+            Annotated[Camera, Tag("camera-here")] | Annotated[UsdCamera, Tag("usd-camera")] | Annotated[Fit, Tag("camera-word")],
+            Discriminator(_kind_of_camera),
+        ]
         | None
     ) = None
     lod: LevelOfDetail | None = None

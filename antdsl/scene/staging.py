@@ -162,7 +162,7 @@ def stage(
 def _detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.DetailData | None:
     """`camera`: one that a file brought."""
     model = scene.model
-    if model.lod is None or model.camera is None:
+    if model.lod is None or model.camera is None or isinstance(model.camera, str):
         return None
     near, far = model.lod.near.length(model.unit_mm), _length(scene, model.lod.far)
     if camera is not None:

@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
+import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -120,6 +122,8 @@ def _work(pipe: Connection, threads: int) -> None:
     from antdsl.runtime.compiled import expect_long_runs
 
     expect_long_runs()
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")  # of libraries, as in the process that the terminal has
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asked for the sweep is told by Ctrl-C, and ends us
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     with suppress(EOFError, OSError):

@@ -18,7 +18,13 @@ _TRIED = 24  # agents looked at for an eye-level camera
 def camera_over(picture: Picture, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
     """A camera that looks down by `slant` degrees and holds every solid, agent and item of the picture."""
     up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
-    points = _all_points(picture, up)
+    return camera_holding(_all_points(picture, up), up, aspect=aspect, focal=focal, slant=slant)
+
+
+def camera_holding(points: Array, up: Array, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
+    """A camera that looks down by `slant` degrees and holds points (n, 3) as large as it can; `up` is a unit vector."""
+    if not len(points):
+        points = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
     first = np.roll(up, 1) - up * float(np.roll(up, 1) @ up)
     first /= np.linalg.norm(first)
     # With y up the picture's right is a little off +x; with z up likewise.
