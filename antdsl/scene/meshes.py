@@ -3,8 +3,6 @@ would let pass (indices out of range, values that are not finite, faces without 
 
 from __future__ import annotations
 
-import io
-import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,21 +14,15 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.scene.kept import once_a_mesh
 from antdsl.scene.matrices import cosine_and_sine
+from antdsl.scene.mesh_text import MeshError, read_obj, read_stl_text
 from antdsl.scene.ply import HeaderError, read_header, read_triangles
+from antdsl.scene.ply_body import read_faces
 from antdsl.scene.setting import MeshData
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 _FARTHEST = 1e9  # mm; a thousand kilometres
-
-
-class MeshError(Exception):
-    """Why a file is no usable mesh, in words that fit after its name; `help` says what to do about it."""
-
-    def __init__(self, message: str, help: str | None = "export it anew, as triangles or polygons in a .ply, .obj or .stl file"):
-        super().__init__(message)
-        self.help = help
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +67,7 @@ def mesh_arrays(data: bytes, name: str, group: str | None = None) -> tuple[Float
         if group is not None:
             if kind != "obj":
                 raise MeshError("has no groups, as only .obj files do", "leave `group` out")
-            return _read_obj(data, group)
+            return read_obj(data, group)
         return reader(data)
     except MeshError:
         raise
@@ -134,77 +126,14 @@ def _first_of_each(rows: Faces, bound: int) -> NDArray[np.int64]:
     return np.asarray(first, np.int64)
 
 
-def _number(text: bytes) -> float:
-    if len(text) > 40 or b"_" in text:
-        raise ValueError(text)
-    return float(text)
-
-
-def _read_obj(data: bytes, group: str | None = None) -> tuple[Floats, Faces]:
-    """Vertices and faces of a Wavefront file, of one group or object where one is named; materials, normals and everything else
-    are passed over, polygons cut into fans."""
-    if b"\0" in data[:4096]:
-        raise MeshError("is not a text file")
-    points: list[tuple[float, float, float]] = []
-    triangles: list[tuple[int, int, int]] = []
-    names: dict[str, None] = {}
-    in_group, in_object = group is None, False
-    for line_number, line in enumerate(data.split(b"\n"), 1):
-        if line[:2] in (b"v ", b"v\t"):
-            try:
-                x, y, z = (_number(word) for word in line.split()[1:4])
-            except ValueError:
-                raise MeshError(f"has no three numbers after `v` in line {line_number}") from None
-            points.append((x, y, z))
-        elif group is not None and line.split(None, 1)[:1] == [b"g"]:
-            words = line.decode("utf-8", "replace").split()[1:] or ["default"]
-            names |= dict.fromkeys(words)
-            in_group = group in words
-        elif group is not None and line[:2] == b"o ":
-            word = line[2:].decode("utf-8", "replace").strip()
-            names[word] = None
-            in_object = group == word
-        elif line[:2] in (b"f ", b"f\t") and (in_group or in_object):
-            corners = [_obj_index(word, len(points), line_number) for word in line.split()[1:]]
-            if len(corners) < 3:
-                raise MeshError(f"has a face of fewer than three corners in line {line_number}")
-            triangles.extend((corners[0], corners[i], corners[i + 1]) for i in range(1, len(corners) - 1))
-            if len(triangles) > limits.MESH_FACES:
-                raise MeshError(f"has more than {limits.MESH_FACES:,} faces", "use a lighter mesh")
-    if group is not None and not triangles:
-        raise MeshError(_no_group(group, list(names)), None)
-    return np.array(points, np.float64).reshape(-1, 3), np.array(triangles, np.int64).reshape(-1, 3)
-
-
-def _no_group(group: str, names: list[str]) -> str:
-    from antdsl.diagnostics.suggestion import nearest_name
-
-    if group in names:
-        return f"has no faces in its group `{group}`"
-    near = nearest_name(group, names)
-    there = f"did you mean `{near}`?" if near else "it has " + (", ".join(f"`{n[:40]}`" for n in names[:8]) or "no groups")
-    return f"has no group `{group[:60]}`: {there}"
-
-
-def _obj_index(word: bytes, count: int, line_number: int) -> int:
-    parts = word.split(b"/")
-    if len(parts) > 3 or not re.fullmatch(rb"-?[0-9]{1,10}", parts[0]) or int(parts[0]) == 0:
-        raise MeshError(f"has a corner `{word[:20].decode('ascii', 'replace')}` that is no vertex number in line {line_number}")
-    index = int(parts[0])
-    index = index - 1 if index > 0 else count + index
-    if index < 0 or index >= count:
-        raise MeshError(f"names a vertex {int(parts[0])} that is not there in line {line_number}")
-    return index
-
-
 def _read_ply(data: bytes) -> tuple[Floats, Faces]:
     """A .ply file, after its header was held against the size of the file."""
     try:
         header = read_header(data)
+        found = read_triangles(data, header)
+        return read_faces(data, header) if found is None else found
     except HeaderError as why:
         raise MeshError(str(why)) from None
-    found = read_triangles(data, header)
-    return _through_trimesh(data, "ply") if found is None else found
 
 
 def _read_stl(data: bytes) -> tuple[Floats, Faces]:
@@ -215,32 +144,18 @@ def _read_stl(data: bytes) -> tuple[Floats, Faces]:
             raise MeshError(f"says it has {count:,} faces, more than {limits.MESH_FACES:,}", "use a lighter mesh")
         rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, 84)
         corners = rows["corners"].reshape(-1, 3).astype(np.float64)
-    elif data.lstrip()[:5] == b"solid" and b"facet" in data[: 64 * limits.KIB]:
-        words = re.findall(rb"vertex\s+(\S{1,40})\s+(\S{1,40})\s+(\S{1,40})", data)
-        if not words or len(words) % 3:
-            raise MeshError("has a facet without three corners")
-        try:
-            corners = np.array([[_number(w) for w in row] for row in words], np.float64)
-        except ValueError:
-            raise MeshError("has a corner that is not three numbers") from None
+    elif data[: 64 * limits.KIB].lstrip()[:5].lower() == b"solid" and b"facet" in data[: 64 * limits.KIB].lower():
+        corners = read_stl_text(data)
     else:
         raise MeshError("is not a .stl file, or a part of it is missing")
-    if not np.isfinite(corners).all():
-        raise MeshError("has a corner that is not a finite point")
+    wrong = np.flatnonzero(~np.isfinite(corners).all(axis=1))
+    if len(wrong):
+        raise MeshError(f"has a corner (of face {wrong[0] // 3}) that is not a finite point")
     vertices, inverse = np.unique(corners, axis=0, return_inverse=True)
     return vertices, inverse.reshape(-1, 3).astype(np.int64)
 
 
-def _through_trimesh(data: bytes, kind: str) -> tuple[Floats, Faces]:
-    import trimesh
-
-    # process=False keeps the order of vertices; no resolver is given, so no other file can be opened
-    mesh = trimesh.load(io.BytesIO(data), file_type=kind, process=False, force="mesh", skip_materials=True, maintain_order=True)
-    faces = np.asarray(getattr(mesh, "faces", np.empty((0, 3))), np.int64).reshape(-1, 3)
-    return np.asarray(getattr(mesh, "vertices", np.empty((0, 3))), np.float64).reshape(-1, 3), faces
-
-
-READERS: dict[str, Callable[[bytes], tuple[Floats, Faces]]] = {"ply": _read_ply, "obj": _read_obj, "stl": _read_stl}
+READERS: dict[str, Callable[[bytes], tuple[Floats, Faces]]] = {"ply": _read_ply, "obj": read_obj, "stl": _read_stl}
 
 
 def turned_up(points: Floats, own: str, wanted: str) -> Floats:

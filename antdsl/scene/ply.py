@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.scene.mesh_text import lines_of, number_of
 
 KINDS = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
@@ -103,7 +106,7 @@ def read_triangles(data: bytes, header: Header) -> tuple[NDArray[np.float64], ND
     lists = [p for p in face.properties if p.count]
     if any(p.count for p in vertex.properties) or len(lists) != 1 or not {"x", "y", "z"} <= {p.name for p in vertex.properties}:
         return None
-    points = _rows(data, header, header.body, vertex, [(p.name, p.kind) for p in vertex.properties])
+    points = rows_of(data, header, header.body, vertex, [(p.name, p.kind) for p in vertex.properties])
     layout = [
         entry
         for p in face.properties
@@ -111,7 +114,7 @@ def read_triangles(data: bytes, header: Header) -> tuple[NDArray[np.float64], ND
     ]
     if points is None:
         return None
-    rows = _rows(data, header, header.body + points.nbytes, face, layout)
+    rows = rows_of(data, header, header.body + points.nbytes, face, layout)
     if rows is None or (rows["#"] != 3).any():
         return None
     return (
@@ -120,7 +123,7 @@ def read_triangles(data: bytes, header: Header) -> tuple[NDArray[np.float64], ND
     )
 
 
-def _rows(data: bytes, header: Header, start: int, element: Element, layout: list[tuple[str, str]]) -> NDArray[np.void] | None:
+def rows_of(data: bytes, header: Header, start: int, element: Element, layout: list[tuple[str, str]]) -> NDArray[np.void] | None:
     if len({name for name, _ in layout}) != len(layout):
         return None
     kind = np.dtype([(name, header.order + word) for name, word in layout])
@@ -137,7 +140,7 @@ def read_columns(data: bytes, header: Header, element: Element, names: Sequence[
     if any(p.count for e in (*before, element) for p in e.properties):
         raise HeaderError(f"has lists among or before what is painted on its {element.name}s, where they cannot be passed over")
     start = header.body + sum(e.count * e.least() for e in before)
-    rows = _rows(data, header, start, element, [(p.name, p.kind) for p in element.properties])
+    rows = rows_of(data, header, start, element, [(p.name, p.kind) for p in element.properties])
     if rows is None:
         raise HeaderError("is shorter than its header says, or names a property twice")
     return np.stack([rows[name] for name in names], axis=1).astype(np.float64)
@@ -150,10 +153,14 @@ def _text_columns(data: bytes, header: Header, element: Element, names: Sequence
     at = [order.index(name) for name in names]
     if lists and max(at) > lists[0]:
         raise HeaderError(f"has a list before what is painted on its {element.name}s")
-    lines = [line for line in data[header.body :].split(b"\n") if line.strip()][skip : skip + element.count]
-    if len(lines) < element.count:
+    every = lines_of(data, header.body, 1 + data.count(b"\n", 0, header.body))
+    numbers = array("d")
+    for number, line in islice((each for each in every if not each[1].isspace()), skip, skip + element.count):
+        words = line.split()
+        try:
+            numbers.extend([number_of(words[k]) for k in at])
+        except (ValueError, IndexError):
+            raise HeaderError(f"has a line {number} whose values are not numbers") from None
+    if len(numbers) < element.count * len(at):
         raise HeaderError("is shorter than its header says")
-    try:
-        return np.array([[float(words[k]) for k in at] for words in map(bytes.split, lines)], np.float64).reshape(-1, len(at))
-    except (ValueError, IndexError):
-        raise HeaderError("has a line whose values are not numbers") from None
+    return np.array(numbers, np.float64).reshape(-1, len(at))

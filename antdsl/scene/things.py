@@ -337,6 +337,9 @@ def _usd(staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, 
         staging.report.error(
             "bad-usd", f"`{prim}` of `{text}` cannot be read: {words_of(why)}", staging.scene.span(*path, "prim")
         )
+    except UnicodeDecodeError:  # a name or a word of the file that USD hands on as it is
+        words = f"`{prim}` of `{text}` cannot be read: it has bytes that are no UTF-8 text"
+        staging.report.error("bad-usd", words, staging.scene.span(*path, "prim"), "export it anew")
     except MeshError as why:
         words = f"the mesh `{prim}` of `{text}` {why}"
         staging.report.error(

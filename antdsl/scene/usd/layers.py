@@ -13,6 +13,7 @@ from typing import Any
 from antdsl import limits
 from antdsl.scene.paths import PathRefused, Roots
 from antdsl.scene.usd.errors import UsdError, pxr, words_of
+from antdsl.scene.usd.trying import what_is_wrong
 
 KINDS = (".usd", ".usda", ".usdc", ".usdz")
 _ADDRESS = re.compile("[A-Za-z][A-Za-z0-9+.-]+:")
@@ -37,6 +38,11 @@ class Layers:
                 if path not in self.layers:
                     waiting.append(self._open(self._name(path, layer, asset), layer))
 
+    def wrong(self, prim: str) -> str:
+        """Why the files together are not to be opened for a prim, empty where nothing is wrong."""
+        digest = blake2b(repr(sorted(self.hashes.items())).encode(), digest_size=16).hexdigest()
+        return what_is_wrong(digest, "stage", self._top, prim)
+
     def knows(self, layer: Any) -> bool:
         """Whether a layer that a stage uses is one of these, or lies in memory alone."""
         return bool(layer.anonymous) or _outer(layer.identifier)[0] in self.layers
@@ -54,6 +60,9 @@ class Layers:
             raise UsdError("too-large", f"`{text}` and the files it is made of are more than are read", None, "usd")
         self.hashes[text] = blake2b(data, digest_size=16).hexdigest()
         path = os.path.abspath(self._roots.path(text))
+        wrong = what_is_wrong(self.hashes[text], "layer", path)
+        if wrong:
+            raise UsdError("bad-usd", f"`{text}` cannot be read as USD: {wrong}", "export it anew", "usd")
         layer = _layer(path, text)
         self.layers[path] = layer
         return layer
@@ -92,6 +101,8 @@ def _layer(path: str, text: str) -> Any:
                 return layer
         except pxr("Tf").ErrorException as problem:
             why = words_of(problem).replace(path, text)
+        except UnicodeDecodeError:  # USD's own words repeat what is no text
+            why = "it has bytes that are no UTF-8 text"
     raise UsdError("bad-usd", f"`{text}` cannot be read as USD: {why}", None, "usd")
 
 
@@ -105,7 +116,7 @@ def _assets(layer: Any) -> Iterator[str]:
             if spec is not None and spec.HasInfo("clips"):
                 words = f"`{path}`{_named_by(layer)} has value clips, which are not read"
                 raise UsdError("bad-usd", words, "flatten the file: `usdcat --flatten`", "usd")
-    yield from sorted(layer.GetCompositionAssetDependencies())
+    yield from sorted(filter(None, layer.GetCompositionAssetDependencies()))  # what is empty names the layer itself
 
 
 def _outer(identifier: str) -> tuple[str, str]:

@@ -106,6 +106,9 @@ def open_stage(
     if not prim.startswith("/") or not sdf.Path.IsValidPathString(prim)[0] or not sdf.Path(prim).IsAbsoluteRootOrPrimPath():
         raise UsdError("no-such-prim", f"`{prim}` is not the path of a prim", "write it from the root: `/set/stones`")
     path = sdf.Path(prim)
+    wrong = judged.wrong(prim)
+    if wrong:
+        raise UsdError("bad-usd", f"`{text}` cannot be opened for `{prim}`: {wrong}", "name a smaller part of it")
     with quiet():
         stage = usd.Stage.OpenMasked(judged.first, usd.StagePopulationMask([path]))
         stage.ExpandPopulationMask()
@@ -122,6 +125,10 @@ def open_stage(
         raise UsdError("bad-usd", f"`{text}` does not hold together: {_first_words(str(problems[0]))}", None, "usd")
     rate = float(stage.GetTimeCodesPerSecond())
     factor = float(geom.GetStageMetersPerUnit(stage)) * 1000.0
+    for name, value in (("timeCodesPerSecond", rate), ("metersPerUnit", factor / 1000.0)):
+        if not 1e-12 < value < 1e12:
+            words = f"`{text}` says `{name} = {value:g}`, which cannot be"
+            raise UsdError("bad-usd", words, f"give it a `{name}` above 0", "usd")
     times = tuple(float(Fraction(frame) / fps) * rate for frame in frames)
     return UsdStage(found, _to_scene(factor, str(geom.GetStageUpAxis(stage)).lower(), up), times, judged.hashes, purpose, stage)
 

@@ -1,0 +1,3 @@
+"""."""
+from cases.hostile.rows import Row
+ROWS: list[Row] = []
