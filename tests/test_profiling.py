@@ -4,6 +4,7 @@ clock changes nothing."""
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,11 +14,12 @@ from typing import Any
 
 import pytest
 
-from antdsl.cli.profile_table import MOST
+from antdsl.cli.profile_table import MOST, show
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.preview import Session
 from antdsl.runtime import Options, World, bind, state_hash, step, stepping
 from antdsl.runtime.backends import metering, numpy_backend, numpy_calls
+from antdsl.runtime.motion import Motion
 from antdsl.runtime.profiling import Meter, Profile
 
 ROOT = Path(__file__).parents[1]
@@ -252,3 +254,24 @@ def test_run_tells_where_the_time_went(shot: Shot, tmp_path: Path) -> None:
     assert [part.split()[2] for part in parts[1:]] == ["phase", "of", "in"]
     assert "mine.keep_off(stones, reach: 8 mm)" in parts[2] and "ant" in parts[2]
     assert len(parts[3].strip().splitlines()) == MOST + 1
+
+
+def test_a_profile_tells_processor_time_and_keeps_its_figures_at_eighty_columns(
+    shot: Shot, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    found = measured(bind(shot.plan, shot.setting), 3)
+    assert set(found.worked) == set(found.phases) and sum(found.worked.values()) > 0
+    show(found, lines=True)
+    told = capsys.readouterr().out.splitlines()
+    figures = re.compile(r" *\d+\.\d\d( +\d+\.\d\d)? +\d+  ")
+    for line in told[1:]:
+        assert len(line) <= 80 and (not line.strip() or " ms  " in line or figures.match(line)), line
+    assert "cpu ms" in told[2]
+
+
+def test_measuring_motion_is_no_part_of_births(shot: Shot, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = bind(shot.plan, shot.setting)
+    monkeypatch.setattr(Motion, "observe", clock.slow(Motion.observe, 0.5))
+    found = measured(world, 2)
+    assert {name: round(ms) for name, ms in found.phases.items() if ms} == {"motion": 500}
