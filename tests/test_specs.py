@@ -71,7 +71,9 @@ def judged(folder: Path, specs: str, program: str = WALKER, backend: str = "nump
     return [case for run in runs for case in run.cases]
 
 
-def spec(line: str, name: str = "x") -> str:
+def spec(line: str, name: str = "") -> str:
+    """A spec of one line, called by that line where it has no name of its own."""
+    name = name or line.replace('"', "'")
     return f'spec "{name}" on "scene.yaml" {{ {line} }}\n'
 
 
