@@ -35,6 +35,7 @@ use steering
 world {{ surface ground; obstacle rock; flow drift; map damp; items nest }}
 species ant {{
   param pull = 1 in -1 .. 1
+  radius {radius}
   felt = 0
   wet = 0
   on spawn {{ velocity = vector(0 mm/s, 0 mm/s, 0 mm/s); heading = vector(0, 0, 1) }}
@@ -45,8 +46,8 @@ GOAL = Target(np.array([[150.0, 0.0, 0.0]]), np.array([10.0]))
 LINE = Target(np.array([[-150.0, 0, -40.0], [0, 0, 40.0], [150.0, 0, -40.0]]), np.zeros(3), line=True)
 
 
-def compiled(steer: str = "along(drift, weight: pull)") -> Plan:
-    program, report = checked(PROGRAM.format(steer=steer))
+def compiled(steer: str = "along(drift, weight: pull)", radius: str = "size / 2") -> Plan:
+    program, report = checked(PROGRAM.format(steer=steer, radius=radius))
     assert report.ok, complaints(report)
     lowered, report = plan.lower(program)
     assert complaints(report) == []
@@ -58,6 +59,7 @@ def world(
     cells: int = 8,
     steer: str = "along(drift, weight: pull)",
     options: Options | None = None,
+    radius: str = "size / 2",
     **more: object,
 ) -> World:
     """Ants at the left end of a floor 400 mm wide."""
@@ -69,7 +71,7 @@ def world(
         maps={"damp": Painted("ground", (floor[0][:, 0] + 200) / 400)},
         crowds=(CrowdData("ant", 30, PlaceData(around=(-150.0, 0, 0), radius=30.0)),),
     )
-    return bind(compiled(steer), Setting(**{**given, **more}), options or Options())
+    return bind(compiled(steer, radius), Setting(**{**given, **more}), options or Options())
 
 
 def read(made: World, *points: tuple[float, float]) -> np.ndarray:
@@ -293,16 +295,17 @@ def test_faces_may_be_painted_and_other_surfaces_have_nothing() -> None:
 
 
 def test_a_map_is_a_density_for_placing() -> None:
+    """Of agents that take no room: others keep each other from where it is densest."""
     crowd = (CrowdData("ant", 4000, PlaceData(on=("ground",), density="damp")),)
     for cells in (1, 16):  # painted from nothing at the left to 1 at the right
-        made = world(cells=cells, crowds=crowd)
+        made = world(cells=cells, radius="0 mm", crowds=crowd)
         x = np.sort(made.populations["ant"].position[:, 0])
         share = ((x + 200) / 400) ** 2
         assert np.abs(share - (np.arange(4000) + 0.5) / 4000).max() < 0.03  # Kolmogorov's bound at one in a thousand
         z = np.sort(made.populations["ant"].position[:, 2])
         assert np.abs((z + 200) / 400 - (np.arange(4000) + 0.5) / 4000).max() < 0.03
-    few = world(crowds=(replace(crowd[0], count=100),))
-    many = world(crowds=(replace(crowd[0], count=300),))
+    few = world(radius="0 mm", crowds=(replace(crowd[0], count=100),))
+    many = world(radius="0 mm", crowds=(replace(crowd[0], count=300),))
     assert np.array_equal(few.populations["ant"].position, many.populations["ant"].position[:100])
 
 

@@ -258,12 +258,8 @@ def _placement(scene: Scene, program: Program, report: Report, place: Placement,
     if place.points is not None:
         _file(scene, report, place.points, *path, "points")
         if place.around is not None:
-            report.error(
-                "wrong-value",
-                "agents are placed at points or around a place, not both",
-                scene.span(*path, "around", key=True),
-                "keep one of them",
-            )
+            words = "agents are placed at points or around a place, not both"
+            report.error("wrong-value", words, scene.span(*path, "around", key=True), "keep one of them")
     if place.density is not None:
         maps = [name for name, thing in program.world.items() if thing.kind == "map"]
         if place.density not in maps:
