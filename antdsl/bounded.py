@@ -7,6 +7,7 @@ import errno
 import os
 import stat
 from collections.abc import Iterator
+from pathlib import Path
 from typing import IO
 
 _BLOCK = 1 << 20
@@ -33,6 +34,11 @@ class TooLarge(OSError):
     def __init__(self, size: int, cap: int) -> None:
         super().__init__(errno.EFBIG, f"it has {size:,} bytes, and more than {cap:,} are not read")
         self.size, self.cap = size, cap
+
+
+def real_path(path: Name) -> Path:
+    """A path with all its links followed. Never raises: of a link that leads to itself, as far as it can be followed."""
+    return Path(os.path.realpath(path))
 
 
 def open_regular(path: Name, *, follow: bool = True, folder: int | None = None) -> int:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
 from antdsl.loading import CheckedOnce
 from antdsl.pipeline import Choices, check_path, sources
@@ -94,12 +95,12 @@ def _groups(files: Sequence[Path]) -> list[list[Path]]:
     """Files that may use each other stand together: those of a folder and of all folders below it. Small groups come first."""
     groups: dict[Path, list[Path]] = {}
     tops: list[Path] = []
-    for folder in sorted({file.resolve().parent for file in files}):
+    for folder in sorted({real_path(file).parent for file in files}):
         if not tops or not folder.is_relative_to(tops[-1]):
             tops.append(folder)
         groups.setdefault(tops[-1], [])
     for file in files:
-        folder = file.resolve().parent
+        folder = real_path(file).parent
         groups[next(top for top in reversed(tops) if folder.is_relative_to(top))].append(file)
     return sorted(groups.values(), key=_weight)
 

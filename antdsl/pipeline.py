@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from antdsl import __version__, limits
-from antdsl.bounded import read_start
+from antdsl.bounded import read_start, real_path
 from antdsl.diagnostics import Fix, Report
 from antdsl.loading import CheckedOnce, Loaded, Parsed, shown
 from antdsl.source import Source
@@ -66,7 +66,7 @@ def compile_files(
     """Parse and check programs together, with the library and all files that they use. `strict` adds what only `check --strict`
     tells; `parsed` and `memo` keep what was parsed and checked, for the next call."""
     paths = [Path(path) for path in paths]
-    loaded = Loaded(paths[0].resolve().parent if paths else Path.cwd(), parsed={} if parsed is None else parsed)
+    loaded = Loaded(real_path(paths[0]).parent if paths else Path.cwd(), parsed={} if parsed is None else parsed)
     for path in paths:
         loaded.add_file(path)
     return _checked(loaded, strict, memo)
@@ -163,8 +163,8 @@ def _read_scene(
     if data is None:
         scene, report = load(path, choices.grants)
     else:
-        scene, report = load_text(data, str(path), Roots(path.resolve().parent, dict(choices.grants)), texts)
-    loaded = Loaded(path.resolve().parent, parsed={} if parsed is None else parsed)
+        scene, report = load_text(data, str(path), Roots(real_path(path).parent, dict(choices.grants)), texts)
+    loaded = Loaded(real_path(path).parent, parsed={} if parsed is None else parsed)
     if scene is None:
         return None, None, loaded, report
     scene = scene.changed(frames=choices.frames, seed=choices.seed)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from antdsl.bounded import real_path
 from antdsl.lsp.names import Key, Names, declaration
 from antdsl.lsp.owners import Owner, owner_of
 from antdsl.lsp.uses import Occurrence, Place, Uses
@@ -101,7 +102,7 @@ class Walk(Uses):
             self.spec_line(line, place)
 
     def scene_file(self, scene: nodes.Text) -> None:
-        self.say(scene.span, ("file", str(self.names.path.parent.joinpath(scene.text).resolve())))
+        self.say(scene.span, ("file", str(real_path(self.names.path.parent.joinpath(scene.text)))))
 
     def spec_line(self, line: nodes.SpecLine, place: Place) -> None:
         if line.kind == "each" and isinstance(line.target, nodes.NameRef):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from antdsl.bounded import real_path
 from antdsl.resources import library_file
 from antdsl.syntax import nodes
 
@@ -75,7 +76,7 @@ def _use(names: Names, item: nodes.Use) -> None:
         if found is not None:
             names.libraries[item.library.text] = found
     elif item.path is not None and item.alias is not None:
-        names.modules[item.alias.text] = names.path.parent.joinpath(item.path.text).resolve()
+        names.modules[item.alias.text] = real_path(names.path.parent.joinpath(item.path.text))
         names.add(("alias", str(names.path), item.alias.text), item.alias, item)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from antdsl.bounded import real_path
 from antdsl.lsp.names import Key
 from antdsl.lsp.uses import Occurrence
 from antdsl.program.vocabulary import ITEM_GIVEN
@@ -56,7 +57,7 @@ def _mapping(node: Node | None) -> list[tuple[str, Span, Node]]:
 
 def _file(index: SceneIndex, node: Node) -> None:
     if isinstance(node, ScalarNode) and ":" not in node.text:
-        path = index.path.parent.joinpath(node.text).resolve()
+        path = real_path(index.path.parent.joinpath(node.text))
         index.say(node.span, ("file", str(path)))
         if path.suffix in (".ant", ".yaml", ".yml"):
             index.files.append(path)

@@ -12,6 +12,7 @@ from time import monotonic
 from typing import TYPE_CHECKING
 
 from antdsl import limits, syntax
+from antdsl.bounded import real_path
 from antdsl.diagnostics import Diagnostic, Report
 from antdsl.diagnostics.ignoring import judged
 from antdsl.loading import Parsed
@@ -62,7 +63,7 @@ class Document:
     def uses(self) -> list[Path]:
         """The files behind `use "PATH"`."""
         written = (item.path for item in self.parsed[0].items if isinstance(item, nodes.Use))
-        return [self.path.parent.joinpath(path.text).resolve() for path in written if path is not None]
+        return [real_path(self.path.parent.joinpath(path.text)) for path in written if path is not None]
 
     @cached_property
     def occurrences(self) -> list[Occurrence]:

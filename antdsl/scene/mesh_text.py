@@ -50,9 +50,9 @@ def number_of(word: bytes) -> float:
     return float(word)
 
 
-def shown(word: bytes) -> str:
+def shown(word: bytes, most: int = 20) -> str:
     """A word of a stranger's file, as it can stand in a message."""
-    text = word[:20].decode("ascii", "replace")
+    text = word[:most].decode("ascii", "replace")
     return "".join(c if c.isprintable() else "\ufffd" for c in text)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.mesh_text import lines_of, number_of
+from antdsl.scene.mesh_text import lines_of, number_of, shown
 
 KINDS = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
@@ -73,7 +73,7 @@ def read_header(data: bytes) -> Header:
             last = elements[-1]
             elements[-1] = Element(last.name, last.count, (*last.properties, found))
         else:
-            raise HeaderError(f"has a header line that is not understood: `{line[:40]}`")
+            raise HeaderError(f"has a header line that is not understood: `{shown(line.encode(), 40)}`")
     if order is None:
         raise HeaderError("does not say its format")
     header = Header(order, tuple(elements), data.find(b"\n", end) + 1)

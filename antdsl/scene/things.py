@@ -330,7 +330,8 @@ def _usd(staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, 
             layers=staging.layers,
         )
         staging.hashes |= stage.hashes
-        return read(stage)
+        with np.errstate(all="ignore"):  # what is not finite is told where it is seen to be so
+            return read(stage)
     except UsdError as why:
         staging.report.error(why.code, str(why), staging.scene.span(*path, why.key), why.help)
     except usd_exception() as why:

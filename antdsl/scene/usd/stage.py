@@ -147,7 +147,7 @@ def _to_scene(factor: float, own: str, up: str) -> Floats:
 
 
 def _first_words(text: str) -> str:
-    line = " ".join(text.split())
+    line = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(text.split()))
     return line if len(line) <= 160 else line[:157] + "…"
 
 

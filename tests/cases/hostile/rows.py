@@ -1,6 +1,6 @@
 """Files of a stranger, each with its verdict: a project of a ground and some walkers, and what is changed in it.
 
-A verdict is a diagnostic's code with words of its message; `accepted` with as many frames as are then run; or the code of a warning."""
+A verdict is the code of an error or a warning, with words of its message or help, or nothing where the file is accepted."""
 
 from __future__ import annotations
 
@@ -58,6 +58,7 @@ class Row:
     files: Mapping[str, bytes | Callable[[], bytes]] = field(default_factory=dict)
     edits: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     make: Callable[[Path], object] | None = None
+    warned: bool = False  # whether it is accepted with warnings about something else
     frames: int = 0  # that are run where it is accepted
     faults: bool = False  # whether agents get values that are none, which are stopped or put in quarantine
 
