@@ -51,7 +51,7 @@ def _table(
     whole: float,
     worked: Mapping[str, float] | None = None,
 ) -> None:
-    """What there is of a kind, with its milliseconds, those of processors where they are known, and its share of the whole frame."""
+    """What there is of a kind: milliseconds, those of processors where they are known, and the share of the whole frame."""
     rows = list(rows)
     if not rows:
         return

@@ -16,8 +16,8 @@ _LENGTHS = 7.5  # body lengths a second at which those fall whose max_speed is 0
 
 
 def in_the_air(world: World, population: Population, moved: MoveResult, dt: np.float32) -> MoveResult:
-    """What a walk led to, of those whom it led farther than `max_speed` allows only as far: on the straight way there, in the air of
-    the solid that they fall from or come to. Their next step goes on from there."""
+    """What a walk led to; those whom it led farther than `max_speed` allows are only as far on the straight way there, in the air
+    of the solid that they fall from or come to. Their next step goes on from there."""
     now, first = population.now, len(world.ground.names) - len(world.solids)
     speed = np.where(now["max_speed"] > 0, now["max_speed"], now["size"] * np.float32(_LENGTHS)).astype(np.float64)
     way = moved.position - population.position

@@ -14,8 +14,8 @@ DEEP = 0.1  # of a body: a head that is no deeper inside but touches
 def heads_inside(world: World, population: Population) -> NDArray[np.bool_]:
     """Whose head bool[n] is inside of the ground or a solid, as they stand now.
 
-    A head is half a body ahead of the middle, which is over the feet: half by the ground's way up, half by the body's. It is inside
-    where a surface lies between the two, or where it is in a solid, and more than a tenth of a body behind that."""
+    A head is half a body ahead of the middle, which is over the feet: half by the ground's way up, half by the body's. It is
+    inside where a surface lies between the two, or where it is in a solid, and more than a tenth of a body behind that."""
     now = population.now
     size = now["size"].astype(np.float64)
     up, heading = population.vector("up"), population.vector("heading")

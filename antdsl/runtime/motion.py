@@ -147,7 +147,7 @@ class Motion:
         return fresh
 
     def _bodies(self, world: World, population: Population) -> None:
-        """How far agents stand inside each other, 0 apart to 1 in one place, the worst neighbour of each; and inside the ground."""
+        """How far agents stand inside each other, 0 apart to 1 in one place, by the worst neighbour; and inside the ground."""
         worst = worst_overlaps(*(population.now[f"position.{a}"] for a in "xyz"), population.now["radius"])
         self.overlaps += np.bincount((worst * _BINS).astype(np.int64), minlength=_BINS + 1)
         self.heads += len(population)
@@ -161,8 +161,8 @@ class Motion:
         self.overlapping += int(np.count_nonzero(worst > _TOUCH))
 
     def summary(self) -> dict[str, float]:
-        """turn_p99, tilt_p99, tilt_max (degrees a step), step_max (of the longest step allowed), circling, standing, heads_inside,
-        overlap_start (shares), overlap_p99 (0 apart .. 1 in one place), straightness."""
+        """turn_p99, tilt_p99, tilt_max (degrees a step), step_max (of the longest step allowed), circling, standing,
+        heads_inside, overlap_start (shares), overlap_p99 (0 apart .. 1 in one place), straightness."""
         return {
             "turn_p99": _percentile(self.turns) * 180.0,
             "tilt_p99": _percentile(self.tilts) * 180.0,

@@ -17,8 +17,8 @@ _NEAREST = 8  # neighbours that are asked for first; twice as many again where t
 def worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
     """Of each agent (float32[n], mm) how far it stands inside the worst of the others: 0 apart, 1 in one place.
 
-    That is the greatest of 1 - distance / (sum of both radii), exactly, whatever the crowd: where agents stand so dense that a list
-    of all pairs would grow with their square, nearest neighbours are asked for until no one farther off can be worse.
+    That is the greatest of 1 - distance / (sum of both radii), exactly, whatever the crowd: where agents stand so dense that a
+    list of all pairs would grow with their square, nearest neighbours are asked for until no one farther off can be worse.
     """
     worst = np.zeros(len(x), np.float32)
     widest = float(radius.max(initial=0.0))
@@ -36,7 +36,7 @@ def worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
 
 
 def _pairs_at_most(place: Floats, cell: float) -> float:
-    """A number that no more pairs of places [n,3] are within a cell's width than, but for a factor that depends on nothing else."""
+    """About how many pairs of places [n,3] are within a cell's width: all those in one cell."""
     if not len(place):
         return 0.0
     cells = np.floor((place - place.min(axis=0)) / np.float32(cell)).astype(np.int64)

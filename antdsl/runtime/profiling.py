@@ -41,8 +41,10 @@ class LineTime:
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Milliseconds a frame, over `frames` frames: what passed, and for the phases what processors `worked`. `lines` have the dearest first. They add up to less than the phases, as what is
-    done for all agents at once (grids of neighbours, settling claims, moving) is of no line."""
+    """Milliseconds a frame, over `frames` frames: what passed, and for the phases what processors `worked`.
+
+    `lines` have the dearest first. They add up to less than the phases, as what is done for all agents at once (grids of
+    neighbours, settling claims, moving) is of no line."""
 
     frames: int = 0
     total: float = 0.0

@@ -1,4 +1,4 @@
-"""What rises before agents: a wall of the ground that the next steps lead onto, and how far a body is to be tilted for it by then."""
+"""What rises before agents: a wall of the ground that the next steps lead onto, and how far a body is tilted for it by then."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.runtime import kernels
 from antdsl.runtime.heads import RAISED
+from antdsl.runtime.senses.creases import near_rises
 from antdsl.runtime.vectors import Vector
 from antdsl.runtime.world import Population, World
 
@@ -23,8 +24,8 @@ _WIDEST = 4.0  # half bodies before a wall within which a body tilts, at most
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rises:
-    """Walls before some agents (`rows`): normals `wall` (3, k) on their side, the `angle` (radians) by which the ground turns into
-    it, how `far` along their heading (`ahead`) feet are from it, and the way `over` which the body tilts; `half` its length, mm."""
+    """Walls before some agents (`rows`): normals `wall` (3, k) on their side, the `angle` (radians) by which the ground turns
+    into it, how `far` along their way (`ahead`) feet are from it, the way `over` which the body tilts, `half` its length, mm."""
 
     rows: Rows
     wall: Floats
@@ -64,8 +65,8 @@ class Rises:
         return less
 
     def clear(self, rows: Rows, up: Floats, heading: Floats, gone: Floats) -> Floats:
-        """How far (mm) heads of `rows` are before the wall, less than 0 behind it, of bodies that stand and face so (3, m) and have
-        `gone` (3, m) mm; inf without one."""
+        """How far (mm) heads of `rows` are before the wall, less than 0 behind it, of bodies that stand and face so (3, m)
+        and have `gone` (3, m) mm; inf without one."""
         found = np.full(len(rows), np.inf)
         if len(self.rows):
             at = np.searchsorted(rows, self.rows)
@@ -74,7 +75,7 @@ class Rises:
         return found
 
     def room(self, rows: Rows, up: Floats, way: Floats, most: Floats) -> Floats:
-        """How far (mm) feet of `rows` may go in directions (3, m) while the body, which stands as `up` (3, m), tilts by `most`."""
+        """How far (mm) feet of `rows` may go in directions (3, m) while the body, which stands as `up`, tilts by `most`."""
         found = np.full(len(rows), np.inf)
         if not len(self.rows):
             return found
@@ -89,8 +90,8 @@ class Rises:
 
 
 def rises(world: World, population: Population, looking: NDArray[np.float32], step: Vector) -> Rises:
-    """What rises before whom who looks along `looking` (3, n) over its ground and is about to make a step (mm): of what lies in the
-    two directions that for which it has to tilt further.
+    """What rises before whom who looks along `looking` (3, n) over its ground and is about to make a step (mm): of what lies in
+    the two directions that for which it has to tilt further.
 
     The body of length L tilts over a way of L before a wall, linearly: so its head, L/2 before its feet, keeps out of a wall that
     rises by up to a right angle, and of one that hangs over if the way is longer by angle / sine."""
@@ -100,7 +101,7 @@ def rises(world: World, population: Population, looking: NDArray[np.float32], st
     size = np.maximum(population.now["size"], np.float32(0)).astype(np.float64)
     half = np.where(np.isfinite(size), size / 2, 0.0)
     on_mesh = (population.footing.mesh >= 0) & (population.footing.mesh < len(meshes.names))
-    rows = np.flatnonzero(meshes.near_rises(population.position, _WIDEST * half) & on_mesh & (half > 0))
+    rows = np.flatnonzero(near_rises(meshes, population.position, _WIDEST * half) & on_mesh & (half > 0))
     if not len(rows):
         return Rises.none()
     half, normal, look = half[rows], population.normal[rows].T.astype(np.float64), looking[:, rows].astype(np.float64)
@@ -117,9 +118,7 @@ def rises(world: World, population: Population, looking: NDArray[np.float32], st
     return Rises(*(getattr(found, each.name)[..., first] for each in fields(Rises)))
 
 
-def _seen(
-    meshes: Any, threads: int, rows: Rows, place: Floats, ahead: Floats, normal: Floats, half: Floats
-) -> Rises:
+def _seen(meshes: Any, threads: int, rows: Rows, place: Floats, ahead: Floats, normal: Floats, half: Floats) -> Rises:
     """Walls that rays along `ahead` (3, k) meet from just above the ground."""
     high, reach = 2 * _EYE * half, _WIDEST * half
     met, part, footing = meshes.met((place + normal * high).T, (ahead * reach).T, threads)

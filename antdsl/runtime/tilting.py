@@ -42,8 +42,8 @@ def limits(now: dict[str, NDArray[Any]], dt: np.float32) -> NDArray[np.float32]:
 
 @dataclass(slots=True)
 class Bodies:
-    """The bodies of a species as a step begins: `up` and `heading` (3, n) float32 of all, the `most` that each may tilt, who leans
-    (stands otherwise than its feet), and what rises before whom."""
+    """The bodies of a species as a step begins: `up` and `heading` (3, n) float32 of all, the `most` (radians) that each may
+    tilt, who leans (stands otherwise than its feet), and what rises before whom."""
 
     population: Population
     up: NDArray[np.float32]

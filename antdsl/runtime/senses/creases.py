@@ -1,6 +1,8 @@
-"""Where bodies may meet a surface that rises before them: near inner creases of a ground, and where two of its pieces are close."""
+"""Where bodies may meet a surface that rises before them: near inner creases, and where two pieces of a ground are close."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,3 +98,19 @@ class Creases:
             most = maximum_filter(self._most, window, mode="nearest")
             found = found | ((least != most) & (most >= 0))
         return found
+
+
+def near_rises(ground: Any, place: Floats, reach: Floats) -> NDArray[np.bool_]:
+    """Whether at places [n,3] of a `Ground` a surface may rise within `reach` [n] mm: at an inner crease, or another piece, or a
+    mesh that moves. Never false where one does, and the same for a place and a reach whoever else is asked for."""
+    moving = ground.boxes() if hasattr(ground, "boxes") else []
+    if ground.creases is None:
+        vertices, faces, _, table = ground.triangles
+        still = np.ones(len(faces), np.bool_)
+        for own, _, _ in moving:
+            still &= ~own
+        ground.creases = Creases(vertices[faces], table, still)
+    found: NDArray[np.bool_] = ground.creases.near(place.T, reach)
+    for _, low, high in moving:
+        found |= ((place >= low - reach[:, None]) & (place <= high + reach[:, None])).all(axis=1)
+    return found

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from antdsl.runtime import compiled
 from antdsl.runtime.senses.candidates import Candidates, Listing
 from antdsl.runtime.senses.clearances import Clearances, Parts
-from antdsl.runtime.senses.creases import Creases
 from antdsl.runtime.senses.rays import FAR, Mesh, RayScene
 from antdsl.runtime.senses.surroundings import BEYOND, LIFT, NOISE, Around
 from antdsl.runtime.senses.topology import Topology, build, facing
@@ -123,7 +122,7 @@ class Ground:
         self._errors = (rounding, rounding / 10)
         self._listing = Listing(self._table, self._vertices[self._faces], 5 * rounding)
         self._fast: Walk | None = None
-        self._creases: Creases | None = None
+        self.creases: Any = None  # where bodies look out for walls, found when somebody asks (`creases.near_rises`)
 
     # ---- asking
 
@@ -217,17 +216,6 @@ class Ground:
     def laid_out(self, face: Index, c: Floats, s: Floats) -> Floats:
         """Vectors (3, n) in the world, from their parts along the two axes of their faces."""
         return self._table.axis1.take(face, axis=1) * c + self._table.axis2.take(face, axis=1) * s
-
-    def near_rises(self, place: Floats, reach: Floats) -> NDArray[np.bool_]:
-        """Whether at places [n,3] a surface may rise within `reach` [n] mm: at an inner crease, or another piece. Never false where
-        one does, and the same for a place and a reach whoever else is asked for."""
-        if self._creases is None:
-            self._creases = Creases(self._vertices[self._faces], self._table, self._still())
-        return self._creases.near(place.T, reach)
-
-    def _still(self) -> NDArray[np.bool_]:
-        """The faces that stay where they are."""
-        return np.ones(len(self._faces), np.bool_)
 
     # ---- moving
 

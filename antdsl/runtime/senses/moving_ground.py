@@ -84,17 +84,9 @@ class MovingGround(Ground):
         place = t.corner.take(face, axis=1) + footing.b1 * t.edge1.take(face, axis=1) + footing.b2 * t.edge2.take(face, axis=1)
         return np.ascontiguousarray(np.where(known, place, 0.0).T)
 
-    def near_rises(self, place: Floats, reach: Floats) -> NDArray[np.bool_]:
-        """As `Ground.near_rises`; near a mesh that moves anything may rise."""
-        found = super().near_rises(place, reach)
-        for k, name in enumerate(self.names):
-            if self._moves[k]:
-                low, high = self._ends[name]
-                found |= ((place >= low - reach[:, None]) & (place <= high + reach[:, None])).all(axis=1)
-        return found
-
-    def _still(self) -> NDArray[np.bool_]:
-        return ~self._moves.take(self._mesh)
+    def boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
+        """The meshes that move, where they are now: which faces are theirs, lowest and highest corner."""
+        return [(self._mesh == k, *self._ends[name]) for k, name in enumerate(self.names) if self._moves[k]]
 
     def _candidates(self, parts: Parts, body: float) -> Candidates:
         """Nothing: lists of what is near would have to be made for each frame, and take longer than the rays that they save."""
