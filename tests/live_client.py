@@ -20,7 +20,7 @@ from antdsl.runtime import state_hash
 
 Message = dict[str, Any]
 EXAMPLES = Path(__file__).parents[1] / "examples"
-PATIENCE = 20.0  # seconds
+PATIENCE = 60.0  # seconds
 
 
 class Page:

@@ -53,7 +53,7 @@ def previewed(scene: Path, *flags: str) -> Iterator[str]:
     finally:
         process.send_signal(signal.SIGINT)
         try:
-            rest, _ = process.communicate(timeout=20)
+            rest, _ = process.communicate(timeout=60)
         except subprocess.TimeoutExpired:
             process.kill()
             raise
@@ -77,7 +77,7 @@ class Seen:
         """A value of `window.antdsl`, or what a call of it gives."""
         return self.page.evaluate(f"(values) => window.antdsl.{what}" + ("(...values)" if values else ""), list(values))
 
-    def until(self, condition: str, seconds: float = 15.0, argument: Any = None) -> None:
+    def until(self, condition: str, seconds: float = 60.0, argument: Any = None) -> None:
         """Wait for a condition in the page's own language, with `a` for `window.antdsl` and `it` for the argument."""
         self.page.wait_for_function(
             f"(it) => {{ const a = window.antdsl; return a && ({condition}); }}", arg=argument, timeout=1000 * seconds, polling=50

@@ -28,7 +28,7 @@ def test_it_stops_where_an_agent_enters_a_state(browser: Browser, tmp_path: Path
         seen.find("break-state-form").get_by_role("button").click()
         seen.find("speed").select_option(index=seen.find("speed").locator("option").count() - 1)
         seen.press("play")
-        seen.find("fired").wait_for(timeout=30_000)
+        seen.find("fired").wait_for(timeout=60_000)
         assert re.search(r"forager \d+.* approach", seen.find("fired").text_content() or "")
         seen.until("a.counts()['forager.main.approach'] > 0")
         frame = seen.now("frame")
@@ -43,7 +43,7 @@ def test_a_state_of_the_graph_selects_its_agents(browser: Browser, tmp_path: Pat
         assert (seen.find("count-search").text_content() or "") == "100"
         seen.find("state-search").focus()
         seen.find("state-search").press("Enter")
-        seen.page.get_by_text("100 selected", exact=True).first.wait_for(state="attached", timeout=3000)
+        seen.page.get_by_text("100 selected", exact=True).first.wait_for(state="attached", timeout=60_000)
 
 
 def test_an_edit_at_an_earlier_frame_begins_a_branch(browser: Browser, tmp_path: Path) -> None:
@@ -53,7 +53,7 @@ def test_an_edit_at_an_earlier_frame_begins_a_branch(browser: Browser, tmp_path:
     branch = "() => document.querySelector('[data-test=branches]').textContent.includes({words!r})"
     with previewed(scene) as address, opened(browser, address) as seen:
         seen.press("play")
-        seen.find("paused-by").filter(has_text="frame 40 is the scene's last").wait_for(timeout=40_000)
+        seen.find("paused-by").filter(has_text="frame 40 is the scene's last").wait_for(timeout=60_000)
         assert seen.now("frame") == 40
         seen.find("scrub").focus()
         seen.find("scrub").fill("20")
@@ -62,17 +62,17 @@ def test_an_edit_at_an_earlier_frame_begins_a_branch(browser: Browser, tmp_path:
         assert not seen.find("edited").is_visible()
         text = program.read_text()
         program.write_text(text.replace("max_speed 30 mm/s", "max_speed 12 mm/s"))
-        seen.find("edited").wait_for(timeout=5000)
-        seen.find("outcome").filter(has_text="saved: forager.ant line 24 · kept 100 agents").wait_for(timeout=5000)
+        seen.find("edited").wait_for(timeout=60_000)
+        seen.find("outcome").filter(has_text="saved: forager.ant line 24 · kept 100 agents").wait_for(timeout=60_000)
         program.write_text(text)
-        seen.find("edited").wait_for(state="hidden", timeout=5000)  # it is what a fresh run gives again
+        seen.find("edited").wait_for(state="hidden", timeout=60_000)  # it is what a fresh run gives again
         program.write_text(text.replace("max_speed 30 mm/s", "max_speed 12 mm/s"))
-        seen.find("edited").wait_for(timeout=5000)
+        seen.find("edited").wait_for(timeout=60_000)
         assert seen.now("frame") == 20 and seen.find("scrub").get_attribute("max") == "20"
         seen.page.wait_for_function(branch.format(words="before: forager.ant line 24, at frame 20"), polling=50)
         seen.press("restart")
-        seen.find("edited").wait_for(state="hidden", timeout=8000)
-        seen.until("a.frame === 1", 8)
+        seen.find("edited").wait_for(state="hidden", timeout=60_000)
+        seen.until("a.frame === 1")
         seen.page.wait_for_function(branch.format(words="before: simulated again from the first frame, at frame 1"), polling=50)
 
 
@@ -81,7 +81,7 @@ def test_costs_are_told_by_phase_and_line(browser: Browser, tmp_path: Path) -> N
         seen.press("side-tab-profile")
         seen.find("profile-on").check()
         seen.press("play")
-        seen.page.get_by_test_id("profile").get_by_text("separate(").first.wait_for(timeout=15_000)
+        seen.page.get_by_test_id("profile").get_by_text("separate(").first.wait_for(timeout=60_000)
         words = seen.find("profile").text_content() or ""
         assert "move" in words and "decide" in words
 
@@ -89,7 +89,7 @@ def test_costs_are_told_by_phase_and_line(browser: Browser, tmp_path: Path) -> N
 def test_keys_reach_everything(browser: Browser, tmp_path: Path) -> None:
     with previewed(few(tmp_path, 100)) as address, opened(browser, address) as seen:
         seen.press("play")
-        seen.until("a.frame > 10", 20)
+        seen.until("a.frame > 10")
         seen.press("play")
         reached = set()
         for _ in range(60):
@@ -109,7 +109,7 @@ def test_keys_reach_everything(browser: Browser, tmp_path: Path) -> None:
         seen.page.keyboard.press("Space")
         seen.page.keyboard.press("n")
         seen.page.wait_for_function(
-            "() => /forager/.test(document.querySelector('[data-test=why-title]').textContent)", timeout=8000
+            "() => /forager/.test(document.querySelector('[data-test=why-title]').textContent)", timeout=60_000
         )
 
 
@@ -121,7 +121,7 @@ def test_markup_in_words_of_users_is_shown_as_words(browser: Browser, tmp_path: 
     program.write_text(text.replace("no crumb is lost or invented", bad))
     with previewed(scene) as address, opened(browser, address) as seen:
         seen.press("side-tab-sliders")
-        seen.find("params").get_by_text(bad).first.wait_for(timeout=3000)
+        seen.find("params").get_by_text(bad).first.wait_for(timeout=60_000)
         seen.press("side-tab-machine")
         seen.find("state-search").hover()
         seen.press("side-tab-breaks")
@@ -141,7 +141,7 @@ def test_a_name_with_markup_is_shown_as_words(browser: Browser, tmp_path: Path) 
         page = browser.new_page()
         page.route_web_socket("**/ws", other_names)
         page.goto(address)
-        page.wait_for_function("() => window.antdsl && window.antdsl.agents > 0", timeout=40_000)
+        page.wait_for_function("() => window.antdsl && window.antdsl.agents > 0", timeout=60_000)
         assert bad in (page.locator(".sight-legend").text_content() or "")
         page.get_by_test_id("side-tab-machine").click()
         assert bad in (page.get_by_test_id("chart").text_content() or "")
@@ -157,8 +157,8 @@ def test_a_page_that_lost_its_preview_says_so_and_comes_back(browser: Browser, t
         context = browser.new_context()
         page = context.new_page()
         page.goto(address)
-        page.wait_for_function("() => window.antdsl && window.antdsl.agents > 0", timeout=40_000)
+        page.wait_for_function("() => window.antdsl && window.antdsl.agents > 0", timeout=60_000)
     stale = page.locator("#stale")
-    stale.wait_for(timeout=8000)
+    stale.wait_for(timeout=60_000)
     assert "preview" in (stale.text_content() or "")
     context.close()

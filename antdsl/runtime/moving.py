@@ -73,7 +73,7 @@ def _arrive(
     whole: np.float32,
 ) -> NDArray[np.bool_]:
     """Velocity and heading where the walk of a substep has led, with place, and up as that of the ground there; says whose body
-    would tilt by more than `most` (radians) by that. What it tilts by, up to `most`, its heading turns less. `whole` is the time of
+    would tilt by more than `most` (radians) by that. What it tilts by, up to `most`, its heading turns less. `whole`: the time of
     all substeps."""
     now = population.now
     old_up = _read(population, "up")
