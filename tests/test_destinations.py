@@ -47,12 +47,8 @@ def asked(*words: str) -> Result:
         (("run", "scene.yaml", "--summary", "none/x.json"), "--summary", "there is no folder `none`"),
         (("run", "scene.yaml", "--summary", "taken/x.json"), "--summary", "there is no folder `taken`"),
         (("run", "scene.yaml", "--summary", "/dev/null"), "--summary", "is no regular file"),
-        (("run", "scene.yaml", "--out", "taken"), "--out", "taken` is no folder"),
-        (("run", "scene.yaml", "--out", "taken/deep/er"), "--out", "taken` is no folder"),
         (("test", ".", "--junit", "."), "--junit", "is a folder"),
         (("test", ".", "--json", "folder"), "--json", "is a folder"),
-        (("test", ".", "--keep", "taken"), "--keep", "is no folder"),
-        (("sweep", "scene.yaml", "--out", "taken"), "--out", "is no folder"),
         (("export", "folder", "--to", "other.usda"), "--to", "is a folder"),
         (("graph", "walker.ant", "--out", "x.svg"), "--out", "is a folder"),
     ],
@@ -66,11 +62,27 @@ def test_where_nothing_can_be_written_nothing_is_run(shot: Path, words: tuple[st
     assert (shot / "taken").read_text() == "mine" and not (shot / "out").exists()
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "scene.yaml", "--out", "taken"),
+        ("run", "scene.yaml", "--out", "taken/deep/er"),
+        ("test", ".", "--keep", "taken"),
+        ("sweep", "scene.yaml", "--out", "taken"),
+    ],
+)
+def test_a_file_is_no_folder_to_write_into(shot: Path, words: tuple[str, ...]) -> None:
+    done = asked(*words)
+    assert isinstance(done.exception, Stop) and done.exception.code == Exit.INPUT_OUTPUT
+    assert "taken` is a file" in done.exception.message and words[-2] in done.exception.hint
+    assert (shot / "taken").read_text() == "mine" and not (shot / "out").exists()
+
+
 def test_a_table_of_a_sweep_cannot_take_the_place_of_a_folder(shot: Path) -> None:
     (shot / "folder" / "runs").mkdir()
     (shot / "folder" / "sweep.json").mkdir()
     done = asked("sweep", "scene.yaml", "--out", "folder")
-    assert done.exit_code == Exit.USAGE and "sweep.json" in done.stderr
+    assert isinstance(done.exception, Stop) and "sweep.json` is a folder" in done.exception.message
 
 
 def test_a_folder_that_takes_no_files_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

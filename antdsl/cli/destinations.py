@@ -30,10 +30,11 @@ def folder_to_write(path: Path | None, flag: str, *names: str) -> None:
         return
     there = next(each for each in (path.absolute(), *path.absolute().parents) if os.path.lexists(each))
     if not there.is_dir():
-        raise typer.BadParameter(f"`{there}` is no folder", param_hint=flag)
+        raise Stop(Exit.INPUT_OUTPUT, f"error: `{there}` is a file, and a folder is wanted there", f"name another with `{flag}`")
     for name in names:
         if (path / name).is_dir():
-            raise typer.BadParameter(f"`{path / name}` is a folder, and a file is to be put there", param_hint=flag)
+            words = f"error: `{path / name}` is a folder, and a file is to be put there"
+            raise Stop(Exit.INPUT_OUTPUT, words, f"name another folder with `{flag}`")
     _try(there / ".antdsl.part", path, flag)
 
 
