@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime import kernels
 from antdsl.runtime import vectors as vec
 from antdsl.runtime.senses.neighbours import CellGrid
 
@@ -90,8 +89,7 @@ class Motion:
     def _step(self, world: World, population: Population) -> None:
         now, start = population.now, population.start
         chord = vec.length(tuple(now[f"heading.{a}"] - start[f"heading.{a}"] for a in "xyz"))  # type: ignore[arg-type]
-        half = np.minimum(chord * np.float32(0.5), np.float32(1))
-        angle = np.degrees(2 * kernels.atan2(half, np.sqrt(1 - half * half)))
+        angle = np.degrees(2 * np.arcsin(np.minimum(chord * np.float32(0.5), 1)))
         self.turns += np.bincount((angle * np.float32(_BINS / 180)).astype(np.int64), minlength=_BINS + 1)[: _BINS + 1]
         speed = vec.length(tuple(now[f"velocity.{a}"] for a in "xyz"))  # type: ignore[arg-type]
         wish = vec.length(tuple(now[f"push.{a}"] for a in "xyz")) > _WISH  # type: ignore[arg-type]
