@@ -110,7 +110,7 @@ def watch(world: World, frames: int, every: int = 24) -> Watched:
         seen.surface_error = max(seen.surface_error, surface_error(world))
         if frame and frame % every == 0:
             seen.concentration.append(concentration(world))
-            gap, _ = stones.apart(*world.populations["forager"].position.T)
+            gap, _ = stones.apart(*world.populations["forager"].position.T, within=np.inf)
             seen.in_stones = max(seen.in_stones, float(-gap.min()))
     return seen
 

@@ -8,65 +8,26 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parent.parent / "antdsl"
 ROOMS = ("runtime", "scene")  # what they give is, or becomes, a state
 # Of NumPy and math: their last bits depend on the processor, by what the library was compiled for or chooses when it runs.
-FUNCTIONS = frozenset(
-    [
-        "sin",
-        "cos",
-        "tan",
-        "arcsin",
-        "arccos",
-        "arctan",
-        "arctan2",
-        "asin",
-        "acos",
-        "atan",
-        "atan2",
-        "sinh",
-        "cosh",
-        "tanh",
-        "exp",
-        "exp2",
-        "expm1",
-        "log",
-        "log2",
-        "log10",
-        "log1p",
-        "pow",
-        "power",
-        "float_power",
-        "cbrt",
-        "hypot",
-        "dist",
-        "logaddexp",
-        "interp",
-        "sinc",
-        "einsum",
-        "dot",
-        "vdot",
-        "inner",
-        "outer",
-        "matmul",
-        "tensordot",
-        "linalg",
-        "convolve",
-        "correlate",
-        "fft",
-        "polyfit",
-    ]
-)
+FUNCTIONS = frozenset([
+    "sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
+    "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "pow", "power", "float_power", "cbrt", "hypot", "dist", "logaddexp",
+    "interp", "sinc", "einsum", "dot", "vdot", "inner", "outer", "matmul", "tensordot", "linalg", "convolve", "correlate", "fft",
+    "polyfit",
+])  # fmt: skip
 LIBRARIES = frozenset(["scipy", "skimage", "trimesh"])
 
 # Where one of these is used all the same, and why no state differs by it.
 ALLOWED = {
     "runtime/moving_compiled.py": {"cos": "only tells who surely turns by less; the rest is done with our own"},
+    "runtime/motion.py": {"arcsin": "a measure beside the state, counted in bins"},
     "runtime/pairs.py": {"log2": "the width of cells: which pairs are found does not depend on it"},
     "runtime/fields/pheromone.py": {
         "@": "a sparse matrix: SciPy adds row by row in the order of the columns, and is compiled for all processors alike",
         "scipy": "the same",
     },
-    "runtime/fields/cost.py": {"scipy": "a search by Dijkstra, whose sums are along ways"},
-    "runtime/fields/flow.py": {"scipy": "a tree: distances only sort"},
-    "runtime/flow_binding.py": {"scipy": "trees of places: distances only sort"},
+    "runtime/fields/cost.py": {"scipy": "Dijkstra's search, compiled alike for all x86-64; only a beginning"},
+    "runtime/fields/flow.py": {"scipy": "a tree of places, compiled for all x86-64 processors alike"},
+    "runtime/flow_binding.py": {"scipy": "the same trees"},
     "runtime/senses/curves.py": {
         "interp": "of one curve when it is bound: products and sums of single numbers",
         "scipy": "a tree that says which pieces to measure",

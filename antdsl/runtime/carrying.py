@@ -205,7 +205,7 @@ def _pushed(world: World, population: Population, name: str) -> None:
     for _ in range(_PUSHES):
         if not len(rows):
             return
-        gap, out = scene.apart(*vec.take(place, rows), world.options.threads)
+        gap, out = scene.apart(*vec.take(place, rows), margin[rows], world.options.threads)
         need = margin[rows] - gap
         here = np.flatnonzero(need > _F(1e-4) * np.maximum(margin[rows], _F(1e-6)))
         if not len(here):

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime import kernels
 from antdsl.runtime import vectors as vec
 from antdsl.runtime.heads import heads_inside
 from antdsl.runtime.overlaps import worst_overlaps
@@ -181,8 +180,7 @@ def _turned(population: Population, name: str) -> NDArray[np.float32]:
     """By how many degrees a unit vector of each agent has turned in the step."""
     now, start = population.now, population.start
     chord = vec.length(tuple(now[f"{name}.{a}"] - start[f"{name}.{a}"] for a in "xyz"))  # type: ignore[arg-type]
-    half = np.minimum(chord * np.float32(0.5), np.float32(1))
-    angle: NDArray[np.float32] = np.degrees(2 * kernels.atan2(half, np.sqrt(1 - half * half)))
+    angle: NDArray[np.float32] = np.degrees(2 * np.arcsin(np.minimum(chord * np.float32(0.5), 1)))
     return angle
 
 

@@ -99,7 +99,7 @@ def _keep_off(
 ) -> tuple[Vector, NDArray[np.bool_]]:
     """Steps that keep the margin from the nearest face, or win it back by at most half a step; and who is inside, so that no
     face may hold them there. A ray along a round wall sees nothing of it, and the ground may carry one sideways."""
-    gap, out = scene.apart(*place, threads)
+    gap, out = scene.apart(*place, size + margin, threads)
     wall = vec.unit(vec.flat((out[0], out[1], out[2]), up), (_F(0) * size,) * 3)
     least = np.minimum(margin - gap, size * _F(0.5))
     bent = vec.add(step, vec.scale(wall, np.maximum(least - vec.dot(step, wall), _F(0))))

@@ -163,7 +163,7 @@ class RayScene:
             rays[:, 3:] = w
             if most < np.inf:
                 # A ray that hits nothing costs the whole scene's length unless it has an end, which only occlusions know.
-                maybe = np.flatnonzero(self._occluded(rays, most * _END, threads))
+                maybe = self._occluded(rays, most * _END, threads).nonzero()[0]
                 rows, rays, a, w = (v.take(maybe, axis=0) for v in (rows, rays, a, w))
                 begin = None if begin is None else begin[maybe]
             if not rows.size:
@@ -187,7 +187,10 @@ class RayScene:
             order = np.argsort(rows)
             found = [(rows[order], here[order], named[order], weights[order])]
         rows, here, named, weights = found[0]
-        met = np.flatnonzero(here <= most)
+        near = here <= most
+        if near.all():
+            return found[0]
+        met = np.flatnonzero(near)
         return rows.take(met), here.take(met), named.take(met), weights.take(met, axis=0)
 
     def _named(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
@@ -227,11 +230,12 @@ class RayScene:
     # ---- nearest faces
 
     def closest(
-        self, points: Vectors, threads: int = 1
+        self, points: Vectors, threads: int = 1, within: NDArray[Any] | float = np.inf
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], Vectors, NDArray[np.float64]]:
         """Nearest surface of each point [n,3]: mesh, face, place [n,3] in float64 on that face, distance [n].
 
-        Slow far from the surface (10 to 30 rays' worth each): for the few that nothing else finds.
+        Slow far from the surface (10 to 30 rays' worth each): for the few that nothing else finds. Beyond `within` (mm, one or
+        float[n]) one that is as near on another side may stand for it.
         """
         n = len(points)
         if self._scene is None or n == 0:
@@ -241,10 +245,14 @@ class RayScene:
         place, square, face = self._faces.nearest(local, self._nearest(local, threads))
         # A little further away from it what is as near on another side is nearer: so it is known too, whichever was named.
         distance = np.sqrt(square)
-        away = (local - place) * (_APART * self._faces.hair / np.maximum(distance, 1e-30))[:, None]
-        there, apart, other = self._faces.nearest(local, self._nearest(local + away, threads))
-        nearer = np.flatnonzero((apart < square) | ((apart == square) & (other < face)))
-        place[nearer], face[nearer], distance[nearer] = there[nearer], other[nearer], np.sqrt(apart[nearer])
+        asked = np.flatnonzero(distance <= within)
+        if asked.size:
+            local, square, one = local[asked], square[asked], face[asked]
+            away = (local - place[asked]) * (_APART * self._faces.hair / np.maximum(distance[asked], 1e-30))[:, None]
+            there, apart, other = self._faces.nearest(local, self._nearest(local + away, threads))
+            nearer = np.flatnonzero((apart < square) | ((apart == square) & (other < one)))
+            rows = asked[nearer]
+            place[rows], face[rows], distance[rows] = there[nearer], other[nearer], np.sqrt(apart[nearer])
         return *self._counted(face), place + self.origin, distance
 
     def _about(self, points: Vectors) -> Vectors:
@@ -306,15 +314,16 @@ class RayScene:
         normal = np.zeros((3, n), np.float32)
         near = self._reachable(x, y, z, dx, dy, dz, reach)
         if near.size:
-            length = reach[near]
-            origin, way = np.empty((near.size, 3)), np.empty((near.size, 3))
+            length = reach.take(near)
+            origin, way = np.empty((3, near.size)), np.empty((3, near.size))
             for axis, (place, step) in enumerate(((x, dx), (y, dy), (z, dz))):
-                origin[:, axis] = place[near]
-                np.multiply(step[near], length, out=way[:, axis], dtype=np.float64)
-            met, part, face, _ = self._first(origin - self.origin, way, 1.0, threads)
-            near = near[met]
-            t[near] = part * length[met]
-            normal[:, near] = self._towards(face, way[met]).T
+                np.subtract(place.take(near), self.origin[axis], out=origin[axis])
+                np.multiply(step.take(near), length, out=way[axis], dtype=np.float64)
+            met, part, face, _ = self._first(origin.T, way.T, 1.0, threads)
+            if met.size:
+                near = near.take(met)
+                t[near] = part * length.take(met)
+                normal[:, near] = self._towards(face, way.T[met]).T
         return FeelerHits(np.isfinite(t), t, *normal)
 
     def near(
@@ -330,7 +339,7 @@ class RayScene:
                 self._grid = self._distances()
             asked = np.flatnonzero(self._grid.at_least(x, y, z) <= reach)
             points = np.stack([x[asked], y[asked], z[asked]], axis=1).astype(np.float64)
-            _, _, place, distance = self.closest(points, threads)
+            _, _, place, distance = self.closest(points, threads, reach[asked] * _END)
             met = np.flatnonzero(distance.astype(np.float32) <= reach[asked])
             away = (points[met] - place[met]) / np.maximum(distance[met], 1e-12)[:, None]
             t[asked[met]] = distance[met]
@@ -338,13 +347,13 @@ class RayScene:
         return FeelerHits(np.isfinite(t), t, *normal)
 
     def apart(
-        self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1
+        self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], within: NDArray[Any] | float, threads: int = 1
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """How far (mm, float32[n]) places are out of the meshes, below 0 inside, and the unit way out, float32[3,n].
 
         Inside is behind the nearest face; slow far from the surface."""
         points = np.stack([x, y, z], axis=1).astype(np.float64)
-        mesh, face, place, distance = self.closest(points, threads)
+        mesh, face, place, distance = self.closest(points, threads, within)
         if self._scene is None or not len(points):
             return distance.astype(np.float32), np.zeros((3, len(points)), np.float32)
         normal = self._faces.normal(face + self._first_face[mesh])
