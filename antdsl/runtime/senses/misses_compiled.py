@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.runtime.compiling import njit
-from antdsl.runtime.senses.packing import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, NORMAL, WIDTH
+from antdsl.runtime.senses.packing import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, NORMAL, WIDTH
 from antdsl.runtime.senses.surroundings import DEEP, GAP, HIGH
 
 _THIN = 0.05  # of its longest side: the height of triangles whose normal float32 cannot tell
@@ -33,20 +33,27 @@ def nothing_ahead(table, lists, noise, margin, body, lift, f, b1, b2, side, c, s
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def nothing_beyond(table, lists, noise, margin, body, f, b1, b2, side, c, s):  # type: ignore[no-untyped-def]
+def nothing_beyond(table, lists, noise, margin, body, f, edge, b1, b2, side):  # type: ignore[no-untyped-def]
     """Whether the rays of `Around.beyond` surely meet no face but the agent's own."""
     starts, counts, members = lists
     if not (body >= 0 and counts[f] >= 0):
         return False
-    place, up, way = _stand(table, WIDTH * f, b1, b2, side, c, s)
+    row = WIDTH * f
+    place, up, out = _stand(table, row, b1, b2, side, table[row + EDGE_S + edge], -table[row + EDGE_C + edge])
     body = max(body, 2 * noise)
-    gap = max(GAP * body, noise)
-    out = _plus(place, _times(way, gap))
-    above, down = _plus(out, _times(up, HIGH * body)), _times(up, -body)
-    below, back = _plus(out, _times(up, -DEEP * body)), _times(way, -(gap + HIGH * body))
+    gap, high = max(GAP * body, noise), HIGH * body
+    over, rise = _times(out, gap), _times(up, high)
+    above, below, back = _plus(place, rise), _plus(place, over), _times(out, -2 * gap)
+    start, room = _plus(place, _times(up, min(noise, high / 2))), _times(up, high - min(noise, high / 2))
+    top, fall = _plus(below, rise), _times(up, -2 * high)
+    little, deep = _plus(below, _times(up, -gap)), _plus(below, _times(up, -DEEP * body))
     for k in range(starts[f], starts[f] + counts[f]):
         row = WIDTH * members[k]
-        if not (missed(table, row, above, down, margin) and missed(table, row, below, back, margin)):
+        if not (missed(table, row, start, room, margin) and missed(table, row, above, over, margin)):
+            return False
+        if not (missed(table, row, top, fall, margin) and missed(table, row, little, back, margin)):
+            return False
+        if not missed(table, row, deep, back, margin):
             return False
     return True
 

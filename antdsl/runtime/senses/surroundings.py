@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from antdsl.runtime.senses.clearances import Parts
 from antdsl.runtime.senses.topology import NO_LINK, Topology
-from antdsl.runtime.senses.walk import Landing, Walkers, dot, in_frame
+from antdsl.runtime.senses.walk import Landing, Walkers, dot, in_frame, in_space
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -19,11 +19,12 @@ Weights = Callable[[Index, Floats], tuple[Floats, Floats]]
 
 LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
 GAP = 0.02  # of a body: how far beyond a border it looks down
-HIGH, DEEP = 0.5, 0.25  # of a body: from how far above, and how deep below it looks back
+HIGH, DEEP = 0.5, 0.25  # of a body: how far above and below a border it looks, and how deep back
 BEYOND = 0.6  # of a body: all that it looks at beyond a border and back below is nearer, but for noise
 NOISE = 1e-4  # of the extent of a ground: float32 rays err by less
 SKIP = 0.01  # of that noise: how far beyond the own surface, where that hides others, a ray goes on
 SHY = 0.1  # of what rays err: how near to a wall no way ends
+TURNED = -np.sqrt(0.5)  # cosine between the normals of two surfaces, below which the second is the back of the first
 AGAIN = 4  # times that it goes on
 TOUCH = 1e-5  # of that noise: how near feet are to what cuts their face when they are on it
 OFF = 16.0  # touches that they are put off the face they left: beyond all that is taken for its border
@@ -67,21 +68,22 @@ class Around:
         """What stands in the way: what cuts the own face, or another piece that is nearer."""
         asked = np.flatnonzero(self.near(walkers, rows, length))
         if not asked.size:
-            return Landing(asked, asked, *np.empty((4, 0)))
+            return _nothing()
         rows, length = rows.take(asked), length.take(asked)
-        face, hit, towards, gone = self._cut(walkers, rows, length)
+        face, hit, towards, gone, shut = self._cut(walkers, rows, length)
         if self._table.pieces > 1:
             other, there, down, before = self._other(walkers, rows, gone)
             met = np.flatnonzero(other >= 0)
-            face[met], gone[met] = other[met], before[met]
+            face[met], gone[met], shut[met] = other[met], before[met], False
             hit[:, met], towards[:, met] = there[:, met], down[:, met]
         who = np.flatnonzero((face >= 0) & (length > 0))
         if not who.size:
-            return Landing(who, who, *np.empty((4, 0)))
-        return self._landing(asked[who], face[who], hit[:, who], towards[:, who], gone[who])
+            return _nothing()
+        return self._landing(asked[who], face[who], hit[:, who], towards[:, who], gone[who], shut[who])
 
-    def _cut(self, walkers: Walkers, rows: Index, length: Floats) -> Met:
-        """The first face of the own piece that cuts the own face across the way: from there the way goes on upon it.
+    def _cut(self, walkers: Walkers, rows: Index, length: Floats) -> tuple[Index, Floats, Floats, Floats, NDArray[np.bool_]]:
+        """The first face of the own piece that cuts the own face across the way: from there the way goes on upon it. It ends
+        there, as the last array says, before the other side of an open sheet, and where there is no room.
 
         No eye looks for it, for at a cut every height above the feet is in another room somewhere. Feet keep off what cuts their
         face by more than a touch on the side they are on, which is a thousand times what float64 rounds: so they are always on
@@ -90,9 +92,10 @@ class Around:
         t, touch = self._table, TOUCH * self._noise
         place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
         face, gone, hit = np.full(rows.size, -1, np.int64), length.copy(), place + way * length
+        shut = np.zeros(rows.size, bool)
         which, other = t.cuts.of(walkers.face.take(rows))
         if not which.size:
-            return face, hit, way, gone
+            return face, hit, way, gone, shut
         normal, step = t.normal.take(other, axis=1), way.take(which, axis=1)
         begins = dot(normal, place.take(which, axis=1) - t.corner.take(other, axis=1))
         ends = begins + dot(normal, step) * length.take(which)
@@ -107,15 +110,21 @@ class Around:
         risen, towards = up.take(which, axis=1), dot(normal, step)
         leans = -dot(risen, normal) / np.where(towards != 0, towards, 1.0)
         order = np.lexsort((other, before + OFF * touch * np.clip(leans, -LEANING, LEANING), which))
-        first = order[np.unique(which[order], return_index=True)[1]]
+        begin = np.unique(which[order], return_index=True)[1]
+        first, soonest = order[begin], np.minimum.reduceat(before[order], begin) if begin.size else before
         which, other, risen, normal, there = which[first], other[first], risen[:, first], normal[:, first], there[:, first]
         steep = risen - dot(risen, normal) * normal
         off = steep * (OFF * touch / np.maximum(dot(steep, steep), STEEP))
         face[which], gone[which], hit[:, which] = other, before[first], there + off
-        tight = which[self._tight(other, walkers.face.take(rows[which]), there, off)]
-        face[tight], gone[tight], hit[:, tight] = walkers.face.take(rows[tight]), 0.0, place[:, tight]
-        way[:, tight] = -up[:, tight]
-        return face, hit, way, gone
+        own, side = walkers.face.take(rows[which]), walkers.side.take(rows[which])
+        back = ~self._together(own, side, other, self._side(other, way[:, which]))
+        ends = np.flatnonzero(back | self._tight(other, own, there, off))
+        # Up to where feet keep off what they come to, or, in a corner, not at all.
+        near = soonest[ends] - OFF * touch / np.maximum(np.abs(towards[first[ends]]), 1 / LEANING)
+        stop, near = which[ends], np.where(back[ends], np.maximum(near, 0.0), 0.0)
+        face[stop], gone[stop], shut[stop] = own[ends], near, True
+        hit[:, stop], way[:, stop] = place[:, stop] + way[:, stop] * near, -up[:, stop]
+        return face, hit, way, gone, shut
 
     def _tight(self, face: Index, own: Index, place: Floats, off: Floats) -> NDArray[np.bool_]:
         """Where three sheets meet: whether feet put upon a face at a place, and `off` from their own face, would be through a
@@ -241,38 +250,78 @@ class Around:
         part = np.where(towards != 0, apart / np.where(towards != 0, towards, 1.0), at)
         return part, np.abs(apart - towards)
 
-    def beyond(self, walkers: Walkers, rows: Index) -> Landing:
-        """Past an open border: what a ray down just beyond it meets, else what a ray back from below it meets. The other side of
-        the own sheet is not beyond its border."""
-        t = self._table
-        place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
-        body = np.maximum(self._body[rows], 2 * self._noise)
-        gap = np.maximum(GAP * body, self._noise)
-        down = -up * body
-        part, face = self._cast(place + way * gap + up * (HIGH * body), down, self._threads)
-        hit = place + way * gap + up * (HIGH * body) + down * np.where(np.isfinite(part), part, 0.0)
-        met = self._open(walkers, rows, face, down)
-        back = -way * (gap + HIGH * body)
-        start = place + way * gap - up * (DEEP * body)
-        part2, face2 = self._cast(start, back, self._threads)
-        below = ~met & self._open(walkers, rows, face2, back)
-        hit = np.where(below, start + back * np.where(np.isfinite(part2), part2, 0.0), hit)
-        face, towards = np.where(below, face2, face), np.where(below, back, down)
-        who = np.flatnonzero(met | below)
-        gone = np.where(below, DEEP * body, gap)[who]
-        return self._landing(who, face[who], hit[:, who], towards[:, who], gone)
+    def beyond(self, walkers: Walkers, rows: Index, half: Index) -> Landing:
+        """Past the open border half-edges `half` where `rows` stand: what is met first on a way that leads up off the own face,
+        out over the border and down beyond it, and then back towards it from below, a little and deeper.
 
-    def _open(self, walkers: Walkers, rows: Index, face: Index, towards: Floats) -> NDArray[np.bool_]:
-        """Who of `rows` may step over to the faces that rays meet (-1 for none): not to the other side of the sheet walked on."""
-        t, own = self._table, walkers.face.take(rows)
-        there = np.where(self._side(face, towards) < 0, 1, 0)
-        here = np.where(walkers.side.take(rows) < 0, 1, 0)
-        round_it = (t.piece.take(face) == t.piece.take(own)) & (t.way[there, face] != t.way[here, own])
-        return (face >= 0) & (face != own) & ~round_it
+        Each part of that way begins where the one before it ended and goes no further than the first surface in it: so nothing
+        behind a sheet is stepped onto. It is as wide as the gap that is stepped over, on both sides of the border.
+        """
+        t = self._table
+        place, up = walkers.place(t, rows), walkers.up(t, rows)
+        out = in_space(t, walkers.face.take(rows), t.edge_s.take(half), -t.edge_c.take(half))
+        body = np.maximum(self._body.take(rows), 2 * self._noise)
+        gap = np.maximum(GAP * body, self._noise)
+        high = self._room(place, up, HIGH * body)
+        shut = self._first(place + up * high, out * gap)[0] >= 0
+        high = np.where(shut, np.minimum(high, np.maximum(LIFT * body, self._noise)), high)
+        low = np.flatnonzero(shut)
+        face, hit, towards = np.full(rows.size, -1, np.int64), place.copy(), out.copy()
+        face[low], hit[:, low] = self._first((place + up * high).take(low, axis=1), (out * gap).take(low, axis=1))
+        open_ = face < 0
+        edge = place + out * gap
+        below, floor = self._first(edge + up * high, -up * (high + HIGH * body))
+        depth = np.where(below >= 0, -dot(floor - place, up), HIGH * body)
+        onto = open_ & (below >= 0) & self._leads(walkers, rows, below, -up)
+        face, hit, towards = np.where(onto, below, face), np.where(onto, floor, hit), np.where(onto, -up, towards)
+        done = ~open_ | onto
+        for deep in (gap, DEEP * body):
+            asked = np.flatnonzero(~done & (deep < depth))
+            back = (-2 * gap * out).take(asked, axis=1)
+            wall, there = self._first((edge - up * deep).take(asked, axis=1), back)
+            onto = (wall >= 0) & self._leads(walkers, rows.take(asked), wall, back)
+            who = asked[onto]
+            face[who], hit[:, who], towards[:, who] = wall[onto], there[:, onto], back[:, onto]
+            done[asked[wall >= 0]] = True
+        who = np.flatnonzero((face >= 0) & self._leads(walkers, rows, face, towards))
+        gone = hit[:, who] - place[:, who]
+        return self._landing(who, face[who], hit[:, who], towards[:, who], np.sqrt(dot(gone, gone)))
+
+    def _room(self, place: Floats, up: Floats, high: Floats) -> Floats:
+        """How high above places there is room, at most `high`: half of it where there is a ceiling."""
+        grain = np.fmin(self._noise, high / 2)
+        part, face = self._cast(place + up * grain, up * (high - grain), self._threads)
+        return np.where(face >= 0, (grain + np.where(face >= 0, part, 0.0) * (high - grain)) / 2, high)
+
+    def _first(self, origin: Floats, step: Floats) -> tuple[Index, Floats]:
+        """The first face that rays meet (-1 for none), and where."""
+        part, face = self._cast(origin, step, self._threads)
+        return face, origin + step * np.where(face >= 0, part, 1.0)
+
+    def _leads(self, walkers: Walkers, rows: Index, face: Index, towards: Floats) -> NDArray[np.bool_]:
+        """Who of `rows` may step over a border to the faces that rays meet (-1 for none): nobody to the other side of what is
+        walked on, nor to what turns back below it as that side does."""
+        own, side = walkers.face.take(rows), self._side(face, towards)
+        level = dot(self._table.normal.take(face, axis=1) * side, walkers.up(self._table, rows))
+        return (face >= 0) & (face != own) & (level > TURNED) & self._together(own, walkers.side.take(rows), face, side)
+
+    def _together(self, face: Index, side: Floats, other: Index, there: Floats) -> NDArray[np.bool_]:
+        """Whether sides of faces are of two pieces or hang together: other sides of the own sheet are never come to."""
+        t = self._table
+        way = (t.way[np.where(s < 0, 1, 0), f] for f, s in ((face, side), (other, there)))
+        found: NDArray[np.bool_] = (t.piece.take(face) != t.piece.take(other)) | np.equal(*way)
+        return found
 
     def _side(self, face: Index, towards: Floats) -> Floats:
         """The side of a face that a ray came from is the side to walk on."""
         return np.where(dot(self._table.normal.take(face, axis=1), towards) > 0, -1.0, 1.0)
 
-    def _landing(self, who: Index, face: Index, hit: Floats, towards: Floats, gone: Floats) -> Landing:
-        return Landing(who, face, *self._weights(face, hit), self._side(face, towards), gone)
+    def _landing(
+        self, who: Index, face: Index, hit: Floats, towards: Floats, gone: Floats, shut: NDArray[np.bool_] | None = None
+    ) -> Landing:
+        shut = np.zeros(who.size, bool) if shut is None else shut
+        return Landing(who, face, *self._weights(face, hit), self._side(face, towards), gone, shut)
+
+
+def _nothing() -> Landing:
+    return Landing(*np.empty((2, 0), np.int64), *np.empty((4, 0)), np.empty(0, bool))

@@ -23,7 +23,8 @@ HOPS = 6  # from surface to surface, or turns along a border, in one step
 
 @dataclass(frozen=True, slots=True)
 class Landing:
-    """Where walkers step over to: which of those asked (`who`), the face, its weights, the side, and the way already gone."""
+    """Where walkers step over to: which of those asked (`who`), the face, its weights, the side, the way already gone, and for
+    whom it ends there (`shut`): what stands in their way is not walked on."""
 
     who: Index
     face: Index
@@ -31,6 +32,7 @@ class Landing:
     b2: Floats
     side: Floats
     gone: Floats
+    shut: NDArray[np.bool_]
 
 
 class Surroundings(Protocol):
@@ -39,8 +41,8 @@ class Surroundings(Protocol):
     def ahead(self, walkers: Walkers, rows: Index, length: Floats) -> Landing:
         """What stands in the way of `rows` within `length` along their face."""
 
-    def beyond(self, walkers: Walkers, rows: Index) -> Landing:
-        """Where `rows`, who stand on an open border, can step over to."""
+    def beyond(self, walkers: Walkers, rows: Index, half: Index) -> Landing:
+        """Where `rows`, who stand on the open border half-edges `half`, can step over to."""
 
 
 @dataclass(slots=True)
@@ -208,6 +210,8 @@ def _land(table: Topology, w: Walkers, asked: Index, landing: Landing, hops: NDA
     w.face[rows], w.b1[rows], w.b2[rows], w.side[rows] = landing.face, landing.b1, landing.b2, landing.side
     w.left[rows] = np.maximum(w.left[rows] - landing.gone, 0.0)
     w.gone[rows] += landing.gone
+    w.left[rows[landing.shut]] = 0.0
+    w.blocked[rows[landing.shut]] = True
     _spend_hop(w, rows, hops)
 
 
@@ -277,7 +281,7 @@ def border(
     around: Surroundings,
 ) -> None:
     """Step over an open border where something lies beyond it, else walk along it as far as the way leads along."""
-    landing = around.beyond(w, rows)
+    landing = around.beyond(w, rows, half)
     stays = np.ones(rows.size, bool)
     stays[landing.who] = False
     if landing.who.size:

@@ -116,7 +116,7 @@ def walk_on(  # type: ignore[no-untyped-def]
                     break
                 looked = True
             elif event == BORDER:
-                if not nothing_beyond(table, beyond, noise, margin, size, f, b1, b2, side, c, s):
+                if not nothing_beyond(table, beyond, noise, margin, size, f, edge, b1, b2, side):
                     break
                 c, s, left = _along(table[WIDTH * f + EDGE_C + edge], table[WIDTH * f + EDGE_S + edge], c, s, left)
                 turn += 1
