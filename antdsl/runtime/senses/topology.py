@@ -12,6 +12,7 @@ from antdsl.runtime.senses.self_cuts import Cuts, cuts
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+Index = NDArray[np.int64]
 
 _WELD = 1e-6  # of the extent: corners nearer than this are one corner
 _THROUGH = 1e-9  # of the extent: what comes nearer to a face touches it
@@ -54,6 +55,12 @@ class Topology:
     forked: bool  # whether any edge leads on differently on its two sides, being of more than two faces
     smooth: Floats  # (9, m): unit normal at corner 0, 1, 2
     weld: Ints  # (m, 3): numbers of corners, those of one place being one
+
+    def together(self, face: Index, side: Floats, other: Index, there: Floats) -> NDArray[np.bool_]:
+        """Whether sides (1 that of the normal, -1) of faces are of two pieces, or may be come to from each other in one."""
+        way = (self.way[np.where(s < 0, 1, 0), f] for f, s in ((face, side), (other, there)))
+        found: NDArray[np.bool_] = (self.piece.take(face) != self.piece.take(other)) | np.equal(*way)
+        return found
 
     def copy(self) -> Topology:
         """One whose shape may be changed without changing this."""
