@@ -5,72 +5,95 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.runtime.compiling import njit
-from antdsl.runtime.senses.boxes_compiled import first_met
+from antdsl.runtime.senses.boxes_compiled import first_of, gather
 from antdsl.runtime.senses.packing import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, NORMAL, WIDTH
-from antdsl.runtime.senses.surroundings import DEEP, FARTHEST, GAP, HIGH, LIFT, TURNED
-from antdsl.runtime.senses.vectors_compiled import at, dot, inside, level, minus, more, plus, times, turned
+from antdsl.runtime.senses.surroundings import DEEP, GAP, HIGH, LIFT, STEEPEST, TURNED
+from antdsl.runtime.senses.vectors_compiled import at, dot, inside, less, level, minus, more, plus, times, turned
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def other_ahead(table, sides, boxes, scale, body, f, b1, b2, side, c, s, length):  # type: ignore[no-untyped-def]
-    """As `Around._other`: the face met (-1 for none), weights, side to walk on, way gone."""
+def other_ahead(table, sides, boxes, scale, found, body, f, b1, b2, side, c, s, left, length):  # type: ignore[no-untyped-def]
+    """As `Around._other`: the face met (-1 for none), weights, side to walk on, way gone. `found` has room for all faces."""
     pieces, _ = sides
-    noise, fine, under = scale
+    least, fine, under = scale
     row, piece = WIDTH * f, pieces[f]
     place, up, way = stand(table, row, b1, b2, side), times(at(table, row + NORMAL), side), _in_space(table, row, c, s)
-    high = more(LIFT * body, noise)
-    roof, part, _, _ = _first(table, pieces, boxes, place, times(up, high), fine, -1, piece)
+    high = more(less(LIFT * body, left / STEEPEST), least)
+    n = gather(pieces, boxes, place, plus(place, times(way, length)), high + 2 * fine, -1, piece, found)
+    if n == 0:
+        return -1, 0.0, 0.0, 1.0, length
+    roof, part, _, _ = first_of(table, boxes, found, n, place, times(up, high), fine)
     if roof >= 0 and (dot(at(table, WIDTH * roof + NORMAL), up) < 0 or high * part > under):
         high = high * part / 2
     eye, step = plus(place, times(up, high)), times(way, length)
-    face, part, one, two = _first(table, pieces, boxes, eye, step, fine, -1, piece)
+    face, part, one, two = first_of(table, boxes, found, n, eye, step, fine)
     gone, towards = length, way
     if face >= 0:
         gone = min(part, 1.0) * length
     else:
         towards = times(up, -high)
-        face, _, one, two = _first(table, pieces, boxes, plus(eye, step), towards, 0.0, -1, piece)
+        face, _, one, two = first_of(table, boxes, found, n, plus(eye, step), towards, 0.0)
     if face < 0:
         return face, 0.0, 0.0, 1.0, length
     one, two = inside(one + 0.0, two + 0.0)
-    return face, one, two, _side(table, face, towards), gone
+    return face, one, two, _side(table, face, towards), min(np.sqrt(gone * gone + high * high), left)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def beyond(table, sides, boxes, scale, body, f, edge, b1, b2, side):  # type: ignore[no-untyped-def]
+def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # type: ignore[no-untyped-def]
     """As `Around.beyond`: the face stepped over to (-1 for none), weights, side, way gone on its level, and how high that is."""
     pieces, _ = sides
-    noise, fine, _ = scale
+    least, fine, _ = scale
     row = WIDTH * f
     place, up = stand(table, row, b1, b2, side), times(at(table, row + NORMAL), side)
     out = _in_space(table, row, table[row + EDGE_S + edge], -table[row + EDGE_C + edge])
-    body = more(body, 2 * noise)
+    body = more(body, least / LIFT)
     gap, high = GAP * body, HIGH * body
     most, across = high, times(out, gap)
-    roof, part, _, _ = _first(table, pieces, boxes, plus(place, times(up, fine)), times(up, high - fine), 0.0, f, -1)
+    rise = times(up, high)
+    n = gather(pieces, boxes, plus(place, rise), minus(place, rise), gap + 2 * fine, f, -1, found)
+    if n == 0:
+        return -1, 0.0, 0.0, 1.0, 0.0, 0.0
+    roof, part, _, _ = first_of(table, boxes, found, n, plus(place, times(up, fine)), times(up, high - fine), 0.0)
     if roof >= 0:
         high = (fine + part * (high - fine)) / 2
-    if _first(table, pieces, boxes, plus(place, times(up, high)), across, 0.0, f, -1)[0] >= 0:
-        high = min(high, more(LIFT * body, fine))
-        face, part, one, two = _first(table, pieces, boxes, plus(place, times(up, high)), across, 0.0, f, -1)
+    if first_of(table, boxes, found, n, plus(place, times(up, high)), across, 0.0)[0] >= 0:
+        high = min(high, LIFT * body)
+        face, part, one, two = first_of(table, boxes, found, n, plus(place, times(up, high)), across, 0.0)
         if face >= 0:
-            return _leading(table, sides, f, side, up, face, one, two, out, gap * min(part, 1.0), high)
-    over, fall = plus(place, across), times(up, -(high + most))
-    face, part, one, two = _first(table, pieces, boxes, plus(over, times(up, high)), fall, 0.0, f, -1)
-    height = -most
+            gone = gap * min(part, 1.0)
+            if abs(high) <= gap:
+                return _leading(table, sides, f, side, up, face, one, two, out, np.sqrt(gone * gone + high * high), 0.0)
+            return _leading(table, sides, f, side, up, face, one, two, out, gone, high)
+    over, towards = plus(place, across), times(up, -(high + most))
+    face, part, one, two = first_of(table, boxes, found, n, plus(over, times(up, high)), towards, 0.0)
+    rise, gone = -most, gap
     if face >= 0:
-        height = high - part * (high + most)
-        found = _leading(table, sides, f, side, up, face, one, two, fall, gap, height)
-        if found[0] >= 0:
-            return found
-    back = times(out, -2 * gap)
-    for deep in (GAP * body, DEEP * body):
-        if height < -deep:
-            face, part, one, two = _first(table, pieces, boxes, minus(over, times(up, deep)), back, 0.0, f, -1)
-            if face >= 0:
-                gone = abs(gap - part * (2 * gap))
-                return _leading(table, sides, f, side, up, face, one, two, back, gone, -deep)
-    return -1, 0.0, 0.0, 1.0, 0.0, 0.0
+        rise = high - part * (high + most)
+        if not _leads(table, sides, f, side, up, face, towards):
+            face = -1
+    if face < 0:
+        level, towards = rise, times(out, -2 * gap)
+        for deep in (GAP * body, DEEP * body):
+            if level < -deep:
+                face, part, one, two = first_of(table, boxes, found, n, minus(over, times(up, deep)), towards, 0.0)
+                if face >= 0:
+                    rise, gone = -deep, abs(gap - part * (2 * gap))
+                    break
+    if face < 0 or not _leads(table, sides, f, side, up, face, towards):
+        return -1, 0.0, 0.0, 1.0, 0.0, 0.0
+    if rise < -gap:
+        fall = times(up, rise + fine)
+        sooner, part, b1, b2 = first_of(table, boxes, found, n, minus(place, times(up, fine)), fall, 0.0)
+        if sooner >= 0:
+            face, one, two, towards = sooner, b1, b2, fall
+            rise, gone = part * (rise + fine) - fine, 0.0
+    if abs(rise) <= gap:
+        return _leading(table, sides, f, side, up, face, one, two, towards, np.sqrt(gone * gone + rise * rise), 0.0)
+    if rise > gap:
+        above = min(rise + gap, high)
+        rise, gone = above, gone + (above - rise)
+    return _leading(table, sides, f, side, up, face, one, two, towards, gone, rise)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -104,19 +127,19 @@ def _side(table, face, towards):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _first(table, pieces, boxes, origin, step, fine, face, piece):  # type: ignore[no-untyped-def]
-    over = min(fine / max(np.sqrt(dot(step, step)), 1e-300), FARTHEST)
-    return first_met(table, pieces, boxes, origin, step, over, face, piece)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _leading(table, sides, f, side, up, face, b1, b2, towards, gone, rise):  # type: ignore[no-untyped-def]
-    """As `Around._leads` and `_landing`."""
+def _leads(table, sides, f, side, up, face, towards):  # type: ignore[no-untyped-def]
+    """As `Around._leads`."""
     pieces, ways = sides
     there = _side(table, face, towards)
     here, other = 1 if side < 0 else 0, 1 if there < 0 else 0
     alike = pieces[f] != pieces[face] or ways[here, f] == ways[other, face]
-    if not (alike and dot(times(at(table, WIDTH * face + NORMAL), there), up) > TURNED):
+    return alike and dot(times(at(table, WIDTH * face + NORMAL), there), up) > TURNED
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _leading(table, sides, f, side, up, face, b1, b2, towards, gone, rise):  # type: ignore[no-untyped-def]
+    """As `Around._landing`, of who is led there."""
+    if not _leads(table, sides, f, side, up, face, towards):
         return -1, 0.0, 0.0, 1.0, 0.0, 0.0
     b1, b2 = inside(b1 + 0.0, b2 + 0.0)
-    return face, b1, b2, there, gone, rise
+    return face, b1, b2, _side(table, face, towards), gone, rise

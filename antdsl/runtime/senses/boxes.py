@@ -16,8 +16,9 @@ from antdsl.runtime.senses.walk import cross, dot
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-WIDE = 4  # boxes in one box, and triangles in the smallest
+WIDE = 4  # boxes in one box
 EDGE = 1e-9  # of a triangle's weights: how far beside it a way still meets it, so that none slips between two that share an edge
+FARTHEST = 1e6  # times its length that a way is made longer, at most
 LEVEL = 1e-12  # sine between a way and a plane, below which it lies along it and meets nothing
 _AT_ONCE = 16_384  # ways
 _FINE = 1 << 21  # places along an axis that the order tells apart
@@ -25,7 +26,7 @@ _FINE = 1 << 21  # places along an axis that the order tells apart
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boxes:
-    """Triangles in the `order` in which they lie in the smallest boxes, and the `bounds` (n, 6) of all boxes, least x, y, z and
+    """Triangles in the `order` of the smallest boxes, each around one, and the `bounds` (n, 6) of all boxes, least x, y, z and
     most: those of level k, which hold `WIDE` of the level below each, from `first[k]` to before `first[k + 1]`."""
 
     order: Index
@@ -37,7 +38,7 @@ class Boxes:
         """Over the `live` ones of triangles with corners float64[m,3,3]; those of one `group` int32[m] lie together. The order is
         that of Morton, so that neighbours share boxes (Lauterbach et al., Fast BVH Construction on GPUs, 2009, p. 376-378)."""
         order = live[np.lexsort((_morton(corners[live].mean(axis=1)), group[live]))]
-        counts = [-(-live.size // WIDE)]
+        counts = [live.size]
         while counts[-1] > 1:
             counts.append(-(-counts[-1] // WIDE))
         first = np.cumsum([0, *counts])
@@ -49,12 +50,13 @@ class Boxes:
         """The same triangles elsewhere: changes `bounds`."""
         low, high = (_sides(corners, which).take(self.order, axis=0) for which in (np.minimum, np.maximum))
         for k in range(len(self.first) - 1):
-            low, high = _joined(low, np.minimum), _joined(high, np.maximum)
+            if k:
+                low, high = _joined(low, np.minimum), _joined(high, np.maximum)
             self.bounds[self.first[k] : self.first[k + 1], :3] = low
             self.bounds[self.first[k] : self.first[k + 1], 3:] = high
 
     def near(self, low: Floats, high: Floats) -> tuple[Index, Index]:
-        """Pairs of a box (3, k) asked about and a triangle whose smallest box overlaps it."""
+        """Pairs of a box (3, k) asked about and a triangle whose box overlaps it."""
         asked, node = np.arange(low.shape[1]), np.zeros(low.shape[1], np.int64)
         if not self.order.size:
             return asked[:0], node[:0]
@@ -64,28 +66,30 @@ class Boxes:
             for axis in (1, 2):
                 over &= (bounds[axis] <= high[axis].take(asked)) & (bounds[3 + axis] >= low[axis].take(asked))
             asked, node = asked[over], node[over]
-            count = self.first[k] - self.first[k - 1] if k else self.order.size
-            node = (WIDE * node[:, None] + np.arange(WIDE)).ravel()
-            inside = node < count
-            asked, node = np.repeat(asked, WIDE)[inside], node[inside]
+            if k:
+                node = (WIDE * node[:, None] + np.arange(WIDE)).ravel()
+                real = node < self.first[k] - self.first[k - 1]
+                asked, node = np.repeat(asked, WIDE)[real], node[real]
         return asked, self.order.take(node)
 
 
 def first_met(
-    boxes: Boxes, table: Topology, origin: Floats, step: Floats, over: Floats, face: Index, piece: NDArray[np.int32]
+    boxes: Boxes, table: Topology, origin: Floats, step: Floats, fine: float, face: Index, piece: NDArray[np.int32]
 ) -> tuple[Index, Floats, Floats, Floats]:
     """The first triangle that straight ways (3, n) meet (-1 for none), after what part of them, and its weights there.
 
-    Ways go `over` (a part of them) further than their step. They pass a `face`, and all of a `piece`; -1 passes none. Of two
-    triangles that are met at once it is the first by number. Triangles are met from both sides, and by no way that lies in their
-    plane (Möller, Trumbore, Fast, Minimum Storage Ray/Triangle Intersection, 1997, p. 22-24).
+    Ways go on by `fine` mm. They pass a `face`, and all of a `piece`; -1 passes none. Met are triangles whose boxes overlap that
+    of the way, from both sides, and by no way that lies in their plane; of two that are met at once the first by number (Möller,
+    Trumbore, Fast, Minimum Storage Ray/Triangle Intersection, 1997, p. 22-24).
     """
     n = origin.shape[1]
     found, part, b1, b2 = np.full(n, -1, np.int64), np.full(n, np.inf), np.zeros(n), np.zeros(n)
     for start in range(0, n, _AT_ONCE):
         some = slice(start, start + _AT_ONCE)
-        o, d, most = origin[:, some], step[:, some], over[some]
-        end = o + d * (1.0 + most)
+        o, d = origin[:, some], step[:, some]
+        square = dot(d, d)
+        long = 1.0 + np.minimum(fine / np.maximum(np.sqrt(square), 1e-300), FARTHEST)
+        end = o + d * long
         ray, there = boxes.near(np.minimum(o, end), np.maximum(o, end))
         kept = (there != face[some].take(ray)) & (table.piece.take(there) != piece[some].take(ray))
         ray, there = ray[kept], there[kept]
@@ -93,11 +97,11 @@ def first_met(
         way, s = d.take(ray, axis=1), o.take(ray, axis=1) - table.corner.take(there, axis=1)
         p = cross(way, e2)
         det = dot(e1, p)
-        level = np.abs(det) <= LEVEL * np.sqrt(dot(way, way) * dot(e1, e1) * dot(e2, e2))
+        level = np.abs(det) <= LEVEL * np.sqrt(square.take(ray) * dot(e1, e1) * dot(e2, e2))
         safe = np.where(level, 1.0, det)
         q = cross(s, e1)
         u, v, t = dot(s, p) / safe, dot(way, q) / safe, dot(e2, q) / safe
-        hit = ~level & (u >= -EDGE) & (v >= -EDGE) & (u + v <= 1.0 + EDGE) & (t >= 0) & (t <= 1.0 + most.take(ray))
+        hit = ~level & (u >= -EDGE) & (v >= -EDGE) & (u + v <= 1.0 + EDGE) & (t >= 0) & (t <= long.take(ray))
         ray, there, u, v, t = (a[hit] for a in (ray, there, u, v, t))
         order = np.lexsort((there, t, ray))
         ray, nearest = np.unique(ray[order], return_index=True)

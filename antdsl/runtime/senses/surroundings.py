@@ -17,28 +17,30 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
+STEEPEST = 8.0  # of that height is the way left at least: who climbs comes up by it besides
 GAP = 0.02  # of a body: how far beyond a border it looks for what continues there
 HIGH, DEEP = 0.5, 0.25  # of a body: how far above and below a border it looks, and how deep back
-NOISE = 1e-4  # of the extent of a ground: least height of eyes, and more than distances to other pieces err by
+NOISE = 1e-4  # of the extent of a ground: more than distances to other pieces err by
+LEAST = 1e-6  # of that extent: least height of eyes
 FINE = 1e-8  # of that extent: nearer surfaces are at one place
 TOUCH = 1e-9  # of that extent: how near feet are to what cuts their face when they are on it
-TURNED = -0.7071067811865476  # cosine between two normals, below which the second is the back of the first
-FARTHEST = 1e6  # times its length that a way is made longer, at most
+TURNED = -0.17  # cosine between two normals, of about 100 degrees: below it nothing leads from the one over a border to the other
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Lengths in mm that depend on the size of a ground: NOISE, FINE and TOUCH of it, and how far above feet what shows its back
-    may be and still be below them."""
+    """Lengths in mm that depend on the size of a ground: NOISE, LEAST, FINE and TOUCH of it, and how far above feet what shows
+    its back may be and still be below them."""
 
     noise: float
+    least: float
     fine: float
     touch: float
     under: float
 
     @staticmethod
     def of(extent: float) -> Scale:
-        return Scale(NOISE * extent, FINE * extent, TOUCH * extent, 10 * FINE * extent)
+        return Scale(NOISE * extent, LEAST * extent, FINE * extent, TOUCH * extent, 10 * FINE * extent)
 
 
 class Around:
@@ -76,7 +78,7 @@ class Around:
         t, scale = self._table, self._scale
         place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
         piece = t.piece.take(walkers.face.take(rows))
-        high = np.fmax(LIFT * self._body.take(rows), scale.noise)
+        high = np.fmax(np.fmin(LIFT * self._body.take(rows), walkers.left.take(rows) / STEEPEST), scale.least)
         roof, part, _, _ = self._first(place, up * high, scale.fine, piece=piece)
         # What shows its back a grain above the agent is below it: feet may be that far in the ground that they climb.
         front = dot(t.normal.take(roof, axis=1), up) < 0
@@ -88,6 +90,7 @@ class Around:
         found = np.flatnonzero(face >= 0)
         met.face[found], met.b1[found], met.b2[found] = face[found], b1[found], b2[found]
         met.gone[found] = np.minimum(part[found], 1.0) * length[found]
+        climb = np.sqrt(met.gone * met.gone + high * high)
         # What has come between the eye and the ground is below the next eye, that of the face round the edge or of the next step.
         still = np.flatnonzero(face < 0)
         down = up.take(still, axis=1) * -high.take(still)
@@ -96,6 +99,7 @@ class Around:
         between = still[found]
         met.face[between], met.b1[between], met.b2[between] = face[found], b1[found], b2[found]
         met.towards[:, between] = down[:, found]
+        met.gone[:] = np.where(met.face >= 0, np.minimum(climb, walkers.left.take(rows)), met.gone)
         return met
 
     def beyond(self, walkers: Walkers, rows: Index, half: Index) -> Landing:
@@ -108,14 +112,15 @@ class Around:
         t, own = self._table, walkers.face.take(rows)
         place, up = walkers.place(t, rows), walkers.up(t, rows)
         out = in_space(t, own, t.edge_s.take(half), -t.edge_c.take(half))
-        body = np.maximum(self._body.take(rows), 2 * self._scale.noise)
+        body = np.fmax(self._body.take(rows), self._scale.least / LIFT)
         gap, high, fine = GAP * body, HIGH * body, self._scale.fine
         roof, part, _, _ = self._first(place + up * fine, up * (high - fine), 0.0, face=own)
         high = np.where(roof >= 0, (fine + np.where(roof >= 0, part, 0.0) * (high - fine)) / 2, high)
         shut = self._first(place + up * high, out * gap, 0.0, face=own)[0] >= 0
-        high = np.where(shut, np.minimum(high, np.maximum(LIFT * body, fine)), high)
+        high = np.where(shut, np.minimum(high, LIFT * body), high)
         face, part, b1, b2 = self._first(place + up * high, out * gap, 0.0, face=own)
         met, rise, done = Met.nothing(out, gap * np.minimum(part, 1.0)), high.copy(), face >= 0
+        before = done.copy()
         met.face[:], met.b1[:], met.b2[:] = face, b1, b2
         over = place + out * gap
         fall = -up * (high + HIGH * body)
@@ -134,6 +139,20 @@ class Around:
             who = asked[onto]
             met.face[who], met.b1[who], met.b2[who], met.towards[:, who] = face[onto], b1[onto], b2[onto], back[:, who]
             rise[who], met.gone[who] = -deep[who], np.abs(gap[who] - part[onto] * (2 * gap[who]))
+        # Down at the border itself, where what was met may be met sooner; up to above it; straight across to what is near.
+        low = np.flatnonzero((met.face >= 0) & (rise < -gap))
+        fall = (up * (rise + fine)).take(low, axis=1)
+        face, part, b1, b2 = self._first((place - up * fine).take(low, axis=1), fall, 0.0, face=own.take(low))
+        sooner = np.flatnonzero(face >= 0)
+        who = low[sooner]
+        met.face[who], met.b1[who], met.b2[who], met.towards[:, who] = face[sooner], b1[sooner], b2[sooner], fall[:, sooner]
+        rise[who], met.gone[who] = part[sooner] * (rise[who] + fine) - fine, 0.0
+        tall = ~before & (rise > gap)
+        above = np.where(tall, np.minimum(rise + gap, high), rise)
+        met.gone[:] = np.where(tall, met.gone + (above - rise), met.gone)
+        level = np.abs(rise) <= gap
+        met.gone[:] = np.where(level, np.sqrt(met.gone * met.gone + rise * rise), met.gone)
+        rise = np.where(level, 0.0, above)
         who = np.flatnonzero(self._leads(walkers, rows, met.face, met.towards))
         return self._landing(who, met.take(who), rise[who])
 
@@ -143,9 +162,8 @@ class Around:
         """As `first_met`, for ways that go on by `fine` mm."""
         n = origin.shape[1]
         none = np.full(n, -1, np.int32)
-        over = np.minimum(fine / np.maximum(np.sqrt(dot(step, step)), 1e-300), FARTHEST)
         passed = none.astype(np.int64) if face is None else face
-        return first_met(self._boxes, self._table, origin, step, over, passed, none if piece is None else piece)
+        return first_met(self._boxes, self._table, origin, step, fine, passed, none if piece is None else piece)
 
     def _leads(self, walkers: Walkers, rows: Index, face: Index, towards: Floats) -> NDArray[np.bool_]:
         """Who of `rows` may step over a border to the faces that are met (-1 for none): nobody to the other side of what is

@@ -45,6 +45,12 @@ def more(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def less(a, b):  # type: ignore[no-untyped-def]
+    """As np.fmin of the same."""
+    return a if a < b else b
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def inside(b1, b2):  # type: ignore[no-untyped-def]
     """As `walk.inside`."""
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)

@@ -330,9 +330,7 @@ def rise(w: Walkers, rows: Index, level: Floats) -> NDArray[np.bool_]:
     return there
 
 
-def hang(
-    table: Topology, w: Walkers, rows: Index, near: NDArray[np.bool_], hops: NDArray[np.int8], around: Surroundings
-) -> None:
+def hang(table: Topology, w: Walkers, rows: Index, near: NDArray[np.bool_], hops: NDArray[np.int8], around: Surroundings) -> None:
     """Those who are stepping over a border go on with it, or back where they have turned away from it."""
     if not rows.size:
         return

@@ -84,9 +84,7 @@ def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the 
         if event:
             wholes[AGENT, waiting], wholes[SPENT, waiting], wholes[BLOCKED, waiting] = i, 0, 0
             wholes[NEAR, waiting] = high > 0
-            _keep(
-                reals, wholes, waiting, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length
-            )
+            _keep(reals, wholes, waiting, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length)
             waiting += 1
             continue
         done[i] = True
@@ -106,9 +104,10 @@ def walk_on(  # type: ignore[no-untyped-def]
     """The same for agents that wait, from `begin` to before `end`: until they are done, or `EVENT` says that they may come to
     what their own piece cuts.
 
-    `sides` are `piece` and `way` of the topology and `cuts` the first of its cuts, `boxes` the arrays of `Boxes`, `scale` noise,
+    `sides` are `piece` and `way` of the topology and `cuts` the first of its cuts, `boxes` the arrays of `Boxes`, `scale` least,
     fine and under of `Scale`.
     """
+    found = np.empty(boxes[0].size, np.int64)
     for k in range(begin, end):
         event = wholes[EVENT, k]
         if event == 0:
@@ -128,7 +127,7 @@ def walk_on(  # type: ignore[no-untyped-def]
                 looked = True
                 if length > 0:
                     to, one, two, side2, gap = other_ahead(
-                        table, sides, boxes, scale, size, f, b1, b2, side, c, s, length
+                        table, sides, boxes, scale, found, size, f, b1, b2, side, c, s, left, length
                     )  # fmt: skip
                 if to >= 0:
                     looked = False
@@ -144,7 +143,7 @@ def walk_on(  # type: ignore[no-untyped-def]
                         left = 0.0
             if event == BORDER:
                 turn += 1
-                to, one, two, side2, gap, level = beyond(table, sides, boxes, scale, size, f, edge, b1, b2, side)
+                to, one, two, side2, gap, level = beyond(table, sides, boxes, scale, found, size, f, edge, b1, b2, side)
                 over, left, way = _rise(over, level, left, way)
                 if to < 0 and over == level:
                     c, s, left = _along(table[WIDTH * f + EDGE_C + edge], table[WIDTH * f + EDGE_S + edge], c, s, left)
