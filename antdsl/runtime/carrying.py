@@ -3,6 +3,7 @@ aside by obstacles that come their way. All of it is a function of the frame and
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -232,7 +233,7 @@ def _pushed(world: World, population: Population, name: str) -> None:
 def _feet(population: Population, rows: NDArray[np.intp]) -> Footing:
     """The footings of rows that stand on meshes."""
     footing = population.footing
-    return Footing(footing.mesh[rows], footing.face[rows], footing.b1[rows], footing.b2[rows])
+    return Footing(*(getattr(footing, f.name)[rows] for f in fields(Footing)))
 
 
 def _footing(population: Population, rows: Any) -> Any:

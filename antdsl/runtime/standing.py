@@ -15,13 +15,14 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """Where agents stand: on a face of a mesh, as `Footing` says, or on a solid: `mesh` counts solids after the meshes, `face`
-    is 0 and (x, y, z) is the place on its surface (mm; 0 on meshes)."""
+    """Where agents stand: on a face of a mesh, or `over` its border, as `Footing` says, or on a solid: `mesh` counts solids after
+    the meshes, `face` is 0 and (x, y, z) is the place on its surface (mm; 0 on meshes)."""
 
     mesh: NDArray[np.int32]
     face: NDArray[np.int32]
     b1: Floats
     b2: Floats
+    over: Floats
     x: Floats
     y: Floats
     z: Floats
@@ -44,18 +45,18 @@ class Standing:
 
     def footing(self, rows: Rows) -> Footing:
         """Of rows that stand on meshes."""
-        return Footing(self.mesh[rows], self.face[rows], self.b1[rows], self.b2[rows])
+        return Footing(self.mesh[rows], self.face[rows], self.b1[rows], self.b2[rows], self.over[rows])
 
     @staticmethod
     def on_mesh(footing: Footing) -> Standing:
         """On faces of meshes, or nowhere."""
         n = len(footing)
-        mesh, face, b1, b2 = footing.mesh.copy(), footing.face.copy(), footing.b1.copy(), footing.b2.copy()
-        return Standing(mesh, face, b1, b2, np.zeros(n), np.zeros(n), np.zeros(n))
+        mesh, face, b1, b2, over = (getattr(footing, f.name).copy() for f in fields(Footing))
+        return Standing(mesh, face, b1, b2, over, *np.zeros((3, n)))
 
     @staticmethod
     def on_solid(mesh: int | NDArray[np.int32], place: Floats) -> Standing:
         """At places [n,3] on the surface of the solid that counts as `mesh`, one or [n]."""
         n = len(place)
         x, y, z = np.ascontiguousarray(place.T)
-        return Standing(np.full(n, mesh, np.int32), np.zeros(n, np.int32), np.zeros(n), np.zeros(n), x, y, z)
+        return Standing(np.full(n, mesh, np.int32), np.zeros(n, np.int32), *np.zeros((3, n)), x, y, z)

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime import compiled
-from antdsl.runtime.senses.candidates import Candidates, Listing
+from antdsl.runtime.senses.boxes import Boxes
 from antdsl.runtime.senses.clearances import Clearances, Parts
-from antdsl.runtime.senses.rays import FAR, Mesh, RayScene
-from antdsl.runtime.senses.surroundings import BEYOND, LIFT, NOISE, Around
+from antdsl.runtime.senses.crossings import weights
+from antdsl.runtime.senses.rays import Mesh, RayScene
+from antdsl.runtime.senses.surroundings import LIFT, Around, Scale
 from antdsl.runtime.senses.topology import Topology, build, facing
-from antdsl.runtime.senses.walk import Walkers, dot, in_frame, inside, laid_down, turned, walk
+from antdsl.runtime.senses.walk import Walkers, dot, inside, laid_down, turned, walk
 
 if TYPE_CHECKING:
     from antdsl.runtime.senses.walk_events import Walk
@@ -31,12 +32,18 @@ def _rows(array: NDArray[Any], rows: NDArray[np.integer] | NDArray[np.bool_]) ->
 
 @dataclass(frozen=True, slots=True)
 class Footing:
-    """Where agents stand: mesh and face (int32[n], -1 = nowhere) and the weights of the face's second and third corner."""
+    """Where agents stand: mesh and face (int32[n], -1 = nowhere) and the weights of the face's second and third corner. Who is
+    stepping over a border is `over` mm off it along the face's normal; 0 for others, and for all where it is not given."""
 
     mesh: NDArray[np.int32]
     face: NDArray[np.int32]
     b1: Floats
     b2: Floats
+    over: Floats = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.over is None:
+            object.__setattr__(self, "over", np.zeros(len(self.face)))
 
     def __len__(self) -> int:
         return len(self.face)
@@ -114,15 +121,16 @@ class Ground:
         self._table: Topology = build(self._vertices, self._faces, self._mesh, self.extent)
         self._side = facing(self._table.normal.T)
         self._scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
-        self._clearances = Clearances(
-            self._vertices[self._faces], self._table.piece, self._table.cuts.cut, self.low, self.extent * NOISE
-        )
-        # Twenty times the rounding of float32, which counts from the middle where that is far away; lists mind five times that.
-        rounding = 2e-6 * (self.extent + min(float(np.abs([self.low, self.high]).max()), FAR))
-        self._errors = (rounding, rounding / 10)
-        self._listing = Listing(self._table, self._vertices[self._faces], 5 * rounding)
+        corners = self._vertices[self._faces]
+        self._scale = Scale.of(self.extent)
+        self._boxes = Boxes.of(corners, np.flatnonzero(self._table.live), self._together())
+        self._clearances = Clearances(corners, self._table.piece, self._table.cuts.cut, self.low, self._scale.noise)
         self._fast: Walk | None = None
         self.creases: Any = None  # where bodies look out for walls, found when somebody asks (`creases.near_rises`)
+
+    def _together(self) -> NDArray[np.int32]:
+        """Numbers of faces: those of one move together."""
+        return np.zeros(len(self._faces), np.int32)
 
     # ---- asking
 
@@ -146,7 +154,7 @@ class Ground:
             mesh, near, nearest, _ = scene.closest(points[missed])
             face[missed] = self._face_of(mesh, near, live)
             place[missed] = nearest
-        return self._footing(face, *self._weights(np.maximum(face, 0), place.T)), found
+        return self._footing(face, *weights(self._table, np.maximum(face, 0), place.T)), found
 
     def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
         """Footings at the nearest point of the surfaces in `on`, all when None, to points [n,3], and the distance float64[n]."""
@@ -154,14 +162,14 @@ class Ground:
         scene, live = self._scene(on)
         mesh, local, place, distance = scene.closest(points)
         face = self._face_of(mesh, local, live)
-        return self._footing(face, *self._weights(np.maximum(face, 0), place.T)), distance
+        return self._footing(face, *weights(self._table, np.maximum(face, 0), place.T)), distance
 
     def met(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[NDArray[np.bool_], Floats, Footing]:
         """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface, after what part of it, and the footing there."""
         part, face = self._cast(np.asarray(origin, np.float64).T, np.asarray(way, np.float64).T, threads)
         found = face >= 0
         place = origin.T + way.T * np.where(found, part, 0.0)
-        return found, np.where(found, part, 1.0), self._footing(face, *self._weights(np.maximum(face, 0), place))
+        return found, np.where(found, part, 1.0), self._footing(face, *weights(self._table, np.maximum(face, 0), place))
 
     def position(self, footing: Footing) -> Floats:
         """Places in the world, float64[n,3]; zero for footings nowhere."""
@@ -170,6 +178,7 @@ class Ground:
         if not self._faces.size:
             return np.zeros((len(footing), 3))
         place = t.corner.take(face, axis=1) + footing.b1 * t.edge1.take(face, axis=1) + footing.b2 * t.edge2.take(face, axis=1)
+        place = place + footing.over * t.normal.take(face, axis=1)
         return np.ascontiguousarray(np.where(known, place, 0.0).T)
 
     def normal(self, footing: Footing) -> Floats:
@@ -226,9 +235,9 @@ class Ground:
 
         The displacement is laid into the face and keeps its length, unless it points into the ground or off it by more than
         60 degrees. The way unfolds across edges, so a slope neither speeds up nor slows down. A surface that stands in the way
-        (seen by a ray a little above the ground, within the way) is climbed; at an open border a ray down beyond it and a ray
-        back below it look for what continues, else the agent goes along the border or stops. `heading` [n,3] is turned as the
-        surface turns. `body` (mm) scales how high the rays go. A displacement that is not finite counts as none.
+        (seen from a little above the ground, within the way) is climbed; what continues beyond an open border is stepped over to,
+        in as many steps as the way up or down takes, else the agent goes along the border or stops. `heading` [n,3] is turned as
+        the surface turns. `body` (mm) scales how high and far agents look. A displacement that is not finite counts as none.
 
         Of the two readings of the thesis's surface pass (longer ray, nearest hit) this takes the nearest surface along the way.
         """
@@ -252,7 +261,7 @@ class Ground:
         """How far (mm) anybody looks out for other surfaces on a way."""
         square = dot(wish, wish)
         way = float(np.sqrt(square.max(initial=0.0, where=np.isfinite(square))))
-        return way + LIFT * float(np.fmax.reduce(body)) + 3 * self._clearances.noise
+        return way + LIFT * float(np.fmax.reduce(body)) + 3 * self._scale.noise
 
     def _moved_fast(
         self, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, parts: Parts, threads: int
@@ -262,14 +271,13 @@ class Ground:
 
         if self._fast is None:
             self._fast = Walk(self._table, self._mesh, self._first)
-        n, noise = len(footing), self._clearances.noise
-        moved = Footing(np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n), np.empty(n))
+        n = len(footing)
+        moved = Footing(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
         place, above, ahead, direction, gone, blocked = *np.empty((4, 3, n)), np.empty(n), np.zeros(n, np.bool_)
-        at, to = ((f.mesh, f.face, f.b1, f.b2) for f in (footing, moved))
-        around = Around(self._table, self._cast, self._weights, parts, noise, self._errors, body, threads)
-        candidates = self._candidates(parts, float(np.fmax.reduce(body)))
+        at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
+        around = Around(self._table, self._boxes, parts, self._scale, body)
         results = (*to, place, above, ahead, direction, gone, blocked)
-        done = self._fast.step(around, parts, candidates, noise, body, at, (wish, heading, up), results, threads)
+        done = self._fast.step(around, parts, self._boxes, self._scale, body, at, (wish, heading, up), results, threads)
         result = MoveResult(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
         left = np.flatnonzero(~done)
         if left.size:
@@ -279,10 +287,6 @@ class Ground:
                 for name in (f.name for f in fields(whole) if f.name != "footing"):
                     getattr(whole, name)[left] = getattr(part, name)
         return result
-
-    def _candidates(self, parts: Parts, body: float) -> Candidates:
-        """What rays of agents of up to `body` mm can meet."""
-        return self._listing.within(parts, body, LIFT, BEYOND, self._clearances.noise)
 
     def _moved(
         self, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, parts: Parts, threads: int
@@ -299,8 +303,9 @@ class Ground:
         c, s, way = laid_down(axes, wish, 1.0, 0.0)
         way[~known] = 0.0
         heading_c, heading_s, _ = laid_down(axes, heading, c, s)
-        w = Walkers(face, b1, b2, side, c, s, heading_c, heading_s, way, np.zeros(n), np.zeros(n, bool))
-        around = Around(t, self._cast, self._weights, parts, self._clearances.noise, self._errors, body, threads)
+        over = np.where(known, footing.over, 0.0) * side
+        w = Walkers(face, b1, b2, side, c, s, heading_c, heading_s, way, np.zeros(n), np.zeros(n, bool), over)
+        around = Around(t, self._boxes, parts, self._scale, body)
         walk(t, w, around.near(w, slice(None), way), around)
         smooth = self._smooth(w.face, w.b1, w.b2) * w.side
         axis1, axis2 = t.axis1.take(w.face, axis=1), t.axis2.take(w.face, axis=1)
@@ -309,8 +314,8 @@ class Ground:
         ahead -= dot(ahead, smooth) * smooth
         ahead /= np.sqrt(dot(ahead, ahead))
         rows = np.where(known, w.face, -1)
-        moved = self._footing(rows, w.b1, w.b2)
-        result = [v.T for v in (w.place(t), smooth, ahead, axis1 * w.c + axis2 * w.s)]
+        moved = self._footing(rows, w.b1, w.b2, w.over * w.side + 0.0)
+        result = [v.T for v in (w.place(t) + w.over * w.up(t), smooth, ahead, axis1 * w.c + axis2 * w.s)]
         if not known.all():
             for vectors, kept in zip(result, (np.zeros((n, 3)), up.T, heading.T, heading.T), strict=True):
                 vectors[~known] = kept[~known]
@@ -358,22 +363,15 @@ class Ground:
             return face, known
         return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
 
-    def _footing(self, face: Index, b1: Floats, b2: Floats) -> Footing:
+    def _footing(self, face: Index, b1: Floats, b2: Floats, over: Floats | None = None) -> Footing:
         known = face >= 0
+        over = np.zeros(face.size) if over is None else over
         if known.all():
             mesh = self._mesh.take(face)
-            return Footing(mesh, (face - self._first.take(mesh)).astype(np.int32), b1, b2)
+            return Footing(mesh, (face - self._first.take(mesh)).astype(np.int32), b1, b2, over)
         mesh = np.where(known, self._mesh.take(np.maximum(face, 0)) if self._mesh.size else -1, -1).astype(np.int32)
         local = np.where(known, face - self._first.take(np.maximum(mesh, 0)), -1).astype(np.int32)
-        return Footing(mesh, local, np.where(known, b1, 0.0), np.where(known, b2, 0.0))
-
-    def _weights(self, face: Index, place: Floats) -> tuple[Floats, Floats]:
-        """Weights of the point of each face below places (3, k) near it, in the triangle."""
-        t = self._table
-        if not self._faces.size:
-            return np.zeros(len(face)), np.zeros(len(face))
-        c, s = in_frame(t, face, place - t.corner.take(face, axis=1))
-        return inside(c * t.rate1.take(face) - s * t.shear.take(face) + 0.0, s * t.rate2.take(face) + 0.0)  # no -0.0
+        return Footing(mesh, local, *(np.where(known, v, 0.0) for v in (b1, b2, over)))
 
     def _smooth(self, face: Index, b1: Floats, b2: Floats) -> Floats:
         """Smooth unit normals (3, n) by how the faces are wound."""

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime.senses.candidates import Candidates
 from antdsl.runtime.senses.clearances import Clearances, Parts
 from antdsl.runtime.senses.ground import Floats, Footing, Ground, Index
 from antdsl.runtime.senses.rays import Hits, Mesh, RayScene
@@ -24,23 +24,24 @@ class MovingGround(Ground):
     """As `Ground`; the meshes named `moving` may be posed. `rest` is where all lay at first: cells of fields are in it."""
 
     def __init__(self, surfaces: Mapping[str, Mesh], moving: Iterable[str], by_rays: bool = False) -> None:
+        self._moves = np.isin(list(surfaces), list(moving))
         super().__init__(surfaces, by_rays)
         counts = [len(np.reshape(v, (-1, 3))) for v, _ in surfaces.values()]
         ends = np.cumsum([0, *counts])
         self._corners = {name: slice(int(ends[k]), int(ends[k + 1])) for k, name in enumerate(self.names)}
         self._rows = {name: slice(int(self._first[k]), int(self._first[k + 1])) for k, name in enumerate(self.names)}
-        self._moves = np.isin(self.names, list(moving))
         self._rest = self._table.copy()
         self._ends = {name: _ends(self._vertices[rows]) for name, rows in self._corners.items()}
         self._still_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         self._clearances = _Clearances(self)  # type: ignore[assignment]
         # What moves may come over feet by as much as it likes: what shows its back is below an agent, however far above.
-        self._errors = (self._errors[0], np.inf)
+        self._scale = replace(self._scale, under=np.inf)
 
     def copy(self) -> MovingGround:
         """One that can be posed apart from this one."""
         made = copy(self)
         made._vertices, made._table = self._vertices.copy(), self._table.copy()
+        made._boxes = replace(self._boxes, bounds=self._boxes.bounds.copy())
         made._scenes, made._fast, made._ends = {}, None, dict(self._ends)
         made._clearances = _Clearances(made)  # type: ignore[assignment]
         return made
@@ -57,6 +58,7 @@ class MovingGround(Ground):
         self.low = np.min([low for low, _ in self._ends.values()], axis=0)
         self.high = np.max([high for _, high in self._ends.values()], axis=0)
         self.extent = max(self.extent, float((self.high - self.low).max()))
+        self._boxes.fit(self._vertices[self._faces])
         self._scenes = {}
         self._clearances.forget()  # type: ignore[attr-defined]
 
@@ -88,9 +90,8 @@ class MovingGround(Ground):
         """The meshes that move, where they are now: which faces are theirs, lowest and highest corner."""
         return [(self._mesh == k, *self._ends[name]) for k, name in enumerate(self.names) if self._moves[k]]
 
-    def _candidates(self, parts: Parts, body: float) -> Candidates:
-        """Nothing: lists of what is near would have to be made for each frame, and take longer than the rays that they save."""
-        return Candidates.unknown(len(self._faces))
+    def _together(self) -> NDArray[np.int32]:
+        return np.where(self._moves.take(self._mesh), self._mesh + 1, 0).astype(np.int32)
 
     def _scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
         """Rays against some surfaces: those that stand still and those that move, each a scene of its own."""

@@ -1,278 +1,183 @@
-"""What lies around walkers besides the surface that they are on: rays that find it."""
+"""What lies around walkers besides the next face of their surface: what stands in their way, what continues beyond a border."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime.senses.boxes import Boxes, first_met
 from antdsl.runtime.senses.clearances import Parts
-from antdsl.runtime.senses.topology import NO_LINK, Topology
-from antdsl.runtime.senses.walk import Landing, Walkers, dot, in_frame
+from antdsl.runtime.senses.crossings import Met, crossed
+from antdsl.runtime.senses.topology import Topology
+from antdsl.runtime.senses.walk import Landing, Walkers, dot, in_space, inside
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
-Cast = Callable[[Floats, Floats, int], tuple[Floats, Index]]
-Met = tuple[Index, Floats, Floats, Floats]  # face (-1 for none), place, way that led there (3, k), mm gone
-Weights = Callable[[Index, Floats], tuple[Floats, Floats]]
 
 LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
-GAP = 0.02  # of a body: how far beyond a border it looks down
-HIGH, DEEP = 0.5, 0.25  # of a body: from how far above, and how deep below it looks back
-BEYOND = 0.6  # of a body: all that it looks at beyond a border and back below is nearer, but for noise
-NOISE = 1e-4  # of the extent of a ground: float32 rays err by less
-SKIP = 0.01  # of that noise: how far beyond the own surface, where that hides others, a ray goes on
-SHY = 0.1  # of what rays err: how near to a wall no way ends
-AGAIN = 4  # times that it goes on
-TOUCH = 1e-5  # of that noise: how near feet are to what cuts their face when they are on it
-OFF = 16.0  # touches that they are put off the face they left: beyond all that is taken for its border
-STEEP = 1e-6  # square of the sine of the angle of a cut, below which feet are not moved further off it
-LEANING = 1e3  # way along a face for each mm up, above which it is as good as lying
+STEEPEST = 8.0  # of that height is the way left at least: who climbs comes up by it besides
+GAP = 0.02  # of a body: how far beyond a border it looks for what continues there
+HIGH, DEEP = 0.5, 0.25  # of a body: how far above and below a border it looks, and how deep back
+NOISE = 1e-4  # of the extent of a ground: more than distances to other pieces err by
+LEAST = 1e-6  # of that extent: least height of eyes
+FINE = 1e-8  # of that extent: nearer surfaces are at one place
+TOUCH = 1e-9  # of that extent: how near feet are to what cuts their face when they are on it
+TURNED = -0.17  # cosine between two normals, of about 100 degrees: below it nothing leads from the one over a border to the other
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Lengths in mm that depend on the size of a ground: NOISE, LEAST, FINE and TOUCH of it, and how far above feet what shows
+    its back may be and still be below them."""
+
+    noise: float
+    least: float
+    fine: float
+    touch: float
+    under: float
+
+    @staticmethod
+    def of(extent: float) -> Scale:
+        return Scale(NOISE * extent, LEAST * extent, FINE * extent, TOUCH * extent, 10 * FINE * extent)
 
 
 class Around:
-    """Rays of walkers against all surfaces of a ground: what stands in their way and what continues beyond a border.
+    """Looks of walkers with a `body` (mm) each: straight ways against all faces, which lie in `boxes`."""
 
-    Rays err by less than the first of `errors` (mm); feet are no more than the second below what they should be on.
-    """
-
-    def __init__(
-        self,
-        table: Topology,
-        cast: Cast,
-        weights: Weights,
-        parts: Parts,
-        noise: float,
-        errors: tuple[float, float],
-        body: Floats,
-        threads: int,
-    ) -> None:
-        self._table, self._cast, self._weights, self._parts = table, cast, weights, parts
-        self._body, self._threads = body, threads
-        self._noise, self._errors = noise, errors
-        self._rounding, self._grain = errors
+    def __init__(self, table: Topology, boxes: Boxes, parts: Parts, scale: Scale, body: Floats) -> None:
+        self._table, self._boxes, self._parts, self._scale, self._body = table, boxes, parts, scale, body
 
     def of(self, agents: Index) -> Around:
         """The same for some of the agents, whose numbers count from 0."""
-        body = self._body.take(agents)
-        return Around(self._table, self._cast, self._weights, self._parts, self._noise, self._errors, body, self._threads)
+        return Around(self._table, self._boxes, self._parts, self._scale, self._body.take(agents))
 
     def near(self, walkers: Walkers, rows: Index | slice, length: Floats) -> NDArray[np.bool_]:
         """Who of `rows` may meet another piece of surface within `length`."""
         clear = self._parts.of(walkers.face[rows], walkers.b1[rows], walkers.b2[rows])
-        return clear <= length + np.fmax(LIFT * self._body[rows], self._noise) + self._noise
+        return clear <= length + np.fmax(LIFT * self._body[rows], self._scale.noise) + self._scale.noise
 
     def ahead(self, walkers: Walkers, rows: Index, length: Floats) -> Landing:
         """What stands in the way: what cuts the own face, or another piece that is nearer."""
-        asked = np.flatnonzero(self.near(walkers, rows, length))
+        asked = np.flatnonzero(self.near(walkers, rows, length) & (length > 0))
         if not asked.size:
-            return Landing(asked, asked, *np.empty((4, 0)))
-        rows, length = rows.take(asked), length.take(asked)
-        face, hit, towards, gone = self._cut(walkers, rows, length)
+            return Landing.nowhere()
+        rows = rows.take(asked)
+        met = crossed(self._table, walkers, rows, length.take(asked), self._scale.touch)
         if self._table.pieces > 1:
-            other, there, down, before = self._other(walkers, rows, gone)
-            met = np.flatnonzero(other >= 0)
-            face[met], gone[met] = other[met], before[met]
-            hit[:, met], towards[:, met] = there[:, met], down[:, met]
-        who = np.flatnonzero((face >= 0) & (length > 0))
-        if not who.size:
-            return Landing(who, who, *np.empty((4, 0)))
-        return self._landing(asked[who], face[who], hit[:, who], towards[:, who], gone[who])
-
-    def _cut(self, walkers: Walkers, rows: Index, length: Floats) -> Met:
-        """The first face of the own piece that cuts the own face across the way: from there the way goes on upon it.
-
-        No eye looks for it, for at a cut every height above the feet is in another room somewhere. Feet keep off what cuts their
-        face by more than a touch on the side they are on, which is a thousand times what float64 rounds: so they are always on
-        one side of it.
-        """
-        t, touch = self._table, TOUCH * self._noise
-        place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
-        face, gone, hit = np.full(rows.size, -1, np.int64), length.copy(), place + way * length
-        which, other = t.cuts.of(walkers.face.take(rows))
-        if not which.size:
-            return face, hit, way, gone
-        normal, step = t.normal.take(other, axis=1), way.take(which, axis=1)
-        begins = dot(normal, place.take(which, axis=1) - t.corner.take(other, axis=1))
-        ends = begins + dot(normal, step) * length.take(which)
-        through = (begins * ends <= 0) | ((np.abs(ends) <= touch) & (np.abs(ends) < np.abs(begins)))
-        through &= (np.abs(begins) > touch) & self._rises(other, place.take(which, axis=1), up.take(which, axis=1))
-        which, other, begins, ends, step, normal = (v[..., through] for v in (which, other, begins, ends, step, normal))
-        before = np.clip(begins / np.where(begins != ends, begins - ends, 1.0), 0.0, 1.0) * length.take(which)
-        there = place.take(which, axis=1) + step * before
-        inside = self._inside(other, there, 4 * touch) & self._leads_through(walkers, rows.take(which), other, begins, there)
-        which, other, before, there, normal, step = (v[..., inside] for v in (which, other, before, there, normal, step))
-        # Off what was left, or which side of it feet are on could not be told in the next step; and so upon what is first there.
-        risen, towards = up.take(which, axis=1), dot(normal, step)
-        leans = -dot(risen, normal) / np.where(towards != 0, towards, 1.0)
-        order = np.lexsort((other, before + OFF * touch * np.clip(leans, -LEANING, LEANING), which))
-        first = order[np.unique(which[order], return_index=True)[1]]
-        which, other, risen, normal, there = which[first], other[first], risen[:, first], normal[:, first], there[:, first]
-        steep = risen - dot(risen, normal) * normal
-        off = steep * (OFF * touch / np.maximum(dot(steep, steep), STEEP))
-        face[which], gone[which], hit[:, which] = other, before[first], there + off
-        tight = which[self._tight(other, walkers.face.take(rows[which]), there, off)]
-        face[tight], gone[tight], hit[:, tight] = walkers.face.take(rows[tight]), 0.0, place[:, tight]
-        way[:, tight] = -up[:, tight]
-        return face, hit, way, gone
-
-    def _tight(self, face: Index, own: Index, place: Floats, off: Floats) -> NDArray[np.bool_]:
-        """Where three sheets meet: whether feet put upon a face at a place, and `off` from their own face, would be through a
-        third one or touch it. They stay where they are, then."""
-        t, touch = self._table, TOUCH * self._noise
-        found = np.zeros(face.size, bool)
-        which, third = t.cuts.of(face)
-        which, third = (v[third != own.take(which)] for v in (which, third))
-        normal = t.normal.take(third, axis=1)
-        begins = dot(normal, place.take(which, axis=1) - t.corner.take(third, axis=1))
-        ends = begins + dot(normal, off.take(which, axis=1))
-        met = ((begins * ends < 0) & (np.abs(begins) > touch)) | (np.abs(ends) <= touch)
-        met &= self._inside(third, place.take(which, axis=1), 2 * OFF * touch)
-        found[which[met]] = True
-        return found
-
-    def _rises(self, face: Index, place: Floats, up: Floats) -> NDArray[np.bool_]:
-        """Whether faces go up from the plane in which feet are: else they are under the sheet that is walked on."""
-        t = self._table
-        height = dot(up, t.corner.take(face, axis=1) - place)
-        ends = (dot(up, edge.take(face, axis=1)) for edge in (t.edge1, t.edge2))
-        risen: NDArray[np.bool_] = height + np.fmax(np.fmax(*ends), 0.0) > TOUCH * self._noise
-        return risen
-
-    def _leads_through(self, walkers: Walkers, rows: Index, other: Index, begins: Floats, there: Floats) -> NDArray[np.bool_]:
-        """Whether the way of `rows`, that comes to the plane of `other` faces from heights `begins` at `there`, goes on behind
-        it, or ends. Where the own face only touches the other one, it may be folded back there into a wedge that has no room."""
-        t = self._table
-        sign, own = np.where(begins < 0, -1.0, 1.0), walkers.face.take(rows)
-        on = np.ones(rows.size, bool)
-        touching = np.flatnonzero(self._lowest(own, other, sign) >= -TOUCH * self._noise)
-        if touching.size:
-            own, other, sign = own[touching], other[touching], sign[touching]
-            b1, b2 = self._weights(own, there[:, touching])
-            edge = np.argmin([1.0 - b1 - b2, b1, b2], axis=0)
-            link = t.link[np.where(walkers.side.take(rows[touching]) < 0, 1, 0), 3 * own + edge]
-            beyond = np.where(link == NO_LINK, own, link >> 3)
-            on[touching] = (link == NO_LINK) | (self._lowest(beyond, other, sign) < -TOUCH * self._noise)
-        return on
-
-    def _lowest(self, face: Index, other: Index, sign: Floats) -> Floats:
-        """Height of the lowest corner of faces over the planes of others, whose upper side is that of their normal by `sign`."""
-        t = self._table
-        up = t.normal.take(other, axis=1) * sign
-        first = dot(up, t.corner.take(face, axis=1) - t.corner.take(other, axis=1))
-        one, two = (dot(up, edge.take(face, axis=1)) for edge in (t.edge1, t.edge2))
-        return first + np.minimum(np.minimum(one, two), 0.0)
-
-    def _inside(self, face: Index, place: Floats, touch: float) -> NDArray[np.bool_]:
-        """Whether places in the planes of faces are in these, or no more than about `touch` mm beside them."""
-        t = self._table
-        c, s = in_frame(t, face, place - t.corner.take(face, axis=1))
-        rate1, rate2, shear = t.rate1.take(face), t.rate2.take(face), t.shear.take(face)
-        b1, b2 = c * rate1 - s * shear, s * rate2
-        over = touch * (np.abs(rate1) + np.abs(rate2) + np.abs(shear))
-        found: NDArray[np.bool_] = (b1 >= -over) & (b2 >= -over) & (b1 + b2 <= 1 + over)
-        return found
+            other = self._other(walkers, rows, met.gone)
+            nearer = other.face >= 0
+            met.put(nearer, other)
+        who = np.flatnonzero(met.face >= 0)
+        return self._landing(asked[who], met.take(who))
 
     def _other(self, walkers: Walkers, rows: Index, length: Floats) -> Met:
         """Another piece of surface within the way, seen from just above the ground, below a low ceiling from half its
         height; or at the way's end between that eye and the ground."""
-        t = self._table
+        t, scale = self._table, self._scale
         place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
-        lift = np.fmax(LIFT * self._body.take(rows), self._noise)
-        own = walkers.face.take(rows)
-        high = lift.copy()
-        below = np.flatnonzero(self.near(walkers, rows, np.zeros(rows.size)))
-        if below.size:
-            part, face = self._others(place.take(below, axis=1), (up * lift).take(below, axis=1), own.take(below))
-            # What shows its back a grain above the agent is below it: feet may be that far in the ground that they climb.
-            front = dot(t.normal.take(face, axis=1), up[:, below]) < 0
-            low = (face >= 0) & (front | (lift[below] * part > self._grain))
-            high[below[low]] = lift[below[low]] * part[low] / 2
-        eye = place + up * high
-        part, face = self._others(eye, way * length, own)
-        gone = np.where(face >= 0, part, 1.0) * length
-        hit, towards = eye + way * gone, way
+        piece = t.piece.take(walkers.face.take(rows))
+        high = np.fmax(np.fmin(LIFT * self._body.take(rows), walkers.left.take(rows) / STEEPEST), scale.least)
+        roof, part, _, _ = self._first(place, up * high, scale.fine, piece=piece)
+        # What shows its back a grain above the agent is below it: feet may be that far in the ground that they climb.
+        front = dot(t.normal.take(roof, axis=1), up) < 0
+        low = (roof >= 0) & (front | (high * part > scale.under))
+        high = np.where(low, high * np.where(low, part, 1.0) / 2, high)
+        met = Met.nothing(way, length)
+        eye, step = place + up * high, way * length
+        face, part, b1, b2 = self._first(eye, step, scale.fine, piece=piece)
+        found = np.flatnonzero(face >= 0)
+        met.face[found], met.b1[found], met.b2[found] = face[found], b1[found], b2[found]
+        met.gone[found] = np.minimum(part[found], 1.0) * length[found]
+        climb = np.sqrt(met.gone * met.gone + high * high)
         # What has come between the eye and the ground is below the next eye, that of the face round the edge or of the next step.
         still = np.flatnonzero(face < 0)
-        if still.size:
-            down = up.take(still, axis=1) * -high.take(still)
-            part, face[still] = self._others(hit.take(still, axis=1), down, own.take(still))
-            found = face[still] >= 0
-            between, down = still[found], down[:, found]
-            hit[:, between] += down * part[found]
-            towards[:, between] = down
-        return face, hit, towards, gone
+        down = up.take(still, axis=1) * -high.take(still)
+        face, _, b1, b2 = self._first((eye + step).take(still, axis=1), down, 0.0, piece=piece.take(still))
+        found = np.flatnonzero(face >= 0)
+        between = still[found]
+        met.face[between], met.b1[between], met.b2[between] = face[found], b1[found], b2[found]
+        met.towards[:, between] = down[:, found]
+        met.gone[:] = np.where(met.face >= 0, np.minimum(climb, walkers.left.take(rows)), met.gone)
+        return met
 
-    def _others(self, origin: Floats, step: Floats, own: Index) -> tuple[Floats, Index]:
-        """Where rays hit the first face that is not of the piece of their `own`: that one, at an edge or in a hollow, hides none.
+    def beyond(self, walkers: Walkers, rows: Index, half: Index) -> Landing:
+        """Past the open border half-edges `half` where `rows` stand: what is met first on a way that leads up off the own face,
+        out over the border and down beyond it, and then back towards it from below, a little and deeper.
 
-        Rays find faces in float32, a hair before and after their way too; where these are is told in float64. So a way that
-        begins where another ended, a thousandth of a hair from a wall, meets it, and one that leads off that wall does not. Nor
-        does a way end nearer to a wall before it than rays can tell: round an edge the eye might be behind it.
+        Each part of that way begins where the one before it ended and goes no further than the first surface in it: so nothing
+        behind a sheet is stepped onto. It is as wide as the gap that is stepped over, on both sides of the border.
         """
-        length = np.sqrt(dot(step, step))
-        hair = self._rounding / np.maximum(length, 1e-300)
-        begin, part, face = -hair, np.full(length.size, np.inf), np.full(length.size, -1, np.int64)
-        rows = np.arange(length.size)
-        for _ in range(AGAIN + 1):
-            rest = 1.0 + hair.take(rows) - begin.take(rows)
-            on = step.take(rows, axis=1)
-            met, there = self._cast(origin.take(rows, axis=1) + on * begin.take(rows), on * rest, self._threads)
-            rows, met, there, rest = (v[there >= 0] for v in (rows, met, there, rest))
-            if not rows.size:
-                break
-            at = begin.take(rows) + met * rest
-            exact, short = self._crossing(origin.take(rows, axis=1), step.take(rows, axis=1), there, at)
-            found = self._table.piece.take(own.take(rows)) != self._table.piece.take(there)
-            found &= (exact >= 0) & ((exact <= 1) | (short <= SHY * self._rounding))
-            part[rows[found]], face[rows[found]] = np.minimum(exact[found], 1.0), there[found]
-            rows, at = rows[~found], at[~found]
-            begin[rows] = at + SKIP * self._noise / np.maximum(length.take(rows), 1e-300)
-            rows = rows[begin.take(rows) < 1.0 + hair.take(rows)]
-        return part, face
-
-    def _crossing(self, origin: Floats, step: Floats, face: Index, at: Floats) -> tuple[Floats, Floats]:
-        """After what part of their step rays cross the planes of faces that they meet after about `at` of it, and how far from
-        these they end."""
-        normal = self._table.normal.take(face, axis=1)
-        towards = dot(normal, step)
-        apart = dot(normal, self._table.corner.take(face, axis=1) - origin)
-        part = np.where(towards != 0, apart / np.where(towards != 0, towards, 1.0), at)
-        return part, np.abs(apart - towards)
-
-    def beyond(self, walkers: Walkers, rows: Index) -> Landing:
-        """Past an open border: what a ray down just beyond it meets, else what a ray back from below it meets. The other side of
-        the own sheet is not beyond its border."""
-        t = self._table
-        place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
-        body = np.maximum(self._body[rows], 2 * self._noise)
-        gap = np.maximum(GAP * body, self._noise)
-        down = -up * body
-        part, face = self._cast(place + way * gap + up * (HIGH * body), down, self._threads)
-        hit = place + way * gap + up * (HIGH * body) + down * np.where(np.isfinite(part), part, 0.0)
-        met = self._open(walkers, rows, face, down)
-        back = -way * (gap + HIGH * body)
-        start = place + way * gap - up * (DEEP * body)
-        part2, face2 = self._cast(start, back, self._threads)
-        below = ~met & self._open(walkers, rows, face2, back)
-        hit = np.where(below, start + back * np.where(np.isfinite(part2), part2, 0.0), hit)
-        face, towards = np.where(below, face2, face), np.where(below, back, down)
-        who = np.flatnonzero(met | below)
-        gone = np.where(below, DEEP * body, gap)[who]
-        return self._landing(who, face[who], hit[:, who], towards[:, who], gone)
-
-    def _open(self, walkers: Walkers, rows: Index, face: Index, towards: Floats) -> NDArray[np.bool_]:
-        """Who of `rows` may step over to the faces that rays meet (-1 for none): not to the other side of the sheet walked on."""
         t, own = self._table, walkers.face.take(rows)
-        there = np.where(self._side(face, towards) < 0, 1, 0)
-        here = np.where(walkers.side.take(rows) < 0, 1, 0)
-        round_it = (t.piece.take(face) == t.piece.take(own)) & (t.way[there, face] != t.way[here, own])
-        return (face >= 0) & (face != own) & ~round_it
+        place, up = walkers.place(t, rows), walkers.up(t, rows)
+        out = in_space(t, own, t.edge_s.take(half), -t.edge_c.take(half))
+        body = np.fmax(self._body.take(rows), self._scale.least / LIFT)
+        gap, high, fine = GAP * body, HIGH * body, self._scale.fine
+        roof, part, _, _ = self._first(place + up * fine, up * (high - fine), 0.0, face=own)
+        high = np.where(roof >= 0, (fine + np.where(roof >= 0, part, 0.0) * (high - fine)) / 2, high)
+        shut = self._first(place + up * high, out * gap, 0.0, face=own)[0] >= 0
+        high = np.where(shut, np.minimum(high, LIFT * body), high)
+        face, part, b1, b2 = self._first(place + up * high, out * gap, 0.0, face=own)
+        met, rise, done = Met.nothing(out, gap * np.minimum(part, 1.0)), high.copy(), face >= 0
+        before = done.copy()
+        met.face[:], met.b1[:], met.b2[:] = face, b1, b2
+        over = place + out * gap
+        fall = -up * (high + HIGH * body)
+        face, part, b1, b2 = self._first(over + up * high, fall, 0.0, face=own)
+        level = np.where(face >= 0, high - np.where(face >= 0, part, 0.0) * (high + HIGH * body), -HIGH * body)
+        onto = np.flatnonzero(~done & self._leads(walkers, rows, face, fall))
+        met.face[onto], met.b1[onto], met.b2[onto], met.towards[:, onto] = face[onto], b1[onto], b2[onto], fall[:, onto]
+        rise[onto], done[onto] = level[onto], True
+        back = -2 * gap * out
+        for deep in (GAP * body, DEEP * body):
+            asked = np.flatnonzero(~done & (level < -deep))
+            low = (over - up * deep).take(asked, axis=1)
+            face, part, b1, b2 = self._first(low, back.take(asked, axis=1), 0.0, face=own.take(asked))
+            done[asked[face >= 0]] = True
+            onto = np.flatnonzero(self._leads(walkers, rows.take(asked), face, back.take(asked, axis=1)))
+            who = asked[onto]
+            met.face[who], met.b1[who], met.b2[who], met.towards[:, who] = face[onto], b1[onto], b2[onto], back[:, who]
+            rise[who], met.gone[who] = -deep[who], np.abs(gap[who] - part[onto] * (2 * gap[who]))
+        # Down at the border itself, where what was met may be met sooner; up to above it; straight across to what is near.
+        low = np.flatnonzero((met.face >= 0) & (rise < -gap))
+        fall = (up * (rise + fine)).take(low, axis=1)
+        face, part, b1, b2 = self._first((place - up * fine).take(low, axis=1), fall, 0.0, face=own.take(low))
+        sooner = np.flatnonzero(face >= 0)
+        who = low[sooner]
+        met.face[who], met.b1[who], met.b2[who], met.towards[:, who] = face[sooner], b1[sooner], b2[sooner], fall[:, sooner]
+        rise[who], met.gone[who] = part[sooner] * (rise[who] + fine) - fine, 0.0
+        tall = ~before & (rise > gap)
+        above = np.where(tall, np.minimum(rise + gap, high), rise)
+        met.gone[:] = np.where(tall, met.gone + (above - rise), met.gone)
+        level = np.abs(rise) <= gap
+        met.gone[:] = np.where(level, np.sqrt(met.gone * met.gone + rise * rise), met.gone)
+        rise = np.where(level, 0.0, above)
+        who = np.flatnonzero(self._leads(walkers, rows, met.face, met.towards))
+        return self._landing(who, met.take(who), rise[who])
 
-    def _side(self, face: Index, towards: Floats) -> Floats:
-        """The side of a face that a ray came from is the side to walk on."""
-        return np.where(dot(self._table.normal.take(face, axis=1), towards) > 0, -1.0, 1.0)
+    def _first(
+        self, origin: Floats, step: Floats, fine: float, face: Index | None = None, piece: NDArray[np.int32] | None = None
+    ) -> tuple[Index, Floats, Floats, Floats]:
+        """As `first_met`, for ways that go on by `fine` mm."""
+        n = origin.shape[1]
+        none = np.full(n, -1, np.int32)
+        passed = none.astype(np.int64) if face is None else face
+        return first_met(self._boxes, self._table, origin, step, fine, passed, none if piece is None else piece)
 
-    def _landing(self, who: Index, face: Index, hit: Floats, towards: Floats, gone: Floats) -> Landing:
-        return Landing(who, face, *self._weights(face, hit), self._side(face, towards), gone)
+    def _leads(self, walkers: Walkers, rows: Index, face: Index, towards: Floats) -> NDArray[np.bool_]:
+        """Who of `rows` may step over a border to the faces that are met (-1 for none): nobody to the other side of what is
+        walked on, nor to what turns back below it as that side does."""
+        own, side = walkers.face.take(rows), _side(self._table, face, towards)
+        level = dot(self._table.normal.take(face, axis=1) * side, walkers.up(self._table, rows))
+        return (face >= 0) & (level > TURNED) & self._table.together(own, walkers.side.take(rows), face, side)
+
+    def _landing(self, who: Index, met: Met, rise: Floats | None = None) -> Landing:
+        b1, b2 = inside(met.b1 + 0.0, met.b2 + 0.0)  # no -0.0
+        rise = np.zeros(who.size) if rise is None else rise
+        return Landing(who, met.face, b1, b2, _side(self._table, met.face, met.towards), met.gone, rise, met.shut)
+
+
+def _side(table: Topology, face: Index, towards: Floats) -> Floats:
+    """The side of a face that a way came from is the side to walk on."""
+    return np.where(dot(table.normal.take(face, axis=1), towards) > 0, -1.0, 1.0)

@@ -13,6 +13,7 @@ from antdsl.runtime.senses.self_cuts import Cuts, cuts
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+Index = NDArray[np.int64]
 
 _WELD = 1e-6  # of the extent: corners nearer than this are one corner
 _THROUGH = 1e-9  # of the extent: what comes nearer to a face touches it
@@ -51,10 +52,16 @@ class Topology:
     piece: Ints
     pieces: int
     cuts: Cuts  # which faces of a piece cut each other
-    way: Ints  # (2, m): which sides of faces, 0 that of the normal, can be walked to from each other across edges
+    way: Ints  # (2, m): which sides of faces, 0 that of the normal, may be come to from each other in their piece
     forked: bool  # whether any edge leads on differently on its two sides, being of more than two faces
     smooth: Floats  # (9, m): unit normal at corner 0, 1, 2
     weld: Ints  # (m, 3): numbers of corners, those of one place being one
+
+    def together(self, face: Index, side: Floats, other: Index, there: Floats) -> NDArray[np.bool_]:
+        """Whether sides (1 that of the normal, -1) of faces are of two pieces, or may be come to from each other in one."""
+        way = (self.way[np.where(s < 0, 1, 0), f] for f, s in ((face, side), (other, there)))
+        found: NDArray[np.bool_] = (self.piece.take(face) != self.piece.take(other)) | np.equal(*way)
+        return found
 
     def copy(self) -> Topology:
         """One whose shape may be changed without changing this."""
@@ -75,7 +82,7 @@ def build(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
         piece=piece,
         pieces=pieces,
         cuts=cuts(vertices[faces], weld, piece, extent * _THROUGH),
-        way=_ways(link, live),
+        way=_ways(link, live, piece),
         forked=forked,
         weld=weld,
         **_shape(vertices, faces, weld, live),
@@ -223,9 +230,10 @@ def _pieces(link: Ints, live: NDArray[np.bool_]) -> tuple[Ints, int]:
     return result, int(named.size)
 
 
-def _ways(link: Ints, live: NDArray[np.bool_]) -> Ints:
-    """Which sides of faces hang together, as a number per side and face (2, m): the two of a sheet do not, those of a Möbius
-    strip do. All 0 without an open border: nobody asks."""
+def _ways(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
+    """Which sides of faces may be come to from each other, as a number per side and face (2, m): those that hang together across
+    edges. The two of a sheet do not, those of a Möbius strip do. A piece without an open border has an inside and an outside
+    that none can confuse, wherever it cuts itself: its sides have one number."""
     m = len(live)
     if not (link[0].reshape(-1, 3)[live] == NO_LINK).any():
         return np.zeros((2, m), np.int32)
@@ -238,7 +246,10 @@ def _ways(link: Ints, live: NDArray[np.bool_]) -> Ints:
         beyond = link[side, half].astype(np.int64)
         here.append(half // 3 + side * m)
         there.append((beyond >> 3) + (side ^ (beyond & 1)) * m)
-    one, two = np.concatenate(here), np.concatenate(there)
+    shut = np.ones(int(piece.max(initial=-1)) + 1, bool)
+    shut[piece[live & (link[0].reshape(-1, 3) == NO_LINK).any(axis=1)]] = False
+    closed = np.flatnonzero(live)[shut[piece[live]]]
+    one, two = np.concatenate([*here, closed]), np.concatenate([*there, closed + m])
     graph = coo_array((np.ones(one.size, np.int8), (one, two)), shape=(2 * m, 2 * m))
     number: Ints = connected_components(graph, directed=False)[1].astype(np.int32)
     return number.reshape(2, m)

@@ -3,7 +3,7 @@ Exact in float64: the point never leaves its triangle, and the way walked is as 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
@@ -23,7 +23,8 @@ HOPS = 6  # from surface to surface, or turns along a border, in one step
 
 @dataclass(frozen=True, slots=True)
 class Landing:
-    """Where walkers step over to: which of those asked (`who`), the face, its weights, the side, and the way already gone."""
+    """Where walkers step over to: which of those asked (`who`), the face, its weights, the side, the way to there (`gone`) on the
+    level that is `rise` above their own face, in mm, and for whom the way ends there (`shut`), as nothing leads on."""
 
     who: Index
     face: Index
@@ -31,6 +32,15 @@ class Landing:
     b2: Floats
     side: Floats
     gone: Floats
+    rise: Floats
+    shut: NDArray[np.bool_]
+
+    @staticmethod
+    def nowhere() -> Landing:
+        return Landing(*np.empty((2, 0), np.int64), *np.empty((5, 0)), np.empty(0, bool))
+
+    def take(self, rows: Index | NDArray[np.bool_]) -> Landing:
+        return Landing(*(getattr(self, f.name)[rows] for f in fields(Landing)))
 
 
 class Surroundings(Protocol):
@@ -39,14 +49,15 @@ class Surroundings(Protocol):
     def ahead(self, walkers: Walkers, rows: Index, length: Floats) -> Landing:
         """What stands in the way of `rows` within `length` along their face."""
 
-    def beyond(self, walkers: Walkers, rows: Index) -> Landing:
-        """Where `rows`, who stand on an open border, can step over to."""
+    def beyond(self, walkers: Walkers, rows: Index, half: Index) -> Landing:
+        """Where `rows`, who stand on the open border half-edges `half`, can step over to."""
 
 
 @dataclass(slots=True)
 class Walkers:
     """Where agents are and head for: face, weights of its corners, side (1 = of the normal, -1), a unit direction and a
-    heading in the face's frame, the way left and the way gone in mm. All arrays have one length."""
+    heading in the face's frame, the way left and the way gone in mm, and how far above the border of their face those are who
+    are stepping over it (mm, 0 for others). All arrays have one length."""
 
     face: Index
     b1: Floats
@@ -59,9 +70,10 @@ class Walkers:
     left: Floats
     gone: Floats
     blocked: NDArray[np.bool_]
+    over: Floats
 
     def place(self, table: Topology, rows: Index | slice = slice(None)) -> Floats:
-        """Positions (3, k)."""
+        """Positions on their faces, (3, k)."""
         f = self.face[rows]
         return (
             table.corner.take(f, axis=1)
@@ -110,8 +122,9 @@ def cross(a: Floats, b: Floats) -> Floats:
 def walk(table: Topology, walkers: Walkers, near: NDArray[np.bool_], around: Surroundings) -> None:
     """Use up the way left of all walkers. Only those `near` other surfaces look out for what is in their way, and those who come
     to stand on another: `near` is changed."""
-    rows = np.flatnonzero(walkers.left > 0)
     hops = np.zeros(walkers.face.size, np.int8)
+    hang(table, walkers, np.flatnonzero((walkers.over != 0) & (walkers.left > 0)), near, hops, around)
+    rows = np.flatnonzero((walkers.left > 0) & (walkers.over == 0))
     for turn in range(CROSSINGS):
         if not rows.size:
             return
@@ -208,6 +221,8 @@ def _land(table: Topology, w: Walkers, asked: Index, landing: Landing, hops: NDA
     w.face[rows], w.b1[rows], w.b2[rows], w.side[rows] = landing.face, landing.b1, landing.b2, landing.side
     w.left[rows] = np.maximum(w.left[rows] - landing.gone, 0.0)
     w.gone[rows] += landing.gone
+    shut = rows[landing.shut]
+    w.left[shut], w.blocked[shut] = 0.0, True
     _spend_hop(w, rows, hops)
 
 
@@ -276,14 +291,25 @@ def border(
     hops: NDArray[np.int8],
     around: Surroundings,
 ) -> None:
-    """Step over an open border where something lies beyond it, else walk along it as far as the way leads along."""
-    landing = around.beyond(w, rows)
-    stays = np.ones(rows.size, bool)
-    stays[landing.who] = False
-    if landing.who.size:
-        near[rows[landing.who]] = True
-        _land(table, w, rows, landing, hops)
-    rows, half = rows[stays], half[stays]
+    """Step over an open border where something lies beyond it, up or down to its level and then across; else walk along it as far
+    as the way leads along. What takes more than the way left is gone on with in the next step."""
+    landing = around.beyond(w, rows, half)
+    onto = np.full(rows.size, -1, np.int64)
+    onto[landing.who] = np.arange(landing.who.size)
+    level = np.zeros(rows.size)
+    level[landing.who] = landing.rise
+    there = rise(w, rows, level)
+    across = there & (onto >= 0)
+    across[across] = w.left[rows[across]] >= landing.gone[onto[across]]
+    landed = rows[across]
+    if landed.size:
+        near[landed] = True
+        w.over[landed] = 0.0
+        _land(table, w, rows, landing.take(onto[across]), hops)
+    waits = rows[~across & ((onto >= 0) | ~there)]
+    w.left[waits] = 0.0
+    along = there & (onto < 0)
+    rows, half = rows[along], half[along]
     c, s = table.edge_c[half], table.edge_s[half]
     along = w.c[rows] * c + w.s[rows] * s
     turn = np.where(along < 0, -1.0, 1.0)
@@ -291,3 +317,34 @@ def border(
     w.left[rows] = w.left[rows] * np.abs(along)
     w.blocked[rows] = True
     _spend_hop(w, rows, hops)
+
+
+def rise(w: Walkers, rows: Index, level: Floats) -> NDArray[np.bool_]:
+    """Go up or down over a border to a level (mm above the own face), as far as the way left lasts; says who came there."""
+    over, left = w.over[rows], w.left[rows]
+    most = level - over
+    climb = np.minimum(np.abs(most), left)
+    there: NDArray[np.bool_] = climb >= np.abs(most)
+    w.over[rows] = np.where(there, level, over + np.where(most < 0, -climb, climb))
+    w.left[rows], w.gone[rows] = left - climb, w.gone[rows] + climb
+    return there
+
+
+def hang(table: Topology, w: Walkers, rows: Index, near: NDArray[np.bool_], hops: NDArray[np.int8], around: Surroundings) -> None:
+    """Those who are stepping over a border go on with it, or back where they have turned away from it."""
+    if not rows.size:
+        return
+    half, outward = hung(table, w, rows)
+    rise(w, rows[~outward], np.zeros(np.count_nonzero(~outward)))
+    w.left[rows[~outward]] = np.where(w.over[rows[~outward]] == 0, w.left[rows[~outward]], 0.0)
+    if outward.any():
+        border(table, w, rows[outward], half[outward], near, hops, around)
+
+
+def hung(table: Topology, w: Walkers, rows: Index) -> tuple[Index, NDArray[np.bool_]]:
+    """The open border half-edge over which walkers step, and whether they head out over it."""
+    half = 3 * w.face[rows] + np.arange(3)[:, None]
+    b1, b2 = w.b1[rows], w.b2[rows]
+    shut = table.link[np.where(w.side[rows] < 0, 1, 0), half] == NO_LINK
+    half = half[np.where(shut, [1.0 - b1 - b2, b1, b2], np.inf).argmin(axis=0), np.arange(rows.size)]
+    return half, w.c[rows] * table.edge_s[half] - w.s[rows] * table.edge_c[half] > 0

@@ -1,13 +1,13 @@
 """The walk of `walk` and `ground` as one loop over agents: same operations in the same order and so the same bits. Who may meet
-anything but the next face of its own surface, and is not shown by `misses_compiled` to meet nothing, waits until `walk_events`
-has cast rays."""
+anything but the next face of its own surface waits for a second loop, and of these who walks on what its own piece cuts for
+`walk_events`."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from antdsl.runtime.compiling import njit
-from antdsl.runtime.senses.misses_compiled import nothing_ahead, nothing_beyond
+from antdsl.runtime.senses.around_compiled import beyond, landed, other_ahead
 from antdsl.runtime.senses.packing import (
     AXIS1,
     AXIS2,
@@ -25,28 +25,30 @@ from antdsl.runtime.senses.packing import (
     SMOOTH,
     WIDTH,
 )  # fmt: skip
+from antdsl.runtime.senses.surroundings import LIFT
 from antdsl.runtime.senses.topology import NO_LINK
+from antdsl.runtime.senses.vectors_compiled import inside as _inside
 from antdsl.runtime.senses.walk import CROSSINGS, GRAIN, HOPS, INWARD, STUCK
 
 # What is kept of agents that wait: rows of an array of floats, and of one of whole numbers.
-B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, LENGTH, REALS = range(11)
+B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, OVER, LENGTH, REALS = range(12)
 AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, LOOKED, EVENT, EDGE, WHOLES = range(10)
 _FETCHED = 16  # agents whose rows are fetched at once
-AHEAD, BORDER, MET = 1, 2, 3  # something may stand in the way, or lie beyond the open border; rays have decided about that
+AHEAD, BORDER, HANG, MET = 1, 2, 3, 4  # something may be in the way, or beyond the border; over one already; decided elsewhere
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the call
-    table, link, forked, first, sub_first, sub_count, clear, reach, lift, noise, mesh, face, b1s, b2s,
-    body, wish, heading, up, reals, wholes, done, to_mesh, to_face, to_b1, to_b2, place, above, ahead, direction, gone,
-    begin, end,
+    table, link, forked, first, sub_first, sub_count, clear, reach, noise, mesh, face, b1s, b2s, overs,
+    body, wish, heading, up, reals, wholes, done,
+    to_mesh, to_face, to_b1, to_b2, to_over, place, above, ahead, direction, gone, begin, end,
 ):  # fmt: skip
     """One step of the agents from `begin` to before `end`; sets `done` for those that it moved and returns how many wait, in
     `reals` and `wholes` (.., end - begin).
 
     `table` is `packed`, `link` and `forked` of the topology and `first` the first face of each mesh. `sub_first`,
     `sub_count`, `clear` and `reach` are `first`, `count`, `least` and `reach` of `Parts`; an agent stays away from what is
-    nearer than its way, `lift` of its body and `noise`. Then where agents stand, their body, wish, heading and up (3, n), and
+    nearer than its way, LIFT of its body and `noise`. Then where agents stand, their body, wish, heading and up (3, n), and
     where the results go. Agents neither done nor waiting are left as they are.
     """
     waiting = 0
@@ -63,67 +65,107 @@ def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the 
         row = WIDTH * f
         along_up = up[0, i] * table[row + NORMAL] + up[1, i] * table[row + NORMAL + 1] + up[2, i] * table[row + NORMAL + 2]
         side = -1.0 if along_up < 0 else 1.0
+        over = overs[i] * side
         b1, b2 = _inside(b1s[i] + 0.0, b2s[i] + 0.0)
         c, s, left = _laid_down(table, row, wish_x, wish_y, wish_z, 1.0, 0.0)
         heading_c, heading_s, _ = _laid_down(table, row, heading[0, i], heading[1, i], heading[2, i], c, s)
-        high = _margin(lift, noise, body[i])
+        high = _margin(noise, body[i])
         if not _free(sub_first, sub_count, clear, reach, f, b1, b2) <= left + high:
             high = -np.inf  # has nothing to look out for on the whole way
-        f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = _walk(
-            table, link, forked, sub_first, sub_count, clear, reach, high, False,
-            f, b1, b2, side, c, s, heading_c, heading_s, left, 0.0, 0,
-        )  # fmt: skip
+        if over != 0 and left > 0:
+            way, turn, event, edge, length = 0.0, 0, HANG, 0, 0.0
+        else:
+            f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = _walk(
+                table, link, forked, sub_first, sub_count, clear, reach, high, False,
+                f, b1, b2, side, c, s, heading_c, heading_s, left, 0.0, 0,
+            )  # fmt: skip
         if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
             continue
         if event:
             wholes[AGENT, waiting], wholes[SPENT, waiting], wholes[BLOCKED, waiting] = i, 0, 0
             wholes[NEAR, waiting] = high > 0
-            _keep(reals, wholes, waiting, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length)
+            _keep(reals, wholes, waiting, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length)
             waiting += 1
             continue
         done[i] = True
         row = WIDTH * f
         on = int(table[row + MESH])
         to_mesh[i], to_face[i] = on, f - first[on]
-        to_b1[i], to_b2[i], gone[i] = b1, b2, way
-        _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, i, place, above, ahead, direction)
+        to_b1[i], to_b2[i], to_over[i], gone[i] = b1, b2, over * side + 0.0, way
+        _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, over, i, place, above, ahead, direction)
     return waiting
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def walk_on(  # type: ignore[no-untyped-def]
-    table, link, forked, first, sub_first, sub_count, clear, reach, lift, noise, most, margin, ahead_of, beyond,
-    body, reals, wholes, done, to_mesh, to_face, to_b1, to_b2, place, above, ahead, direction, gone, blocked,
+    table, link, forked, first, sub_first, sub_count, clear, reach, noise, sides, cuts, boxes, scale,
+    body, reals, wholes, done, to_mesh, to_face, to_b1, to_b2, to_over, place, above, ahead, direction, gone, blocked, begin, end,
 ):  # fmt: skip
-    """The same for agents that wait, as far as they need no rays: until they are done, or `EVENT` says which rays they need.
+    """The same for agents that wait, from `begin` to before `end`: until they are done, or `EVENT` says that they may come to
+    what their own piece cuts.
 
-    `most` and `margin` are `body` and `margin` of `Candidates`, `ahead_of` and `beyond` the arrays of its lists.
+    `sides` are `piece` and `way` of the topology and `cuts` the first of its cuts, `boxes` the arrays of `Boxes`, `scale` least,
+    fine and under of `Scale`.
     """
-    for k in range(wholes.shape[1]):
+    found = np.empty(boxes[0].size, np.int64)
+    for k in range(begin, end):
         event = wholes[EVENT, k]
         if event == 0:
             continue
         r, w = reals[:, k], wholes[:, k]
         i = w[AGENT]
-        size = body[i] if body[i] <= most else np.nan
-        high = _margin(lift, noise, body[i]) if w[NEAR] else -np.inf
+        size = body[i]
+        high = _margin(noise, size) if w[NEAR] else -np.inf
         f, b1, b2, side, c, s, heading_c, heading_s = w[FACE], r[B1], r[B2], r[SIDE], r[C], r[S], r[HEADING_C], r[HEADING_S]
-        left, way, turn, looked, edge, length = r[LEFT], r[GONE], w[TURN], w[LOOKED] != 0, w[EDGE], r[LENGTH]
+        left, way, over, turn, looked, edge, length = r[LEFT], r[GONE], r[OVER], w[TURN], w[LOOKED] != 0, w[EDGE], r[LENGTH]
         w[EVENT], w[LOOKED] = 0, 0
         while event:
+            to, side2, level, gap = -1, side, 0.0, 0.0
             if event == AHEAD:
-                if not nothing_ahead(table, ahead_of, noise, margin, size, lift, f, b1, b2, side, c, s, length):
+                if cuts[f + 1] > cuts[f]:
                     break
                 looked = True
-            elif event == BORDER:
-                if not nothing_beyond(table, beyond, noise, margin, size, f, b1, b2, side, c, s):
-                    break
-                c, s, left = _along(table[WIDTH * f + EDGE_C + edge], table[WIDTH * f + EDGE_S + edge], c, s, left)
+                if length > 0:
+                    to, one, two, side2, gap = other_ahead(
+                        table, sides, boxes, scale, found, size, f, b1, b2, side, c, s, left, length
+                    )  # fmt: skip
+                if to >= 0:
+                    looked = False
+                    turn += 1
+            elif event == HANG:
+                edge, outward = _hung(table, link, f, b1, b2, side, c, s)
+                if outward:
+                    event = BORDER
+                    turn -= 1  # of a step, the loop counts the stretches
+                else:
+                    over, left, way = _rise(over, 0.0, left, way)
+                    if over != 0:
+                        left = 0.0
+            if event == BORDER:
                 turn += 1
-                w[BLOCKED] = 1
+                to, one, two, side2, gap, level = beyond(table, sides, boxes, scale, found, size, f, edge, b1, b2, side)
+                over, left, way = _rise(over, level, left, way)
+                if to < 0 and over == level:
+                    c, s, left = _along(table[WIDTH * f + EDGE_C + edge], table[WIDTH * f + EDGE_S + edge], c, s, left)
+                    w[BLOCKED] = 1
+                    w[SPENT] += 1
+                    if w[SPENT] >= HOPS:
+                        left = 0.0
+                elif to < 0 or over != level or not left >= gap:
+                    to, left = -1, 0.0
+                else:
+                    over = 0.0
+                    w[NEAR] = 1
+                    high = _margin(noise, size)
+            if to >= 0:
+                c, s, heading_c, heading_s = landed(table, f, side, c, s, heading_c, heading_s, to, side2)
+                f, b1, b2, side = to, one, two, side2
+                left = max(left - gap, 0.0)
+                way += gap
                 w[SPENT] += 1
                 if w[SPENT] >= HOPS:
                     left = 0.0
+                    w[BLOCKED] = 1
             f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = _walk(
                 table, link, forked, sub_first, sub_count, clear, reach, high, looked,
                 f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn,
@@ -132,20 +174,20 @@ def walk_on(  # type: ignore[no-untyped-def]
         if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
             continue
         if event:
-            _keep(reals, wholes, k, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length)
+            _keep(reals, wholes, k, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length)
             continue
         done[i] = True
         row = WIDTH * f
         on = int(table[row + MESH])
         to_mesh[i], to_face[i] = on, f - first[on]
-        to_b1[i], to_b2[i], gone[i], blocked[i] = b1, b2, way, w[BLOCKED] != 0
-        _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, i, place, above, ahead, direction)
+        to_b1[i], to_b2[i], to_over[i], gone[i], blocked[i] = b1, b2, over * side + 0.0, way, w[BLOCKED] != 0
+        _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, over, i, place, above, ahead, direction)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _margin(lift, noise, body):  # type: ignore[no-untyped-def]
+def _margin(noise, body):  # type: ignore[no-untyped-def]
     """How near to its way (mm) a piece of surface must be to matter."""
-    high = lift * body
+    high = LIFT * body
     if not high > noise:
         high = noise
     return high + noise
@@ -153,12 +195,32 @@ def _margin(lift, noise, body):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _keep(  # type: ignore[no-untyped-def]
-    reals, wholes, k, f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length
+    reals, wholes, k, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length
 ):
     r, w = reals[:, k], wholes[:, k]
     r[B1], r[B2], r[SIDE], r[C], r[S], r[HEADING_C], r[HEADING_S] = b1, b2, side, c, s, heading_c, heading_s
-    r[LEFT], r[GONE], r[LENGTH] = left, way, length
+    r[LEFT], r[GONE], r[OVER], r[LENGTH] = left, way, over, length
     w[FACE], w[TURN], w[LOOKED], w[EVENT], w[EDGE] = f, turn, 0, event, edge
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _rise(over, level, left, way):  # type: ignore[no-untyped-def]
+    """As `walk.rise`: where it leads, and the way left and gone."""
+    most = level - over
+    climb = min(abs(most), left)
+    to = level if climb >= abs(most) else over + (-climb if most < 0 else climb)
+    return to, left - climb, way + climb
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _hung(table, link, f, b1, b2, side, c, s):  # type: ignore[no-untyped-def]
+    """As `walk.hung`."""
+    weights, edge, least = (1.0 - b1 - b2, b1, b2), 0, np.inf
+    for k in range(3):
+        if link[1 if side < 0 else 0, 3 * f + k] == NO_LINK and weights[k] < least:
+            edge, least = k, weights[k]
+    row = WIDTH * f + edge
+    return edge, c * table[row + EDGE_S] - s * table[row + EDGE_C] > 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -171,15 +233,6 @@ def _touch(table, mesh, face, first, start, stop):  # type: ignore[no-untyped-de
             for k in range(0, WIDTH, 8):
                 total += table[row + k]
     return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _inside(b1, b2):  # type: ignore[no-untyped-def]
-    b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
-    total = b1 + b2
-    if total > 1.0:
-        return b1 / total, b2 / total
-    return b1, b2
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -280,7 +333,9 @@ def _cross(table, row, beyond, edge, b1, b2, side, c, s, heading_c, heading_s): 
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, i, place, above, ahead, direction):  # type: ignore[no-untyped-def]
+def _finish(  # type: ignore[no-untyped-def]
+    table, row, b1, b2, side, c, s, heading_c, heading_s, over, i, place, above, ahead, direction
+):
     """Place, smooth normal, transported heading and direction of travel in space."""
     b0 = 1.0 - b1 - b2
     sx = table[row + SMOOTH] * b0 + table[row + SMOOTH + 3] * b1 + table[row + SMOOTH + 6] * b2
@@ -298,8 +353,10 @@ def _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, i, place, abov
     size = np.sqrt(hx * hx + hy * hy + hz * hz)
     ahead[0, i], ahead[1, i], ahead[2, i] = hx / size, hy / size, hz / size
     above[0, i], above[1, i], above[2, i] = sx, sy, sz
+    stood = (nx, ny, nz)
     for k in range(3):
-        place[k, i] = table[row + CORNER + k] + b1 * table[row + EDGE1 + k] + b2 * table[row + EDGE2 + k]
+        there = table[row + CORNER + k] + b1 * table[row + EDGE1 + k] + b2 * table[row + EDGE2 + k]
+        place[k, i] = there + over * stood[k]
         direction[k, i] = table[row + AXIS1 + k] * c + table[row + AXIS2 + k] * s
 
 

@@ -1,4 +1,5 @@
-"""The compiled walk in rounds: a loop over all agents until each is done or needs rays, then the rays of all who wait at once."""
+"""The compiled walk in rounds: loops over all agents until each is done or may come to what its own piece cuts, then the cuts of
+all who wait at once."""
 
 from __future__ import annotations
 
@@ -9,12 +10,12 @@ from numpy.typing import NDArray
 
 from antdsl.runtime import compiled
 from antdsl.runtime.senses import walk_compiled as loop
-from antdsl.runtime.senses.candidates import Candidates
+from antdsl.runtime.senses.boxes import Boxes
 from antdsl.runtime.senses.clearances import Parts
 from antdsl.runtime.senses.packing import pack, packed
-from antdsl.runtime.senses.surroundings import LIFT, Around
+from antdsl.runtime.senses.surroundings import Around, Scale
 from antdsl.runtime.senses.topology import Topology
-from antdsl.runtime.senses.walk import Walkers, border, climb
+from antdsl.runtime.senses.walk import Walkers, climb
 
 Floats = NDArray[np.float64]
 
@@ -34,8 +35,8 @@ class Walk:
         self,
         around: Around,
         parts: Parts,
-        candidates: Candidates,
-        noise: float,
+        boxes: Boxes,
+        scale: Scale,
         body: Floats,
         at: tuple[Any, ...],
         vectors: tuple[Floats, Floats, Floats],
@@ -47,7 +48,7 @@ class Walk:
         n = body.size
         done = np.empty(n, np.bool_)
         table = (self._packed, self._table.link, self._table.forked, self._first)
-        near = (*table, parts.first, parts.count, parts.least, parts.reach, LIFT, noise)
+        near = (*table, parts.first, parts.count, parts.least, parts.reach, scale.noise)
 
         def part(begin: int, end: int) -> tuple[Floats, NDArray[np.int64]]:
             reals, wholes = np.empty((loop.REALS, end - begin)), np.empty((loop.WHOLES, end - begin), np.int64)
@@ -55,30 +56,30 @@ class Walk:
             return reals[:, :waiting], wholes[:, :waiting]
 
         reals, wholes = (np.concatenate(half, axis=1) for half in zip(*compiled.in_parts(part, n, threads), strict=True))
+        topology = self._table
+        known = ((topology.piece, topology.way), topology.cuts.first, (boxes.order, boxes.first, boxes.bounds))
+        known = (*known, (scale.least, scale.fine, scale.under))
+
+        def further(begin: int, end: int) -> None:
+            loop.walk_on(*near, *known, body, reals, wholes, done, *to, begin, end)
+
         if wholes.size:
             asking = around.of(wholes[loop.AGENT])
-            known = (candidates.body, candidates.margin, candidates.ahead.arrays(), candidates.beyond.arrays())
-            loop.walk_on(*near, *known, body, reals, wholes, done, *to)
+            compiled.in_parts(further, wholes.shape[1], threads)
             while wholes[loop.EVENT].any():
                 self._meet(asking, reals, wholes)
-                loop.walk_on(*near, *known, body, reals, wholes, done, *to)
+                compiled.in_parts(further, wholes.shape[1], threads)
         return done
 
     def _meet(self, around: Around, reals: Floats, wholes: NDArray[np.int64]) -> None:
-        """Cast the rays of all who wait, and do with them what `walk` does."""
-        columns: Any = (wholes[loop.FACE], *reals[: loop.GONE + 1], wholes[loop.BLOCKED])
+        """Look what those who wait come to, and do with them what `walk` does."""
+        columns: Any = (wholes[loop.FACE], *reals[: loop.GONE + 1], wholes[loop.BLOCKED], reals[loop.OVER])
         w = Walkers(*columns)
         near: Any = wholes[loop.NEAR]
         spent: Any = wholes[loop.SPENT]
-        stopped, edge = np.flatnonzero(wholes[loop.EVENT] == loop.BORDER), wholes[loop.EDGE]
         looking = np.flatnonzero(wholes[loop.EVENT] == loop.AHEAD)
-        on = stopped
-        if looking.size:
-            met = climb(self._table, w, looking, near, reals[loop.LENGTH].take(looking), spent, around)
-            looked = np.ones(looking.size, bool) if met is None else ~met
-            wholes[loop.LOOKED, looking] = looked
-            on = np.concatenate([on, looking[~looked]])
-        if stopped.size:
-            border(self._table, w, stopped, 3 * w.face.take(stopped) + edge.take(stopped), near, spent, around)
-        wholes[loop.TURN, on] += 1
-        wholes[loop.EVENT, np.concatenate([stopped, looking])] = loop.MET
+        met = climb(self._table, w, looking, near, reals[loop.LENGTH].take(looking), spent, around)
+        looked = np.ones(looking.size, bool) if met is None else ~met
+        wholes[loop.LOOKED, looking] = looked
+        wholes[loop.TURN, looking[~looked]] += 1
+        wholes[loop.EVENT, looking] = loop.MET
