@@ -50,7 +50,7 @@ def move(world: World, population: Population, substep: int) -> None:
     moved = world.ground.move(
         population.footing,
         vec.rows(step),
-        vec.rows(body.looking()),
+        body.looking.T.astype(np.float64, order="K"),
         vec.rows(up),
         now["size"].astype(np.float64),
         world.options.threads,

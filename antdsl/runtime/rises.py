@@ -19,7 +19,8 @@ Rows = NDArray[np.intp]
 
 _STEEP = 0.7071067811865476  # cosine of the least turn of the ground that is a wall; less is smooth, or a slope
 _EYE = 0.03  # of a body: how high above the feet a ray looks for walls
-_WIDEST = 4.0  # half bodies before a wall within which a body tilts, at most
+_ASIDE = 0.97  # cosine of the angle between look and way above which one ray tells of both
+_WIDEST = 3.0  # half bodies before a wall within which a body tilts, at most
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,8 +101,7 @@ def rises(world: World, population: Population, looking: NDArray[np.float32], st
         return Rises.none()
     size = np.maximum(population.now["size"], np.float32(0)).astype(np.float64)
     half = np.where(np.isfinite(size), size / 2, 0.0)
-    on_mesh = (population.footing.mesh >= 0) & (population.footing.mesh < len(meshes.names))
-    rows = np.flatnonzero(near_rises(meshes, population.position, _WIDEST * half) & on_mesh & (half > 0))
+    rows = np.flatnonzero(near_rises(meshes, population.footing, population.position, _WIDEST * half) & (half > 0))
     if not len(rows):
         return Rises.none()
     half, normal, look = half[rows], population.normal[rows].T.astype(np.float64), looking[:, rows].astype(np.float64)
@@ -109,27 +109,36 @@ def rises(world: World, population: Population, looking: NDArray[np.float32], st
     way -= normal * _dot(way, normal)
     size = np.sqrt(_dot(way, way))
     way = np.where(size > 1e-9, way / np.maximum(size, 1e-300), look)
-    twice = (np.concatenate([v, v], axis=-1) for v in (rows, population.position[rows].T, normal, half))
-    rows, place, normal, half = twice
-    found = _seen(meshes, world.options.threads, rows, place, np.concatenate([look, way], axis=1), normal, half)
+    aside = np.flatnonzero(_dot(way, look) < _ASIDE)  # most walk where they look, and need one ray
+    which = np.concatenate([np.arange(len(rows)), aside])
+    ahead = np.concatenate([look, way.take(aside, axis=1)], axis=1)
+    place = population.position[rows[which]].T
+    found = _seen(meshes, world.options.threads, rows[which], place, ahead, normal[:, which], half[which], size[which])
+    if not len(found.rows):
+        return found
     tilt = (1.0 - found.far / found.over) * found.angle
     order = np.lexsort((-tilt, found.rows))
     first = order[np.unique(found.rows[order], return_index=True)[1]]
     return Rises(*(getattr(found, each.name)[..., first] for each in fields(Rises)))
 
 
-def _seen(meshes: Any, threads: int, rows: Rows, place: Floats, ahead: Floats, normal: Floats, half: Floats) -> Rises:
-    """Walls that rays along `ahead` (3, k) meet from just above the ground."""
+def _seen(
+    meshes: Any, threads: int, rows: Rows, place: Floats, ahead: Floats, normal: Floats, half: Floats, step: Floats
+) -> Rises:
+    """Walls that rays along `ahead` (3, k) meet from just above the ground, so near that the body tilts within a `step` (mm)."""
     high, reach = 2 * _EYE * half, _WIDEST * half
     met, part, footing = meshes.met((place + normal * high).T, (ahead * reach).T, threads)
-    wall = meshes.normal(footing).T
+    hit = np.flatnonzero(met)
+    rows, half, step, high, reach = (v.take(hit) for v in (rows, half, step, high, reach))
+    ahead, normal, part = ahead.take(hit, axis=1), normal.take(hit, axis=1), part.take(hit)
+    wall = meshes.normal(footing.take(hit)).T
     wall = np.where(_dot(wall, ahead) > 0, -wall, wall)
     cosine, across = _dot(normal, wall), _cross(normal, wall)
     sine = np.maximum(np.sqrt(_dot(across, across)), 1e-6)
     angle = kernels.atan2(sine.astype(np.float32), cosine.astype(np.float32)).astype(np.float64)
     over = half * np.clip(angle / sine, 2.0, _WIDEST)
     far = np.maximum(part * reach - high * cosine / sine, 0.0)
-    who = np.flatnonzero(met & (cosine < _STEEP) & (far < over + reach))
+    who = np.flatnonzero((cosine < _STEEP) & (far < over + 2 * step))
     return Rises(rows[who], wall[:, who], ahead[:, who], angle[who], far[who], over[who], half[who])
 
 

@@ -51,14 +51,7 @@ class Bodies:
     most: NDArray[np.float32]
     leaning: Rows
     rises: Rises
-
-    def looking(self) -> Vector:
-        """Headings (n) laid along the ground that the feet are on."""
-        if not len(self.leaning):
-            return (self.heading[0], self.heading[1], self.heading[2])
-        found = self.heading.copy()
-        found[:, self.leaning] = _laid(self._of(self.heading), self._of(self.up), self._feet(self.leaning))
-        return (found[0], found[1], found[2])
+    looking: NDArray[np.float32]  # (3, n): headings laid along the ground that the feet are on
 
     def at_once(self) -> NDArray[np.float32]:
         """By what angle bodies may tilt that stand as their feet do: 0 of others, which `follow` turns."""
@@ -124,9 +117,6 @@ class Bodies:
             for axis_name, component in zip(AXES, value, strict=True):
                 now[f"{name}.{axis_name}"][rows] = component
 
-    def _of(self, vectors: NDArray[np.float32]) -> Floats:
-        return vectors[:, self.leaning].astype(np.float64)
-
     def _feet(self, rows: Rows) -> Floats:
         return self.population.normal[rows].T.astype(np.float64)
 
@@ -135,18 +125,31 @@ def bodies(world: World, population: Population, step: Vector, dt: np.float32) -
     """The bodies of a species about to make steps (mm) in a time."""
     now = population.now
     up, heading = (np.stack([now[f"{name}.{axis}"] for axis in AXES]) for name in ("up", "heading"))
-    leaning = np.flatnonzero((up != population.normal.T).any(axis=0))
-    found = Bodies(population, up, heading, limits(now, dt), leaning, Rises.none())
-    found.rises = rises(world, population, np.stack(found.looking()), step)
-    return found
+    leaning = _leaning(population)
+    looking = heading
+    if len(leaning):
+        looking = heading.copy()
+        bent = (v[:, leaning].astype(np.float64) for v in (heading, up, population.normal.T))
+        looking[:, leaning] = _laid(*bent)
+    found = rises(world, population, looking, step)
+    return Bodies(population, up, heading, limits(now, dt), leaning, found, looking)
+
+
+def _leaning(population: Population) -> Rows:
+    """Rows of those whose body stands otherwise than their feet."""
+    normal, now = population.normal, population.now
+    return np.flatnonzero((now["up.x"] != normal[:, 0]) | (now["up.y"] != normal[:, 1]) | (now["up.z"] != normal[:, 2]))
 
 
 def lay(population: Population) -> None:
     """Show programs the heading and up of the feet, along the ground, while a step is made: a push ahead leads on, over whatever
     edge the body tilts just then."""
     start, now = population.start, population.now
+    rows = _leaning(population)
+    population.laid = None
+    if not len(rows):
+        return
     up, heading = (np.stack([start[f"{name}.{axis}"] for axis in AXES]) for name in ("up", "heading"))
-    rows = np.flatnonzero((up != population.normal.T).any(axis=0))
     normal = population.normal[rows].T
     along = _laid(heading[:, rows].astype(np.float64), up[:, rows].astype(np.float64), normal.astype(np.float64))
     population.laid = (rows, up[:, rows], heading[:, rows], along.astype(np.float32))

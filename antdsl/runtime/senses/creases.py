@@ -8,11 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime.senses.rasterise import triangle_cells
+from antdsl.runtime.senses.rays import RayScene
 from antdsl.runtime.senses.topology import NO_LINK, Topology
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+_SAMPLES = 5  # places along a crease from which distances are measured
+_PIECES = 64  # pieces of a ground above which each face counts as near another
+_NOISE = 1e-4  # of a ground's extent: distances in float32 err by less
 _ALONG = 192  # cells along the longest side of a ground
 _SMOOTH = 0.7071067811865476  # cosine of the turn up to which normals are smoothed over an edge
 _NONE = np.iinfo(np.int32).max
@@ -100,17 +104,55 @@ class Creases:
         return found
 
 
-def near_rises(ground: Any, place: Floats, reach: Floats) -> NDArray[np.bool_]:
-    """Whether at places [n,3] of a `Ground` a surface may rise within `reach` [n] mm: at an inner crease, or another piece, or a
-    mesh that moves. Never false where one does, and the same for a place and a reach whoever else is asked for."""
+def clear_of_rises(corners: Floats, table: Topology) -> Floats:
+    """Of each face, float64[m], a distance (mm) from its places within which there is no inner crease and no other piece; 0 for
+    faces that cut their own piece, inf where there is nothing of the kind at all."""
+    from scipy.spatial import cKDTree
+
+    middle = corners.mean(axis=1)
+    radius = np.sqrt(((corners - middle[:, None]) ** 2).sum(axis=2).max(axis=1))
+    found = np.full(len(corners), np.inf)
+    half = inner_creases(table, corners)
+    if half.size:
+        one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
+        part = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None]
+        reach = np.sqrt(((two - one) ** 2).sum(axis=1).max()) / (2 * (_SAMPLES - 1))
+        found = cKDTree((one + part * (two - one)).reshape(-1, 3)).query(middle)[0] - radius - reach
+    pieces = np.unique(table.piece[table.live])
+    if pieces.size > 1:
+        noise = _NOISE * float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
+        for piece in pieces if pieces.size <= _PIECES else pieces[:0]:
+            own, other = np.flatnonzero(table.piece == piece), np.flatnonzero(table.live & (table.piece != piece))
+            scene = RayScene(corners[other].reshape(-1, 3), np.arange(3 * other.size, dtype=np.int32).reshape(-1, 3))
+            found[own] = np.minimum(found[own], scene.closest(middle[own])[3] - radius[own] - noise)
+        if pieces.size > _PIECES:
+            found[:] = 0.0
+    found[table.cuts.cut] = 0.0
+    return np.maximum(found, 0.0)
+
+
+def near_rises(ground: Any, footing: Any, place: Floats, reach: Floats) -> NDArray[np.bool_]:
+    """Whether for agents on a `Ground`, at places [n,3], a surface may rise within `reach` [n] mm: at an inner crease, or another
+    piece, or a mesh that moves. Never false where one does, and the same for an agent whoever else is asked for."""
     moving = ground.boxes() if hasattr(ground, "boxes") else []
     if ground.creases is None:
         vertices, faces, _, table = ground.triangles
         still = np.ones(len(faces), np.bool_)
         for own, _, _ in moving:
             still &= ~own
-        ground.creases = Creases(vertices[faces], table, still)
-    found: NDArray[np.bool_] = ground.creases.near(place.T, reach)
-    for _, low, high in moving:
-        found |= ((place >= low - reach[:, None]) & (place <= high + reach[:, None])).all(axis=1)
+        clear = clear_of_rises(vertices[faces], table) if not moving else np.zeros(len(faces))
+        corners = vertices[faces]
+        size = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
+        ground.creases = clear, size, Creases(corners, table, still)
+    clear, size, grid = ground.creases
+    face, known = ground.on_faces(footing)
+    rows = np.flatnonzero(known & (clear.take(face) <= reach))
+    found = np.zeros(len(reach), np.bool_)
+    if rows.size:
+        at = place.take(rows, axis=0)
+        found[rows] = True
+        wide = np.flatnonzero(size.take(face.take(rows)) > reach[rows])  # of such a face only a part is near
+        found[rows[wide]] = grid.near(at[wide].T, reach[rows[wide]])
+        for _, low, high in moving:
+            found[rows] |= ((at >= low - reach[rows, None]) & (at <= high + reach[rows, None])).all(axis=1)
     return found
