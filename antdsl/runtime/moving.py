@@ -197,7 +197,7 @@ def _limit_turn(velocity: Vector, before: Vector, up: Vector, most: NDArray[np.f
 
 def _may_turn_more(velocity: Vector, before: Vector, most: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Who may turn by more than `most` (radians): all but those whose angle is clearly less, of whom most crowds are."""
-    cosine = kernels.cos(np.clip(most, _F(0), _F(np.pi)))
+    cosine = np.cos(np.clip(most, _F(0), _F(np.pi)))
     along, both = vec.dot(velocity, before), vec.length(velocity) * vec.length(before)
     clearly: NDArray[np.bool_] = (along > (cosine + _F(1e-3)) * both) & (both > _F(1e-12))
     return np.logical_not(clearly)
