@@ -13,7 +13,7 @@ from test_specs import GROUND
 
 from antdsl.cli.new import ground
 from antdsl.cli.project import FILES
-from antdsl.explain import CacheHistory, Replay, accounts, open_shot, tell
+from antdsl.explain import CacheHistory, Replay, accounts, explain, open_shot, tell
 from antdsl.pipeline import open_scene
 from antdsl.plan.noting import RESTS
 from antdsl.runtime import bind, step
@@ -117,6 +117,8 @@ def test_explain_says_why_it_stands_still(tmp_path: Path, rest: str, words: str)
     replay = Replay(CacheHistory.of(cache, open_shot(cache)))
     (told,) = accounts(replay, 3, [("a", 0)])
     assert told is not None
+    words_of_strip = tell(explain(cache, 0, 3)).splitlines()[3]
+    assert words_of_strip.startswith("  [rest 1..")  # and no name of a state stands before the first one's
     assert [steer.text for steer in told.steers] == [words if words == RESTS else "steer coast()"]
     assert f"state: {told.steers[0].text}" in tell(told)
     assert (told.steers[0].length > 0.1) is (words == RESTS)

@@ -54,9 +54,9 @@ def _strip(strip: tuple[Stretch, ...], frame: int, name: str) -> Iterator[str]:
     part = strip[first : first + _STRETCHES]
     words = []
     for k, stretch in enumerate(part, first):
-        name = stretch.state or "alive"
+        state = stretch.state or "alive"
         frames = f"{stretch.first}..{stretch.last}" if stretch.first != stretch.last else f"{stretch.first}"
-        words.append(f"[{name} {frames}]" if k == at else f"{name} {frames}")
+        words.append(f"[{state} {frames}]" if k == at else f"{state} {frames}")
     before, after = "… > " if first else "", " > …" if first + _STRETCHES < len(strip) else ""
     yield f"  {name}{before}{' > '.join(words)}{after}"
     gaps = [f"{a.last + 1}..{b.first - 1}" for a, b in pairwise(part) if b.first > a.last + 1]
