@@ -96,6 +96,8 @@ def crossed(table: Topology, walkers: Walkers, rows: Index, length: Floats, touc
 
 def weights(table: Topology, face: Index, place: Floats) -> tuple[Floats, Floats]:
     """Weights of the point of each face below places (3, k) near it, in the triangle."""
+    if not table.corner.shape[1]:
+        return np.zeros(len(face)), np.zeros(len(face))
     c, s = in_frame(table, face, place - table.corner.take(face, axis=1))
     return inside(c * table.rate1.take(face) - s * table.shear.take(face) + 0.0, s * table.rate2.take(face) + 0.0)  # no -0.0
 
