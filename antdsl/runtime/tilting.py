@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime import kernels
+from antdsl.runtime import compiled, kernels
 from antdsl.runtime import vectors as vec
+from antdsl.runtime.heads import RAISED
 from antdsl.runtime.rises import Rises, rises
 from antdsl.runtime.vectors import Vector
 from antdsl.runtime.world import AXES, Population, World
@@ -65,6 +66,8 @@ class Bodies:
         rows = np.union1d(self.leaning, self.rises.rows)
         if not len(rows):
             return step, None
+        if compiled.wanted(len(self.most)):
+            return self._paced_fast(rows, step)
         share = np.ones(len(self.most), np.float64)
         way = np.stack([component[rows] for component in step]).astype(np.float64)
         size = np.sqrt(_dot(way, way))
@@ -87,6 +90,9 @@ class Bodies:
         if not len(rows):
             return
         now = self.population.now
+        if compiled.wanted(len(self.most)):
+            self._follow_fast(rows, went, dt)
+            return
         before, ahead = self.up[:, rows].astype(np.float64), self.heading[:, rows].astype(np.float64)
         ahead = _across(ahead, before)
         normal = np.stack([now[f"up.{axis}"][rows] for axis in AXES]).astype(np.float64)
@@ -117,6 +123,29 @@ class Bodies:
             for axis_name, component in zip(AXES, value, strict=True):
                 now[f"{name}.{axis_name}"][rows] = component
 
+    def _paced_fast(self, rows: Rows, step: Vector) -> tuple[Vector, NDArray[np.float32]]:
+        from antdsl.runtime.tilting_compiled import shares
+
+        part, r = np.ones(len(self.most), np.float32), self.rises
+        walls = (r.wall, r.ahead, r.angle, r.far, r.over)
+        shares(rows, self._walls(rows), step, self.up, self.population.normal, self.most, *walls, part)
+        return vec.scale(step, part), np.maximum(part, _F(_WAITING))
+
+    def _follow_fast(self, rows: Rows, went: Floats, dt: np.float32) -> None:
+        from antdsl.runtime.tilting_compiled import follow
+
+        now, r = self.population.now, self.rises
+        walls = (r.wall, r.ahead, r.angle, r.far, r.over, r.half)
+        up, heading = (tuple(now[f"{name}.{axis}"] for axis in AXES) for name in ("up", "heading"))
+        most = (self.most, now["max_turn"], dt)
+        follow(rows, self._walls(rows), self.up, self.heading, went, *most, *walls, RAISED, up, heading)
+
+    def _walls(self, rows: Rows) -> Rows:
+        """The number of the wall of each of some rows, -1 for none."""
+        found = np.full(len(rows), -1, np.intp)
+        found[np.searchsorted(rows, self.rises.rows)] = np.arange(len(self.rises.rows))
+        return found
+
     def _feet(self, rows: Rows) -> Floats:
         return self.population.normal[rows].T.astype(np.float64)
 
@@ -129,8 +158,7 @@ def bodies(world: World, population: Population, step: Vector, dt: np.float32) -
     looking = heading
     if len(leaning):
         looking = heading.copy()
-        bent = (v[:, leaning].astype(np.float64) for v in (heading, up, population.normal.T))
-        looking[:, leaning] = _laid(*bent)
+        looking[:, leaning] = _laid_down(leaning, heading, up, population.normal)
     found = rises(world, population, looking, step)
     return Bodies(population, up, heading, limits(now, dt), leaning, found, looking)
 
@@ -139,6 +167,19 @@ def _leaning(population: Population) -> Rows:
     """Rows of those whose body stands otherwise than their feet."""
     normal, now = population.normal, population.now
     return np.flatnonzero((now["up.x"] != normal[:, 0]) | (now["up.y"] != normal[:, 1]) | (now["up.z"] != normal[:, 2]))
+
+
+def _laid_down(
+    rows: Rows, heading: NDArray[np.float32], up: NDArray[np.float32], normal: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Headings (3, k) of some rows, laid from across up (3, n) to across the normal (n, 3) of the ground."""
+    if compiled.wanted(len(normal)):
+        from antdsl.runtime.tilting_compiled import laid
+
+        found = np.empty((3, len(rows)), np.float32)
+        laid(rows, heading, up, normal, found)
+        return found
+    return _laid(*(v[:, rows].astype(np.float64) for v in (heading, up, normal.T))).astype(np.float32)
 
 
 def lay(population: Population) -> None:
@@ -151,8 +192,7 @@ def lay(population: Population) -> None:
         return
     up, heading = (np.stack([start[f"{name}.{axis}"] for axis in AXES]) for name in ("up", "heading"))
     normal = population.normal[rows].T
-    along = _laid(heading[:, rows].astype(np.float64), up[:, rows].astype(np.float64), normal.astype(np.float64))
-    population.laid = (rows, up[:, rows], heading[:, rows], along.astype(np.float32))
+    population.laid = (rows, up[:, rows], heading[:, rows], _laid_down(rows, heading, up, population.normal))
     for name, shown in (("up", normal), ("heading", population.laid[3])):
         for axis, component in zip(AXES, shown, strict=True):
             start[f"{name}.{axis}"][rows] = now[f"{name}.{axis}"][rows] = component
