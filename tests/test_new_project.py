@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import yaml
 
+from antdsl import __version__
 from antdsl.cli import COMMANDS
 from antdsl.cli.project import FILES
 
@@ -96,6 +97,9 @@ def test_a_step_after_a_failed_one_runs_and_files_are_those_that_are_written() -
     assert WORKFLOW["permissions"]["security-events"] == "write" and WORKFLOW["permissions"]["contents"] == "read"
     assert WORKFLOW[True] == ["push", "pull_request"]  # YAML 1.1 reads the key `on` as true; GitHub does not
     assert WORKFLOW["env"].keys() == {"ANTDSL"} and 'pip install "$ANTDSL"' in LINES
+    # no package index has antdsl: what is installed is the wheel that `pip wheel` makes of this version
+    assert WORKFLOW["env"]["ANTDSL"] == f"wheels/antdsl-{__version__}-py3-none-any.whl"
+    assert "pip wheel --no-deps --wheel-dir wheels" in FILE["README.md"] and "/wheels" not in FILE[".gitignore"]
     for line in LINES:
         assert line in OURS or re.match(r"(pip install|sudo apt-get update)", line), line
 

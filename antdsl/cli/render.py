@@ -159,9 +159,7 @@ def _draw(
         yield frame, image
 
 
-def _camera(
-    gallery: Gallery, picture: Picture, which: View, agents: tuple[int, ...], aspect: float, frames: list[int]
-) -> Camera:
+def _camera(gallery: Gallery, picture: Picture, which: View, agents: tuple[int, ...], aspect: float, frames: list[int]) -> Camera:
     import numpy as np
 
     from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_holding, camera_over
