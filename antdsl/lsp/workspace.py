@@ -21,7 +21,7 @@ from antdsl.lsp.names import Names, names_of
 from antdsl.lsp.scenes import SceneIndex, scene_index
 from antdsl.lsp.text import Range, Text, normal
 from antdsl.lsp.uses import Occurrence
-from antdsl.pipeline import check_scene_text, compile_files, find_files, spec_scenes
+from antdsl.pipeline import check_scene_text, compile_files, find_files
 from antdsl.program.memo import Memo
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
@@ -234,7 +234,6 @@ class Workspace:
         # a text that had to be read as a whole has nothing in common with the one before, which may come back
         memo = self._memos.setdefault(document.path, Memo()) if document.parsed[0].parts else None
         program, report = compile_files([document.path], parsed=self.parsed(document.path), memo=memo)
-        report.extend(spec_scenes(program))
         return Checked(program, None, report)
 
     def _check_scene(self, document: Document) -> Checked:
