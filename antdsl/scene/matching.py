@@ -370,7 +370,7 @@ def _detail(scene: Scene, program: Program, report: Report) -> None:
         return
     if scene.model.camera is None or isinstance(scene.model.camera, str):
         advice = "write `camera: {at: [200, 150, 300], look_at: [0, 0, 0]}`, or leave `lod` out"
-        words = "`lod` goes by the distance from the camera, and none is placed while agents walk"
+        words = "`lod` goes by the distance from the camera, and there is none while agents walk"
         report.error("missing-key", words, scene.span("lod"), advice)
     unit = scene.model.unit_mm
     if lod.far is not None and lod.far.length(unit) < lod.near.length(unit):
