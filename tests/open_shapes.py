@@ -96,9 +96,10 @@ def book() -> Mesh:
     for n, pages in enumerate((3, 4, 5, 7)):
         for k in range(pages):
             angle = 360.0 * k / pages + 13 * (k % 2)
-            spine = np.stack([np.linspace(-9, 9, 4), np.zeros(4), np.zeros(4)], axis=1)
-            page = strip(spine, np.array([0.0, 0, 5.0]))
-            outer = strip(np.stack([np.linspace(-9, 9, 6 + k), np.zeros(6 + k), np.full(6 + k, 5.0)], axis=1), np.array([0.0, 0, 4]))
+            page, outer = (
+                strip(np.stack([np.linspace(-9, 9, cuts), np.zeros(cuts), np.full(cuts, at)], axis=1), np.array([0.0, 0, wide]))
+                for cuts, at, wide in ((4, 0.0, 5.0), (6 + k, 5.0, 4.0))
+            )
             parts.append(turned(joined([page, outer]), (1, 0, 0), angle, (0, 0, 21.0 * n)))
     return joined(parts)
 

@@ -66,11 +66,17 @@ def test_the_first_triangle_of_a_way_is_that_of_a_look_at_all(far: float) -> Non
 
 def test_boxes_that_are_fitted_anew_are_those_that_are_made_anew() -> None:
     ground, rng = scene(), np.random.default_rng(3)
-    corners = ground._vertices[ground._faces]
-    moved = corners @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) * 1.5 + 7.0
-    live, one = np.flatnonzero(ground.triangles[3].live), np.zeros(len(corners), np.int32)
-    boxes, fresh = Boxes.of(corners, live, one), Boxes.of(moved, live, one)
-    boxes.fit(moved)
+    vertices, faces, live = ground._vertices, ground._faces, np.flatnonzero(ground.triangles[3].live)
+    group = (ground._vertices[faces[:, 0], 0] > 0).astype(np.int32)
+    there = vertices @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) * 1.5 + 7.0
+    loose = np.unique(faces[group == 1])
+    there[np.setdiff1d(np.arange(len(vertices)), loose)] = vertices[np.setdiff1d(np.arange(len(vertices)), loose)]
+    faces = faces.copy()
+    held = np.isin(faces, loose).any(axis=1)
+    boxes = Boxes.of(vertices, faces, live, held.astype(np.int32))
+    fresh = Boxes.of(there, faces, live, held.astype(np.int32))
+    boxes.fit(there, faces, int((~held[live]).sum()))
+    moved, corners = there[faces], faces
     low = rng.uniform(-15, 30, (3, 50))
     for high in (low + 0.1, low + 8.0):
         pairs = [np.sort(ray * len(corners) + face) for ray, face in (b.near(low, high) for b in (boxes, fresh))]

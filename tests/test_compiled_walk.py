@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from open_shapes import WORSE
 from torture_walks import shapes
 
 from antdsl.runtime import compiled, moving
@@ -47,6 +48,7 @@ GROUNDS = {
     "a wall on a floor": forked,
     "loose sheets": sheets,
     "a hose through itself": lambda: {"eight": shapes().eight(), "floor": grid(60, 9)},
+    **{name: (lambda made=made: {"worse": made()}) for name, made in WORSE.items()},
     "boulders": lambda: {"hills": terrain(100, 30), "a": ball(14, (8, 4, 3), 9), "b": box((-30, -20, -30), (-18, 15, -14))},
     "tiles and a fan of slivers": lambda: {
         "left": grid(30, 6),

@@ -34,26 +34,29 @@ class Boxes:
     bounds: Floats
 
     @staticmethod
-    def of(corners: Floats, live: Index, group: NDArray[np.int32]) -> Boxes:
-        """Over the `live` ones of triangles with corners float64[m,3,3]; those of one `group` int32[m] lie together. The order is
-        that of Morton, so that neighbours share boxes (Lauterbach et al., Fast BVH Construction on GPUs, 2009, p. 376-378)."""
-        order = live[np.lexsort((_morton(corners[live].mean(axis=1)), group[live]))]
+    def of(vertices: Floats, faces: NDArray[np.int32], live: Index, group: NDArray[np.int32]) -> Boxes:
+        """Over the `live` ones of triangles; those of one `group` int32[m] follow each other. Within it the order is that of
+        Morton, so that neighbours share boxes (Lauterbach et al., Fast BVH Construction on GPUs, 2009, p. 376-378)."""
+        order = live[np.lexsort((_morton(vertices[faces[live]].mean(axis=1)), group[live]))]
         counts = [live.size]
         while counts[-1] > 1:
             counts.append(-(-counts[-1] // WIDE))
         first = np.cumsum([0, *counts])
         boxes = Boxes(order, first, np.empty((int(first[-1]), 6)))
-        boxes.fit(corners)
+        boxes.fit(vertices, faces)
         return boxes
 
-    def fit(self, corners: Floats) -> None:
-        """The same triangles elsewhere: changes `bounds`."""
-        low, high = (_sides(corners, which).take(self.order, axis=0) for which in (np.minimum, np.maximum))
-        for k in range(len(self.first) - 1):
-            if k:
-                low, high = _joined(low, np.minimum), _joined(high, np.maximum)
-            self.bounds[self.first[k] : self.first[k + 1], :3] = low
-            self.bounds[self.first[k] : self.first[k + 1], 3:] = high
+    def fit(self, vertices: Floats, faces: NDArray[np.int32], since: int = 0) -> None:
+        """The same triangles elsewhere, but for those before `since` in the order, which have not moved: changes `bounds`."""
+        a, b, c = (vertices.take(faces[self.order[since:], k], axis=0) for k in range(3))
+        ends = np.concatenate([np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)], axis=1)
+        self.bounds[since : self.first[1]] = ends
+        for k in range(1, len(self.first) - 1):
+            since //= WIDE
+            ends = self.bounds[self.first[k - 1] + WIDE * since : self.first[k]]
+            ends = np.concatenate([ends, np.repeat(ends[-1:], -len(ends) % WIDE, axis=0)]).reshape(-1, WIDE, 6)
+            here = slice(self.first[k] + since, self.first[k + 1])
+            self.bounds[here, :3], self.bounds[here, 3:] = ends[:, :, :3].min(axis=1), ends[:, :, 3:].max(axis=1)
 
     def near(self, low: Floats, high: Floats) -> tuple[Index, Index]:
         """Pairs of a box (3, k) asked about and a triangle whose box overlaps it."""
@@ -108,19 +111,6 @@ def first_met(
         rows, order = ray + start, order[nearest]
         found[rows], part[rows], b1[rows], b2[rows] = there[order], t[order], u[order], v[order]
     return found, part, b1, b2
-
-
-def _sides(corners: Floats, which: np.ufunc) -> Floats:
-    found: Floats = which(which(corners[:, 0], corners[:, 1]), corners[:, 2])
-    return found
-
-
-def _joined(ends: Floats, which: np.ufunc) -> Floats:
-    """The ends (n, 3) of boxes of `WIDE` each."""
-    spare = -len(ends) % WIDE
-    padded = np.concatenate([ends, np.repeat(ends[-1:], spare, axis=0)])
-    found: Floats = which.reduce(padded.reshape(-1, WIDE, 3), axis=1)
-    return found
 
 
 def _morton(places: Floats) -> NDArray[np.uint64]:

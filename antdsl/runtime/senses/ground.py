@@ -123,7 +123,7 @@ class Ground:
         self._scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         corners = self._vertices[self._faces]
         self._scale = Scale.of(self.extent)
-        self._boxes = Boxes.of(corners, np.flatnonzero(self._table.live), self._together())
+        self._boxes = Boxes.of(self._vertices, self._faces, np.flatnonzero(self._table.live), self._together())
         self._clearances = Clearances(corners, self._table.piece, self._table.cuts.cut, self.low, self._scale.noise)
         self._fast: Walk | None = None
         self.creases: Any = None  # where bodies look out for walls, found when somebody asks (`creases.near_rises`)

@@ -31,6 +31,7 @@ class MovingGround(Ground):
         self._corners = {name: slice(int(ends[k]), int(ends[k + 1])) for k, name in enumerate(self.names)}
         self._rows = {name: slice(int(self._first[k]), int(self._first[k + 1])) for k, name in enumerate(self.names)}
         self._rest = self._table.copy()
+        self._still_ones = int((self._table.live & ~self._moves.take(self._mesh)).sum())
         self._ends = {name: _ends(self._vertices[rows]) for name, rows in self._corners.items()}
         self._still_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         self._clearances = _Clearances(self)  # type: ignore[assignment]
@@ -58,7 +59,7 @@ class MovingGround(Ground):
         self.low = np.min([low for low, _ in self._ends.values()], axis=0)
         self.high = np.max([high for _, high in self._ends.values()], axis=0)
         self.extent = max(self.extent, float((self.high - self.low).max()))
-        self._boxes.fit(self._vertices[self._faces])
+        self._boxes.fit(self._vertices, self._faces, self._still_ones)
         self._scenes = {}
         self._clearances.forget()  # type: ignore[attr-defined]
 

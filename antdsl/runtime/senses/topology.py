@@ -146,8 +146,28 @@ def _weld(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Ints:
     rows = np.column_stack([owner, place])[order]
     fresh = np.concatenate(([0], np.cumsum((rows[1:] != rows[:-1]).any(axis=1)))) if len(rows) else np.empty(0, np.int64)
     weld = np.empty(len(flat), np.int32)
-    weld[order] = fresh
+    weld[order] = _touching(vertices[flat[order]], owner[order], fresh, grain)
     return weld.reshape(-1, 3)
+
+
+def _touching(places: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
+    """Numbers of cells, one for those of an owner that have corners nearer than `grain` on both sides of a border of cells."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    begin = np.unique(cell, return_index=True)[1]
+    near = KDTree(places[begin]).query_pairs(grain, output_type="ndarray") if begin.size else np.empty((0, 2), np.int64)
+    near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]
+    if not near.size:
+        return cell
+    graph = coo_array((np.ones(len(near), np.int8), near.T), shape=(begin.size, begin.size))
+    number = connected_components(graph, directed=False)[1]
+    _, least = np.unique(number, return_index=True)  # its first cell gives each its place, whatever the library's numbers
+    rank = np.empty(least.size, np.int64)
+    rank[np.argsort(least)] = np.arange(least.size)
+    joined: NDArray[np.int64] = rank[number][cell]
+    return joined
 
 
 def _live(weld: Ints, area: Floats, edges: tuple[Floats, Floats, Floats]) -> NDArray[np.bool_]:
