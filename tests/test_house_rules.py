@@ -115,6 +115,7 @@ OWN_FILES = {
     "outputs/memory.py": "what the system tells about memory",
     "outputs/npz.py": "files and folders just written, to see them on the disk",
     "preview/serving/pages.py": "the page that comes with antdsl",
+    "preview/serving/returning.py": "its own keys, of the last starts",
     "scene/paths.py": "folders, part by part",
     "syntax/grammar.py": "the grammar",
     "syntax/tables.py": "the grammar and its tables",
