@@ -177,3 +177,20 @@ def test_thousands_in_one_place_are_not_measured_pair_by_pair(monkeypatch: pytes
     assert (worst_overlaps(*place, radius) == 1).all()
     place[:] = np.random.default_rng(1).random(place.shape) * 2
     assert worst_overlaps(*place, radius).min() > 0.9
+
+
+def test_compiled_loops_turn_bodies_to_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    from antdsl.runtime import compiled, kernels, kernels_compiled
+
+    draw = np.random.default_rng(3)
+    x, y = (draw.normal(size=(2, 500)) * 4).astype(np.float32)
+    pairs = np.array([kernels_compiled.cos_sin(value) for value in x], np.float32)
+    assert np.array_equal(pairs[:, 0], kernels.cos(x)) and np.array_equal(pairs[:, 1], kernels.sin(x))
+    angles = np.array([kernels_compiled.atan2(one, other) for one, other in zip(y, x, strict=True)], np.float32)
+    assert np.array_equal(angles, kernels.atan2(y, x))
+    found, hashes = shot(tmp_path, wedge()), []
+    for fast in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
+        hashes.append(state_hash(run(found, 40)))
+    assert hashes[0] == hashes[1]

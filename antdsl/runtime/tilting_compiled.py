@@ -137,7 +137,8 @@ def shares(rows, at, step, up, normal, most, wall, ahead, angle, far, over, to):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def follow(  # type: ignore[no-untyped-def]
-    rows, at, before_up, before_heading, went, most, max_turn, dt, wall, ahead, angle, far, over, half, raised, now_up, now_heading
+    rows, at, before_up, before_heading, went, most, max_turn, dt, wall, ahead, angle, far, over, half, raised,
+    now_up, now_heading,
 ):  # fmt: skip
     """As `Bodies.follow` for `rows`, whose walls are `at`; changes `now_up` and `now_heading`."""
     for k in range(rows.size):
