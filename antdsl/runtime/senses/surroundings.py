@@ -11,7 +11,7 @@ from antdsl.runtime.senses.boxes import Boxes, first_met
 from antdsl.runtime.senses.clearances import Parts
 from antdsl.runtime.senses.crossings import Met, crossed
 from antdsl.runtime.senses.topology import Topology
-from antdsl.runtime.senses.walk import Landing, Walkers, dot, in_space, inside
+from antdsl.runtime.senses.walk import Landing, Walkers, dot, in_space, inside, nearest
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -114,13 +114,13 @@ class Around:
         out = in_space(t, own, t.edge_s.take(half), -t.edge_c.take(half))
         body = np.fmax(self._body.take(rows), self._scale.least / LIFT)
         gap, high, fine = GAP * body, HIGH * body, self._scale.fine
-        roof, part, _, _ = self._first(place + up * fine, up * (high - fine), 0.0, face=own)
+        hair = out * (2 * fine)  # besides a border that ends or begins exactly over or below the own one
+        roof, part, _, _ = self._first(place - hair + up * fine, up * (high - fine), 0.0, face=own)
         high = np.where(roof >= 0, (fine + np.where(roof >= 0, part, 0.0) * (high - fine)) / 2, high)
         shut = self._first(place + up * high, out * gap, 0.0, face=own)[0] >= 0
         high = np.where(shut, np.minimum(high, LIFT * body), high)
         face, part, b1, b2 = self._first(place + up * high, out * gap, 0.0, face=own)
         met, rise, done = Met.nothing(out, gap * np.minimum(part, 1.0)), high.copy(), face >= 0
-        before = done.copy()
         met.face[:], met.b1[:], met.b2[:] = face, b1, b2
         over = place + out * gap
         fall = -up * (high + HIGH * body)
@@ -129,6 +129,7 @@ class Around:
         onto = np.flatnonzero(~done & self._leads(walkers, rows, face, fall))
         met.face[onto], met.b1[onto], met.b2[onto], met.towards[:, onto] = face[onto], b1[onto], b2[onto], fall[:, onto]
         rise[onto], done[onto] = level[onto], True
+        upon = onto
         back = -2 * gap * out
         for deep in (GAP * body, DEEP * body):
             asked = np.flatnonzero(~done & (level < -deep))
@@ -139,22 +140,34 @@ class Around:
             who = asked[onto]
             met.face[who], met.b1[who], met.b2[who], met.towards[:, who] = face[onto], b1[onto], b2[onto], back[:, who]
             rise[who], met.gone[who] = -deep[who], np.abs(gap[who] - part[onto] * (2 * gap[who]))
-        # Down at the border itself, where what was met may be met sooner; up to above it; straight across to what is near.
+        # Onto the nearest that there is of what lies below, from where that is not overhead.
+        self._nearest(met, rise, place, up, high, gap, upon)
+        # Down at the border itself, where what was met may be met sooner; straight across to what is near.
         low = np.flatnonzero((met.face >= 0) & (rise < -gap))
         fall = (up * (rise + fine)).take(low, axis=1)
-        face, part, b1, b2 = self._first((place - up * fine).take(low, axis=1), fall, 0.0, face=own.take(low))
+        face, part, b1, b2 = self._first((place + hair - up * fine).take(low, axis=1), fall, 0.0, face=own.take(low))
         sooner = np.flatnonzero(face >= 0)
         who = low[sooner]
         met.face[who], met.b1[who], met.b2[who], met.towards[:, who] = face[sooner], b1[sooner], b2[sooner], fall[:, sooner]
         rise[who], met.gone[who] = part[sooner] * (rise[who] + fine) - fine, 0.0
-        tall = ~before & (rise > gap)
-        above = np.where(tall, np.minimum(rise + gap, high), rise)
-        met.gone[:] = np.where(tall, met.gone + (above - rise), met.gone)
         level = np.abs(rise) <= gap
         met.gone[:] = np.where(level, np.sqrt(met.gone * met.gone + rise * rise), met.gone)
-        rise = np.where(level, 0.0, above)
+        rise = np.where(level, 0.0, rise)
         who = np.flatnonzero(self._leads(walkers, rows, met.face, met.towards))
         return self._landing(who, met.take(who), rise[who])
+
+    def _nearest(self, met: Met, rise: Floats, place: Floats, up: Floats, high: Floats, gap: Floats, rows: Index) -> None:
+        """For `rows` that meet a face from above: the point of it that is nearest to a place over the border which is no lower than
+        its plane there, and how high that place is; changes `met` and `rise`."""
+        t, face = self._table, met.face.take(rows)
+        place, up, level = place.take(rows, axis=1), up.take(rows, axis=1), rise.take(rows)
+        normal, corner = t.normal.take(face, axis=1), t.corner.take(face, axis=1)
+        plane = dot(corner - place, normal) / dot(up, normal)
+        level = np.where(plane > level, np.minimum(plane, high.take(rows)), level)
+        above = place + up * np.where(np.abs(level) <= gap.take(rows), 0.0, level)
+        met.b1[rows], met.b2[rows], away = nearest(t.edge1.take(face, axis=1), t.edge2.take(face, axis=1), above - corner)
+        met.gone[rows] = away
+        rise[rows] = np.where(np.abs(level) <= gap.take(rows), 0.0, level)
 
     def _first(
         self, origin: Floats, step: Floats, fine: float, face: Index | None = None, piece: NDArray[np.int32] | None = None

@@ -79,3 +79,23 @@ def level(c, s):  # type: ignore[no-untyped-def]
     if size > 1e-9:
         return c / size, s / size
     return 1.0, 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest(edge1, edge2, v):  # type: ignore[no-untyped-def]
+    """As `walk.nearest`, for one."""
+    edge3 = minus(edge2, edge1)
+    d11, d12, d22, d33 = dot(edge1, edge1), dot(edge1, edge2), dot(edge2, edge2), dot(edge3, edge3)
+    w1, w2 = dot(v, edge1), dot(v, edge2)
+    size = d11 * d22 - d12 * d12
+    b1, b2 = (d22 * w1 - d12 * w2) / size, (d11 * w2 - d12 * w1) / size
+    if not (size > 0 and b1 >= 0 and b2 >= 0 and b1 + b2 <= 1.0):
+        one, two = min(max(w1 / d11, 0.0), 1.0), min(max(w2 / d22, 0.0), 1.0)
+        three = min(max(dot(minus(v, edge1), edge3) / d33, 0.0), 1.0)
+        best = np.inf
+        for x, y in ((one, 0.0), (0.0, two), (1.0 - three, three)):
+            off = minus(minus(v, times(edge1, x)), times(edge2, y))
+            if dot(off, off) < best:
+                b1, b2, best = x, y, dot(off, off)
+    off = minus(minus(v, times(edge1, b1)), times(edge2, b2))
+    return b1, b2, np.sqrt(dot(off, off))

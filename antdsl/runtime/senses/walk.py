@@ -179,6 +179,27 @@ def inside(b1: Floats, b2: Floats) -> tuple[Floats, Floats]:
     return b1 / total, b2 / total
 
 
+def nearest(edge1: Floats, edge2: Floats, v: Floats) -> tuple[Floats, Floats, Floats]:
+    """Weights of the points of triangles nearest to places `v` (3, k) from their first corner, and how far off these are: above
+    the inside, else on an edge."""
+    edge3 = edge2 - edge1
+    d11, d12, d22, d33 = dot(edge1, edge1), dot(edge1, edge2), dot(edge2, edge2), dot(edge3, edge3)
+    w1, w2 = dot(v, edge1), dot(v, edge2)
+    size = d11 * d22 - d12 * d12
+    b1, b2 = (d22 * w1 - d12 * w2) / size, (d11 * w2 - d12 * w1) / size
+    within = (size > 0) & (b1 >= 0) & (b2 >= 0) & (b1 + b2 <= 1.0)
+    one, two = np.clip(w1 / d11, 0.0, 1.0), np.clip(w2 / d22, 0.0, 1.0)
+    three = np.clip(dot(v - edge1, edge3) / d33, 0.0, 1.0)
+    best = np.where(within, 0.0, np.inf)
+    for x, y in ((one, 0.0 * two), (0.0 * one, two), (1.0 - three, three)):
+        off = v - edge1 * x - edge2 * y
+        square = dot(off, off)
+        nearer = square < best
+        b1, b2, best = np.where(nearer, x, b1), np.where(nearer, y, b2), np.where(nearer, square, best)
+    off = v - edge1 * b1 - edge2 * b2
+    return b1, b2, np.sqrt(dot(off, off))
+
+
 def _leave_corner(w: Walkers, rows: Index) -> None:
     w.b1[rows] = w.b1[rows] * (1 - GRAIN) + GRAIN / 3
     w.b2[rows] = w.b2[rows] * (1 - GRAIN) + GRAIN / 3
@@ -307,6 +328,7 @@ def border(
         w.over[landed] = 0.0
         _land(table, w, rows, landing.take(onto[across]), hops)
     waits = rows[~across & ((onto >= 0) | ~there)]
+    w.blocked[waits] |= w.gone[waits] == 0  # a whole step is too short for the gap
     w.left[waits] = 0.0
     along = there & (onto < 0)
     rows, half = rows[along], half[along]

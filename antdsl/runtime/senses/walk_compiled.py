@@ -152,6 +152,8 @@ def walk_on(  # type: ignore[no-untyped-def]
                     if w[SPENT] >= HOPS:
                         left = 0.0
                 elif to < 0 or over != level or not left >= gap:
+                    if way == 0:
+                        w[BLOCKED] = 1
                     to, left = -1, 0.0
                 else:
                     over = 0.0
