@@ -92,9 +92,7 @@ class Loaded:
             self.report.error(refused.code, str(refused), span, refused.help)
             return None
 
-    def _parse(
-        self, path: Path, name: str, span: Span | None = None, door: tuple[Roots, str] | None = None
-    ) -> nodes.File | None:
+    def _parse(self, path: Path, name: str, span: Span | None = None, door: tuple[Roots, str] | None = None) -> nodes.File | None:
         """`door`: where the file may lie and what it is called there; None for one that the person named."""
         place = os.path.realpath(path)
         if place in self.parsed:

@@ -59,6 +59,7 @@ class Reading:
 
     def step(self) -> None:
         program, state = self.program, self.program.states[self.state]
+        self.frame += 1
         self.then = dict(self.now)
         on, off = program.latch
         self.latch = not off(self) if self.latch else on(self)
@@ -81,7 +82,6 @@ class Reading:
         for act in program.states[self.state].body:
             act(self)
         self.steps += 1
-        self.frame += 1
 
     def _change(self, change: Change) -> None:
         target = self.previous if change.target is None else change.target

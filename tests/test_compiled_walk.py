@@ -236,7 +236,8 @@ def test_arriving_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
         velocity, step = moving._read(crowd_, "velocity"), moving._read(crowd_, "push")
         velocity = tuple(v.copy() for v in velocity)
         with np.errstate(all="ignore"):
-            hasty = moving._arrive(crowd_, velocity, step, moved, rng.random(N).astype(np.float32), np.float32(1 / 24), np.float32(1 / 24))
+            most, dt = rng.random(N).astype(np.float32), np.float32(1 / 24)
+            hasty = moving._arrive(crowd_, velocity, step, moved, most, dt, dt)
         assert 0 < hasty.sum() < N
         found.append({**crowd_.now, "hasty": hasty, "normal": crowd_.normal})
     assert_same_arrays(*found)

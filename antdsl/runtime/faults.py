@@ -47,9 +47,7 @@ class Fault:
     def _told(self, place: str) -> str:
         values = ", ".join(f"{text} = {value}" for text, value in self.operands)
         whose = self.species if self.agent < 0 else f"{self.species} {self.agent}"
-        return f"{place}{whose} at frame {self.frame}: `{self.what}` {self.why}" + (
-            f" ({values})" if values else ""
-        )
+        return f"{place}{whose} at frame {self.frame}: `{self.what}` {self.why}" + (f" ({values})" if values else "")
 
 
 @dataclass(slots=True)

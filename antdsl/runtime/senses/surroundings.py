@@ -157,8 +157,8 @@ class Around:
         return self._landing(who, met.take(who), rise[who])
 
     def _nearest(self, met: Met, rise: Floats, place: Floats, up: Floats, high: Floats, gap: Floats, rows: Index) -> None:
-        """For `rows` that meet a face from above: the point of it that is nearest to a place over the border which is no lower than
-        its plane there, and how high that place is; changes `met` and `rise`."""
+        """For `rows` that meet a face from above: the point of it that is nearest to a place over the border which is no lower
+        than its plane there, and how high that place is; changes `met` and `rise`."""
         t, face = self._table, met.face.take(rows)
         place, up, level = place.take(rows, axis=1), up.take(rows, axis=1), rise.take(rows)
         normal, corner = t.normal.take(face, axis=1), t.corner.take(face, axis=1)
