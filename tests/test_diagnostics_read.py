@@ -26,6 +26,15 @@ species walker {
 }
 """
 
+# Warnings of a program that is sound: beside errors what is not used is not told.
+IDLE = """ant 1
+use steering
+species walker {
+  hunger = 0
+  state stroll { steer wander() }
+}
+"""
+
 
 def message(required: str = "text") -> dict[str, Any]:
     text = {"text": {"type": "string"}, "markdown": {"type": "string"}, "id": {"type": "string"}}
@@ -96,8 +105,11 @@ def found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Report:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my walker.ant").write_text(TEXT, encoding="utf-8")
     report = check_path(Path("my walker.ant"))[1]
+    (tmp_path / "idle.ant").write_text(IDLE, encoding="utf-8")
+    report.extend(check_path(Path("idle.ant"))[1])
     report.error("no-such-file", "a finding without a place", None, "name a file")
-    assert len(report.diagnostics) > 4 and any(d.fix for d in report.diagnostics) and any(d.labels for d in report.diagnostics)
+    assert len(report.errors) == 4 and len(report.diagnostics) > 4
+    assert any(d.fix for d in report.diagnostics) and any(d.labels for d in report.diagnostics)
     return report
 
 

@@ -348,7 +348,7 @@ def test_the_command_writes_what_the_ending_says(
         (["none.ant"], 3, "none.ant"),
         (["broken.ant"], 1, "unknown-state"),
         (["still.ant"], 1, "no species with states"),
-        (["odd.ant", "--out", "none/a.svg"], 3, "no such file"),
+        (["odd.ant", "--out", "none/a.svg"], 2, "there is no folder `none`"),
     ],
 )
 def test_mistakes_end_in_words(

@@ -249,7 +249,7 @@ def test_run_tells_where_the_time_went(shot: Shot, tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr
         hashes.append([line for line in (tmp_path / "summary.json").read_text().splitlines() if "state_hash" in line])
     assert hashes[0] == hashes[1] and hashes[0]
-    assert "ms a frame, over 4 frames" in done.stdout
+    assert re.match(r"[0-9.]+ ms a frame, [0-9.]+ ms of processors, over 4 frames\n", done.stdout)
     parts = done.stdout.split("\n\n")
     assert [part.split()[2] for part in parts[1:]] == ["phase", "of", "in"]
     assert "mine.keep_off(stones, reach: 8 mm)" in parts[2] and "ant" in parts[2]

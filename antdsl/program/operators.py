@@ -101,6 +101,8 @@ def _not(scope: Scope, node: nodes.Unary) -> Expr:
     found = value(scope, node.operand, BOOL)
     if found.type == NUMBER:
         return op("sub", NUMBER, node.span, Const(NUMBER, Rate.CONST, node.span, 1.0), found)
+    if found.type == BAD:
+        return bad(node.span)
     return op("not", BOOL, node.span, truth(scope, node.operand, found, "`not`"))
 
 
@@ -208,6 +210,8 @@ def binary(scope: Scope, node: nodes.Binary, want: Type | None) -> Expr:
 def _logic(scope: Scope, node: nodes.Binary) -> Expr:
     """`and`, `or`: of two yes-or-nos, or the lesser and the greater of two shades of truth."""
     left, right = value(scope, node.left, BOOL), value(scope, node.right, BOOL)
+    if left.type == BAD and right.type in (BAD, NUMBER) or right.type == BAD and left.type == NUMBER:
+        return op(node.op, BAD, node.span, left, right)  # what is wrong may have been meant as a shade of truth
     if left.type == NUMBER and right.type == NUMBER:
         return op("min" if node.op == "and" else "max", NUMBER, node.span, left, right)
     if scope.shades and NUMBER in (left.type, right.type):  # elsewhere a number beside a yes or no is mostly a slip
