@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from antdsl.explain.opening import ExplainError
-from antdsl.outputs.cache import Cache
+from antdsl.outputs.cache import Cache, CacheError
 from antdsl.outputs.cache_writer import read_checkpoint
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, restore, state_hash
@@ -55,13 +55,11 @@ class CacheHistory:
         return self.cache.checkpoints()
 
     def world(self, point: int) -> World | None:
-        arrays = read_checkpoint(self.cache, point)
-        if arrays is None:
-            return None
-        world = bind(self.shot.plan, self.shot.setting, Options(threads=self.threads, on_fault="quarantine"))
         try:
+            arrays = read_checkpoint(self.cache, point)
+            world = bind(self.shot.plan, self.shot.setting, Options(threads=self.threads, on_fault="quarantine"))
             restore(world, arrays)
-        except CheckpointError:
+        except (CacheError, CheckpointError):
             return None
         return world if state_hash(world) == self.hash(point) else None
 
