@@ -28,7 +28,8 @@ def test_it_stops_where_an_agent_enters_a_state(browser: Browser, tmp_path: Path
         seen.find("break-state-form").get_by_role("button").click()
         seen.find("speed").select_option(index=seen.find("speed").locator("option").count() - 1)
         seen.press("play")
-        seen.find("fired").wait_for(timeout=60_000)
+        # Where it was one agent that stopped it, the panel that explains it is in front.
+        seen.find("fired").filter(has_text="stopped").wait_for(state="attached", timeout=60_000)
         assert re.search(r"forager \d+.* approach", seen.find("fired").text_content() or "")
         seen.until("a.counts()['forager.main.approach'] > 0")
         frame = seen.now("frame")

@@ -33,7 +33,7 @@ def keys(seen: Seen, *pressed: str) -> None:
 
 
 def said(seen: Seen) -> str:
-    return seen.page.locator("#view [role=status]").text_content() or ""
+    return seen.page.locator("#view .sight-said").text_content() or ""
 
 
 def settled(seen: Seen) -> None:

@@ -251,7 +251,8 @@ def test_run_tells_where_the_time_went(shot: Shot, tmp_path: Path) -> None:
     assert hashes[0] == hashes[1] and hashes[0]
     assert re.match(r"[0-9.]+ ms a frame, [0-9.]+ ms of processors, over 4 frames\n", done.stdout)
     parts = done.stdout.split("\n\n")
-    assert [part.split()[2] for part in parts[1:]] == ["phase", "of", "in"]
+    heads = [re.split(r"  +", part.splitlines()[0].strip()) for part in parts[1:]]
+    assert heads == [["ms", "cpu ms", "%", "phase"], ["ms", "%", "of", "layer"], ["ms", "%", "in", "line"]]
     assert "mine.keep_off(stones, reach: 8 mm)" in parts[2] and "ant" in parts[2]
     assert len(parts[3].strip().splitlines()) == MOST + 1
 
