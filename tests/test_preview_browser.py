@@ -148,7 +148,9 @@ def test_clicking_an_agent_explains_it(browser: Browser, tmp_path: Path) -> None
         assert view is not None
         places = {each: seen.now("screen", "forager", each) for each in seen.now("ids", "forager")}
         inside = [each for each, at in places.items() if at and 60 < at[0] < view["width"] - 60]
-        near = sorted((each for each in inside if 150 < places[each][1] < view["height"] - 150), key=lambda each: -places[each][1])
+        near = sorted(
+            (each for each in inside if 150 < places[each][1] < view["height"] - 150), key=lambda each: -places[each][1]
+        )
         for agent in near[:20]:  # a stone may stand before one of them
             x, y = places[agent]
             seen.page.mouse.click(view["x"] + x, view["y"] + y)

@@ -160,9 +160,10 @@ def test_a_fault_is_saved_before_it_happens(folder: Path, run) -> None:  # type:
         PROGRAM.replace("deposit scent", "load = 1 / (if time > 1 s then 0 else 1); deposit scent") + SPECS
     )
     _, text = run("test", "a.ant", "-k", "there")
-    assert "`load` is not finite" in text and "saved: frames 23 to 25 in" in text, text
+    assert "`load` is not finite" in text and "first at frame 25" in text and "saved: frames 23 to 24 in" in text, text
+    assert re.search(r"antdsl render \S+ --frames 23\.\.24 --agents \d+", text), text
     cache = open_cache(folder / "out" / "failed" / "all-are-there-5")
-    assert cache.frames()[-1] == 25
+    assert cache.frames()[-1] == 24
 
 
 def test_a_failing_spec_of_the_foraging_example_shows_its_cause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run) -> None:  # type: ignore[no-untyped-def]
@@ -231,7 +232,7 @@ CHANGES = [
     # one agent, one attribute, at once
     ("luck = uniform(0, 1)", "luck = if id == 7 then 0.25 else uniform(0, 1)", 11, ["`a.luck` of a 7 is 0.25, was "]),
     # one agent from a moment on
-    ("deposit scent 1 /s", "deposit scent (if id == 1 and time > 1 s then 2 /s else 1 /s)", 26, ["differs golden"]),
+    ("deposit scent 1 /s", "deposit scent (if id == 1 and time > 1 s then 2 /s else 1 /s)", 25, ["differs golden"]),
     ("param pace  = 20", "param pace  = 21", 11, ["`a.pace` is 21, was 20", "`a.max_speed` of a 0, 1, 2"]),
     ("state rest {", "state rest { load += 0.5 /s;", 22, ["`a.load` of a "]),
 ]

@@ -93,7 +93,8 @@ class Keeper:
         words += [f"--set {shlex.quote(f'{name}={text}')}" for name, text in params.items()]
         here, scene = shlex.quote(shown(folder)), shlex.quote(shown(case.scene))
         again = " ".join([f"antdsl run {scene} --frames {frames.first}..{frames.last} --seed {run.seed}", *words])
-        whose = next((f.agents for f in case.failures if f.frame == moment.frame and f.agents), ())
+        failed = moment.frame + (moment.hash is None)  # a step with a fault is not saved
+        whose = next((f.agents for f in case.failures if f.frame == failed and f.agents), ())
         agents = f" --agents {','.join(map(str, whose))} --show trail,ids" if whose else ""
         look = f"antdsl render {here} --frames {max(moment.begins, moment.frame - 1)}..{moment.frame}{agents}"
         same = moment.hash is None or found == moment.hash

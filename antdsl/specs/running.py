@@ -83,11 +83,12 @@ def _run(run: Run, work: Work, moments: dict[int, Moment]) -> None:
             return None if watch is None else watch.end(world)
         if trail is not None:
             trail.keep(world)
+        whole = world.frame
         try:
             step(world)
         except FaultStop as why:
             if trail is not None and trail.last is not None:
-                found = Moment(why.fault.frame, None, trail.last)
+                found = Moment(whole, None, trail.last)
                 moments |= {id(case): found for case in run.cases if id(case) not in moments}
             return _faulted(run, why)
 
