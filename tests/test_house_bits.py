@@ -21,9 +21,9 @@ ALLOWED = {
     "runtime/moving.py": {"cos": "only tells who surely turns by less; the rest is done with our own"},
     "runtime/moving_compiled.py": {"cos": "the same"},
     "runtime/overlaps.py": {"scipy": "a measure beside the state"},
-    "runtime/spacing.py": {"scipy": "a tree of places that says which are near"},
+    "runtime/spacing.py": {"scipy": "a tree that says which places to measure"},
     "runtime/senses/creases.py": {
-        "scipy": "trees of places, the least and greatest of whole numbers: all compiled for all x86-64 alike"
+        "scipy": "trees of places and filters of whole numbers, compiled for all x86-64 processors alike"
     },
     "runtime/motion.py": {"arcsin": "a measure beside the state, counted in bins"},
     "runtime/pairs.py": {"log2": "the width of cells: which pairs are found does not depend on it"},

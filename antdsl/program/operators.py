@@ -210,7 +210,7 @@ def binary(scope: Scope, node: nodes.Binary, want: Type | None) -> Expr:
 def _logic(scope: Scope, node: nodes.Binary) -> Expr:
     """`and`, `or`: of two yes-or-nos, or the lesser and the greater of two shades of truth."""
     left, right = value(scope, node.left, BOOL), value(scope, node.right, BOOL)
-    if left.type == BAD and right.type in (BAD, NUMBER) or right.type == BAD and left.type == NUMBER:
+    if BAD in (left.type, right.type) and {left.type, right.type} <= {BAD, NUMBER}:
         return op(node.op, BAD, node.span, left, right)  # what is wrong may have been meant as a shade of truth
     if left.type == NUMBER and right.type == NUMBER:
         return op("min" if node.op == "and" else "max", NUMBER, node.span, left, right)
