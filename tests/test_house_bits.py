@@ -47,7 +47,6 @@ ALLOWED = {
     "runtime/solids/voxelising.py": {"log10": "digits of a size of voxels that is proposed in a message"},
     "scene/things.py": {"interp": "of curves and moves: products and sums of single numbers"},
     "scene/closed.py": {"log2": "how many digits a mesh's places keep while it is told whether it is closed"},
-    "scene/meshes.py": {"trimesh": "reads files"},
 }
 
 

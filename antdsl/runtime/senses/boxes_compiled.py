@@ -74,3 +74,18 @@ def first_of(table, boxes, found, count, origin, step, fine):  # type: ignore[no
         if hit and (t < part or (t == part and f < face)):
             face, part, b1, b2 = f, t, u, v
     return face, part, b1, b2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def first_of_all(table, pieces, boxes, origin, step, fine, face, piece):  # type: ignore[no-untyped-def]
+    """As `boxes.first_met`, for ways (3, n)."""
+    n = origin.shape[1]
+    met, part, b1, b2 = np.empty(n, np.int64), np.empty(n), np.empty(n), np.empty(n)
+    found = np.empty(boxes[0].size, np.int64)
+    for k in range(n):
+        start, way = (origin[0, k], origin[1, k], origin[2, k]), (step[0, k], step[1, k], step[2, k])
+        long = 1.0 + min(fine / max(np.sqrt(dot(way, way)), 1e-300), FARTHEST)
+        end = (start[0] + way[0] * long, start[1] + way[1] * long, start[2] + way[2] * long)
+        count = gather(pieces, boxes, start, end, 0.0, face[k], piece[k], found)
+        met[k], part[k], b1[k], b2[k] = first_of(table, boxes, found, count, start, way, fine)
+    return met, part, b1, b2

@@ -16,6 +16,7 @@ Index = NDArray[np.int64]
 
 _SAMPLES = 5  # places along a crease from which distances are measured
 _PIECES = 64  # pieces of a ground above which each face counts as near another
+_FAR = 0.1  # of the size of what else there is
 _NOISE = 1e-4  # of a ground's extent: distances in float32 err by less
 _ALONG = 192  # cells along the longest side of a ground
 _SMOOTH = 0.7071067811865476  # cosine of the turn up to which normals are smoothed over an edge
@@ -123,6 +124,13 @@ def clear_of_rises(corners: Floats, table: Topology) -> Floats:
         noise = _NOISE * float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
         for piece in pieces if pieces.size <= _PIECES else pieces[:0]:
             own, other = np.flatnonzero(table.piece == piece), np.flatnonzero(table.live & (table.piece != piece))
+            # Farther off than a tenth of the size of the others, the distance from the box around them will do.
+            low, high = corners[other].min(axis=(0, 1)), corners[other].max(axis=(0, 1))
+            off = np.maximum(np.maximum(low - middle[own], middle[own] - high), 0.0)
+            away = np.sqrt(off[:, 0] * off[:, 0] + off[:, 1] * off[:, 1] + off[:, 2] * off[:, 2])
+            far = away - radius[own] - noise > _FAR * float((high - low).max())
+            found[own[far]] = np.minimum(found[own[far]], (away - radius[own] - noise)[far])
+            own = own[~far]
             scene = RayScene(corners[other].reshape(-1, 3), np.arange(3 * other.size, dtype=np.int32).reshape(-1, 3))
             found[own] = np.minimum(found[own], scene.closest(middle[own])[3] - radius[own] - noise)
         if pieces.size > _PIECES:

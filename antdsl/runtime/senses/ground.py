@@ -275,7 +275,7 @@ class Ground:
         moved = Footing(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
         place, above, ahead, direction, gone, blocked = *np.empty((4, 3, n)), np.empty(n), np.zeros(n, np.bool_)
         at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
-        around = Around(self._table, self._boxes, parts, self._scale, body)
+        around = Around(self._table, self._boxes, parts, self._scale, body, self._fast.packed)
         results = (*to, place, above, ahead, direction, gone, blocked)
         done = self._fast.step(around, parts, self._boxes, self._scale, body, at, (wish, heading, up), results, threads)
         result = MoveResult(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))

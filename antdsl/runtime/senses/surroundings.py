@@ -44,14 +44,18 @@ class Scale:
 
 
 class Around:
-    """Looks of walkers with a `body` (mm) each: straight ways against all faces, which lie in `boxes`."""
+    """Looks of walkers with a `body` (mm) each: straight ways against all faces, which lie in `boxes`; by a compiled loop where
+    the table is `packed` for it."""
 
-    def __init__(self, table: Topology, boxes: Boxes, parts: Parts, scale: Scale, body: Floats) -> None:
+    def __init__(
+        self, table: Topology, boxes: Boxes, parts: Parts, scale: Scale, body: Floats, packed: Floats | None = None
+    ) -> None:
         self._table, self._boxes, self._parts, self._scale, self._body = table, boxes, parts, scale, body
+        self._packed = packed
 
     def of(self, agents: Index) -> Around:
         """The same for some of the agents, whose numbers count from 0."""
-        return Around(self._table, self._boxes, self._parts, self._scale, self._body.take(agents))
+        return Around(self._table, self._boxes, self._parts, self._scale, self._body.take(agents), self._packed)
 
     def near(self, walkers: Walkers, rows: Index | slice, length: Floats) -> NDArray[np.bool_]:
         """Who of `rows` may meet another piece of surface within `length`."""
@@ -176,6 +180,13 @@ class Around:
         n = origin.shape[1]
         none = np.full(n, -1, np.int32)
         passed = none.astype(np.int64) if face is None else face
+        if self._packed is not None:
+            from antdsl.runtime.senses.boxes_compiled import first_of_all
+
+            b, pieces = self._boxes, self._table.piece
+            return first_of_all(
+                self._packed, pieces, (b.order, b.first, b.bounds), origin, step, fine, passed, none if piece is None else piece
+            )
         return first_met(self._boxes, self._table, origin, step, fine, passed, none if piece is None else piece)
 
     def _leads(self, walkers: Walkers, rows: Index, face: Index, towards: Floats) -> NDArray[np.bool_]:

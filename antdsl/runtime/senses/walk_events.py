@@ -21,15 +21,16 @@ Floats = NDArray[np.float64]
 
 
 class Walk:
-    """Steps of a crowd by the compiled loop: `table` with the mesh int32[m] of each face and the first face of each mesh."""
+    """Steps of a crowd by the compiled loop: `table` with the mesh int32[m] of each face and the first face of each mesh, which
+    are `packed` for it."""
 
     def __init__(self, table: Topology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
         self._table, self._mesh, self._first = table, mesh, first
-        self._packed = packed(table, mesh)
+        self.packed = packed(table, mesh)
 
     def changed(self, faces: slice) -> None:
         """Some faces have another shape in the table."""
-        pack(self._packed, self._table, self._mesh, faces)
+        pack(self.packed, self._table, self._mesh, faces)
 
     def step(
         self,
@@ -47,7 +48,7 @@ class Walk:
         Others are nowhere, or their numbers are not finite."""
         n = body.size
         done = np.empty(n, np.bool_)
-        table = (self._packed, self._table.link, self._table.forked, self._first)
+        table = (self.packed, self._table.link, self._table.forked, self._first)
         near = (*table, parts.first, parts.count, parts.least, parts.reach, scale.noise)
 
         def part(begin: int, end: int) -> tuple[Floats, NDArray[np.int64]]:
