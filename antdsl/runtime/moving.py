@@ -25,6 +25,7 @@ _HEADING_TIME = 0.1  # s, of the heading on its way to the direction of movement
 _SLOW = np.float32(0.1)  # of max_speed: below it the heading follows more and more slowly
 _BOUNCE = np.float32(0.3)  # of the speed into the border of an open surface that is turned back
 _F = np.float32
+_BEYOND = _F(1.005)  # times the greatest turn, up to which rounding may bring one
 _TWELFTH, _NINETIETH = _F(1 / 12), _F(1 / 90)
 
 
@@ -73,8 +74,8 @@ def _arrive(
     whole: np.float32,
 ) -> NDArray[np.bool_]:
     """Velocity and heading where the walk of a substep has led, with place, and up as that of the ground there; says whose body
-    would tilt by more than `most` (radians) by that. What it tilts by, up to `most`, its heading turns less. `whole`: the time of
-    all substeps."""
+    would tilt by more than `most` (radians) by that, or turn by more than `max_turn` allows. What it tilts by, up to `most`,
+    its heading turns less. `whole`: the time of all substeps."""
     now = population.now
     old_up = _read(population, "up")
     if compiled.wanted(len(population)):
@@ -84,7 +85,7 @@ def _arrive(
         hasty = np.empty(len(population), np.bool_)
         arrive(
             velocity, step, population.position, *walked, now["max_speed"], now["max_turn"], now["response"], whole * _F(1.0001),
-            most, dt, _share(dt), _SLOW, _BOUNCE,
+            most, dt, _share(dt), _SLOW, _BOUNCE, _BEYOND,
             *(_read(population, name) for name in ("position", "velocity", "heading", "up")), hasty,
         )  # fmt: skip
         population.normal = np.stack(old_up, axis=1)
@@ -97,10 +98,17 @@ def _arrive(
         lost = vec.sub(vec.scale(step, _F(1) / dt), gone)
         velocity = vec.choose(moved.blocked, vec.sub(gone, vec.scale(lost, _BOUNCE)), velocity)
     velocity = vec.flat(velocity, new_up)
-    tilt = _squared_angle(vec.sub(new_up, old_up))
+    chord = vec.sub(new_up, old_up)
+    tilt = _squared_angle(vec.dot(chord, chord))
     hasty = tilt > most * most
     ahead, tilt = vec.columns(moved.heading, np.float32), np.minimum(tilt, most * most)
     heading = _face(population, ahead, velocity, new_up, tilt, dt, _at_once(now, whole))
+    # A way round a tip brings a heading back turned. The whole turn, by how far all axes of the body are from where they were.
+    before = _read(population, "heading")
+    chords = (vec.sub(heading, before), vec.sub(new_up, old_up), vec.sub(vec.cross(new_up, heading), vec.cross(old_up, before)))
+    square = (vec.dot(chords[0], chords[0]) + vec.dot(chords[1], chords[1]) + vec.dot(chords[2], chords[2])) * _F(0.5)
+    limit = np.maximum(now["max_turn"], _F(0)) * dt * _BEYOND
+    hasty |= _squared_angle(square) > limit * limit + _F(1e-12)
     for name, value in (
         ("velocity", velocity),
         ("heading", heading),
@@ -113,9 +121,8 @@ def _arrive(
     return hasty
 
 
-def _squared_angle(chord: Vector) -> NDArray[np.float32]:
-    """The square of the angle between unit vectors a chord apart, by the first terms of its series: less than it beyond 1 rad."""
-    square = vec.dot(chord, chord)
+def _squared_angle(square: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The square of an angle, by the first terms of its series in the squared chord of unit vectors: less beyond 1 rad."""
     angle: NDArray[np.float32] = square * (_F(1) + square * (_TWELFTH + square * _NINETIETH))
     return angle
 

@@ -8,7 +8,7 @@ import numpy as np
 from antdsl.runtime.compiling import njit
 
 _F = np.float32
-_ZERO, _ONE = _F(0), _F(1)
+_ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
 _TINY, _STEEP = _F(1e-12), _F(0.9)  # as `vectors.unit` and `vectors.across`
 _PI = _F(np.pi)
 _SURELY = _F(1e-3)
@@ -48,10 +48,10 @@ def velocities(  # type: ignore[no-untyped-def]  # numba takes the types from th
 @njit(cache=True, nogil=True, error_model="numpy")
 def arrive(  # type: ignore[no-untyped-def]
     velocity, step, old, place, above, ahead, direction, blocked, max_speed, max_turn, response, at_once, most, dt, share, slow,
-    bounce, position, to, heading, up, hasty,
+    bounce, beyond, position, to, heading, up, hasty,
 ):  # fmt: skip
     """Velocity and heading where the walk has led, with place and up, into three arrays each: `position`, `to`, `heading`, `up`;
-    and in `hasty` whose up turns by more than `most` (radians).
+    and in `hasty` whose up turns by more than `most` (radians), or whose body by more than `max_turn` allows and `beyond` that.
 
     `velocity`, `step`: before the walk, (3, n) float32; `old` the place before it, (n, 3); then the walk's, (3, n) float64.
     `at_once` is the longest response of who faces at once where it goes.
@@ -73,6 +73,11 @@ def arrive(  # type: ignore[no-untyped-def]
         tilt = square * (_ONE + square * (_TWELFTH + square * _NINETIETH))
         hasty[i] = tilt > limit
         h = _faced(h, v, u, max_speed[i], max_turn[i], response[i] <= at_once, _minimum(tilt, limit), dt, share, slow)
+        before, was = (heading[0][i], heading[1][i], heading[2][i]), (up[0][i], up[1][i], up[2][i])
+        bent, aside = _sub(h, before), _sub(_cross(u, h), _cross(was, before))
+        square = (_dot(bent, bent) + _dot(chord, chord) + _dot(aside, aside)) * _HALF
+        limit = _maximum(max_turn[i], _ZERO) * dt * beyond
+        hasty[i] |= square * (_ONE + square * (_TWELFTH + square * _NINETIETH)) > limit * limit + _F(1e-12)
         to[0][i], to[1][i], to[2][i] = v
         heading[0][i], heading[1][i], heading[2][i] = h
         up[0][i], up[1][i], up[2][i] = u
