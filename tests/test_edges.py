@@ -13,6 +13,7 @@ from antdsl.runtime.checkpoints import checkpoint, restore
 from antdsl.runtime.heads import heads_inside
 from antdsl.runtime.overlaps import worst_overlaps
 from antdsl.runtime.tilting import limits
+from antdsl.runtime.world import Population
 
 PROGRAM = """ant 1
 use steering
@@ -58,6 +59,13 @@ def ridge() -> list:
     return sheet((0, 20, -24), (0, 0, 48), (-7.3, -20, 0), 8) + sheet((0, 20, -24), (7.3, -20, 0), (0, 0, 48), 8)
 
 
+def needle() -> list:
+    """A steep cone: a way past its tip leads round it, and back."""
+    angle = np.arange(17) * np.pi / 8
+    ring = np.stack([4 * np.cos(angle), np.zeros(17), 4 * np.sin(angle)], axis=1)
+    return [((0.0, 24.0, 0.0), ring[k + 1], ring[k]) for k in range(16)]
+
+
 def shot(folder: Path, triangles: list, turn: str = "max_turn 360 deg/s") -> Shot:
     points, faces = np.unique(np.round(np.array(triangles).reshape(-1, 3), 6), axis=0, return_inverse=True)
     lines = [f"v {x} {y} {z}" for x, y, z in points] + [f"f {a} {b} {c}" for a, b, c in faces.reshape(-1, 3) + 1]
@@ -91,6 +99,26 @@ def test_no_body_tilts_or_turns_faster_than_it_may(tmp_path: Path, ground, turn:
         assert turned.max() <= most / 24 * 1.01
     up, heading = (world.populations["walker"].vector(name) for name in ("up", "heading"))
     assert np.abs((up * heading).sum(axis=1)).max() < 1e-4 and np.abs((up**2).sum(axis=1) - 1).max() < 1e-4
+
+
+@pytest.mark.parametrize("ground", [needle, ridge])
+def test_the_whole_turn_of_a_body_is_no_faster_than_it_may(tmp_path: Path, ground) -> None:
+    """Tilt and turn of the heading together, as an angle about one axis."""
+    world = run(shot(tmp_path, ground()), 1)
+    population, farthest = world.populations["walker"], 0.0
+    before = axes(population)
+    for _ in range(150):
+        step(world)
+        now = axes(population)
+        chord = sum(((a - b) ** 2).sum(axis=1) for a, b in zip(now, before, strict=True)) / 2
+        farthest, before = max(farthest, float(np.degrees(2 * np.arcsin(np.sqrt(chord) / 2)).max())), now
+    assert 14 < farthest <= 15 * 1.006
+
+
+def axes(population: Population) -> list[np.ndarray]:
+    rows = population.in_id_order()
+    up, heading = (population.vector(name)[rows].astype(np.float64) for name in ("up", "heading"))
+    return [up, heading, np.cross(up, heading)]
 
 
 def test_heads_stay_out_of_walls_and_feet_walk_on(tmp_path: Path) -> None:
