@@ -132,3 +132,8 @@ def test_a_behaviour_keeps_its_arguments() -> None:
 def test_a_scene_says_it_too(scene: str, help: str) -> None:
     report = load_text(f"antdsl: 1\n{scene}\n".encode(), "scene.yaml", Roots(Path("."), {}))[1]
     assert len(report.errors) == 1 and help in (report.errors[0].help or ""), report.errors
+
+
+def test_what_else_is_wrong_with_a_number_is_told_with_a_dot() -> None:
+    errors = told(AROUND.format("when chance 0,4 -> go"))
+    assert [error.code for error in errors] == ["bad-number", "not-a-rate"] and "`chance 0.4 /s`" in (errors[1].help or "")

@@ -139,6 +139,8 @@ def _chance(scope: Scope, node: nodes.Unary) -> Expr:
         return Op(BOOL, max(found.rate, Rate.AGENT), node.span, "chance", (found,), site)
     if found.type == NUMBER:
         text = " ".join(node.operand.span.text.split())
+        if isinstance(node.operand, nodes.Number | nodes.Quantity):
+            text = text.replace(",", ".")
         scope.report.error(
             "not-a-rate", f"{quoted(node.operand.span)} does not say per what time", node.operand.span,
             f"write `chance {text}{'/s' if text.endswith('%') else ' /s'}` for so much a second",

@@ -97,6 +97,13 @@ def _as_rate(node: nodes.Expr, text: str) -> str:
         return f"{text} /s"
     if isinstance(node, nodes.Quantity):
         return f"{text}/s"
+    if (
+        isinstance(node, nodes.Binary)
+        and node.op == "*"
+        and isinstance(node.right, nodes.NameRef)
+        and node.right.name.text == "dt"
+    ):
+        return " ".join(node.left.span.text.split())  # a rate is taken times dt as it is
     return f"{_bracketed(node, text)} * 1 /s"
 
 
