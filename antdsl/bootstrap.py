@@ -125,9 +125,8 @@ def run_example(python: Path, out: Path) -> int:
 
 
 def run_tests(python: Path, arguments: list[str]) -> int:
-    """The test suite, as CI runs it: each file in one of as many processes as there are cores."""
-    parallel = ["-n", "auto", "--dist", "loadfile"]
-    return subprocess.run([str(python), "-m", "pytest", "-q", *parallel, *arguments], cwd=ROOT).returncode
+    """The test suite, as CI runs it."""
+    return subprocess.run([str(python), "-m", "pytest", "-q", *arguments], cwd=ROOT).returncode
 
 
 def main() -> int:
