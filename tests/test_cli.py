@@ -148,36 +148,44 @@ def test_words_that_a_terminal_cannot_show_are_replaced(folder: Path) -> None:
     assert done.returncode == 1 and "error[" in done.stdout
 
 
+LOOP = "n = 0\nfor i in range(3_000_000): n += i & 7"  # about a quarter of a second
+
+
+def measured(words: list[str], folder: Path) -> tuple[subprocess.CompletedProcess[str], float]:
+    """A command that has run, and how many times the processor time of a plain loop it took: others may use the machine too."""
+
+    def spent(words: list[str]) -> tuple[subprocess.CompletedProcess[str], float]:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        env = {**os.environ, "PYTHONPATH": str(ROOT)}
+        done = subprocess.run(words, cwd=folder, env=env, capture_output=True, text=True, timeout=300)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return done, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    loop = spent([sys.executable, "-c", LOOP])[1]
+    done, seconds = spent(words)
+    return done, seconds / loop
+
+
 @pytest.mark.parametrize("words", [["--help"], ["check", "walker.ant"], ["check", "scene.yaml"]])
 def test_it_starts_fast_and_without_what_it_does_not_need(folder: Path, words: list[str]) -> None:
     code = "import sys; from antdsl.cli import _run; r = _run(); print(r, sorted(sys.modules), file=sys.stderr)"
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
     spent = []
     for _ in range(2):
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        done = subprocess.run(
-            [sys.executable, "-c", code, *words], cwd=folder, env=env, capture_output=True, text=True, timeout=60
-        )
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        done, share = measured([sys.executable, "-c", code, *words], folder)
         assert done.returncode == 0 and done.stderr.startswith("0 "), done.stderr[-300:]
-        spent.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+        spent.append(share)
     loaded = set(re.findall(r"'([a-z0-9_]+)'", done.stderr))
     assert not loaded & {"open3d", "scipy", "trimesh", "numpy", "PIL"}
-    # twice what a quiet machine needs, since others may be at work
-    assert min(spent) < (0.6 if words == ["--help"] else 1.2)
+    assert min(spent) < (0.6 if words == ["--help"] else 4)  # twice what was measured
 
 
 def test_all_programs_and_scenes_of_the_repository_are_checked_in_little_time() -> None:
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
-    words = [sys.executable, "-m", "antdsl", "check", ".", "--format", "json"]
     spent = []
     for _ in range(2):
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        done = subprocess.run(words, cwd=ROOT, env=env, capture_output=True, text=True, timeout=60)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        done, share = measured([sys.executable, "-m", "antdsl", "check", ".", "--format", "json"], ROOT)
         assert done.returncode == 1 and json.loads(done.stdout)["left_out"] > 100  # of the cases that are to be wrong
-        spent.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    assert min(spent) < 3.0, spent  # 1.6 on a busy machine of two cores
+        spent.append(share)
+    assert min(spent) < 14, spent  # twice what was measured
 
 
 def test_pictures_sheets_and_films_are_drawn(tmp_path: Path) -> None:
