@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
 SIZE = {"width": 1280, "height": 720}
+PATIENCE = 90.0  # seconds that are waited at least before something is said not to come
 
 
 def copied(example: str, place: Path) -> Path:
@@ -79,6 +80,7 @@ class Seen:
 
     def until(self, condition: str, seconds: float = 60.0, argument: Any = None) -> None:
         """Wait for a condition in the page's own language, with `a` for `window.antdsl` and `it` for the argument."""
+        seconds = max(seconds, PATIENCE)  # a machine may be busy
         self.page.wait_for_function(
             f"(it) => {{ const a = window.antdsl; return a && ({condition}); }}", arg=argument, timeout=1000 * seconds, polling=50
         )
