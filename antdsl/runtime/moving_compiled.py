@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.runtime.compiling import njit
+from antdsl.runtime.senses.vectors_compiled import cross, dot, minus, plus, times
 
 _F = np.float32
 _ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
@@ -25,15 +26,15 @@ def velocities(  # type: ignore[no-untyped-def]  # numba takes the types from th
     for i in range(turning.size):
         u = (up[0][i], up[1][i], up[2][i])
         wish = _flat((push[0][i], push[1][i], push[2][i]), u)
-        wish = _scale(wish, _ONE / _maximum(_length(wish), _ONE))
+        wish = times(wish, _ONE / _maximum(_length(wish), _ONE))
         before = _flat((velocity[0][i], velocity[1][i], velocity[2][i]), u)
         time = first if response[i] <= at_once else dt
         gain = max_force[i] / mass[i]
         gain = (gain if np.isfinite(gain) else _ZERO) * time
-        v = _add(before, _scale(wish, gain))
+        v = plus(before, times(wish, gain))
         speed, most = _length(v), _maximum(max_speed[i], _ZERO)
         if speed > most:
-            v = _scale(v, most / (speed if speed > 0 else _ONE))
+            v = times(v, most / (speed if speed > 0 else _ONE))
         v = (v[0] if np.isfinite(v[0]) else _ZERO, v[1] if np.isfinite(v[1]) else _ZERO, v[2] if np.isfinite(v[2]) else _ZERO)
         to[0, i], to[1, i], to[2, i] = v
         turning[i] = False
@@ -42,7 +43,7 @@ def velocities(  # type: ignore[no-untyped-def]  # numba takes the types from th
             if turn != last:
                 last, cosine = turn, _F(np.cos(turn))
             both = _length(v) * _length(before)
-            turning[i] = not (_dot(v, before) > (cosine + _SURELY) * both and both > _TINY)
+            turning[i] = not (dot(v, before) > (cosine + _SURELY) * both and both > _TINY)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -60,22 +61,22 @@ def arrive(  # type: ignore[no-untyped-def]
     for i in range(blocked.size):
         u = (_F(above[0, i]), _F(above[1, i]), _F(above[2, i]))
         v = (velocity[0][i], velocity[1][i], velocity[2][i])
-        v = _scale((_F(direction[0, i]), _F(direction[1, i]), _F(direction[2, i])), _length(v))
+        v = times((_F(direction[0, i]), _F(direction[1, i]), _F(direction[2, i])), _length(v))
         if blocked[i]:
             gone = (_F(place[0, i] - old[i, 0]), _F(place[1, i] - old[i, 1]), _F(place[2, i] - old[i, 2]))
-            gone = _scale(gone, rate)
-            lost = _sub(_scale((step[0][i], step[1][i], step[2][i]), rate), gone)
-            v = _sub(gone, _scale(lost, bounce))
+            gone = times(gone, rate)
+            lost = minus(times((step[0][i], step[1][i], step[2][i]), rate), gone)
+            v = minus(gone, times(lost, bounce))
         v = _flat(v, u)
         h = (_F(ahead[0, i]), _F(ahead[1, i]), _F(ahead[2, i]))
-        chord = _sub(u, (up[0][i], up[1][i], up[2][i]))
-        square, limit = _dot(chord, chord), most[i] * most[i]
+        chord = minus(u, (up[0][i], up[1][i], up[2][i]))
+        square, limit = dot(chord, chord), most[i] * most[i]
         tilt = square * (_ONE + square * (_TWELFTH + square * _NINETIETH))
         hasty[i] = tilt > limit
         h = _faced(h, v, u, max_speed[i], max_turn[i], response[i] <= at_once, _minimum(tilt, limit), dt, share, slow)
         before, was = (heading[0][i], heading[1][i], heading[2][i]), (up[0][i], up[1][i], up[2][i])
-        bent, aside = _sub(h, before), _sub(_cross(u, h), _cross(was, before))
-        square = (_dot(bent, bent) + _dot(chord, chord) + _dot(aside, aside)) * _HALF
+        bent, aside = minus(h, before), minus(cross(u, h), cross(was, before))
+        square = (dot(bent, bent) + dot(chord, chord) + dot(aside, aside)) * _HALF
         limit = _maximum(max_turn[i], _ZERO) * dt * beyond
         hasty[i] |= square * (_ONE + square * (_TWELFTH + square * _NINETIETH)) > limit * limit + _F(1e-12)
         to[0][i], to[1][i], to[2][i] = v
@@ -93,8 +94,8 @@ def _faced(heading, velocity, up, max_speed, max_turn, at_once, tilt, dt, share,
     direction, good = _unit(velocity)
     if not good:
         direction = heading
-    if _dot(heading, direction) < 0 and not (at_once and not np.isfinite(max_turn)):
-        left = _cross(up, heading)
+    if dot(heading, direction) < 0 and not (at_once and not np.isfinite(max_turn)):
+        left = cross(up, heading)
         side, good = _unit(_flat(direction, heading))
         if not good:
             side = left
@@ -102,13 +103,13 @@ def _faced(heading, velocity, up, max_speed, max_turn, at_once, tilt, dt, share,
         if not good:
             direction = left
     eager = _minimum(_length(velocity) / _maximum(max_speed * slow, _F(1e-6)), _ONE)
-    change = _scale(_sub(direction, heading), _ONE if at_once else share * eager)
+    change = times(minus(direction, heading), _ONE if at_once else share * eager)
     if np.isfinite(max_turn):
         size, most = _length(change), _maximum(max_turn, _ZERO) * dt
         most = np.sqrt(_maximum(most * most - tilt, _ZERO))
         if size > most:
-            change = _scale(change, most / (size if size > 0 else _ONE))
-    turned, good = _unit(_flat(_add(heading, change), up))
+            change = times(change, most / (size if size > 0 else _ONE))
+    turned, good = _unit(_flat(plus(heading, change), up))
     if not good:
         return heading
     return turned
@@ -126,38 +127,13 @@ def _minimum(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _dot(a, b):  # type: ignore[no-untyped-def]
-    return (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
-
-
-@njit(inline="always")
-def _cross(a, b):  # type: ignore[no-untyped-def]
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@njit(inline="always")
-def _add(a, b):  # type: ignore[no-untyped-def]
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-@njit(inline="always")
-def _sub(a, b):  # type: ignore[no-untyped-def]
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@njit(inline="always")
-def _scale(a, s):  # type: ignore[no-untyped-def]
-    return a[0] * s, a[1] * s, a[2] * s
-
-
-@njit(inline="always")
 def _length(a):  # type: ignore[no-untyped-def]
-    return np.sqrt(_dot(a, a))
+    return np.sqrt(dot(a, a))
 
 
 @njit(inline="always")
 def _flat(a, up):  # type: ignore[no-untyped-def]
-    return _sub(a, _scale(up, _dot(a, up)))
+    return minus(a, times(up, dot(a, up)))
 
 
 @njit(error_model="numpy", inline="always")
@@ -165,11 +141,11 @@ def _unit(a):  # type: ignore[no-untyped-def]
     """Length 1, and whether there is a direction."""
     size = _length(a)
     good = size > _TINY and np.isfinite(size)
-    return _scale(a, _ONE / (size if good else _ONE)), good
+    return times(a, _ONE / (size if good else _ONE)), good
 
 
 @njit(error_model="numpy", inline="always")
 def _across(up):  # type: ignore[no-untyped-def]
     steep = abs(up[0]) > _STEEP
     side = _flat((_ZERO if steep else _ONE, _ONE if steep else _ZERO, _ZERO), up)
-    return _scale(side, _ONE / _length(side))
+    return times(side, _ONE / _length(side))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from antdsl.runtime import kernels
 from antdsl.runtime.heads import RAISED
 from antdsl.runtime.senses.creases import near_rises
+from antdsl.runtime.senses.walk import cross, dot
 from antdsl.runtime.vectors import Vector
 from antdsl.runtime.world import Population, World
 
@@ -49,20 +50,20 @@ class Rises:
         at = np.searchsorted(rows, self.rows)
         n = normal[:, at]
         part = np.clip(1.0 - (self.far - self._nearer(gone[:, at])) / self.over, 0.0, 1.0) * self.angle
-        axis, cosine = _cross(n, self.wall), _dot(n, self.wall)
-        sine = np.sqrt(_dot(axis, axis))
+        axis, cosine = cross(n, self.wall), dot(n, self.wall)
+        sine = np.sqrt(dot(axis, axis))
         left = kernels.atan2(sine.astype(np.float32), cosine.astype(np.float32)).astype(np.float64)
         part = np.minimum(part, left).astype(np.float32)
-        side = _cross(axis / np.maximum(sine, 1e-300), n)
+        side = cross(axis / np.maximum(sine, 1e-300), n)
         turned = n * kernels.cos(part) + side * kernels.sin(part)
-        turned /= np.sqrt(_dot(turned, turned))
+        turned /= np.sqrt(dot(turned, turned))
         tilts = (part > 0) & (sine > 1e-6)
         found[:, at] = np.where(tilts, turned, n)
         return found
 
     def _nearer(self, gone: Floats) -> Floats:
         """By how much less ways lead along `ahead` to the wall from a place as far from the first as vectors (3, k) say."""
-        less: Floats = _dot(gone, self.wall) / np.minimum(_dot(self.ahead, self.wall), -1e-3)
+        less: Floats = dot(gone, self.wall) / np.minimum(dot(self.ahead, self.wall), -1e-3)
         return less
 
     def clear(self, rows: Rows, up: Floats, heading: Floats, gone: Floats) -> Floats:
@@ -72,7 +73,7 @@ class Rises:
         if len(self.rows):
             at = np.searchsorted(rows, self.rows)
             middle = up[:, at] * (2 * RAISED * self.half) + self.ahead * (self._nearer(gone[:, at]) - self.far)
-            found[at] = _dot(middle + heading[:, at] * self.half, self.wall)
+            found[at] = dot(middle + heading[:, at] * self.half, self.wall)
         return found
 
     def room(self, rows: Rows, up: Floats, way: Floats, most: Floats) -> Floats:
@@ -82,8 +83,8 @@ class Rises:
             return found
         at = np.searchsorted(rows, self.rows)
         u, towards = up[:, at], self._nearer(way[:, at])
-        across = _cross(u, self.wall)
-        left = kernels.atan2(np.sqrt(_dot(across, across)).astype(np.float32), _dot(u, self.wall).astype(np.float32))
+        across = cross(u, self.wall)
+        left = kernels.atan2(np.sqrt(dot(across, across)).astype(np.float32), dot(u, self.wall).astype(np.float32))
         tilt = self.angle - left.astype(np.float64) + most[at]
         free = np.maximum(self.over * (tilt / self.angle - 1.0) + self.far, 0.0)
         found[at] = np.where(towards > 0.05, free / np.maximum(towards, 0.05), np.inf)
@@ -106,10 +107,10 @@ def rises(world: World, population: Population, looking: NDArray[np.float32], st
         return Rises.none()
     half, normal, look = half[rows], population.normal[rows].T.astype(np.float64), looking[:, rows].astype(np.float64)
     way = np.stack([component[rows] for component in step]).astype(np.float64)
-    way -= normal * _dot(way, normal)
-    size = np.sqrt(_dot(way, way))
+    way -= normal * dot(way, normal)
+    size = np.sqrt(dot(way, way))
     way = np.where(size > 1e-9, way / np.maximum(size, 1e-300), look)
-    aside = np.flatnonzero(_dot(way, look) < _ASIDE)  # most walk where they look, and need one ray
+    aside = np.flatnonzero(dot(way, look) < _ASIDE)  # most walk where they look, and need one ray
     which = np.concatenate([np.arange(len(rows)), aside])
     ahead = np.concatenate([look, way.take(aside, axis=1)], axis=1)
     place = population.position[rows[which]].T
@@ -132,20 +133,11 @@ def _seen(
     rows, half, step, high, reach = (v.take(hit) for v in (rows, half, step, high, reach))
     ahead, normal, part = ahead.take(hit, axis=1), normal.take(hit, axis=1), part.take(hit)
     wall = meshes.normal(footing.take(hit)).T
-    wall = np.where(_dot(wall, ahead) > 0, -wall, wall)
-    cosine, across = _dot(normal, wall), _cross(normal, wall)
-    sine = np.maximum(np.sqrt(_dot(across, across)), 1e-6)
+    wall = np.where(dot(wall, ahead) > 0, -wall, wall)
+    cosine, across = dot(normal, wall), cross(normal, wall)
+    sine = np.maximum(np.sqrt(dot(across, across)), 1e-6)
     angle = kernels.atan2(sine.astype(np.float32), cosine.astype(np.float32)).astype(np.float64)
     over = half * np.clip(angle / sine, 2.0, _WIDEST)
     far = np.maximum(part * reach - high * cosine / sine, 0.0)
     who = np.flatnonzero((cosine < _STEEP) & (far < over + 2 * step))
     return Rises(rows[who], wall[:, who], ahead[:, who], angle[who], far[who], over[who], half[who])
-
-
-def _dot(a: Floats, b: Floats) -> Floats:
-    total: Floats = (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
-    return total
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -19,6 +19,7 @@ from antdsl.runtime import compiled, kernels
 from antdsl.runtime import vectors as vec
 from antdsl.runtime.heads import RAISED
 from antdsl.runtime.rises import Rises, rises
+from antdsl.runtime.senses.walk import cross, dot
 from antdsl.runtime.vectors import Vector
 from antdsl.runtime.world import AXES, Population, World
 
@@ -70,11 +71,11 @@ class Bodies:
             return self._paced_fast(rows, step)
         share = np.ones(len(self.most), np.float64)
         way = np.stack([component[rows] for component in step]).astype(np.float64)
-        size = np.sqrt(_dot(way, way))
+        size = np.sqrt(dot(way, way))
         stood = self.up[:, rows].astype(np.float64)
         normal = self._feet(rows)
         wanted = self.rises.tilted(rows, normal, np.zeros((3, len(rows))))
-        free = np.minimum(1.0, 2.0 * np.maximum(_dot(stood, wanted), 0.0))  # as a way that leads off the ground by as much
+        free = np.minimum(1.0, 2.0 * np.maximum(dot(stood, wanted), 0.0))  # as a way that leads off the ground by as much
         far = self.rises.room(rows, stood, way / np.maximum(size, 1e-300), self.most[rows].astype(np.float64))
         share[rows] = np.minimum(free, np.clip(far / np.maximum(size, 1e-300), 0.0, 1.0))
         part = share.astype(np.float32)
@@ -112,8 +113,8 @@ class Bodies:
         room = np.where(np.isfinite(turn), np.maximum(turn, _F(0)) * dt, _F(4)).astype(np.float64)
         room = np.where(np.isfinite(turn), np.sqrt(np.maximum(room * room - angle.astype(np.float64) ** 2, 0.0)), room)
         room = np.minimum(room, 4.0).astype(np.float32)
-        left = _cross(up, one)
-        yaw = kernels.atan2(_dot(left, other).astype(np.float32), _dot(one, other).astype(np.float32))
+        left = cross(up, one)
+        yaw = kernels.atan2(dot(left, other).astype(np.float32), dot(one, other).astype(np.float32))
         part = np.sign(yaw) * np.minimum(np.abs(yaw), room)
         facing = np.where(np.abs(yaw) <= room, other, _unit(one * kernels.cos(part) + left * kernels.sin(part)))
         # Who would turn its head into a wall tilts first.
@@ -211,24 +212,15 @@ def stand_up(population: Population) -> None:
         population.start[f"heading.{axis}"][rows], population.now[f"heading.{axis}"][rows] = heading[k], kept[k]
 
 
-def _dot(a: Floats, b: Floats) -> Floats:
-    total: Floats = (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
-    return total
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
 def _unit(v: Floats) -> Floats:
-    unit: Floats = v / np.maximum(np.sqrt(_dot(v, v)), 1e-300)
+    unit: Floats = v / np.maximum(np.sqrt(dot(v, v)), 1e-300)
     return unit
 
 
 def _across(v: Floats, up: Floats) -> Floats:
     """Unit vectors (3, n) across `up`, as near to v as can be; some where v says nothing."""
-    flat = v - up * _dot(v, up)
-    size = np.sqrt(_dot(flat, flat))
+    flat = v - up * dot(v, up)
+    size = np.sqrt(dot(flat, flat))
     other = np.stack(vec.across((up[0], up[1], up[2])))
     return np.where(size > 1e-6, flat / np.where(size > 1e-6, size, 1.0), other)
 
@@ -236,16 +228,16 @@ def _across(v: Floats, up: Floats) -> Floats:
 def _axis(one: Floats, other: Floats, ahead: Floats) -> tuple[Floats, Floats, Floats]:
     """Axis of the least turn of one unit vector into another, and the cosine and sine of its angle. Near half a turn, whose axis
     is anywhere, it goes over `ahead`."""
-    axis, cosine = _cross(one, other), np.clip(_dot(one, other), -1.0, 1.0)
-    sine = np.sqrt(_dot(axis, axis))
+    axis, cosine = cross(one, other), np.clip(dot(one, other), -1.0, 1.0)
+    sine = np.sqrt(dot(axis, axis))
     clear = (sine > _OPPOSITE) | (cosine > 0)
-    axis = np.where(clear, axis / np.maximum(sine, 1e-300), _unit(_cross(one, ahead)))
+    axis = np.where(clear, axis / np.maximum(sine, 1e-300), _unit(cross(one, ahead)))
     return axis, cosine, sine
 
 
 def _rotated(v: Floats, axis: Floats, c: Floats, s: Floats) -> Floats:
     """Vectors turned about unit axes by an angle of a cosine and a sine (O. Rodrigues, 1840)."""
-    turned: Floats = v * c + _cross(axis, v) * s + axis * (_dot(axis, v) * (1.0 - c))
+    turned: Floats = v * c + cross(axis, v) * s + axis * (dot(axis, v) * (1.0 - c))
     return turned
 
 

@@ -6,34 +6,10 @@ import numpy as np
 
 from antdsl.runtime.compiling import njit
 from antdsl.runtime.kernels_compiled import atan2, cos_sin
+from antdsl.runtime.senses.vectors_compiled import cross, dot, minus, plus, times
 
 _F = np.float32
 _OPPOSITE, _STEEP = 0.05, 0.9  # as `tilting` and `vectors`
-
-
-@njit(inline="always")
-def _dot(a, b):  # type: ignore[no-untyped-def]
-    return (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
-
-
-@njit(inline="always")
-def _cross(a, b):  # type: ignore[no-untyped-def]
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@njit(inline="always")
-def _add(a, b):  # type: ignore[no-untyped-def]
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-@njit(inline="always")
-def _sub(a, b):  # type: ignore[no-untyped-def]
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@njit(inline="always")
-def _times(a, s):  # type: ignore[no-untyped-def]
-    return a[0] * s, a[1] * s, a[2] * s
 
 
 @njit(inline="always")
@@ -43,7 +19,7 @@ def _over(a, s):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _unit(v):  # type: ignore[no-untyped-def]
-    return _over(v, max(np.sqrt(_dot(v, v)), 1e-300))
+    return _over(v, max(np.sqrt(dot(v, v)), 1e-300))
 
 
 @njit(inline="always")
@@ -54,27 +30,27 @@ def _of(vectors, i):  # type: ignore[no-untyped-def]
 
 @njit()
 def _across(v, up):  # type: ignore[no-untyped-def]
-    flat = _sub(v, _times(up, _dot(v, up)))
-    size = np.sqrt(_dot(flat, flat))
+    flat = minus(v, times(up, dot(v, up)))
+    size = np.sqrt(dot(flat, flat))
     if size > 1e-6:
         return _over(flat, size)
     axis = (0.0, 1.0, 0.0) if abs(up[0]) > _STEEP else (1.0, 0.0, 0.0)
-    side = _sub(axis, _times(up, _dot(axis, up)))
-    return _times(side, 1 / np.sqrt(_dot(side, side)))
+    side = minus(axis, times(up, dot(axis, up)))
+    return times(side, 1 / np.sqrt(dot(side, side)))
 
 
 @njit()
 def _axis(one, other, ahead):  # type: ignore[no-untyped-def]
-    axis, cosine = _cross(one, other), min(max(_dot(one, other), -1.0), 1.0)
-    sine = np.sqrt(_dot(axis, axis))
+    axis, cosine = cross(one, other), min(max(dot(one, other), -1.0), 1.0)
+    sine = np.sqrt(dot(axis, axis))
     if sine > _OPPOSITE or cosine > 0:
         return _over(axis, max(sine, 1e-300)), cosine, sine
-    return _unit(_cross(one, ahead)), cosine, sine
+    return _unit(cross(one, ahead)), cosine, sine
 
 
 @njit()
 def _rotated(v, axis, c, s):  # type: ignore[no-untyped-def]
-    return _add(_add(_times(v, c), _times(_cross(axis, v), s)), _times(axis, _dot(axis, v) * (1.0 - c)))
+    return plus(plus(times(v, c), times(cross(axis, v), s)), times(axis, dot(axis, v) * (1.0 - c)))
 
 
 @njit()
@@ -85,22 +61,22 @@ def _laid(heading, one, other):  # type: ignore[no-untyped-def]
 
 @njit()
 def _nearer(gone, wall, ahead):  # type: ignore[no-untyped-def]
-    return _dot(gone, wall) / min(_dot(ahead, wall), -1e-3)
+    return dot(gone, wall) / min(dot(ahead, wall), -1e-3)
 
 
 @njit()
 def _tilted(n, wall, ahead, angle, far, over, gone):  # type: ignore[no-untyped-def]
     part = min(max(1.0 - (far - _nearer(gone, wall, ahead)) / over, 0.0), 1.0) * angle
-    axis, cosine = _cross(n, wall), _dot(n, wall)
-    sine = np.sqrt(_dot(axis, axis))
+    axis, cosine = cross(n, wall), dot(n, wall)
+    sine = np.sqrt(dot(axis, axis))
     left = np.float64(atan2(_F(sine), _F(cosine)))
     least = _F(min(part, left))
     if not (least > 0 and sine > 1e-6):
         return n
-    side = _cross(_over(axis, max(sine, 1e-300)), n)
+    side = cross(_over(axis, max(sine, 1e-300)), n)
     c, s = cos_sin(least)
-    turned = _add(_times(n, np.float64(c)), _times(side, np.float64(s)))
-    return _over(turned, np.sqrt(_dot(turned, turned)))
+    turned = plus(times(n, np.float64(c)), times(side, np.float64(s)))
+    return _over(turned, np.sqrt(dot(turned, turned)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -119,19 +95,19 @@ def shares(rows, at, step, up, normal, most, wall, ahead, angle, far, over, to):
     for k in range(rows.size):
         i, j = rows[k], at[k]
         way, stood = _of(step, i), _of(up, i)
-        size = np.sqrt(_dot(way, way))
+        size = np.sqrt(dot(way, way))
         wanted = np.float64(normal[i, 0]), np.float64(normal[i, 1]), np.float64(normal[i, 2])
         room = np.inf
         if j >= 0:
             w, a = _of(wall, j), _of(ahead, j)
             wanted = _tilted(wanted, w, a, angle[j], far[j], over[j], zero)
             towards = _nearer(_over(way, max(size, 1e-300)), w, a)
-            across = _cross(stood, w)
-            left = np.float64(atan2(_F(np.sqrt(_dot(across, across))), _F(_dot(stood, w))))
+            across = cross(stood, w)
+            left = np.float64(atan2(_F(np.sqrt(dot(across, across))), _F(dot(stood, w))))
             tilt = angle[j] - left + np.float64(most[i])
             free = max(over[j] * (tilt / angle[j] - 1.0) + far[j], 0.0)
             room = free / max(towards, 0.05) if towards > 0.05 else np.inf
-        lag = min(1.0, 2.0 * max(_dot(stood, wanted), 0.0))
+        lag = min(1.0, 2.0 * max(dot(stood, wanted), 0.0))
         to[i] = _F(min(lag, min(max(room / max(size, 1e-300), 0.0), 1.0)))
 
 
@@ -165,17 +141,17 @@ def follow(  # type: ignore[no-untyped-def]
             turn = np.float64(max(max_turn[i], _F(0)) * dt)
             room = np.sqrt(max(turn * turn - np.float64(tilt) * np.float64(tilt), 0.0))
         most_yaw = _F(min(room, 4.0))
-        left = _cross(up, one)
-        yaw = atan2(_F(_dot(left, other)), _F(_dot(one, other)))
+        left = cross(up, one)
+        yaw = atan2(_F(dot(left, other)), _F(dot(one, other)))
         facing = other
         if not abs(yaw) <= most_yaw:
             c32, s32 = cos_sin(most_yaw if yaw > 0 else -most_yaw)
-            facing = _unit(_add(_times(one, np.float64(c32)), _times(left, np.float64(s32))))
+            facing = _unit(plus(times(one, np.float64(c32)), times(left, np.float64(s32))))
         if j >= 0:
             w, a = _of(wall, j), _of(ahead, j)
-            middle = _add(_times(up, 2 * raised * half[j]), _times(a, _nearer(gone, w, a) - far[j]))
-            with_turn = _dot(_add(middle, _times(facing, half[j])), w)
-            without = _dot(_add(middle, _times(one, half[j])), w)
+            middle = plus(times(up, 2 * raised * half[j]), times(a, _nearer(gone, w, a) - far[j]))
+            with_turn = dot(plus(middle, times(facing, half[j])), w)
+            without = dot(plus(middle, times(one, half[j])), w)
             if with_turn < min(without, 0.0):
                 facing = one
         now_up[0][i], now_up[1][i], now_up[2][i] = _F(up[0]), _F(up[1]), _F(up[2])

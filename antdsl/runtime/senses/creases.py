@@ -148,8 +148,8 @@ def near_rises(ground: Any, footing: Any, place: Floats, reach: Floats) -> NDArr
         still = np.ones(len(faces), np.bool_)
         for own, _, _ in moving:
             still &= ~own
-        clear = clear_of_rises(vertices[faces], table) if not moving else np.zeros(len(faces))
         corners = vertices[faces]
+        clear = clear_of_rises(corners, table) if not moving else np.zeros(len(faces))
         size = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
         ground.creases = clear, size, Creases(corners, table, still)
     clear, size, grid = ground.creases

@@ -6,6 +6,7 @@ import numpy as np
 
 from antdsl.runtime.compiling import njit
 from antdsl.runtime.senses.faces import CLOSED
+from antdsl.runtime.senses.vectors_compiled import dot, minus
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -41,7 +42,7 @@ def nearest(planes, rims, weld, first, faces, corners, points, face, place, squa
         p = (points[i, 0], points[i, 1], points[i, 2])
         f = face[i]
         q = _nearest(corners, f, p)
-        d = _square(_sub(q, p))
+        d = _square(minus(q, p))
         place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
         w1, w2 = _along(planes, f, 1, q[0], q[1], q[2]), _along(planes, f, 2, q[0], q[1], q[2])
         w0 = (1.0 - w1) - w2
@@ -50,7 +51,7 @@ def nearest(planes, rims, weld, first, faces, corners, points, face, place, squa
             begin = True
             for k in range(first[at], first[at + 1]):
                 q = _nearest(corners, faces[k], p)
-                d = _square(_sub(q, p))
+                d = _square(minus(q, p))
                 if begin or d < square[i]:
                     face[i], begin = faces[k], False
                     place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
@@ -94,18 +95,8 @@ def _crossing(planes, face, a, b, c, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _sub(a, b):  # type: ignore[no-untyped-def]
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@njit(inline="always")
-def _dot(a, b):  # type: ignore[no-untyped-def]
-    return (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
-
-
-@njit(inline="always")
 def _square(a):  # type: ignore[no-untyped-def]
-    return _dot(a, a)
+    return dot(a, a)
 
 
 @njit(inline="always")
@@ -119,8 +110,8 @@ def _nearest(corners, face, p):  # type: ignore[no-untyped-def]
     a = (corners[face, 0, 0], corners[face, 0, 1], corners[face, 0, 2])
     b = (corners[face, 1, 0], corners[face, 1, 1], corners[face, 1, 2])
     c = (corners[face, 2, 0], corners[face, 2, 1], corners[face, 2, 2])
-    u, v, w = _sub(b, a), _sub(c, a), _sub(p, a)
-    uu, uv, vv, wu, wv = _dot(u, u), _dot(u, v), _dot(v, v), _dot(w, u), _dot(w, v)
+    u, v, w = minus(b, a), minus(c, a), minus(p, a)
+    uu, uv, vv, wu, wv = dot(u, u), dot(u, v), dot(v, v), dot(w, u), dot(w, v)
     size = uu * vv - uv * uv
     if size > 0:
         s, t = (vv * wu - uv * wv) / size, (uu * wv - uv * wu) / size
@@ -129,11 +120,11 @@ def _nearest(corners, face, p):  # type: ignore[no-untyped-def]
     best, gap = a, np.inf
     for k in range(3):
         start = a if k == 0 else (b if k == 1 else c)
-        side = _sub(b if k == 0 else (c if k == 1 else a), start)
-        length = _dot(side, side)
-        s = min(max(_dot(_sub(p, start), side) / (length if length > 0 else 1.0), 0.0), 1.0)
+        side = minus(b if k == 0 else (c if k == 1 else a), start)
+        length = dot(side, side)
+        s = min(max(dot(minus(p, start), side) / (length if length > 0 else 1.0), 0.0), 1.0)
         place = _on(start, side, s)
-        here = _square(_sub(place, p))
+        here = _square(minus(place, p))
         if here < gap:
             best, gap = place, here
     return best

@@ -179,15 +179,13 @@ class Around:
         """As `first_met`, for ways that go on by `fine` mm."""
         n = origin.shape[1]
         none = np.full(n, -1, np.int32)
-        passed = none.astype(np.int64) if face is None else face
+        passed, beside = none.astype(np.int64) if face is None else face, none if piece is None else piece
         if self._packed is not None:
             from antdsl.runtime.senses.boxes_compiled import first_of_all
 
-            b, pieces = self._boxes, self._table.piece
-            return first_of_all(
-                self._packed, pieces, (b.order, b.first, b.bounds), origin, step, fine, passed, none if piece is None else piece
-            )
-        return first_met(self._boxes, self._table, origin, step, fine, passed, none if piece is None else piece)
+            boxes = (self._boxes.order, self._boxes.first, self._boxes.bounds)
+            return first_of_all(self._packed, self._table.piece, boxes, origin, step, fine, passed, beside)
+        return first_met(self._boxes, self._table, origin, step, fine, passed, beside)
 
     def _leads(self, walkers: Walkers, rows: Index, face: Index, towards: Floats) -> NDArray[np.bool_]:
         """Who of `rows` may step over a border to the faces that are met (-1 for none): nobody to the other side of what is
