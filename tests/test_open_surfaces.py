@@ -7,6 +7,7 @@ import os
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -16,8 +17,12 @@ from open_shapes import WORSE, Led, joined, led, ribbon, sheet, turned
 from torture_long import from_file
 from torture_walks import BODY, STEP, crowd, shapes
 
+from antdsl.runtime import compiled
+from antdsl.runtime.senses import walk
 from antdsl.runtime.senses.ground import Footing, Ground, MoveResult
 from antdsl.runtime.senses.moving_ground import MovingGround
+from antdsl.runtime.senses.topology import Topology
+from antdsl.runtime.senses.walk import Landing, Walkers
 from antdsl.runtime.standing import Standing
 
 Floats = NDArray[np.float64]
@@ -57,17 +62,18 @@ class Watch:
             self.through += [(int(k), int(f[k]), int(g[k])) for k in bad]
 
     def crossed_over(self, ground: Ground, before: MoveResult, at: MoveResult, who: int) -> bool:
-        """Whether another part was stood on within the step: shorter steps end earlier on the same way."""
-        f = standing(ground, before)[0][who]
-        if (self.led.part == self.led.part[f]).all():
-            return False
-        one = before.take(np.array([who]))
-        for share in np.arange(1, 64) / 64:
-            heading = self.wish[who : who + 1] * share
-            part = ground.move(one.footing, heading, heading, one.up, BODY)
-            if self.led.part[standing(ground, part)[0][0]] != self.led.part[f]:
-                return True
-        return False
+        """Whether the way of this step led over another part: the step once more, with every face that was stepped over to."""
+        one, wish, met = before.take(np.array([who])), self.wish[who : who + 1], []
+
+        def recorded(table: Topology, w: Walkers, asked: Floats, landing: Landing, hops: Floats) -> None:
+            met.extend(landing.face)
+            land(table, w, asked, landing, hops)
+
+        land = walk._land
+        with mock.patch.object(walk, "_land", recorded), mock.patch.object(compiled, "wanted", lambda count: False):
+            again = ground.move(one.footing, wish, wish, one.up, BODY)
+        assert np.array_equal(again.position[0], at.position[who]) and again.footing.face[0] == at.footing.face[who]
+        return bool((self.led.part[met] != self.led.part[standing(ground, one)[0][0]]).any())
 
     def free(self, before: MoveResult, at: MoveResult, f: Floats, g: Floats, ground: Ground) -> NDArray[np.bool_]:
         """Whether a way is free from a hair above where feet were to a hair above where they are, round a corner at most."""
