@@ -15,28 +15,61 @@ from antdsl.runtime.senses.vectors_compiled import at, dot, inside, less, level,
 def other_ahead(table, sides, boxes, scale, found, body, f, b1, b2, side, c, s, left, length):  # type: ignore[no-untyped-def]
     """As `Around._other`: the face met (-1 for none), weights, side to walk on, way gone. `found` has room for all faces."""
     pieces, _ = sides
-    least, fine, under = scale
-    row, piece = WIDTH * f, pieces[f]
+    least, fine, _ = scale
+    row = WIDTH * f
     place, up, way = stand(table, row, b1, b2, side), times(at(table, row + NORMAL), side), _in_space(table, row, c, s)
     high = more(less(LIFT * body, left / STEEPEST), least)
-    n = gather(pieces, boxes, place, plus(place, times(way, length)), high + 2 * fine, -1, piece, found)
+    n = gather(pieces, boxes, place, plus(place, times(way, length)), high + 2 * fine, -1, pieces[f], found)
     if n == 0:
         return -1, 0.0, 0.0, 1.0, length
+    ground = (place, up, way)
+    face, one, two, gone, towards, eye = _seen(table, boxes, scale, found, n, ground, length, high)
+    if face < 0:
+        return face, 0.0, 0.0, 1.0, length
+    if _hidden(table, pieces, boxes, scale, found, f, ground, length, eye, towards):
+        n = gather(pieces, boxes, place, plus(place, times(way, length)), high + 2 * fine, -1, pieces[f], found)
+        face, one, two, gone, towards, eye = _seen(table, boxes, scale, found, n, ground, length, least)
+        if face < 0:
+            return face, 0.0, 0.0, 1.0, length
+    one, two = inside(one + 0.0, two + 0.0)
+    return face, one, two, _side(table, face, towards), min(np.sqrt(gone * gone + eye * eye), left)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _seen(table, boxes, scale, found, n, ground, length, high):  # type: ignore[no-untyped-def]
+    """As `Around._seen`: the face met, weights, way gone on the eye's level, the way that came to it, the eye's height."""
+    _, fine, under = scale
+    place, up, way = ground
     roof, part, _, _ = first_of(table, boxes, found, n, place, times(up, high), fine)
     if roof >= 0 and (dot(at(table, WIDTH * roof + NORMAL), up) < 0 or high * part > under):
         high = high * part / 2
     eye, step = plus(place, times(up, high)), times(way, length)
     face, part, one, two = first_of(table, boxes, found, n, eye, step, fine)
-    gone, towards = length, way
     if face >= 0:
-        gone = min(part, 1.0) * length
-    else:
-        towards = times(up, -high)
-        face, _, one, two = first_of(table, boxes, found, n, plus(eye, step), towards, 0.0)
-    if face < 0:
-        return face, 0.0, 0.0, 1.0, length
-    one, two = inside(one + 0.0, two + 0.0)
-    return face, one, two, _side(table, face, towards), min(np.sqrt(gone * gone + high * high), left)
+        return face, one, two, min(part, 1.0) * length, way, high
+    down = times(up, -high)
+    face, _, one, two = first_of(table, boxes, found, n, plus(eye, step), down, 0.0)
+    return face, one, two, length, down, high
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _hidden(table, pieces, boxes, scale, found, f, ground, length, high, towards):  # type: ignore[no-untyped-def]
+    """As in `Around._seen`: whether what is met from an eye so high is behind the own piece."""
+    _, fine, _ = scale
+    place, up, way = ground
+    step, piece = times(way, length), pieces[f]
+    eye = plus(place, times(up, high))
+    n = gather(pieces, boxes, place, plus(place, step), high + 2 * fine, f, -1, found)
+    first = first_of(table, boxes, found, n, plus(place, times(up, fine)), times(up, high - fine), 0.0)[0]
+    if first >= 0 and pieces[first] == piece:
+        return True
+    first = first_of(table, boxes, found, n, eye, step, fine)[0]
+    if first >= 0 and pieces[first] == piece:
+        return True
+    if towards == way:
+        return False
+    first = first_of(table, boxes, found, n, plus(eye, step), towards, 0.0)[0]
+    return first >= 0 and pieces[first] == piece
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -75,12 +108,17 @@ def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # t
             there = WIDTH * face
             normal, corner = at(table, there + NORMAL), at(table, there + CORNER)
             plane = dot(minus(corner, place), normal) / dot(up, normal)
-            if plane > rise:
-                rise = min(plane, high)
-            if abs(rise) <= gap:
-                rise = 0.0
-            above = minus(plus(place, times(up, rise)), corner)
-            one, two, gone = nearest(at(table, there + EDGE1), at(table, there + EDGE2), above)
+            height = min(plane, high) if plane > rise else rise
+            if abs(height) <= gap:
+                height = 0.0
+            above, edge1, edge2 = plus(place, times(up, height)), at(table, there + EDGE1), at(table, there + EDGE2)
+            b1, b2, away = nearest(edge1, edge2, minus(above, corner))
+            onto = minus(plus(plus(corner, times(edge1, b1)), times(edge2, b2)), above)
+            rise, gone = height, away
+            first, part, before1, before2 = first_of(table, boxes, found, n, above, onto, 0.0)
+            if part * away < away - fine:
+                face, b1, b2, gone, towards = first, before1, before2, part * away, onto
+            one, two = b1, b2
         else:
             face = -1
     if face < 0:

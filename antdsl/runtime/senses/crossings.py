@@ -38,10 +38,10 @@ class Met:
     def take(self, rows: Index) -> Met:
         return Met(*(getattr(self, f.name).take(rows, axis=-1) for f in fields(Met)))
 
-    def put(self, rows: NDArray[np.bool_], other: Met) -> None:
-        """What others meet, in some rows."""
+    def put(self, rows: Index, other: Met) -> None:
+        """Some rows are those of another."""
         for f in fields(Met):
-            getattr(self, f.name)[..., rows] = getattr(other, f.name)[..., rows]
+            getattr(self, f.name)[..., rows] = getattr(other, f.name)
 
 
 def crossed(table: Topology, walkers: Walkers, rows: Index, length: Floats, touch: float) -> Met:

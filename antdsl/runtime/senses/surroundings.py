@@ -71,40 +71,56 @@ class Around:
         met = crossed(self._table, walkers, rows, length.take(asked), self._scale.touch)
         if self._table.pieces > 1:
             other = self._other(walkers, rows, met.gone)
-            nearer = other.face >= 0
-            met.put(nearer, other)
+            nearer = np.flatnonzero(other.face >= 0)
+            met.put(nearer, other.take(nearer))
         who = np.flatnonzero(met.face >= 0)
         return self._landing(asked[who], met.take(who))
 
     def _other(self, walkers: Walkers, rows: Index, length: Floats) -> Met:
-        """Another piece of surface within the way, seen from just above the ground, below a low ceiling from half its
-        height; or at the way's end between that eye and the ground."""
-        t, scale = self._table, self._scale
+        """Another piece of surface within the way, seen from just above the ground; where the own piece lies before it, from a
+        grain above, as feet go under that."""
+        least = np.full(rows.size, self._scale.least)
+        high = np.fmax(np.fmin(LIFT * self._body.take(rows), walkers.left.take(rows) / STEEPEST), least)
+        met, hidden = self._seen(walkers, rows, length, high)
+        if hidden.size:
+            met.put(hidden, self._seen(walkers, rows[hidden], length[hidden], least[hidden])[0])
+        return met
+
+    def _seen(self, walkers: Walkers, rows: Index, length: Floats, high: Floats) -> tuple[Met, Index]:
+        """Another piece within the way, seen from so high, below a low ceiling from half its height; or at the way's end between
+        that eye and the ground. And who of `rows` would come to it through the own piece."""
+        t, fine = self._table, self._scale.fine
         place, up, way = walkers.place(t, rows), walkers.up(t, rows), walkers.direction(t, rows)
-        piece = t.piece.take(walkers.face.take(rows))
-        high = np.fmax(np.fmin(LIFT * self._body.take(rows), walkers.left.take(rows) / STEEPEST), scale.least)
-        roof, part, _, _ = self._first(place, up * high, scale.fine, piece=piece)
+        own = walkers.face.take(rows)
+        piece = t.piece.take(own)
+        roof, part, _, _ = self._first(place, up * high, fine, piece=piece)
         # What shows its back a grain above the agent is below it: feet may be that far in the ground that they climb.
         front = dot(t.normal.take(roof, axis=1), up) < 0
-        low = (roof >= 0) & (front | (high * part > scale.under))
+        low = (roof >= 0) & (front | (high * part > self._scale.under))
         high = np.where(low, high * np.where(low, part, 1.0) / 2, high)
         met = Met.nothing(way, length)
         eye, step = place + up * high, way * length
-        face, part, b1, b2 = self._first(eye, step, scale.fine, piece=piece)
+        face, part, b1, b2 = self._first(eye, step, fine, piece=piece)
         found = np.flatnonzero(face >= 0)
         met.face[found], met.b1[found], met.b2[found] = face[found], b1[found], b2[found]
         met.gone[found] = np.minimum(part[found], 1.0) * length[found]
         climb = np.sqrt(met.gone * met.gone + high * high)
         # What has come between the eye and the ground is below the next eye, that of the face round the edge or of the next step.
         still = np.flatnonzero(face < 0)
-        down = up.take(still, axis=1) * -high.take(still)
-        face, _, b1, b2 = self._first((eye + step).take(still, axis=1), down, 0.0, piece=piece.take(still))
-        found = np.flatnonzero(face >= 0)
-        between = still[found]
-        met.face[between], met.b1[between], met.b2[between] = face[found], b1[found], b2[found]
-        met.towards[:, between] = down[:, found]
+        down = up * -high
+        face, _, b1, b2 = self._first((eye + step).take(still, axis=1), down.take(still, axis=1), 0.0, piece=piece.take(still))
+        under = np.flatnonzero(face >= 0)
+        between = still[under]
+        met.face[between], met.b1[between], met.b2[between] = face[under], b1[under], b2[under]
+        met.towards[:, between] = down[:, between]
         met.gone[:] = np.where(met.face >= 0, np.minimum(climb, walkers.left.take(rows)), met.gone)
-        return met
+        asked = np.flatnonzero(met.face >= 0)
+        grain, down[:, found] = place + up * fine, 0.0
+        hidden = np.zeros(asked.size, bool)
+        for start, leg, further in ((grain, up * (high - fine), 0.0), (eye, step, fine), (eye + step, down, 0.0)):
+            first = self._first(start.take(asked, axis=1), leg.take(asked, axis=1), further, face=own.take(asked))[0]
+            hidden |= (first >= 0) & (t.piece.take(first) == piece.take(asked))
+        return met, asked[hidden]
 
     def beyond(self, walkers: Walkers, rows: Index, half: Index) -> Landing:
         """Past the open border half-edges `half` where `rows` stand: what is met first on a way that leads up off the own face,
@@ -145,7 +161,7 @@ class Around:
             met.face[who], met.b1[who], met.b2[who], met.towards[:, who] = face[onto], b1[onto], b2[onto], back[:, who]
             rise[who], met.gone[who] = -deep[who], np.abs(gap[who] - part[onto] * (2 * gap[who]))
         # Onto the nearest that there is of what lies below, from where that is not overhead.
-        self._nearest(met, rise, place, up, high, gap, upon)
+        self._nearest(met, rise, own, place, up, high, gap, upon)
         # Down at the border itself, where what was met may be met sooner; straight across to what is near.
         low = np.flatnonzero((met.face >= 0) & (rise < -gap))
         fall = (up * (rise + fine)).take(low, axis=1)
@@ -160,18 +176,26 @@ class Around:
         who = np.flatnonzero(self._leads(walkers, rows, met.face, met.towards))
         return self._landing(who, met.take(who), rise[who])
 
-    def _nearest(self, met: Met, rise: Floats, place: Floats, up: Floats, high: Floats, gap: Floats, rows: Index) -> None:
+    def _nearest(
+        self, met: Met, rise: Floats, own: Index, place: Floats, up: Floats, high: Floats, gap: Floats, rows: Index
+    ) -> None:
         """For `rows` that meet a face from above: the point of it that is nearest to a place over the border which is no lower
-        than its plane there, and how high that place is; changes `met` and `rise`."""
+        than its plane there, or of what lies between, and how high that place is; changes `met` and `rise`."""
         t, face = self._table, met.face.take(rows)
         place, up, level = place.take(rows, axis=1), up.take(rows, axis=1), rise.take(rows)
         normal, corner = t.normal.take(face, axis=1), t.corner.take(face, axis=1)
         plane = dot(corner - place, normal) / dot(up, normal)
         level = np.where(plane > level, np.minimum(plane, high.take(rows)), level)
-        above = place + up * np.where(np.abs(level) <= gap.take(rows), 0.0, level)
-        met.b1[rows], met.b2[rows], away = nearest(t.edge1.take(face, axis=1), t.edge2.take(face, axis=1), above - corner)
-        met.gone[rows] = away
-        rise[rows] = np.where(np.abs(level) <= gap.take(rows), 0.0, level)
+        level = np.where(np.abs(level) <= gap.take(rows), 0.0, level)
+        above = place + up * level
+        edge1, edge2 = t.edge1.take(face, axis=1), t.edge2.take(face, axis=1)
+        b1, b2, away = nearest(edge1, edge2, above - corner)
+        onto = corner + edge1 * b1 + edge2 * b2 - above
+        first, part, one, two = self._first(above, onto, 0.0, face=own.take(rows))
+        before = part * away < away - self._scale.fine
+        met.face[rows], met.b1[rows], met.b2[rows] = (np.where(before, *v) for v in ((first, face), (one, b1), (two, b2)))
+        met.towards[:, rows] = np.where(before, onto, met.towards[:, rows])
+        met.gone[rows], rise[rows] = np.where(before, np.where(before, part, 0.0) * away, away), level
 
     def _first(
         self, origin: Floats, step: Floats, fine: float, face: Index | None = None, piece: NDArray[np.int32] | None = None
