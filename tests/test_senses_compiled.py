@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from foraging_shots import EXAMPLE, world
 
-from antdsl.runtime import Options, compiled, state_hash, step
+from antdsl.runtime import Options, compiled, kernels, randomness, state_hash, step
 from antdsl.runtime.senses import neighbours
+from antdsl.runtime.senses.distance_grid import DistanceGrid
 from antdsl.runtime.senses.neighbours import CellGrid, Pairs
 
 pytestmark = pytest.mark.skipif(not compiled.available(), reason="needs numba")
@@ -148,3 +149,34 @@ def test_parts_walked_side_by_side_come_to_the_same(monkeypatch: pytest.MonkeyPa
             step(crowd_of_many)
         hashes.append(state_hash(crowd_of_many))
     assert hashes[0] == hashes[1]
+
+
+_RNG = np.random.default_rng(1)
+_NUMBERS = (_RNG.normal(0, 1, 4000) * 10 ** _RNG.uniform(-6, 5, 4000)).astype(np.float32)
+_NUMBERS = np.concatenate([_NUMBERS, np.array([0.0, -0.0, 1e-38, -1e-45, 3e-39], np.float32)])
+_GRID = DistanceGrid(_RNG.normal(0, 100, (200, 1, 3)) + _RNG.normal(0, 3, (200, 3, 3)), 20_000)
+_PLACES = _RNG.normal(0, 200, (3, 4000)).astype(np.float32)
+_IDS = np.concatenate([np.arange(500), _RNG.integers(0, 2**62, 500)])
+LOOPS = {
+    "sin": lambda: kernels.sin(_NUMBERS),
+    "sin, far": lambda: kernels.sin(_NUMBERS * np.float32(1e9)),
+    "cos": lambda: kernels.cos(_NUMBERS),
+    "exp": lambda: kernels.exp(np.append(_NUMBERS, np.float32(np.inf))),
+    "exp, nan": lambda: kernels.exp(np.append(_NUMBERS, np.float32(np.nan))),
+    "log": lambda: kernels.log(np.abs(_NUMBERS) + np.float32(1e-42)),
+    "log, odd": lambda: kernels.log(_NUMBERS),
+    "atan2": lambda: kernels.atan2(_NUMBERS, _NUMBERS[::-1]),
+    "atan2, inf": lambda: kernels.atan2(np.append(_NUMBERS, np.float32(np.inf)), np.append(_NUMBERS, np.float32(1))),
+    "at_least": lambda: _GRID.at_least(*_PLACES),
+    **{f"uniform {k}": lambda k=k: randomness.uniform(2**40 + 5, -3, "ant", "wander", k, _IDS) for k in range(6)},
+}
+
+
+@pytest.mark.filterwarnings("ignore:overflow")
+@pytest.mark.parametrize("name", LOOPS)
+def test_elementary_functions_draws_and_clearances_are_the_same_compiled(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    found = []
+    for wanted in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, wanted=wanted: wanted)
+        found.append(LOOPS[name]())
+    assert found[0].dtype == found[1].dtype and found[0].tobytes() == found[1].tobytes()

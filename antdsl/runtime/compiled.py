@@ -8,7 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import TypeVar
+from typing import Any, TypeVar
+
+from numpy.typing import NDArray
 
 T = TypeVar("T")
 PART = 4_096  # agents for whom a thread pays
@@ -46,6 +48,11 @@ def available() -> bool:
     except Exception:  # also where it is not installed, or made for another NumPy: it says so in different ways
         return False
     return not numba.config.DISABLE_JIT
+
+
+def plain(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """The same in one piece and writable: a kernel is compiled anew for any other kind."""
+    return tuple(a if a.flags.writeable and a.flags.c_contiguous else a.copy() for a in arrays)
 
 
 @cache

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from antdsl.runtime import compiled
+
 Value = Any  # a float32 array, or one np.float32
 
 _PI = 3.141592653589793
@@ -60,12 +62,14 @@ def _waves(x: Value) -> tuple[Value, Value, Value]:
 
 def sin(x: Value) -> Value:
     """Sine; NaN where the angle is not finite. Angles above 1e6 are reduced by 2 pi as float64 holds it."""
-    return _narrow(wide_sin(x))
+    found = _compiled("sines", x)
+    return _narrow(wide_sin(x)) if found is None else found
 
 
 def cos(x: Value) -> Value:
     """Cosine; as `sin`."""
-    return _narrow(wide_cos(x))
+    found = _compiled("cosines", x)
+    return _narrow(wide_cos(x)) if found is None else found
 
 
 def wide_sin(x: Value) -> Value:
@@ -105,12 +109,14 @@ def _log_wide(wide: Value) -> Value:
 
 def exp(x: Value) -> Value:
     """e to the x."""
-    return _narrow(_exp_wide(_widen(x)))
+    found = _compiled("exponentials", x)
+    return _narrow(_exp_wide(_widen(x))) if found is None else found
 
 
 def log(x: Value) -> Value:
     """Natural logarithm; -inf at 0, NaN below."""
-    return _narrow(_log_wide(_widen(x)))
+    found = _compiled("logarithms", x)
+    return _narrow(_log_wide(_widen(x))) if found is None else found
 
 
 def power(a: Value, b: Value) -> Value:
@@ -125,7 +131,8 @@ def power(a: Value, b: Value) -> Value:
 
 def atan2(y: Value, x: Value) -> Value:
     """Angle of (x, y) from the x axis, -pi .. pi; 0 for (0, 0)."""
-    return _narrow(wide_atan2(y, x))
+    found = _compiled("angles", y, x)
+    return _narrow(wide_atan2(y, x)) if found is None else found
 
 
 def wide_atan2(y: Value, x: Value) -> Value:
@@ -148,3 +155,16 @@ def _widen(x: Value) -> Value:
 
 def _narrow(x: Value) -> Value:
     return np.float32(x) if np.ndim(x) == 0 else x.astype(np.float32)
+
+
+def _compiled(loop: str, *values: Value) -> Value | None:
+    """The same for arrays by a compiled loop; None where there is none for such values, or one is no usual number."""
+    one = values[0]
+    if not all(isinstance(v, np.ndarray) and v.dtype == np.float32 and v.ndim == 1 and v.size == one.size for v in values):
+        return None
+    if not compiled.wanted(one.size):
+        return None
+    from antdsl.runtime import kernels_compiled
+
+    found = np.empty(one.size, np.float32)
+    return found if getattr(kernels_compiled, loop)(*compiled.plain(*values), found) else None

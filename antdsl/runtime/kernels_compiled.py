@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from antdsl.runtime import kernels
 from antdsl.runtime.compiling import njit
 
-_SIN, _COS, _ATAN = kernels._SIN, kernels._COS, kernels._ATAN
+_SIN, _COS, _ATAN, _EXP, _LOG = kernels._SIN, kernels._COS, kernels._ATAN, kernels._EXP, kernels._LOG
+_FAR, _ROOT_HALF, _LOG2_E = kernels._FAR, kernels._ROOT_HALF, kernels._LOG2_E
+_LN2_HIGH, _LN2_LOW = kernels._LN2_HIGH, kernels._LN2_LOW
 _TWO_OVER_PI, _HIGH, _LOW = kernels._TWO_OVER_PI, kernels._HALF_PI_HIGH, kernels._HALF_PI_LOW
 _PI, _TAN_EIGHTH = kernels._PI, kernels._TAN_EIGHTH
 _F = np.float32
@@ -50,3 +54,63 @@ def atan2(y, x):  # type: ignore[no-untyped-def]
     if wide_x < 0.0:
         angle = _PI - angle
     return _F(-angle if wide_y < 0.0 else angle)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sines(x, found):  # type: ignore[no-untyped-def]
+    """Writes `kernels.sin` of all; False where an angle is not below 1e6."""
+    for k in range(x.size):
+        if not abs(x[k]) < _FAR:
+            return False
+        found[k] = cos_sin(x[k])[1]
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cosines(x, found):  # type: ignore[no-untyped-def]
+    """Writes `kernels.cos` of all; False where an angle is not below 1e6."""
+    for k in range(x.size):
+        if not abs(x[k]) < _FAR:
+            return False
+        found[k] = cos_sin(x[k])[0]
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def angles(y, x, found):  # type: ignore[no-untyped-def]
+    """Writes `kernels.atan2` of all; False where a number is not finite."""
+    for k in range(x.size):
+        if not (abs(y[k]) < np.inf and abs(x[k]) < np.inf):
+            return False
+        found[k] = atan2(y[k], x[k])
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def exponentials(x, found):  # type: ignore[no-untyped-def]
+    """Writes `kernels.exp` of all; False where one is no number."""
+    for k in range(x.size):
+        wide = np.float64(x[k])
+        if wide != wide:
+            return False
+        wide = min(max(wide, -200.0), 200.0)
+        power = np.rint(wide * _LOG2_E)
+        rest = (wide - power * _LN2_HIGH) - power * _LN2_LOW
+        found[k] = _F(math.ldexp(_series(rest, _EXP), np.int32(power)))
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def logarithms(x, found):  # type: ignore[no-untyped-def]
+    """Writes `kernels.log` of all; False where one is not above 0, or not finite."""
+    for k in range(x.size):
+        wide = np.float64(x[k])
+        if not (wide > 0.0 and wide < np.inf):
+            return False
+        mantissa, whole = math.frexp(wide)
+        power = np.float64(whole)
+        if mantissa < _ROOT_HALF:
+            mantissa, power = mantissa + mantissa, power - 1.0
+        s = (mantissa - 1.0) / (mantissa + 1.0)
+        found[k] = _F((s * _series(s * s, _LOG) + power * _LN2_LOW) + power * _LN2_HIGH)
+    return True

@@ -12,6 +12,8 @@ from hashlib import blake2b
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime import compiled
+
 _M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _W0, _W1 = 0x9E3779B9, 0xBB67AE85
 _LOW = np.uint64(0xFFFFFFFF)
@@ -50,12 +52,17 @@ def site_words(species: str, site: str) -> tuple[int, int]:
 
 def words(seed: int, frame: int, species: str, site: str, block: int, ids: NDArray[np.int64]) -> Words:
     """Four random words for each id. `frame` may be negative (preroll)."""
-    low, high = site_words(species, site)
+    (c0, low, c3), key = _counters(seed, frame, species, site, block)
     wide = ids.astype(np.uint64)
-    c0 = np.full(wide.shape, frame & 0xFFFFFFFF, np.uint64)
     c2 = (((wide >> _32) * _SPREAD) & _LOW) ^ np.uint64(low)
-    c3 = np.full(wide.shape, (high + block) & 0xFFFFFFFF, np.uint64)
-    return philox((c0, wide & _LOW, c2, c3), (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF))
+    whole = (np.full(wide.shape, c, np.uint64) for c in (c0, c3))
+    return philox((next(whole), wide & _LOW, c2, next(whole)), key)
+
+
+def _counters(seed: int, frame: int, species: str, site: str, block: int) -> tuple[tuple[int, int, int], tuple[int, int]]:
+    """The counter words that all ids share (the third but for the high half of an id), and the key."""
+    low, high = site_words(species, site)
+    return (frame & 0xFFFFFFFF, low, (high + block) & 0xFFFFFFFF), (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF)
 
 
 def unit_floats(word: NDArray[np.uint64]) -> NDArray[np.float32]:
@@ -65,4 +72,13 @@ def unit_floats(word: NDArray[np.uint64]) -> NDArray[np.float32]:
 
 def uniform(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
     """The draw number `index` of a site for each id: float32 in [0, 1). Four draws of a site share one run of the generator."""
+    if compiled.wanted(ids.size) and ids.ndim == 1:
+        from antdsl.runtime.randomness_compiled import uniforms
+
+        counters, key = _counters(seed, frame, species, site, index >> 2)
+        found = np.empty(ids.size, np.float32)
+        uniforms(
+            *compiled.plain(ids.astype(np.int64, copy=False)), *(np.uint64(word) for word in (*counters, *key)), index & 3, found
+        )
+        return found
     return unit_floats(words(seed, frame, species, site, index >> 2, ids)[index & 3])

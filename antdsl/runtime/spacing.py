@@ -23,7 +23,7 @@ Flags = NDArray[np.bool_]
 # Places that are tried in each round, by the share of the batch before that found no room: 384, 128 or 4 in all.
 _SOME = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
 _ROUNDS = ((0.005, _SOME + (32,) * 8), (0.1, _SOME), (1.0, (1,) * 4))
-_BATCH, _GROWTH = 64, 0.25  # agents of the first batch; of each other, for one before it
+_BATCH = 64  # agents of the first batch; of each other as many as have been before it
 _APART = 1.001  # so much farther apart than their radii reach: float32 rounds
 _FINE = 8  # of those who may overlap already, one in so small a part of a body stands for all there
 
@@ -176,7 +176,7 @@ def spread(room: Room, draw: Draw, ids: NDArray[np.int64], radius: Floats, first
         failed = np.count_nonzero(~held)
         rounds = next(rounds for share, rounds in _ROUNDS if failed <= share * held.size)
         begin += size
-        size = max(_BATCH, int(begin * _GROWTH))
+        size = begin
     return draw(ids, range(1)) if found is None else found, fits
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime import compiled
 from antdsl.runtime.senses.rasterise import triangle_cells
 
 _CELLS = 2_000_000
@@ -49,6 +50,12 @@ class DistanceGrid:
 
     def at_least(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.float32]:
         """A distance (mm, float32[n]) within which there is no triangle; 0 near the triangles."""
+        if compiled.wanted(len(x)) and all(np.asarray(v).dtype == np.float32 for v in (x, y, z)):
+            from antdsl.runtime.senses.distance_grid_compiled import at_least
+
+            found = np.empty(len(x), np.float32)
+            if at_least(*compiled.plain(x, y, z), self._low, self._high, self._size, self._width, self._least, found):
+                return found
         flat: NDArray[np.int64] | int = 0
         outside: NDArray[Any] | float = 0.0
         for axis, place in enumerate((x, y, z)):
