@@ -115,7 +115,7 @@ def _builtin(scope: Scope, node: nodes.Call, name: str, want: Type | None) -> Ex
     if rows[0].op in SETS:
         return SETS[rows[0].op](scope, node, name, rows[0])
     row, node = (rows[0], node) if len(rows) == 1 else _row(scope, node, rows)
-    found = arranged(scope, name, [Slot(a.name, a.default is None and not a.optional, a.variadic) for a in row.args], node)
+    found = arranged(scope, name, [_slot(each) for each in row.args], node)
     if found is None:
         type_all(scope, node)
         return bad(node.span)
@@ -131,6 +131,10 @@ def _builtin(scope: Scope, node: nodes.Call, name: str, want: Type | None) -> Ex
     if any(a is not None and a.type.kind is Kind.BAD for a in args):
         return Op(_result(row, variables, args), rate_of(args), node.span, row.op, tuple(args))
     return _operation(scope, node, row, tuple(args), variables)
+
+
+def _slot(arg: Arg) -> Slot:
+    return Slot(arg.name, arg.default is None and not arg.optional, arg.variadic, arg.type.startswith("range"))
 
 
 def _row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> tuple[Builtin, nodes.Call]:
