@@ -323,7 +323,7 @@ def _first(scope: Scope, node: nodes.Call, made: Op) -> None:
             "wrong-kind",
             f"`first` is for things that may be none, and {quoted(node.arguments[0].span)} is {type_words(made.type)}",
             node.span,
-            "write `first(nearest(food), nearest(nest))` or `max(a, b)`",
+            "write `first(nearest(food, with: load > 0), nearest(food))` or `max(a, b)`",
         )  # fmt: skip
 
 
