@@ -132,8 +132,9 @@ def _word(key: Key) -> str | None:
     word = key[1]
     help = STATE_WORD_HELP.get(word) or WORD_HELP.get(word)
     type = RUN_NAMES.get(word) or SENSED_NAMES.get(word)
-    form = VALUE_FORMS.get(word, word)
-    return markdown(f"{word}: {type}\n{form}" if type else form, help) if help else None
+    if help is None:
+        return None
+    return markdown(f"{word}: {type}\n{VALUE_FORMS[word]}" if type else VALUE_FORMS[word], help)
 
 
 def _unit(key: Key) -> str | None:
@@ -207,8 +208,8 @@ LANGUAGE: dict[str, Rule] = {
 }  # fmt: skip
 # What a bare word may mean: in words, the table it stands in, and the rule that tells it.
 _MEANINGS: tuple[tuple[str, Collection[str], Rule], ...] = (
-    ("begins a line", FORM_HELP, lambda key: keyword(key[1], begins=True)),
-    ("inside a line", INNER_HELP, lambda key: keyword(key[1], begins=False)),
+    ("begins a line", FORM_HELP, lambda key: keyword(key[1], True)),
+    ("inside a line", INNER_HELP, lambda key: keyword(key[1], False)),
     ("a call", BUILTINS, _called),
     ("asked of a set", REDUCERS, _reducer),
     ("asked of all in a spec", WHOLE_HELP, _whole),
