@@ -18,8 +18,8 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
 ROOMS = (
     "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "bootstrap", "syntax", "program",
-    "highlighting", "graphs", "scene", "loading", "plan", "passes", "runtime", "bodies", "pipeline", "checking", "outputs", "specs",
-    "explain", "sweep", "preview", "lsp", "cli", "__main__",
+    "highlighting", "graphs", "scene", "loading", "plan", "passes", "runtime", "bodies", "pipeline", "checking", "outputs",
+    "specs", "explain", "sweep", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.
 GROUND = frozenset(["source", "diagnostics", "limits", "resources", "bounded", "whole"])
