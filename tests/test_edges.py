@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +130,18 @@ def test_heads_stay_out_of_walls_and_feet_walk_on(tmp_path: Path) -> None:
     assert world.motion.summary()["standing"] < 0.02, "nobody waits for long"
     place = population.position
     assert (place[:, 1] > 2).sum() > 3 and (np.abs(place[:, 0]) > 2).sum() > 3, "some are on the wall"
+
+
+def test_who_begins_before_a_wall_is_tilted_already(tmp_path: Path) -> None:
+    found = shot(tmp_path, wall_on_a_floor())
+    many = replace(found.setting, crowds=tuple(replace(crowd, count=400) for crowd in found.setting.crowds))
+    world = bind(found.plan, many)
+    population = world.populations["walker"]
+    leaning = (population.vector("up") != population.normal).any(axis=1)
+    assert 5 < np.count_nonzero(leaning) < 200
+    assert not heads_inside(world, population).any()
+    heading, up = population.vector("heading")[leaning], population.vector("up")[leaning]
+    assert np.abs((heading * up).sum(axis=1)).max() < 1e-6
 
 
 def test_the_measures_tell_a_body_that_snaps_a_step_too_long_and_a_head_in_a_wall(tmp_path: Path) -> None:

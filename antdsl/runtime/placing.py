@@ -17,6 +17,7 @@ from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.reading import walk
 from antdsl.runtime.spacing import Drawn, Room, spread, takes_room
 from antdsl.runtime.start_places import PLACEMENT_FRAME, TURN, StartPlaces
+from antdsl.runtime.tilting import settle
 from antdsl.runtime.world import AXES, Crowded, Population, World, add_rows, empty_population, select_rows
 from antdsl.scene.setting import CrowdData
 
@@ -128,6 +129,7 @@ def begin(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
     come_alive(world, joined)
     for name, rows in joined.items():
         _set_out(world, world.populations[name], rows)
+        settle(world, world.populations[name], rows)
     if any(p.effects.spawns or p.effects.deaths for p in world.populations.values()):
         deaths_and_births(world)
     settle_newborn(world)

@@ -164,6 +164,23 @@ def bodies(world: World, population: Population, step: Vector, dt: np.float32) -
     return Bodies(population, up, heading, limits(now, dt), leaning, found, looking)
 
 
+def settle(world: World, population: Population, rows: Rows) -> None:
+    """Let the bodies of those who begin stand tilted as far as what rises before them asks, their heads out of it, at once."""
+    now, start = population.now, population.start
+    looking, rest = np.stack([now[f"heading.{axis}"] for axis in AXES]), np.zeros(len(population), np.float32)
+    found = rises(world, population, looking, (rest, rest, rest))
+    who = found.rows
+    if not len(who):
+        return
+    normal = population.normal[who].T.astype(np.float64)
+    up = found.tilted(who, normal, np.zeros((3, len(who))))
+    heading = _laid(looking[:, who].astype(np.float64), normal, up)
+    own = np.isin(who, rows)
+    for name, value in (("up", up), ("heading", heading)):
+        for axis, component in zip(AXES, value, strict=True):
+            now[f"{name}.{axis}"][who[own]] = start[f"{name}.{axis}"][who[own]] = component[own]
+
+
 def _leaning(population: Population) -> Rows:
     """Rows of those whose body stands otherwise than their feet."""
     normal, now = population.normal, population.now
