@@ -158,6 +158,7 @@ def test_the_measures_tell_a_body_that_snaps_a_step_too_long_and_a_head_in_a_wal
     population.now["up.x"][0], population.now["up.y"][0] = 0, 1
     population.start["position.x"][1] = 5.0
     world.motion.reset()
+    world.motion.begin(world)
     world.motion.observe(world)
     found = world.motion.summary()
     assert found["tilt_max"] == pytest.approx(90, abs=0.01)

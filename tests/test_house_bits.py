@@ -26,7 +26,10 @@ ALLOWED = {
         "scipy": "trees of places and filters of whole numbers, compiled for all x86-64 processors alike"
     },
     "runtime/motion.py": {"arcsin": "a measure beside the state, counted in bins"},
-    "runtime/pairs.py": {"log2": "the width of cells: which pairs are found does not depend on it"},
+    "runtime/pairs.py": {
+        "log2": "the width of cells: which pairs are found does not depend on it",
+        "scipy": "a tree that says how far to look: which pairs are the nearest does not depend on it",
+    },
     "runtime/fields/pheromone.py": {
         "@": "a sparse matrix: SciPy adds row by row in the order of the columns, and is compiled for all processors alike",
         "scipy": "the same",

@@ -87,6 +87,7 @@ def start_from_cache(shot: Shot, world: World) -> None:
     world.params = params
     world.transitions.clear()
     world.motion.reset()
+    world.motion.begin(world)
     world.faults.count = 0
     for population in world.populations.values():
         population.born = population.born + shift

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from antdsl.runtime import vectors as vec
 from antdsl.runtime.heads import heads_inside
 from antdsl.runtime.overlaps import worst_overlaps
+from antdsl.runtime.spacing import takes_room
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import Population, World
@@ -64,10 +65,21 @@ class Motion:
     windows: dict[str, Window] = field(default_factory=dict)
 
     def reset(self) -> None:
-        """Begin anew, say after a preroll."""
-        fresh = Motion()
+        """Begin anew, say after a preroll; how the crowd was placed stays known."""
+        fresh = Motion(placed=self.placed, overlapping=self.overlapping)
         for name in (*_COUNTS, "windows"):
             setattr(self, name, getattr(fresh, name))
+
+    def begin(self, world: World) -> None:
+        """Count who stands inside another, of whatever species, before anybody has moved."""
+        crowds = [population.now for population in world.populations.values()]
+        if not crowds:
+            return
+        radius = np.concatenate([now["radius"] for now in crowds])
+        wide = takes_room(radius)
+        place = (np.concatenate([now[f"position.{axis}"] for now in crowds])[wide] for axis in "xyz")
+        self.placed = len(radius)
+        self.overlapping = int(np.count_nonzero(worst_overlaps(*place, radius[wide]) > _TOUCH))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All counts by name, for a checkpoint."""
@@ -93,8 +105,6 @@ class Motion:
         second = max(1, round(1.0 / world.dt))
         for population in world.populations.values():
             if len(population):
-                if self.steps == 0:
-                    self._begin(population)
                 self._step(world, population)
                 if self.steps % second == 0:
                     self._bodies(world, population)
@@ -151,13 +161,6 @@ class Motion:
         self.overlaps += np.bincount((worst * _BINS).astype(np.int64), minlength=_BINS + 1)
         self.heads += len(population)
         self.heads_inside += int(np.count_nonzero(heads_inside(world, population)))
-
-    def _begin(self, population: Population) -> None:
-        """Who stands inside another before anybody has moved."""
-        start = population.start
-        worst = worst_overlaps(*(start[f"position.{a}"] for a in "xyz"), start["radius"])
-        self.placed += len(population)
-        self.overlapping += int(np.count_nonzero(worst > _TOUCH))
 
     def summary(self) -> dict[str, float]:
         """turn_p99, tilt_p99, tilt_max (degrees a step), step_max (of the longest step allowed), circling, standing,

@@ -31,7 +31,7 @@ def worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
         if np.bincount(found.i, minlength=1).max() < limits.NEIGHBOURS:
             np.maximum.at(worst, found.i, _inside(found.distance, radius[found.i], radius[found.j]))
             return worst
-    worst[rows] = _by_nearest(place, radius[rows], widest)
+    worst[rows] = _by_nearest(place, radius[rows])
     return worst
 
 
@@ -51,7 +51,7 @@ def _inside(distance: Floats, one: Floats, other: Floats) -> Floats:
     return part
 
 
-def _by_nearest(place: Floats, radius: Floats, widest: float) -> Floats:
+def _by_nearest(place: Floats, radius: Floats) -> Floats:
     """As `worst_overlaps`, for places [n,3] of a dense crowd."""
     from scipy.spatial import cKDTree
 
@@ -62,21 +62,24 @@ def _by_nearest(place: Floats, radius: Floats, widest: float) -> Floats:
     single, which = order[fresh], np.cumsum(fresh) - 1
     alone = np.bincount(which) == 1
     worst = np.ones(len(place), np.float32)
-    tree = cKDTree(place[single].astype(np.float64))
     found = np.where(alone, 0, 1).astype(np.float32)
-    asked, count = np.flatnonzero(alone), _NEAREST
-    while len(asked):
-        count = min(count, len(single))
-        rows = single[asked]
-        away, near = tree.query(place[rows].astype(np.float64), count)
-        away, near = away.reshape(len(rows), count), single[near.reshape(len(rows), count)]
-        d = [place[near, axis] - place[rows, axis][:, None] for axis in range(3)]
-        distance = np.sqrt((d[0] * d[0] + d[1] * d[1]) + d[2] * d[2])
-        part = _inside(distance, radius[rows][:, None], radius[near])
-        part[near == rows[:, None]] = 0
-        found[asked] = part.max(axis=1)
-        beyond = 1 - away[:, -1] / np.maximum(radius[rows].astype(np.float64) + widest, 1e-9)
-        asked = asked[(beyond > found[asked]) & (count < len(single))]
-        count *= 2
+    classes = np.frexp(radius[single])[1]
+    for size in np.unique(classes)[::-1]:  # the small ones near a large one are many, and none of them far off is worse
+        others = single[classes == size]
+        tree, widest = cKDTree(place[others].astype(np.float64)), float(radius[others].max())
+        asked, count = np.flatnonzero(alone), _NEAREST
+        while len(asked):
+            count = min(count, len(others))
+            rows = single[asked]
+            away, near = tree.query(place[rows].astype(np.float64), count)
+            away, near = away.reshape(len(rows), count), others[near.reshape(len(rows), count)]
+            d = [place[near, axis] - place[rows, axis][:, None] for axis in range(3)]
+            distance = np.sqrt((d[0] * d[0] + d[1] * d[1]) + d[2] * d[2])
+            part = _inside(distance, radius[rows][:, None], radius[near])
+            part[near == rows[:, None]] = 0
+            found[asked] = np.maximum(found[asked], part.max(axis=1))
+            beyond = 1 - away[:, -1] / np.maximum(radius[rows].astype(np.float64) + widest, 1e-9)
+            asked = asked[(beyond > found[asked]) & (count < len(others))]
+            count *= 2
     worst[order] = found[which]
     return worst

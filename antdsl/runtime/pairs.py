@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ Index = NDArray[np.integer[Any]]
 NO_AGENT = np.int64(-1)
 NO_ITEM = np.int32(-1)
 _COARSER = 4  # quarters of an octave
+_ROUNDED = 1 + 1e-6  # by more than float32 rounds a distance
 MOST_PAIRS = 1 << 22  # of one chunk, where everybody is asked about everybody
 
 
@@ -119,20 +121,71 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
     try:
         return _neighbours(world, other, own, ids, rows, (radius, view), nearby)
     except TooManyWithin:
-        span = _asked_at(world.plan.species[population.name], node)
+        pass
+    species = world.plan.species[population.name]
+    count = _nearest_asked(species, node)
+    try:
+        if count is None:
+            raise TooManyWithin
+        return _neighbours(world, other, own, ids, rows, (_shorter(other, own, ids, radius, count), view), nearby)
+    except TooManyWithin:
+        span = _asked_at(species, node)
         what = "neighbours" if span is None else " ".join(span.text.split())
         why = f"has more than {limits.WITHIN_RADIUS:,} others in its radius, of whom the {limits.NEIGHBOURS} nearest count"
-        raise LimitStop(Fault(world.frame, population.name, -1, what, span, (), f"{why}: write a smaller one")) from None
+        fault = Fault(world.frame, population.name, -1, what, span, (), f"{why}: {_advice(other, radius)}")
+        raise LimitStop(fault) from None
+
+
+def _advice(other: Population, radius: Any) -> str:
+    """What to do about too many in a radius: more than stand side by side in it must stand in each other."""
+    widest, body = float(np.max(radius)), float(np.median(other.start["radius"]))
+    if 0 < widest < body * np.sqrt(limits.WITHIN_RADIUS):
+        return "they stand in each other, so give them more room, or write a smaller radius"
+    return "write a smaller one"
+
+
+@lru_cache(256)
+def _nearest_asked(species: ir.SpeciesPlan, node: ir.Node) -> int | None:
+    """How many of a set, the nearest, tell all that is asked of it; None where more than its nearest is asked for."""
+    every = needed(n for _, block in blocks(species) for _, statement in statements(block) for n in operands(statement))
+    made = [each for each in every if each.op.startswith("reduce.") and each.args[0] is node]
+    if not made or any(each.op != "reduce.agent" or each.args[2].op != "pair.distance" for each in made):
+        return None
+    plain = node.attrs[1] and all(each.args[1].op == "const.bool" and each.args[1].attrs[0] for each in made)
+    return 1 if plain else limits.NEIGHBOURS
+
+
+def _shorter(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any, count: int) -> Floats:
+    """Radii cut to what still reaches so many of the others, the nearest."""
+    from scipy.spatial import cKDTree
+
+    theirs = np.stack([other.start[f"position.{axis}"] for axis in AXES], axis=1).astype(np.float64)
+    mine = np.stack(own, axis=1).astype(np.float64)
+    known, asked = np.isfinite(theirs).all(axis=1), np.isfinite(mine).all(axis=1)
+    away = np.full(len(mine), np.inf)
+    away[asked] = cKDTree(theirs[known]).query(mine[asked], [count + (ids is not None)])[0][:, 0]
+    shorter: Floats = np.minimum(radius, away * _ROUNDED).astype(np.float32)
+    return shorter
 
 
 def _asked_at(species: ir.SpeciesPlan, node: ir.Node) -> Span | None:
-    """Where the species' own text asks for a set: the first line that needs it, as the set itself may stand in a library."""
+    """Where the species' own text asks for a set, which may stand in a library: the least part of it that needs the set."""
+    if _own_text(node.span):
+        return node.span
     for _, block in blocks(species):
         for _, statement in statements(block):
-            span = statement.span
-            if span is not None and not span.source.path.startswith("<") and node in needed(operands(statement)):
-                return span
+            below = needed(operands(statement))
+            if node not in below or not _own_text(statement.span):
+                continue
+            using = {node.number}
+            using.update(each.number for each in below if any(arg.number in using for arg in each.args))
+            spans = [each.span for each in below if each.number in using and each.span is not None and _own_text(each.span)]
+            return min(spans, key=lambda span: span.end - span.start, default=statement.span)
     return node.span
+
+
+def _own_text(span: Span | None) -> bool:
+    return span is not None and not span.source.path.startswith("<")
 
 
 def _neighbours(

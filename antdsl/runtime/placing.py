@@ -38,6 +38,7 @@ def populate(world: World) -> None:
             _shuffle(world, population)
             joined[name] = np.arange(len(population))
     begin(world, joined)
+    world.motion.begin(world)
 
 
 def arrive(world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]]) -> dict[str, NDArray[np.intp]]:

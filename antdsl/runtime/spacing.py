@@ -155,7 +155,7 @@ class Room:
         return self._order[entries]
 
 
-def takes_room(radius: Floats) -> Flags:
+def takes_room(radius: NDArray[np.floating[Any]]) -> Flags:
     """Whose radius keeps others away: one above 0 that is a number."""
     return np.isfinite(radius) & (radius > 0)
 

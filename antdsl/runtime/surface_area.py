@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.runtime import vectors as vec
+from antdsl.runtime.senses.faces import nearest_on_triangle
 from antdsl.runtime.senses.ground import Footing
 from antdsl.runtime.world import World
 from antdsl.scene.setting import Point
@@ -92,12 +93,18 @@ class Area:
 
 
 def areas(world: World, on: tuple[str, ...], density: str | None, around: Point | None, radius: float | None) -> Area:
-    """The faces of some surfaces and solids as they lie now, within a ball and as dense as a map says, where those are given."""
+    """The faces of some surfaces and solids as they lie now, within a ball and as dense as a map says, where those are given.
+
+    A ball that meets no face is made so much larger that what it met would begin at its old border."""
     mesh, local, corner, edge1, edge2, weight = _faces(world, on, density)
     face, weights = np.arange(len(mesh)), np.broadcast_to(_CORNERS, (len(mesh), 3, 2))
     ball = None
     if around is not None and radius is not None:
-        ball = (np.asarray(around, np.float64) - world.origin, radius)
+        middle = np.asarray(around, np.float64) - world.origin
+        corners = np.stack([corner, corner + edge1, corner + edge2], axis=1)
+        near = nearest_on_triangle(np.broadcast_to(middle, corner.shape), corners)
+        away = float(vec.length(vec.columns(near - middle, np.float64)).min())
+        ball = (middle, radius if away <= radius else away + radius)
         face, weights = _within(ball, corner, edge1, edge2)
     double = vec.length(vec.cross(vec.columns(edge1, np.float64), vec.columns(edge2, np.float64)))
     span1, span2 = weights[:, 1] - weights[:, 0], weights[:, 2] - weights[:, 0]

@@ -71,22 +71,50 @@ def _laid(
     return riding(mesh, moves, three(track[0])) if moves is not None and not thing.keys else track
 
 
-def check_crowds(staging: Staging, crowds: Sequence[stage_of.CrowdData], grounds: Mapping[str, stage_of.MeshData]) -> None:
-    """Warn of a crowd that is to begin in a disc which no surface lies below or above: it would stand at the nearest border."""
-    flat = [0, 2] if staging.scene.model.up == "y" else [0, 1]
+def check_crowds(
+    staging: Staging,
+    crowds: Sequence[stage_of.CrowdData],
+    surfaces: Mapping[str, stage_of.MeshData],
+    solids: Mapping[str, stage_of.SolidData],
+) -> None:
+    """Warn of a crowd that is to begin where no surface is: it would stand at the nearest place of one."""
+    grounds = {**surfaces, **{name: solid.mesh for name, solid in solids.items()}}
     for crowd in crowds:
-        around, radius = crowd.place.around, crowd.place.radius
-        if around is None or radius is None or not crowd.count:
-            continue
-        names = [name for name in crowd.place.on or tuple(grounds) if name in grounds]
-        low, high = (np.array([getattr(grounds[name].vertices, end)(axis=0)[flat] for name in names]) for end in ("min", "max"))
-        middle = np.array(around)[flat]
-        if len(names) and not ((low <= middle + radius) & (high >= middle - radius)).all(axis=1).any():
+        wanted = (surfaces or grounds) if crowd.place.by_area and not crowd.place.on else grounds
+        if crowd.count and beside(crowd.place, wanted, staging.scene.model.up):
             words = f"there is no surface where `{crowd.species}` is to begin, so it begins at the nearest"
-            path = ("crowd", crowd.group, "place")
-            staging.report.warning(
-                "off-surface", words, staging.scene.span(*path), "move it with `around`, or check the `units` of the mesh"
-            )
+            ball = ", write a larger `radius`" if crowd.place.by_area else ""
+            help = f"move it with `around`{ball}, or check the `units` of the mesh"
+            staging.report.warning("off-surface", words, staging.scene.span("crowd", crowd.group, "place"), help)
+
+
+def beside(place: stage_of.PlaceData, grounds: Mapping[str, stage_of.MeshData], up: str) -> bool:
+    """Whether no surface lies below or above the disc in which a crowd is to begin, or in its ball where it begins by area."""
+    if place.around is None or place.radius is None:
+        return False
+    meshes = [grounds[name] for name in place.on or grounds if name in grounds]
+    axes = (0, 1, 2) if place.by_area else (0, 2) if up == "y" else (0, 1)
+    return len(meshes) > 0 and not any(_within(mesh, place.around, place.radius, axes) for mesh in meshes)
+
+
+@once_a_mesh
+def _within(mesh: stage_of.MeshData, middle: stage_of.Point, radius: float, axes: tuple[int, ...]) -> bool:
+    """Whether a mesh reaches into a ball, or seen along the axis that is left out into a disc."""
+    faces = _near(mesh, middle, axes, radius)
+    corners = np.zeros((len(faces), 3, 3))
+    corners[:, :, : len(axes)] = (mesh.vertices[:, axes] - np.array(middle)[list(axes)])[faces]
+    square = radius * radius * (1.0 + 1e-12)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size, inside = (across * across).sum(axis=1), np.ones(len(faces), np.bool_)
+    for k in range(3):
+        start, edge = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
+        length = np.maximum((edge * edge).sum(axis=1), 1e-300)
+        nearest = start + np.clip(-(start * edge).sum(axis=1) / length, 0.0, 1.0)[:, None] * edge
+        if ((nearest * nearest).sum(axis=1) <= square).any():
+            return True
+        inside &= (np.cross(edge, -start) * across).sum(axis=1) >= 0
+    height = (corners[:, 0] * across).sum(axis=1)
+    return bool((inside & (size > 0) & (height * height <= square * size)).any())
 
 
 def _usd_items(staging: Staging, name: str, value: UsdThing, declared: set[str]) -> Laid | None:
@@ -112,13 +140,13 @@ def three(place: NDArray[np.float64]) -> stage_of.Point:
     return float(place[0]), float(place[1]), float(place[2])
 
 
-def _near(mesh: stage_of.MeshData, point: stage_of.Point, flat: list[int]) -> NDArray[np.int32]:
-    """Faces whose rectangles, seen from above, the point is not clearly outside of."""
+def _near(mesh: stage_of.MeshData, point: stage_of.Point, axes: Sequence[int], reach: float = 0.0) -> NDArray[np.int32]:
+    """Faces whose boxes along some axes come within reach of a point, or nearly so."""
     near = np.ones(len(mesh.faces), np.bool_)
-    for axis in flat:
+    for axis in axes:
         a, b, c = (np.ascontiguousarray(mesh.vertices[:, axis])[mesh.faces[:, k]] for k in range(3))
         low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-        slack = 1e-6 * (high - low)
+        slack = 1e-6 * (high - low) + reach
         near &= (low - slack <= point[axis]) & (point[axis] <= high + slack)
     faces: NDArray[np.int32] = mesh.faces[near]
     return faces

@@ -114,7 +114,7 @@ def stage(
         for number, line in enumerate(model.crowd)
     )
     check_densities(staging, maps)
-    check_crowds(staging, crowds, {**surfaces, **{name: solid.mesh for name, solid in solids.items()}})
+    check_crowds(staging, crowds, surfaces, solids)
     camera = usd_camera(staging, model.camera) if isinstance(model.camera, UsdCamera) else None
     starts = {
         name: stage_of.FieldStart(

@@ -9,7 +9,7 @@ from antdsl.diagnostics import Report
 from antdsl.program.checks.checked import Checked
 from antdsl.program.checks.ranges import range_of
 from antdsl.program.folding import constant_behind
-from antdsl.program.model import Param, SetOf, Species
+from antdsl.program.model import Const, Expr, Kind, Local, Param, ParamRef, Reduce, SetOf, Species
 from antdsl.program.walk import parts
 from antdsl.program.wording import quoted
 
@@ -20,17 +20,45 @@ _SIZE = 4.0  # mm, of a body where the program does not say
 def wide_radius(checked: Checked, report: Report) -> None:
     for species in checked.program.species.values():
         size = _size(species, checked.program.params)
-        for part in parts(species):
-            if not isinstance(part, SetOf) or part.source != "neighbours" or part.args[0] is None:
+        every = list(parts(species))
+        one = {id(part.over) for part in every if isinstance(part, Reduce) and part.how == "nearest"}
+        for part in every:
+            if not isinstance(part, SetOf) or not part.args or part.args[0] is None or not _of_agents(part, id(part) in one):
                 continue
-            radius, written = constant_behind(part.args[0]), part.args[0]
-            if radius is not None and not radius.u and radius.number > _LENGTHS * size:
-                report.warning(
-                    "wide-radius",
-                    f"within {quoted(radius.span)} there is everybody: that is {radius.number / size:,.0f} body lengths",
-                    radius.span if radius.span.source.path == species.span.source.path else written.span,
-                    f"write some body lengths, such as `3 * size`; of all within it the {limits.NEIGHBOURS} nearest count",
-                )
+            written = part.args[0]
+            radius = _radius(written, checked.program.params)
+            if radius is None or radius.u or radius.number <= _LENGTHS * size:
+                continue
+            own = [each.span for each in _names(written) if each.span.source.path == species.span.source.path]
+            span = own[-1] if own else written.span
+            report.warning(
+                "wide-radius",
+                f"within {quoted(span)} there is everybody: that is {radius.number / size:,.0f} body lengths",
+                span,
+                f"write some body lengths, such as `3 * size`; of all within it the {limits.NEIGHBOURS} nearest count",
+            )
+
+
+def _of_agents(part: SetOf, only_the_nearest: bool) -> bool:
+    """Whether a set goes through the agents within a radius. To know the nearest one of all, nobody has to."""
+    if part.source == "neighbours":
+        return True
+    return part.source == "all" and part.element.type.kind is Kind.AGENT and not (only_the_nearest and part.where is None)
+
+
+def _names(expr: Expr) -> list[Expr]:
+    """An expression and what stands behind it, where that is a name."""
+    found = [expr]
+    while isinstance(expr, Local) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
+        expr = expr.binding.value
+        found.append(expr)
+    return found
+
+
+def _radius(expr: Expr, params: Mapping[str, Param]) -> Const | None:
+    """The constant that a radius is, also by what a param is where nobody sets it."""
+    last = _names(expr)[-1]
+    return constant_behind(params[last.name].default if isinstance(last, ParamRef) and last.name in params else last)
 
 
 def _size(species: Species, params: Mapping[str, Param]) -> float:

@@ -23,6 +23,7 @@ _AGAIN = 16  # faces that a ray may pass by at less than a hair
 _APART = 8.0  # hairs further away from the nearest face: from there one that is as near is nearer
 _END = 1.1  # of a ray: Open3D looks as far, which is more than it errs by unless the ray is a hair long
 _BRIEF_CELLS = 1000
+_FARTHEST = 1e15  # mm: Open3D, whose squares are float32, names no nearest face from much farther off
 FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
 
 
@@ -265,7 +266,8 @@ class RayScene:
         """The face that Open3D names as nearest to places as the scene counts them."""
         if self._exact is None:
             self._exact = self._scene if self._brief else self._built(self._faces.corners.reshape(-1, 3).astype(np.float32))
-        answer = self._exact.compute_closest_points(self._tensor(points.astype(np.float32)), nthreads=threads)
+        near = np.clip(points, -_FARTHEST, _FARTHEST).astype(np.float32)
+        answer = self._exact.compute_closest_points(self._tensor(near), nthreads=threads)
         return answer["primitive_ids"].numpy().astype(np.int64)
 
     def depth(self, points: Vectors, threads: int = 1) -> NDArray[np.float64]:
