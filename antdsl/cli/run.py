@@ -70,7 +70,7 @@ def run(
     from antdsl.runtime import Options
 
     options = Options(
-        backend=backend.value, chunk=chunk, threads=threads or cores(), shuffle_rows=shuffle, on_fault=on_fault.value
+        backend=backend.value, chunk=chunk, threads=at_once(threads, quiet), shuffle_rows=shuffle, on_fault=on_fault.value
     )
     folder = out if out is not None else scene.resolve().parent / "out" / scene.stem
     recording = _begin(shot, folder, options, choices, resume, force)
@@ -94,6 +94,18 @@ def cores() -> int:
     import os
 
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def at_once(asked: int, quiet: bool = False) -> int:
+    """How many threads to use where so many are asked for, 0 being all: more than there are cores would only wait for each other,
+    and libraries complain about it."""
+    there = cores()
+    if asked > there and not quiet:
+        typer.echo(
+            f"`--threads {asked}`: there {'is 1 core' if there == 1 else f'are {there} cores'} here, so {there} at a time",
+            err=True,
+        )
+    return min(asked or there, there)
 
 
 def _again(scene: Path, out: Path | None) -> str:

@@ -43,7 +43,7 @@ def test(
     """Run the specs of programs and say what was not as expected."""
     from antdsl.cli.arguments import grants
     from antdsl.cli.reports import show, verdict
-    from antdsl.cli.run import cores
+    from antdsl.cli.run import at_once
     from antdsl.runtime import Options
     from antdsl.specs import Work, cases, run_cases
     from antdsl.specs.goldens import Goldens
@@ -70,7 +70,7 @@ def test(
         elif not quiet:
             typer.echo(one_line(case))
 
-    options = Options(backend=backend.value, threads=threads or cores())
+    options = Options(backend=backend.value, threads=at_once(threads, quiet))
     keeper = None if no_keep else Keeper(keep, grants(root), options)
     work = Work(options, keeper=keeper, goldens=Goldens(update), done=done)
     coverage, goldens = work.coverage, work.goldens
