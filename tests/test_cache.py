@@ -20,6 +20,7 @@ import pytest
 from typer.testing import CliRunner
 
 from antdsl.cli import app
+from antdsl.cli.exits import Stop
 from antdsl.cli.new import ground
 from antdsl.outputs.cache import CacheError, checkpoint_path, frame_path, open_cache
 from antdsl.outputs.cache_writer import ForeignFolder, prepare_folder
@@ -354,6 +355,26 @@ def test_what_is_damaged_in_a_cache_is_told_and_made_again(
         assert frame_path(folder, frame).read_bytes() == frame_path(whole, frame).read_bytes()
     assert read_lines(folder / HASHES) == read_lines(whole / HASHES)
     assert verified(folder)[0] == 0
+
+
+def test_only_the_written_form_of_a_name_is_a_frame(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
+    shutil.copytree(unbroken[0].parent, tmp_path / "p")
+    folder = tmp_path / "p" / "out" / "scene"
+    for name in ("frames/frame.12.npz", "frames/frame.00012.npz", "frames/checkpoint.0012.npz", "checkpoints/checkpoint.9.npz"):
+        shutil.copy(frame_path(folder, 12), folder / name)
+    cache = open_cache(folder)
+    assert (
+        cache.frames() == list(range(1, 61)) and cache.checkpoints() == open_cache(unbroken[0].parent / "out/scene").checkpoints()
+    )
+    stopped = CliRunner().invoke(app, ["info", str(folder), "--verify"]).exception
+    assert isinstance(stopped, Stop) and stopped.code == 1 and "move away" in stopped.hint and "--resume" not in stopped.hint
+    shutil.copy(frame_path(folder, 12), frame_path(folder, 70))
+    shot, _ = open_scene(tmp_path / "p" / "scene.yaml")
+    assert shot is not None
+    told = "\n".join(begin(shot, folder, Options(), resume=True, force=False).notes)
+    for name in ("frame.12.npz", "frame.00012.npz", "frames/checkpoint.0012.npz", "checkpoint.9.npz"):
+        assert f"{name}` is no " in stopped.message and f"{name}` is no " in told
+    assert "frame 70 lies beyond frame 60, the last, and is removed" in told and "made again" not in told
 
 
 def test_a_damaged_frame_is_told_and_written_again(tmp_path: Path) -> None:

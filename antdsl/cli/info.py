@@ -72,8 +72,14 @@ def _verify(cache: Cache) -> None:
     from antdsl.outputs.hashes import HASHES
 
     lines, frames, checkpoints = cache.lines(), cache.frames(), cache.checkpoints()
-    bad, wanted = [], cache.manifest.first
+    first, last = cache.manifest.first, cache.manifest.last
+    bad, wanted = [], first
+    strays = [f"frame {frame} is none of this cache's, {first} to {last}" for frame in frames if not first <= frame <= last]
+    strays += cache.strays()
     for frame in sorted({*frames, *lines}):
+        if not first <= frame <= last:
+            bad += [] if frame in frames else [f"`{HASHES}` tells of frame {frame}, which is none of this cache's"]
+            continue
         if frame > wanted:
             bad.append(f"frame {wanted} is not there" if frame == wanted + 1 else f"frames {wanted} to {frame - 1} are not there")
         wanted = max(wanted, frame + 1)
@@ -83,10 +89,12 @@ def _verify(cache: Cache) -> None:
         bad += _unread(partial(cache.checkpoint, frame))
         bad += [] if frame in lines else [f"the checkpoint of frame {frame} has no hash in `{HASHES}`"]
     bad += _unread(cache.static)
-    if bad:
+    if bad or strays:
         more = [f"… and {len(bad) - 50} more"] if len(bad) > 50 else []
-        words = "\n".join([*(f"error: {why}" for why in bad[:50]), *more])
-        raise Stop(Exit.FINDINGS, words, "`antdsl run SCENE --resume` writes them again")
+        words = "\n".join([*(f"error: {why}" for why in bad[:50]), *more, *(f"error: {why}" for why in strays[:50])])
+        advice = ["`antdsl run SCENE --resume` writes what is damaged again"] if bad else []
+        advice += ["move away what is not of this cache"] if strays else []
+        raise Stop(Exit.FINDINGS, words, "\n".join(advice))
     typer.echo(f"verified     {len(frames)} frames, {len(checkpoints)} checkpoints")
 
 

@@ -11,7 +11,7 @@ hashes.jsonl                    a hash of the whole state and one of the frame's
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from antdsl.outputs.npz import ArrayFileError, read_npz
 
 MARKER = ".antdsl-cache"
 STATIC = "static.npz"
-_NUMBERED = re.compile(r"(frame|checkpoint)\.(-?[0-9]{1,10})\.npz", re.ASCII)
+_NUMBERED = re.compile(r"[a-z]+\.(-?[0-9]{1,10})\.npz", re.ASCII)
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -43,12 +43,18 @@ def checkpoint_path(folder: Path, frame: int) -> Path:
     return folder / "checkpoints" / f"checkpoint.{frame:04d}.npz"
 
 
-def numbered(folder: Path) -> list[int]:
-    """The numbers of the frames or checkpoints that lie in a folder, in order."""
-    if not folder.is_dir():
-        return []
-    found = (_NUMBERED.fullmatch(name.name) for name in folder.iterdir())
-    return sorted(int(match[2]) for match in found if match)
+def numbered(folder: Path, path: Callable[[Path, int], Path]) -> tuple[list[int], list[Path]]:
+    """The numbers of the frames or checkpoints (as `path` writes their names) of a cache's folder, in order; and what lies among
+    them under a name that none is written by, `frame.12.npz` for one."""
+    place = path(folder, 0).parent
+    found, strays = [], []
+    for each in place.iterdir() if place.is_dir() else ():
+        match = _NUMBERED.fullmatch(each.name)
+        if match and path(folder, int(match[1])).name == each.name:
+            found.append(int(match[1]))
+        elif each.name.endswith(".npz") and not each.name.startswith("."):
+            strays.append(each)
+    return sorted(found), sorted(strays)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,11 +66,19 @@ class Cache:
 
     def frames(self) -> list[int]:
         """The frames that are there, in order."""
-        return numbered(self.folder / "frames")
+        return numbered(self.folder, frame_path)[0]
 
     def checkpoints(self) -> list[int]:
         """The frames that have a checkpoint, in order."""
-        return numbered(self.folder / "checkpoints")
+        return numbered(self.folder, checkpoint_path)[0]
+
+    def strays(self) -> list[str]:
+        """Why files beside frames and checkpoints count for nothing, in words that stand alone."""
+        return [
+            f"`{stray}` is no {what} of this cache: {what}s have names such as `{path(self.folder, 12).name}`"
+            for what, path in (("frame", frame_path), ("checkpoint", checkpoint_path))
+            for stray in numbered(self.folder, path)[1]
+        ]
 
     def frame(self, number: int, only: frozenset[str] | None = None) -> Arrays:
         """The arrays of a frame, or `only` those of some names, as the format says; CacheError when it is missing or damaged."""

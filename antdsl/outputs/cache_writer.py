@@ -65,10 +65,10 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
 def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) -> None:
     """Remove the frames and checkpoints (above a frame, if given, and those checkpoints that are `damaged`) of an earlier run,
     and its hashes of them; nothing else."""
-    for number in numbered(folder / "frames"):
+    for number in numbered(folder, frame_path)[0]:
         if above is None or number > above:
             frame_path(folder, number).unlink(missing_ok=True)
-    for number in numbered(folder / "checkpoints"):
+    for number in numbered(folder, checkpoint_path)[0]:
         if above is None or number > above or number in damaged:
             checkpoint_path(folder, number).unlink(missing_ok=True)
     for part in (part for place in (folder, folder / "frames", folder / "checkpoints") for part in list(place.glob(".*.part"))):

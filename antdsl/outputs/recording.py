@@ -109,7 +109,11 @@ def _go_on(recording: Recording, kept: Whole, options: Options) -> None:
         found.append(f"`{kept.cache.folder}` has no checkpoint from which all frames are whole")
     if len(found) > len(recording.damaged) and again >= first:
         found.append(f"frame {first} is made again" if again == first else f"frames {first} to {again} are made again")
-    recording.notes = found
+    beyond = [frame for frame in kept.cache.frames() if frame > shot.frames.last]
+    if beyond:
+        which = f"frame {beyond[0]} lies" if len(beyond) == 1 else f"{len(beyond)} frames, {beyond[0]} to {beyond[-1]}, lie"
+        found.append(f"{which} beyond frame {shot.frames.last}, the last, and {'is' if len(beyond) == 1 else 'are'} removed")
+    recording.notes = found + [f"{why}; it is left as it is" for why in kept.cache.strays()]
 
 
 def _damaged(recording: Recording, cache: Cache, before: int) -> Iterator[str]:
