@@ -13,6 +13,7 @@ import time
 import warnings
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -300,6 +301,12 @@ def renumbered(folder: Path, number: int) -> None:
     frame_path(folder, number).write_bytes(to_bytes(arrays))
 
 
+def of_another_run(path: Path) -> None:
+    """Another whole checkpoint of the same frame: the state is the same, what was counted on the way is not."""
+    arrays = dict(read_npz(path))
+    path.write_bytes(to_bytes(arrays | {"world.faults": arrays["world.faults"] + 5}))
+
+
 # What may happen to a cache of 60 frames with checkpoints at 1, 9, 17, …; the frame that a run goes on after; what is told.
 DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
     "nothing": (lambda f: None, 60, ""),
@@ -319,11 +326,17 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
     "a bit of a checkpoint": (lambda f: flipped(checkpoint_path(f, 60), 0.5), 57, "checkpoint.0060.npz"),
     "a checkpoint cut off": (lambda f: os.truncate(checkpoint_path(f, 60), 5000), 57, "frames 58 to 60 are made again"),
     "an early checkpoint": (lambda f: flipped(checkpoint_path(f, 9), 0.5), 60, "and is removed"),
-    "two checkpoints swapped": (lambda f: swapped(checkpoint_path(f, 60), checkpoint_path(f, 49)), 57, "does not hold frame 60"),
+    "two checkpoints swapped": (
+        lambda f: swapped(checkpoint_path(f, 60), checkpoint_path(f, 49)), 57, "0060.npz` is not what was written",
+    ),
+    "a checkpoint of another run": (lambda f: of_another_run(checkpoint_path(f, 60)), 57, "checkpoint.0060.npz` is not what was"),
+    "an early one of another run": (lambda f: of_another_run(checkpoint_path(f, 9)), 60, "checkpoint.0009.npz` is not what was"),
+    "other meshes": (lambda f: swapped(f / "static.npz", checkpoint_path(f, 9)), 60, "static.npz` is not what was written there"),
+    "no meshes": (lambda f: (f / "static.npz").unlink(), 60, "static.npz` is not there; it is written again"),
     "no checkpoints": (lambda f: [p.unlink() for p in (f / "checkpoints").iterdir()], None, "no checkpoint from which"),
     "a hash of another state": (lambda f: lines_changed(f, 33, hash="0" * 32), 25, "frame.0033.npz` is not what was written"),
     "a hash of another file": (lambda f: lines_changed(f, 12, file="0" * 32), 9, "frame.0012.npz` is not what was written"),
-    "a cut line": (lambda f: os.truncate(f / HASHES, 3000), 25, "has no hash in `hashes.jsonl`"),
+    "a cut line": (lambda f: os.truncate(f / HASHES, 3321), 25, "has no hash in `hashes.jsonl`"),
     "no hashes": (lambda f: (f / HASHES).unlink(), None, "frame.0001.npz` has no hash in `hashes.jsonl`"),
 }  # fmt: skip
 
@@ -355,6 +368,31 @@ def test_what_is_damaged_in_a_cache_is_told_and_made_again(
         assert frame_path(folder, frame).read_bytes() == frame_path(whole, frame).read_bytes()
     assert read_lines(folder / HASHES) == read_lines(whole / HASHES)
     assert verified(folder)[0] == 0
+
+
+def test_a_cache_from_before_checkpoints_had_hashes_is_read_and_said_to_be_not_checked(
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path
+) -> None:
+    shutil.copytree(unbroken[0].parent, tmp_path / "p")
+    folder = tmp_path / "p" / "out" / "scene"
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest.pop("static")
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    lines = {frame: replace(line, checkpoint="") for frame, line in read_lines(folder / HASHES).items()}
+    (folder / HASHES).write_bytes(b"".join(line.text(frame) for frame, line in lines.items()))
+    code, words = verified(folder)
+    assert code == 0 and "60 frames, 0 checkpoints" in words
+    assert "not checked  `static.npz`, checkpoints 1 9 17 25 33 41 49 57 60" in words
+    swapped(checkpoint_path(folder, 60), checkpoint_path(folder, 49))
+    assert verified(folder)[0] == 1
+    shot, _ = open_scene(tmp_path / "p" / "scene.yaml")
+    assert shot is not None
+    recording = begin(shot, folder, Options(), resume=True, force=False)
+    assert recording.resumed_from == 57 and "does not hold frame 60" in recording.notes[0]
+    for _ in record(recording):
+        pass
+    code, words = verified(folder)
+    assert code == 0 and "60 frames, 1 checkpoints" in words and "not checked  checkpoints 1 9 17 25 33 41 57" in words
 
 
 def test_only_the_written_form_of_a_name_is_a_frame(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ manifest.json                   what it was made from and how to read it
 static.npz                      meshes, places of field cells
 frames/frame.1001.npz           one a frame: agents, fields, items
 checkpoints/checkpoint.1050.npz all that is needed to go on from there
-hashes.jsonl                    a hash of the whole state and one of the frame's file, one line a frame
+hashes.jsonl                    a hash of the whole state, of the frame's file and of its checkpoint's, by frame
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.hashes import HASHES, Line, damage, read_lines
+from antdsl.outputs.hashes import HASHES, Line, checkpoint_damage, damage, read_lines, static_damage
 from antdsl.outputs.manifest import Manifest, read_manifest
 from antdsl.outputs.npz import ArrayFileError, read_npz
 
@@ -104,10 +104,27 @@ class Cache:
         """What is wrong with the file of a frame, None where it has the bytes that were written. `line`: what is known of it."""
         return damage(frame_path(self.folder, frame), frame, line)
 
+    def checkpoint_damage(self, frame: int, line: Line | None) -> str | None:
+        """The same for a checkpoint, which must hold together besides. One from before its hash was kept may have other bytes."""
+        return checkpoint_damage(checkpoint_path(self.folder, frame), frame, line) or _unread(lambda: self.checkpoint(frame))
+
+    def static_damage(self) -> str | None:
+        """The same for `static.npz`."""
+        kept = self.manifest.static
+        return (static_damage(self.folder / STATIC, kept) if kept else None) or _unread(self.static)
+
 
 def open_cache(folder: Path) -> Cache:
     """The cache in a folder; ManifestError says why there is none."""
     return Cache(folder, read_manifest(folder))
+
+
+def _unread(read: Callable[[], object]) -> str | None:
+    try:
+        read()
+    except CacheError as why:
+        return str(why)
+    return None
 
 
 def _read(path: Path, number: int | None, only: frozenset[str] | None = None) -> Arrays:

@@ -22,7 +22,7 @@ from antdsl.outputs.cache import (
     open_cache,
 )
 from antdsl.outputs.frames import FrameMaker
-from antdsl.outputs.hashes import HASHES, read_lines
+from antdsl.outputs.hashes import HASHES, hash_of_static, read_lines
 from antdsl.outputs.lock import LOCK, FolderLock
 from antdsl.outputs.manifest import Manifest, ManifestError, write_manifest
 from antdsl.outputs.npz import to_bytes, write_whole
@@ -160,8 +160,9 @@ class CacheWriter:
         """Write what stands for the whole run. Frames above `kept_up_to` (all if None) of an earlier run are removed first, and
         those checkpoints that are `damaged`."""
         clear(self.folder, kept_up_to, damaged)
-        write_whole(self.folder / STATIC, to_bytes(static), sync=True)
-        write_manifest(self.folder, self.manifest)
+        data = to_bytes(static)
+        write_whole(self.folder / STATIC, data, sync=True)
+        write_manifest(self.folder, self.manifest.model_copy(update={"static": hash_of_static(data)}))
         world.carved = {}
         self._behind = Behind(Scribe(self.folder, snapshot(world), maker).work, self._told)
 
