@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 from antdsl.cli import app
 from antdsl.cli.exits import Stop
 from antdsl.cli.new import ground
-from antdsl.outputs.cache import CacheError, checkpoint_path, frame_path, open_cache
+from antdsl.outputs.cache import SURFACE_ERROR, CacheError, checkpoint_path, frame_path, open_cache
 from antdsl.outputs.cache_writer import ForeignFolder, prepare_folder
 from antdsl.outputs.frames import orientation
 from antdsl.outputs.hashes import HASHES, read_lines
@@ -263,6 +263,28 @@ def test_the_summary_has_its_keys_and_the_last_hash(tmp_path: Path) -> None:
     assert found["state_hash"] == hashes[60] and found["max_surface_error"] < 1e-3 and found["faults"] == 0
 
 
+def test_the_summary_of_a_run_that_goes_on_is_of_all_frames(tmp_path: Path) -> None:
+    scene = project(tmp_path / "p", hills=True)
+    folder, summary = scene.parent / "out" / "scene", scene.parent / "summary.json"
+
+    def worst(*words: str) -> float | None:
+        assert finished(start(scene, "--frames", "1..12", "--summary", summary.name, *words))[0] == 0
+        found: float | None = json.loads(summary.read_text())["max_surface_error"]
+        return found
+
+    unbroken = worst()
+    assert unbroken is not None and unbroken > 0 and worst("--resume") == unbroken == worst("--resume")
+    checkpoint_path(folder, 12).unlink()
+    assert worst("--resume") == unbroken
+    line = read_lines(folder / HASHES)[12]
+    arrays = dict(read_npz(checkpoint_path(folder, 12)))
+    arrays.pop(SURFACE_ERROR)  # as before it was kept
+    checkpoint_path(folder, 12).write_bytes(to_bytes(arrays))
+    with open(folder / HASHES, "ab") as hashes:
+        hashes.write(replace(line, checkpoint="").text(12))
+    assert worst("--resume") is None is worst("--resume")
+
+
 def test_frames_hold_what_the_manifest_says(unbroken: tuple[Path, dict[int, str]]) -> None:
     cache = open_cache(unbroken[0].parent / "out" / "scene")
     arrays = cache.frame(30)
@@ -392,7 +414,7 @@ def test_a_cache_from_before_checkpoints_had_hashes_is_read_and_said_to_be_not_c
     for _ in record(recording):
         pass
     code, words = verified(folder)
-    assert code == 0 and "60 frames, 1 checkpoints" in words and "not checked  checkpoints 1 9 17 25 33 41 57" in words
+    assert code == 0 and "60 frames, 1 checkpoint\n" in words and "not checked  checkpoints 1 9 17 25 33 41 57" in words
 
 
 def test_only_the_written_form_of_a_name_is_a_frame(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:

@@ -100,7 +100,8 @@ def _verify(cache: Cache) -> None:
     unknown = [] if cache.manifest.static else [f"`{STATIC}`"]
     points = [str(frame) for frame in checkpoints if not lines[frame].checkpoint]
     unknown += [f"checkpoint{'s' if len(points) > 1 else ''} {' '.join(points)}"] if points else []
-    typer.echo(f"verified     {len(frames)} frames, {len(checkpoints) - len(points)} checkpoints")
+    count = len(checkpoints) - len(points)
+    typer.echo(f"verified     {len(frames)} frames, {count} checkpoint{'' if count == 1 else 's'}")
     if unknown:
         typer.echo(f"not checked  {', '.join(unknown)}: read, but written before hashes of them were kept")
 

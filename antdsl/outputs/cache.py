@@ -25,6 +25,7 @@ from antdsl.outputs.npz import ArrayFileError, read_npz
 
 MARKER = ".antdsl-cache"
 STATIC = "static.npz"
+SURFACE_ERROR = "surface_error"  # of a checkpoint: the greatest of all frames up to it
 _NUMBERED = re.compile(r"[a-z]+\.(-?[0-9]{1,10})\.npz", re.ASCII)
 
 Arrays = Mapping[str, NDArray[Any]]

@@ -3,6 +3,7 @@ simulation, checkpoints only after all frames before them are on the disk, hashe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from antdsl.outputs.behind import Behind
 from antdsl.outputs.cache import (
     MARKER,
     STATIC,
+    SURFACE_ERROR,
     Cache,
     checkpoint_path,
     frame_path,
@@ -111,10 +113,14 @@ def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -
     return Whole(cache, points, there, broken)
 
 
-def read_checkpoint(cache: Cache, frame: int) -> Arrays:
-    """A checkpoint's arrays less the bookkeeping; CacheError when it is damaged."""
+def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None]:
+    """A checkpoint's arrays less the bookkeeping, and the greatest surface error of all frames up to it, None where it was not
+    kept; CacheError when it is damaged."""
     arrays = cache.checkpoint(frame)
-    return {name.removeprefix("world."): array for name, array in arrays.items() if name.startswith("world.")}
+    kept = arrays.get(SURFACE_ERROR)
+    known = kept is not None and kept.shape == () and kept.dtype.kind == "f" and 0 <= float(kept) < math.inf
+    worst = float(kept) if kept is not None and known else None
+    return {name.removeprefix("world."): array for name, array in arrays.items() if name.startswith("world.")}, worst
 
 
 class CacheWriter:
@@ -155,16 +161,23 @@ class CacheWriter:
             behind.check()
 
     def begin(
-        self, world: World, static: Arrays, maker: FrameMaker, kept_up_to: int | None, damaged: Container[int] = ()
+        self,
+        world: World,
+        static: Arrays,
+        maker: FrameMaker,
+        kept_up_to: int | None,
+        damaged: Container[int] = (),
+        worst: float | None = 0.0,
     ) -> None:
         """Write what stands for the whole run. Frames above `kept_up_to` (all if None) of an earlier run are removed first, and
-        those checkpoints that are `damaged`."""
+        those checkpoints that are `damaged`. `worst`: the greatest surface error of the frames that are kept, as a `Scribe`
+        takes it."""
         clear(self.folder, kept_up_to, damaged)
         data = to_bytes(static)
         write_whole(self.folder / STATIC, data, sync=True)
         write_manifest(self.folder, self.manifest.model_copy(update={"static": hash_of_static(data)}))
         world.carved = {}
-        self._behind = Behind(Scribe(self.folder, snapshot(world), maker).work, self._told)
+        self._behind = Behind(Scribe(self.folder, snapshot(world), maker, worst).work, self._told)
 
     def put(self, world: World, *jobs: str) -> None:
         """Hand over the state between two steps; behind the caller's back the jobs (of `scribe.JOBS`) are done with it.

@@ -40,7 +40,7 @@ class Recording:
     frame: int | None = None  # the last that was handed over to be written
     stop: bool = False
     hash: str = ""  # of the last frame that is known to be written
-    surface_error: float = 0.0  # in body lengths
+    surface_error: float | None = 0.0  # the greatest of all frames, in body lengths; None where those before are not known of
     steps: int = 0  # after the first
     seconds: dict[str, float] = field(default_factory=dict)
     behind: dict[str, float] = field(default_factory=dict)  # of who writes, while the next frames are simulated
@@ -61,7 +61,7 @@ class Recording:
         for what, seconds in found["seconds"].items():
             self.behind[what] = self.behind.get(what, 0.0) + seconds
         self.hash = found.get("hash", self.hash)
-        self.surface_error = max(self.surface_error, found.get("surface_error", 0.0))
+        self.surface_error = found.get("surface_error", self.surface_error)
 
 
 class NothingToResume(Exception):
@@ -95,12 +95,13 @@ def _go_on(recording: Recording, kept: Whole, options: Options) -> None:
     """Put the world where the last good checkpoint left it, and note what was damaged and is made again."""
     shot, lines, found = recording.shot, kept.cache.lines(), [] if kept.broken is None else [kept.broken]
     for frame in kept.points:
-        why = _restored(recording.world, kept.cache, frame, lines[frame])
+        why = _restored(recording, kept.cache, frame, lines[frame])
         if why is None:
             recording.resumed_from = recording.frame = frame
             recording.hash = lines[frame].hash
             break
         found.append(why)
+        recording.surface_error = 0.0
         recording.world = bind(shot.plan, shot.setting, options)  # what is bad has been put into the one before
     if recording.resumed_from is not None:
         found += _damaged(recording, kept.cache, lines, recording.resumed_from)
@@ -129,14 +130,15 @@ def _damaged(recording: Recording, cache: Cache, lines: Mapping[int, Line], befo
             yield f"{why}, and is removed"
 
 
-def _restored(world: World, cache: Cache, frame: int, line: Line) -> str | None:
-    """Put the world where a checkpoint left it; why that is not possible, in words that stand alone."""
-    path = checkpoint_path(cache.folder, frame)
+def _restored(recording: Recording, cache: Cache, frame: int, line: Line) -> str | None:
+    """Put the world, and what was measured, where a checkpoint left it; why that is not possible, in words that stand alone."""
+    world, path = recording.world, checkpoint_path(cache.folder, frame)
     why = cache.checkpoint_damage(frame, line)
     if why is not None:
         return why
     try:
-        restore(world, read_checkpoint(cache, frame))
+        arrays, recording.surface_error = read_checkpoint(cache, frame)
+        restore(world, arrays)
     except CacheError as problem:
         return str(problem)
     except CheckpointError as problem:
@@ -173,7 +175,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         camera=_camera(shot),
     )
     with CacheWriter(recording.folder, manifest, recording.written) as writer:
-        writer.begin(world, recording.static, maker, recording.resumed_from, recording.damaged)
+        writer.begin(world, recording.static, maker, recording.resumed_from, recording.damaged, recording.surface_error)
         if recording.resumed_from is None:
             for _ in range(model.preroll):
                 if recording.stop:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.cache import checkpoint_path, frame_path
+from antdsl.outputs.cache import SURFACE_ERROR, checkpoint_path, frame_path
 from antdsl.outputs.frames import FrameMaker
 from antdsl.outputs.hashes import HASHES, Line, line_of, read_lines, with_checkpoint
 from antdsl.outputs.npz import sync_file, sync_folder, to_bytes, write_whole
@@ -21,10 +21,11 @@ Arrays = Mapping[str, NDArray[Any]]
 
 class Scribe:
     """Writes states into a cache's folder, in order: frames whole, a line with the hash after each, checkpoints only when all
-    frames before them are on the disk. `still` is a snapshot of the world that is simulated."""
+    frames before them are on the disk. `still` is a snapshot of the world that is simulated,
+    `worst` the greatest `surface_error` of the frames before, None where that is not known."""
 
-    def __init__(self, folder: Path, still: World, maker: FrameMaker) -> None:
-        self.folder, self.still, self.maker = folder, still, maker
+    def __init__(self, folder: Path, still: World, maker: FrameMaker, worst: float | None = 0.0) -> None:
+        self.folder, self.still, self.maker, self.worst = folder, still, maker, worst
         self._unsynced: list[Path] = []
         self._last: dict[int, Line] = {}  # the line of the frame that was written last
 
@@ -36,11 +37,12 @@ class Scribe:
         return found
 
     def frame(self, arrays: Arrays, found: dict[str, Any]) -> None:
-        """Write the frame and its line; finds `hash` and `surface_error`."""
+        """Write the frame and its line; finds `hash` and, of all frames so far, `surface_error`."""
         began = time.perf_counter()
         show(self.still, arrays)
         dig_again(self.still, arrays)
-        found["surface_error"] = surface_error(self.still)
+        self.worst = None if self.worst is None else max(self.worst, surface_error(self.still))
+        found["surface_error"] = self.worst
         began = _spend(found, "measure", began)
         found["hash"] = state_hash(self.still)
         began = _spend(found, "hash", began)
@@ -65,6 +67,7 @@ class Scribe:
         dig_again(self.still, arrays)
         kept = {name: array for name, array in arrays.items() if not name.endswith(".carved")} | solid_state(self.still)
         whole = {"frame": arrays["frame"], **{f"world.{name}": array for name, array in kept.items()}}
+        whole |= {} if self.worst is None else {SURFACE_ERROR: np.array(self.worst)}
         frame, data = int(arrays["frame"]), to_bytes(whole)
         lines = self._last or read_lines(self.folder / HASHES)
         self._line(frame, with_checkpoint(frame, lines[frame], data))
