@@ -289,7 +289,9 @@ def check_path(
 
 
 def spec_scenes(program: Program | None, grants: Mapping[str, Path] | None = None) -> Report:
-    """Complaints about scenes that specs name and that are not there. The files are not read."""
+    """Complaints about scenes that specs name and that are not there, one for each with all its places. The files are not
+    read."""
+    from antdsl.program.consequences import in_one
     from antdsl.scene.paths import PathRefused, Roots
 
     report = Report()
@@ -305,7 +307,7 @@ def spec_scenes(program: Program | None, grants: Mapping[str, Path] | None = Non
             fix = Fix(text.span, f'"{near[1]}"') if near and "/" not in text.text else None
             advice = refused.help or "name a scene that lies beside this program or below its folder"
             report.error(refused.code, str(refused), text.span, advice, fix=fix)
-    return report
+    return in_one(report)
 
 
 _MEANT = re.compile(r"did you mean `([^`]+)`\?")

@@ -457,7 +457,7 @@ def test_a_link_where_a_file_is_being_written_is_not_followed(tmp_path: Path) ->
     mine.write_text("mine")
     (tmp_path / ".a.npz.part").symlink_to(mine)
     write_whole(tmp_path / "a.npz", to_bytes(ARRAYS), sync=False)
-    assert mine.read_text() == "mine" and not (tmp_path / "a.npz").is_symlink()
+    assert mine.read_text() == "mine" and not (tmp_path / "a.npz").is_symlink() and (tmp_path / ".a.npz.part").is_symlink()
     assert read_npz(tmp_path / "a.npz").keys() == ARRAYS.keys()
 
 

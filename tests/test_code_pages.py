@@ -184,3 +184,125 @@ def test_the_last_line_names_the_codes_that_were_shown(tmp_path: Path) -> None:
     assert "`antdsl check --explain missing-unit` says more; so for `wrong-unit`\n" in said
     program.write_text(program.read_text().replace("30\n", "30 mm/s\n").replace("4 s", "4 mm"))
     assert "--explain" not in CliRunner().invoke(app, ["check", str(program)]).stdout
+
+
+UNITS = (
+    "mm/s",
+    "%/s",
+    "/s",
+    "mm^2",
+    "mm^3",
+    "mm^2/s",
+    "deg/s",
+    "%/step",
+    "/step",
+    "mm/step",
+    "cm/s",
+    "g*mm/s^2",
+    "/s^2",
+    "m",
+    "N",
+)
+
+
+@pytest.mark.parametrize("unit", [*UNITS, "30 mm/s", "10%/s"])
+def test_units_that_are_made_of_others_are_explained(unit: str) -> None:
+    code, text = explained(unit)
+    bare = unit.lstrip("0123456789. ")
+    assert code == 0 and text.startswith(f"# {bare}\n") and f"3 {bare}" in text
+
+
+def test_every_unit_of_the_documents_is_explained() -> None:
+    from antdsl.lsp.language import about
+
+    text = "\n".join(path.read_text(encoding="utf-8") for path in [ROOT / "grammar" / "README.md", *(ROOT / "docs").glob("*.md")])
+    units = set(re.findall(r"(?<![\w./])[0-9][0-9.]* ?((?:%|[a-zA-Z]+)?(?:\^[0-9])?/(?:s|step)(?:\^[0-9])?)(?![\w/])", text))
+    assert len(units) > 4 and sorted(unit for unit in units if about(unit) is None) == []
+
+
+@pytest.mark.parametrize(
+    ("word", "meanings"),
+    [
+        ("by", ("by: area", "`above`", "about: up, by: 15 deg", "argument of `rotate`")),
+        ("place", ("x: place", "anything that is somewhere", "place: {on: ground}", "where they begin")),
+        ("on", ("on collision", "what happens at an event", "field trail on ground", "where it lies")),
+        ("set", ("set forager.smell = 50 mm", "with which values", "set: {forager.smell: 60 mm}", "other values")),
+        ("step", ("`response 1 step`", "`dt`")),
+        ("mass", ("mass 1 g", "inertia", "x: mass", "numbers in `g`")),
+        ("position", ("position(nearest(food))", "let mine = position", "nearest(food).position")),
+    ],
+)
+def test_each_meaning_of_a_word_stands_apart_with_a_sample(word: str, meanings: tuple[str, ...]) -> None:
+    _, text = explained(word)
+    assert all(each in text for each in meanings), text
+    parts = text.split("\n## ")[1:]
+    assert len(parts) >= 2 or word == "step"
+    for part in parts:
+        assert part.count("\n```") >= 2, part
+
+
+def test_a_slip_in_a_unit_is_told() -> None:
+    assert "write `s`" in explained("mm/sec")[1]
+
+
+def test_every_meaning_of_every_word_has_its_sample() -> None:
+    from antdsl.lsp import samples, words
+    from antdsl.program.vocabulary import BUILTINS, REDUCERS, TYPE_WORDS
+
+    pairs = [
+        (samples.INNER_FORMS, words.INNER_HELP), (samples.CALL_FORMS, BUILTINS), (samples.SET_FORMS, REDUCERS),
+        (samples.WHOLE_FORMS, words.WHOLE_HELP), (samples.KIND_FORMS, words.KINDS), (samples.SETTING_FORMS, words.SETTINGS),
+        (samples.SCENE_FORMS, words.SCENE_HELP), (samples.VALUE_FORMS, {**words.STATE_WORD_HELP, **words.WORD_HELP}),
+    ]  # fmt: skip
+    for forms, help in pairs:
+        assert set(forms) == set(help)
+        for word, form in forms.items():
+            assert word in form or word == "other", (word, form)
+    assert {word for word, dim in TYPE_WORDS.items() if isinstance(dim, str)} | {"number"} == set(words.TYPE_HELP)
+
+
+AROUND = """ant 1
+use steering
+world { surface ground; obstacle stones; curve path; items food { load = 0 }; items nest { load = 0 } }
+field trail on ground { cell 4 mm; half_life 8 s }
+species rabbit { load = 0 }
+species forager {
+  load = 0
+  start go
+  state go { deposit trail load * 1 /s; when after 1 s -> go }
+  on spawn { emit alarm(within: 10 mm) }
+  on alarm { load += 1 }
+"""
+
+
+def test_samples_of_calls_and_sets_are_right() -> None:
+    from test_program import checked
+
+    from antdsl.lsp.samples import CALL_FORMS, SET_FORMS
+
+    for form in (*CALL_FORMS.values(), *SET_FORMS.values()):
+        errors = checked(f"{AROUND}  let one = {form}\n}}\n")[1].errors
+        assert not errors, (form, [error.message for error in errors])
+
+
+def test_samples_of_lines_and_scenes_can_be_read() -> None:
+    from antdsl.lsp.samples import INNER_FORMS, KIND_FORMS, SCENE_FORMS, SETTING_FORMS, VALUE_FORMS, WHOLE_FORMS
+    from antdsl.scene.load import load_text
+    from antdsl.scene.paths import Roots
+    from antdsl.syntax import parse
+
+    places = ("{}", "species a {{ {} }}", "species a {{ state s {{ {} }} }}", 'spec "s" on "s.yaml" {{ {} }}')
+    places += ('spec "s" on "s.yaml" {{ each a {{ {} }} }}', "species a {{ let x = {} }}", "species a {{ on e {{ {} }} }}")
+    for form in (
+        *INNER_FORMS.values(),
+        *KIND_FORMS.values(),
+        *SETTING_FORMS.values(),
+        *VALUE_FORMS.values(),
+        *WHOLE_FORMS.values(),
+    ):
+        texts = [f"ant 1\n{place.format(form)}\n" for place in places]
+        assert any(parse(Source("a.ant", text))[1].ok for text in texts), form
+    for form in SCENE_FORMS.values():
+        text = form if form.startswith("antdsl:") else f"antdsl: 1\n{form}"
+        report = load_text(f"{text}\n".encode(), "other.yaml", Roots(Path("."), {}))[1]
+        assert not {error.code for error in report.errors} - {"no-such-file", "unknown-name", "wrong-path"}, (form, report.errors)

@@ -65,8 +65,16 @@ def test_any_number_written_with_a_comma_is_one_error_there(path: Path) -> None:
             assert (error.fix.span, error.fix.text) == (error.span, comma.replace(",", "."))
 
 
-LISTS = ["steer vector(1,2,3)", "calm = min(0,4)", "calm = pick(0,4)", "calm = pick(1,2,3,4)", "calm = uniform(0,4)"]
+LISTS = [
+    "steer vector(1,2,3)",
+    "steer vector(0,4,0)",
+    "calm = min(0,4)",
+    "calm = pick(0,4)",
+    "calm = pick(1,2,3,4)",
+    "calm = uniform(0,4)",
+]
 LISTS += [
+    "steer vector(0,4,0)",
     "calm = min(0.5,4)",
     "calm = clamp(calm, 0 .. 1)",
     "calm = max(calm,4)",
@@ -93,6 +101,12 @@ MENDED = {
     "calm = 1,000": None,  # a thousand, or one
     "calm = 1,000,000": "calm = 1000000",
     "calm = 1,234.5": "calm = 1234.5",
+    "calm = clamp(calm, 0,1, 1)": "calm = clamp(calm, 0.1, 1)",
+    "calm = clamp(calm, 0,1, 0,9)": "calm = clamp(calm, 0.1, 0,9)",
+    "calm = clamp(calm,0,1,1)": "calm = clamp(calm,0.1,1)",
+    "calm = clamp(0,5, 0 .. 1)": "calm = clamp(0.5, 0 .. 1)",
+    "calm = mix(calm, 1, 0,5)": "calm = mix(calm, 1, 0.5)",
+    "calm = rising(calm, 0,2, 0,8)": "calm = rising(calm, 0.2, 0,8)",
     "calm = count(n in neighbours(0,4 m): n.calm > 1)": None,  # how far, or how far and how wide
 }
 
@@ -108,6 +122,17 @@ def test_what_can_be_meant_by_one_thing_alone_is_mended(line: str) -> None:
         assert text[: error.fix.span.start] + error.fix.text + text[error.fix.span.end :] == AROUND.format(
             f"enter {{ {mended} }}"
         )
+
+
+@pytest.mark.parametrize(
+    ("line", "instead"),
+    [("clamp(calm, 0, 1)", "0 .. 1"), ("clamp(calm,0,1)", "0 .. 1"), ("rising(calm, 0.1, 1)", "0.1 .. 1")],
+)
+def test_two_values_for_a_range_are_told_as_a_range(line: str, instead: str) -> None:
+    text = AROUND.format(f"enter {{ calm = {line} }}")
+    (error,) = told(text)
+    assert error.code == "wrong-arity" and error.fix is not None and f"`{instead}`" in (error.help or "")
+    assert told(text[: error.fix.span.start] + error.fix.text + text[error.fix.span.end :]) == []
 
 
 def test_a_behaviour_keeps_its_arguments() -> None:

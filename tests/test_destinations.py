@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
 from antdsl.cli import app
 from antdsl.cli.destinations import file_to_write, folder_to_write
 from antdsl.cli.exits import Exit, Stop
+from antdsl.outputs.npz import write_whole
+from antdsl.outputs.pictures.files import still
+from antdsl.whole import new_beside, whole
 
 MINIMAL = Path(__file__).resolve().parent.parent / "examples" / "minimal"
 
@@ -98,3 +103,49 @@ def test_trying_leaves_everything_as_it_was(tmp_path: Path) -> None:
     folder_to_write(tmp_path / "a" / "b", "--out", "table.txt")
     file_to_write(None, "--summary")
     assert [path.name for path in tmp_path.iterdir()] == ["x.json"] and (tmp_path / "x.json").read_text() == "mine"
+
+
+def _beside(folder: Path) -> tuple[Path, Path]:
+    """A file of the user and a pipe that nobody reads, named as what is written might be named."""
+    (folder / ".x.json.part").write_text("mine")
+    os.mkfifo(folder / ".antdsl.part")
+    return folder / ".x.json.part", folder / ".antdsl.part"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
+def test_what_is_there_is_neither_waited_for_nor_taken_away(tmp_path: Path) -> None:
+    mine, pipe = _beside(tmp_path)
+    file_to_write(tmp_path / "x.json", "--summary")
+    file_to_write(tmp_path / "antdsl", "--summary")
+    folder_to_write(tmp_path, "--out")
+    write_whole(tmp_path / "x.json", b"new", sync=False)
+    still(np.zeros((4, 4, 3), np.uint8), tmp_path / "x.json")
+    assert mine.read_text() == "mine" and pipe.is_fifo()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".antdsl.part", ".x.json.part", "x.json"]
+
+
+def test_a_name_that_is_taken_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / ".x.one.part").symlink_to(tmp_path / "elsewhere")
+    names = iter(["one", "one", "two"])
+    monkeypatch.setattr("antdsl.whole.secrets.token_hex", lambda size: next(names))
+    assert new_beside(tmp_path / "x").name == ".x.two.part"
+    assert not (tmp_path / "elsewhere").exists() and (tmp_path / ".x.one.part").is_symlink()
+
+
+def test_what_fails_leaves_the_old_file_and_nothing_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "x").write_text("old")
+    with pytest.raises(ValueError), whole(tmp_path / "x") as part:
+        part.write_text("half")
+        raise ValueError
+    assert [path.name for path in tmp_path.iterdir()] == ["x"] and (tmp_path / "x").read_text() == "old"
+
+
+@pytest.mark.parametrize(("words", "taken"), [(("run", "scene.yaml"), "out"), (("sweep", "scene.yaml"), "out")])
+def test_the_folder_that_results_go_to_by_themselves_is_tried_too(shot: Path, words: tuple[str, ...], taken: str) -> None:
+    (shot / taken).write_text("mine")
+    opened = shot / "ground.ply"
+    opened.unlink()  # opening the scene would tell of this
+    done = asked(*words)
+    assert isinstance(done.exception, Stop) and done.exception.code == Exit.INPUT_OUTPUT
+    assert f"{taken}` is a file" in done.exception.message and "--out" in done.exception.hint
+    assert (shot / taken).read_text() == "mine"

@@ -91,6 +91,15 @@ def test_what_is_told(part: Part) -> None:
         assert words in found[place], found[place]
 
 
+@pytest.mark.parametrize("part", [part for part in parts() if part.file.stem == "ranges"], ids=str)
+def test_what_is_to_be_written_for_a_param_and_its_range_goes_together(part: Part) -> None:
+    text, _ = whole(part)
+    fixes = [each.fix for each in told(text).errors if each.fix is not None]
+    for fix in sorted(fixes, key=lambda fix: -fix.span.start):
+        text = text[: fix.span.start] + fix.text + text[fix.span.end :]
+    assert not fixes or told(text).ok, text
+
+
 def test_every_code_of_the_checker_has_a_case() -> None:
     text = (Path(check.__code__.co_filename).parents[1] / "diagnostics" / "codes.py").read_text(encoding="utf-8")
     mine = text[text.index("# --- names ---") : text.index("# --- scenes ---")]

@@ -418,6 +418,20 @@ def test_check_finds_scenes_of_specs_that_are_not_there(tmp_path: Path) -> None:
     assert report.ok and len(runs) == 1
 
 
+def test_a_scene_that_is_not_there_is_told_once_with_all_places(tmp_path: Path) -> None:
+    for file in ("walker.ant", "ground.ply", "scene.yaml"):
+        shutil.copy(EXAMPLES / "minimal" / file, tmp_path)
+    program = tmp_path / "walker.ant"
+    text = program.read_text() + SPEC.format("a", "none.yaml", "seeds 1") + SPEC.format("b", "none.yaml", "seeds 1")
+    text += SPEC.format("c", "scene.yaml", 'against "none.yaml"') + SPEC.format("d", "other.yaml", "seeds 1")
+    program.write_text(text)
+    for report in (check_path(program)[1], check_path(tmp_path / "scene.yaml")[1], cases([program])[1]):
+        first, other = report.errors
+        assert [first.span and first.span.text, other.span and other.span.text] == ['"none.yaml"', '"other.yaml"']
+        assert [label.text for label in first.labels] == ["and here", "and here"] and not other.labels
+        assert [label.span.text for label in first.labels] == ['"none.yaml"'] * 2
+
+
 def test_two_specs_of_one_file_have_two_names(tmp_path: Path) -> None:
     shutil.copytree(EXAMPLES / "minimal", tmp_path, dirs_exist_ok=True)
     program = tmp_path / "walker.ant"

@@ -95,10 +95,14 @@ def _strict(report: Report) -> Report:
 
 def _explain(word: str) -> None:
     """The page of a code, or what is known about a word of the language, of scenes or of the library."""
+    import re
+
     from antdsl.cli.pages import show, show_page
     from antdsl.diagnostics.codes import CODES
     from antdsl.diagnostics.suggestion import nearest_name
     from antdsl.lsp.language import about, words
+    from antdsl.syntax.numbers import unit_help
+    from antdsl.syntax.words import UNIT_NAMES
 
     if word in CODES:
         show_page(word)
@@ -107,6 +111,9 @@ def _explain(word: str) -> None:
     if page is not None:
         show(page)
         return
+    slip = [part for part in re.findall("[A-Za-z]+", word) if part not in UNIT_NAMES] if re.search("[/*^%]", word) else []
+    if slip:
+        raise Stop(Exit.USAGE, f"error: no unit `{slip[0]}` as in `{word}`", unit_help(slip[0]))
     near = nearest_name(word, CODES) if "-" in word else nearest_name(word, {*words(), *CODES})
     usual = "codes stand in brackets after `error`; words are those of the language and the names of its behaviours"
     raise Stop(Exit.USAGE, f"error: no code and no word `{word}`", f"did you mean `{near}`?" if near else usual)

@@ -8,6 +8,7 @@ from pathlib import Path
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+from antdsl.whole import new_beside
 
 
 def file_to_write(path: Path | None, flag: str) -> None:
@@ -21,7 +22,7 @@ def file_to_write(path: Path | None, flag: str) -> None:
         raise typer.BadParameter(f"`{path}` is no regular file", param_hint=flag)
     if not path.absolute().parent.is_dir():
         raise typer.BadParameter(f"there is no folder `{path.parent}`", param_hint=flag)
-    _try(path.with_name(f".{path.name}.part"), path, flag)
+    _try(path, path, flag)
 
 
 def folder_to_write(path: Path | None, flag: str, *names: str) -> None:
@@ -35,14 +36,12 @@ def folder_to_write(path: Path | None, flag: str, *names: str) -> None:
         if (path / name).is_dir():
             words = f"error: `{path / name}` is a folder, and a file is to be put there"
             raise Stop(Exit.INPUT_OUTPUT, words, f"name another folder with `{flag}`")
-    _try(there / ".antdsl.part", path, flag)
+    _try(there / "antdsl", path, flag)
 
 
-def _try(trial: Path, path: Path, flag: str) -> None:
+def _try(beside: Path, path: Path, flag: str) -> None:
     try:
-        with open(trial, "ab"):
-            pass
-        trial.unlink()
+        new_beside(beside).unlink()
     except OSError as why:
         words = f"error: cannot write `{path}`: {(why.strerror or str(why)).lower()}"
         raise Stop(Exit.INPUT_OUTPUT, words, f"name another place with `{flag}`") from None

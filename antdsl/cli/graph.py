@@ -11,6 +11,7 @@ import typer
 
 from antdsl.cli.destinations import file_to_write
 from antdsl.cli.exits import Exit, Stop
+from antdsl.whole import whole
 
 if TYPE_CHECKING:
     from antdsl.graphs import Chart
@@ -87,17 +88,11 @@ def _named(charts: tuple[Chart, ...], names: list[str]) -> tuple[Chart, ...]:
 
 def _give(written: bytes, out: Path) -> None:
     """To standard output, or to a file, at once and whole; what lies there already stays as it is until then."""
-    import os
-
     if str(out) == "-":
         sys.stdout.flush()
         sys.stdout.buffer.write(written)
         sys.stdout.buffer.flush()
         return
-    part = out.with_name(f".{out.name}.part")
-    try:
+    with whole(out) as part:
         part.write_bytes(written)
-        os.replace(part, out)
-    finally:
-        part.unlink(missing_ok=True)
     typer.echo(out)

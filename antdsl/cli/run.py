@@ -61,7 +61,9 @@ def run(
     if scene.suffix == ".ant":
         raise typer.BadParameter(f"`{scene}` is a program; name a scene that uses it, such as scene.yaml", param_hint="SCENE")
     file_to_write(summary, "--summary")
-    folder_to_write(out, "--out")
+    folder = out if out is not None else scene.resolve().parent / "out" / scene.stem
+    if scene.is_file():  # else there is no folder beside it to ask
+        folder_to_write(folder, "--out")
     choices = Choices(grants(root), frame_range(frames), seed, pairs(set_, "--set"))
     shot, report = open_scene(scene, choices)
     demand(report)
@@ -72,7 +74,6 @@ def run(
     options = Options(
         backend=backend.value, chunk=chunk, threads=at_once(threads, quiet), shuffle_rows=shuffle, on_fault=on_fault.value
     )
-    folder = out if out is not None else scene.resolve().parent / "out" / scene.stem
     recording = _begin(shot, folder, options, choices, resume, force)
     if profile:
         from antdsl.runtime.profiling import Meter

@@ -50,13 +50,15 @@ def sweep(
     for scene in scenes:
         if scene.suffix == ".ant":
             raise typer.BadParameter(f"`{scene}` is a program; name scenes that use it", param_hint="SCENE")
-    folder_to_write(out, "--out", *RESULTS)
+    folder = out if out is not None else scenes[0].resolve().parent / "out" / "sweep"
+    if scenes[0].is_file():  # else there is no folder beside it to ask
+        folder_to_write(folder, "--out", *RESULTS)
     chosen = variations(dict.fromkeys(scenes), _varied(vary))
     numbers = _seeds(seeds)
     made, report = all_jobs(chosen, numbers, frames=frame_range(frames), until=tuple(until), grants=grants(root))
     demand(report)
     try:
-        keeper = Keeper(out if out is not None else scenes[0].resolve().parent / "out" / "sweep")
+        keeper = Keeper(folder)
     except OtherFiles as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`") from None
 

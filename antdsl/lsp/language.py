@@ -2,15 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
 from antdsl.lsp.names import Key
-from antdsl.lsp.words import FORM_HELP, INNER_HELP, KINDS, SCENE_HELP, SETTINGS, STATE_WORD_HELP, WHOLE_HELP, WORD_HELP
+from antdsl.lsp.samples import (
+    CALL_FORMS,
+    INNER_FORMS,
+    KIND_FORMS,
+    SCENE_FORMS,
+    SET_FORMS,
+    SETTING_FORMS,
+    VALUE_FORMS,
+    WHOLE_FORMS,
+)
+from antdsl.lsp.words import (
+    FORM_HELP,
+    INNER_HELP,
+    KINDS,
+    SCENE_HELP,
+    SETTINGS,
+    STATE_WORD_HELP,
+    STEPS,
+    TYPE_HELP,
+    UNIT_HELP,
+    WHOLE_HELP,
+    WORD_HELP,
+)
 from antdsl.program.collect import EVENTS
 from antdsl.program.colours import COLOURS
 from antdsl.program.expected import GEOMETRY, MOTION
-from antdsl.program.units import unit_of
+from antdsl.program.kinds import Dim
+from antdsl.program.units import dimension_words, measure, unit_of
 from antdsl.program.vocabulary import (
     BUILTINS,
     GIVEN,
@@ -35,9 +58,9 @@ def flat(text: str) -> str:
     return " ".join(text.split())
 
 
-def markdown(form: str, *lines: str) -> str:
+def markdown(form: str, *lines: str, notation: str = "ant") -> str:
     """A form in the language, then what there is to say, a paragraph each."""
-    return "\n\n".join([f"```ant\n{form}\n```", *(line for line in lines if line)])
+    return "\n\n".join([f"```{notation}\n{form}\n```", *(line for line in lines if line)])
 
 
 def signature(node: nodes.Behaviour) -> str:
@@ -63,7 +86,8 @@ def _given(key: Key) -> str | None:
     if row is None:
         return None
     more = ([f"default {row.default}"] if row.default else []) + (["may be set"] if row.settable else [])
-    return markdown(f"{key[1]}: {row.type}", "; ".join([row.help, *more]), "every animal has it")
+    form = f"{key[1]} {row.default}" if row.default else f"let mine = {key[1]}"
+    return markdown(f"{key[1]}: {row.type}\n{form}", "; ".join([row.help, *more]), "every animal has it")
 
 
 def builtin_form(name: str, row: Builtin) -> str:
@@ -76,13 +100,23 @@ def builtin_form(name: str, row: Builtin) -> str:
 
 
 def _builtin(key: Key) -> str | None:
+    said = [rule(key) for rule in (_called, _reducer, _whole)]
+    return "\n\n".join(each for each in said if each) or None
+
+
+def _called(key: Key) -> str | None:
     rows = BUILTINS.get(key[1], ())
-    said = [markdown("\n".join(builtin_form(key[1], row) for row in rows), rows[0].help)] if rows else []
-    if key[1] in REDUCERS:
-        said.append(markdown(f"{key[1]}(n in SET: …)", REDUCERS[key[1]]))
-    if key[1] in WHOLE_HELP:
-        said.append(markdown(f"{key[1]}(…)", WHOLE_HELP[key[1]]))
-    return "\n\n".join(said) or None
+    if not rows:
+        return None
+    return markdown("\n".join([*(builtin_form(key[1], row) for row in rows), CALL_FORMS[key[1]]]), rows[0].help)
+
+
+def _reducer(key: Key) -> str | None:
+    return markdown(f"{key[1]}(n in SET: …)\n{SET_FORMS[key[1]]}", REDUCERS[key[1]]) if key[1] in REDUCERS else None
+
+
+def _whole(key: Key) -> str | None:
+    return markdown(f"{key[1]}(…)\n{WHOLE_FORMS[key[1]]}", WHOLE_HELP[key[1]]) if key[1] in WHOLE_HELP else None
 
 
 def _builtin_argument(key: Key) -> str | None:
@@ -98,12 +132,13 @@ def _word(key: Key) -> str | None:
     word = key[1]
     help = STATE_WORD_HELP.get(word) or WORD_HELP.get(word)
     type = RUN_NAMES.get(word) or SENSED_NAMES.get(word)
-    return markdown(f"{word}: {type}" if type else word, help) if help else None
+    if help is None:
+        return None
+    return markdown(f"{word}: {type}\n{VALUE_FORMS[word]}" if type else VALUE_FORMS[word], help)
 
 
 def _unit(key: Key) -> str | None:
-    from antdsl.program.units import dimension_words, measure
-
+    """A unit by itself, or one that is made of others: `mm/s`, `%/s`."""
     known = measure(key[1])
     if known is None:
         return None
@@ -111,19 +146,21 @@ def _unit(key: Key) -> str | None:
     whole = measure(base)
     factor = known.factor / whole.factor if whole is not None else known.factor  # angles are in radians behind `deg`
     worth = f"1 {key[1]} = {factor:.6g} {base}".strip() if key[1] != base and not known.u and not known.step else ""
-    return markdown(key[1], dimension_words(known.dim), worth)
+    rate = f"so much a second: `x += 3 {key[1]}` in a state" if known.dim.time == -1 and not known.step else ""
+    of_steps = "" if not known.step or key[1] in UNIT_HELP else STEPS
+    return markdown(f"3 {key[1]}", dimension_words(known.dim), UNIT_HELP.get(key[1], ""), worth, rate, of_steps)
 
 
-def _typed_word(table: Any, what: str) -> Rule:
+def _typed_word(table: Any, what: str, form: str) -> Rule:
     def rule(key: Key) -> str | None:
-        return markdown(f"{key[1]}: {table[key[1]]}", what) if key[1] in table else None
+        return markdown(f"{key[1]}: {table[key[1]]}\n{form.format(key[1])}", what) if key[1] in table else None
 
     return rule
 
 
-def _said(table: dict[str, str], what: str) -> Rule:
+def _said(table: dict[str, str], what: str, forms: dict[str, str], notation: str = "ant") -> Rule:
     def rule(key: Key) -> str | None:
-        return markdown(key[1], table[key[1]], what) if key[1] in table else None
+        return markdown(forms[key[1]], table[key[1]], what, notation=notation) if key[1] in table else None
 
     return rule
 
@@ -132,7 +169,7 @@ def keyword(word: str, begins: bool) -> str | None:
     """A word of the language. What begins a line says something else than what stands inside one: `on spawn { … }`, `field
     trail on ground`."""
     if not begins:
-        return markdown(word, INNER_HELP[word]) if word in INNER_HELP else None
+        return markdown(INNER_FORMS[word], INNER_HELP[word]) if word in INNER_HELP else None
     if word not in FORM_HELP:
         return None
     form = FORMS.get(word, "when touching(meal) take 1 load from meal -> carry" if word == "take" else word)
@@ -143,10 +180,10 @@ def _type_word(key: Key) -> str | None:
     known = TYPE_WORDS.get(key[1])
     if known is None:
         return None
-    from antdsl.program.model import Dim
-
     unit = unit_of(known) if isinstance(known, Dim) else ""
-    return markdown(key[1], f"a type: numbers in `{unit}`" if unit else "a type")
+    return markdown(
+        f"behaviour mine(x: {key[1]}) -> push {{ … }}", f"numbers in `{unit}`" if unit else TYPE_HELP[key[1]], "a type"
+    )
 
 
 def _steered(key: Key) -> str | None:
@@ -161,50 +198,85 @@ def _colour(key: Key) -> str | None:
 LANGUAGE: dict[str, Rule] = {
     "given": _given, "builtin": _builtin, "builtin-argument": _builtin_argument, "word": _word, "unit": _unit,
     "steered": _steered, "event": _event, "element": _element,
-    "setting": _said(SETTINGS, "setting of a field"), "kind": _said(KINDS, "kind of thing of the world"), "type": _type_word,
-    "item-given": _typed_word(ITEM_GIVEN, "every item has it"), "hit-given": _typed_word(HIT_GIVEN, "what a ray met has it"),
-    "motion": _typed_word(MOTION, "how the crowd moves"),
-    "geometry": _typed_word(GEOMETRY, "how an animal's body stands: asked in a spec"),
-    "scene": _said(SCENE_HELP, "key of a scene"), "colour": _colour,
+    "setting": _said(SETTINGS, "setting of a field", SETTING_FORMS),
+    "kind": _said(KINDS, "kind of thing of the world", KIND_FORMS), "type": _type_word,
+    "item-given": _typed_word(ITEM_GIVEN, "every item has it", "nearest(food).{}"),
+    "hit-given": _typed_word(HIT_GIVEN, "what a ray met has it", "ray(heading, reach: 20 mm, on: stones).{}"),
+    "motion": _typed_word(MOTION, "how the crowd moves", "motion.{}"),
+    "geometry": _typed_word(GEOMETRY, "how an animal's body stands: asked in a spec", "any({} > 0)"),
+    "scene": _said(SCENE_HELP, "key of a scene", SCENE_FORMS, "yaml"), "colour": _colour,
 }  # fmt: skip
-# Which of them a bare word is looked up in, and by which table.
-_LOOKED_UP: dict[str, Any] = {
-    "builtin": {**BUILTINS, **REDUCERS, **WHOLE_HELP}, "given": GIVEN, "word": {**STATE_WORD_HELP, **WORD_HELP}, "unit": UNITS,
-    "kind": KINDS, "setting": SETTINGS, "type": TYPE_WORDS, "hit-given": HIT_GIVEN, "item-given": ITEM_GIVEN, "motion": MOTION,
-    "geometry": GEOMETRY, "scene": SCENE_HELP, "colour": COLOURS,
-}  # fmt: skip
+# What a bare word may mean: in words, the table it stands in, and the rule that tells it.
+_MEANINGS: tuple[tuple[str, Collection[str], Rule], ...] = (
+    ("begins a line", FORM_HELP, lambda key: keyword(key[1], True)),
+    ("inside a line", INNER_HELP, lambda key: keyword(key[1], False)),
+    ("a call", BUILTINS, _called),
+    ("asked of a set", REDUCERS, _reducer),
+    ("asked of all in a spec", WHOLE_HELP, _whole),
+    ("every animal has it", GIVEN, _given),
+    ("a value", {**STATE_WORD_HELP, **WORD_HELP}, _word),
+    ("a unit", UNITS, _unit),
+    ("kind of thing of the world", KINDS, LANGUAGE["kind"]),
+    ("setting of a field", SETTINGS, LANGUAGE["setting"]),
+    ("a type", TYPE_WORDS, _type_word),
+    ("what a ray met has it", HIT_GIVEN, LANGUAGE["hit-given"]),
+    ("every item has it", ITEM_GIVEN, LANGUAGE["item-given"]),
+    ("how the crowd moves", MOTION, LANGUAGE["motion"]),
+    ("how an animal's body stands: asked in a spec", GEOMETRY, LANGUAGE["geometry"]),
+    ("key of a scene", SCENE_HELP, LANGUAGE["scene"]),
+    ("a colour", COLOURS, _colour),
+    ("an event", EVENTS, _event),
+)
 
 
 def words() -> set[str]:
-    """All words that `about` knows."""
+    """All words that `about` knows; of units, those that are not made of others."""
     own = {word for _, node in _library() for word in (node.name.text, *(argument.name.text for argument in node.arguments))}
     arguments = {arg.name for rows in BUILTINS.values() for row in rows for arg in row.args}
-    tables = {word for table in _LOOKED_UP.values() for word in table}
-    return {*FORM_HELP, *INNER_HELP, *tables, *own, *arguments, *library_names(), *EVENTS, *RESERVED}
+    tables = {word for _, table, _ in _MEANINGS for word in table}
+    return {*tables, *own, *arguments, *library_names(), *RESERVED}
 
 
 def about(word: str) -> str | None:
-    """All that a word of the language, of a scene or of the library means, as Markdown; None for one that is not known."""
-    found = [keyword(word, begins=True), keyword(word, begins=False)]
-    found += [LANGUAGE[kind]((kind, word)) for kind, table in _LOOKED_UP.items() if word in table]
-    found += [LANGUAGE["event"](("event", word))] if word in EVENTS else []
-    found += [_builtin_argument(("builtin-argument", called, word)) for called in BUILTINS]
-    names = []
+    """All that a word of the language, of a scene or of the library means, as Markdown, each meaning apart; None for one that is
+    not known. A unit may be made of others, and have a number before it."""
+    found = [(title, rule(("", word))) for title, table, rule in _MEANINGS if word in table]
+    unit = word.lstrip("0123456789. ")
+    if not found and (known := _unit(("unit", unit))):
+        found, word = [("a unit", known)], unit
+    found += [("argument of a call", "\n\n".join(_arguments(word)))]
     for library, node in _library():
-        names += [node.name.text] if library == word else []
         if node.name.text == word:
-            text = f"behaviour {signature(node)}"
-            found.append(markdown(text, node.help.text if node.help else "", f"in the library `{library}`: `use {library}`"))
-            found.append(f"It is written so:\n\n```ant\n{node.span.text}\n```")
-        for argument in node.arguments:
-            found += [markdown(flat(argument.span.text), f"argument of `{node.name.text}`")] if argument.name.text == word else []
-    if names:
-        found.append(markdown(f"use {word}", "the library: " + ", ".join(f"`{name}`" for name in names)))
-    if word in RESERVED and not any(found):
-        found.append("a word of the language that does not work yet")
-    bare = markdown(word, "")  # a word alone shows nothing
-    said = list(dict.fromkeys(each.removeprefix(f"{bare}\n\n") for each in found if each is not None))
-    return f"# {word}\n\n" + "\n\n".join(said) + "\n" if said else None
+            text = markdown(f"behaviour {signature(node)}", node.help.text if node.help else "", f"`use {library}`")
+            found.append(
+                (f"a behaviour of the library `{library}`", f"{text}\n\nIt is written so:\n\n```ant\n{node.span.text}\n```")
+            )
+    if word in library_names():
+        names = ", ".join(f"`{node.name.text}`" for library, node in _library() if library == word)
+        found.append(("a library", markdown(f"use {word}", f"the library: {names}")))
+    said = [(title, text) for title, text in found if text]
+    if not said and word in RESERVED:
+        said = [("", "a word of the language that does not work yet")]
+    if not said:
+        return None
+    if len(said) == 1:
+        return f"# {word}\n\n{said[0][1]}\n"
+    parts = (f"## {title}\n\n{text.removesuffix(f'{_GAP}{title}')}" for title, text in said)
+    return f"# {word}\n\n" + "\n\n".join(parts) + "\n"
+
+
+_GAP = "\n\n"
+
+
+def _arguments(word: str) -> Iterator[str]:
+    """What takes an argument of that name."""
+    for called, rows in BUILTINS.items():
+        for row in rows:
+            if any(arg.name == word for arg in row.args):
+                yield markdown(f"{builtin_form(called, row)}\n{CALL_FORMS[called]}", f"argument of `{called}`")
+    for _, node in _library():
+        if any(argument.name.text == word for argument in node.arguments):
+            yield markdown(signature(node), f"argument of `{node.name.text}`")
 
 
 def _library() -> Iterator[tuple[str, nodes.Behaviour]]:

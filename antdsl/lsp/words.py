@@ -127,6 +127,35 @@ INNER_HELP = {
     "within": "before that time is over",
     "eventually": "in that frame or a later one",
 }
+STEPS = "by the step, and so by the frames per second: `antdsl check --strict` tells of it"
+# Units of which more is to be said than what they are worth.
+UNIT_HELP = {
+    "step": "one step of the simulation: `response 1 step`, `keeps 90 %/step`. For models that are defined per tick: "
+    "how long it lasts depends on the frames per second, and is `dt`: `x + 2 /s * dt`",
+    "u": "the scene's own unit, of its key `units`",
+    "%": "a hundredth: `30 %` is 0.3, `10 %/s` is a tenth a second",
+    "turn": "once round",
+}
+# Types that are no numbers with a unit.
+TYPE_HELP = {
+    "number": "a number without a unit",
+    "push": "a wish or a direction: a vector without a unit",
+    "vector": "a vector of any unit",
+    "position": "a vector of lengths",
+    "velocity": "a vector of speeds",
+    "bool": "a yes or no",
+    "place": "anything that is somewhere: an item, an agent, a position, a curve",
+    "item": "one item, or none",
+    "agent": "one agent, or none",
+    "field": "a field by its name",
+    "obstacle": "an obstacle, a surface or a solid by its name",
+    "surface": "a surface by its name",
+    "curve": "a curve by its name",
+    "flow": "a flow by its name",
+    "map": "a map by its name",
+    "species": "a species by its name",
+    "items": "all items of a name",
+}
 # What is asked of all in a spec.
 WHOLE_HELP = {
     "total": "the sum over all items, agents or cells",

@@ -30,6 +30,7 @@ from antdsl.outputs.manifest import Manifest, ManifestError, write_manifest
 from antdsl.outputs.npz import to_bytes, write_whole
 from antdsl.outputs.scribe import Scribe
 from antdsl.runtime import World, handed_over, snapshot, state
+from antdsl.whole import PART
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -54,7 +55,7 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
     marker = folder / MARKER
     if not marker.exists():
         # a lock or a half-written marker is what a run leaves that was killed as it began
-        others = sorted(name.name for name in folder.iterdir() if name.name not in (LOCK, f".{MARKER}.part"))
+        others = sorted(name.name for name in folder.iterdir() if name.name != LOCK and not name.match(f".{MARKER}.*{PART}"))
         if others and not force:
             raise ForeignFolder(f"`{folder}` has files that are not a cache's, such as `{others[0]}`")
         write_whole(marker, b"This folder is written by antdsl; what is in it may be replaced by the next run.\n", sync=True)
@@ -73,7 +74,7 @@ def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) 
     for number in numbered(folder, checkpoint_path)[0]:
         if above is None or number > above or number in damaged:
             checkpoint_path(folder, number).unlink(missing_ok=True)
-    for part in (part for place in (folder, folder / "frames", folder / "checkpoints") for part in list(place.glob(".*.part"))):
+    for part in (part for place in (folder, folder / "frames", folder / "checkpoints") for part in list(place.glob(f".*{PART}"))):
         part.unlink(missing_ok=True)
     kept = {} if above is None else {f: line for f, line in read_lines(folder / HASHES).items() if f <= above}
     write_whole(folder / HASHES, b"".join(line.text(frame) for frame, line in kept.items()), sync=True)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bounded import TooLarge, open_bounded
 from antdsl.scene.arrays import DTYPES, MAGIC, ArrayFileError, parse_npy, read_archive
+from antdsl.whole import whole
 
 __all__ = ["ArrayFileError", "parse_npy", "read_npz", "sync_file", "sync_folder", "to_bytes", "write_whole"]
 
@@ -47,31 +48,13 @@ def _npy(name: str, array: NDArray[Any]) -> bytes:
 
 def write_whole(path: Path, data: bytes, *, sync: bool) -> None:
     """Put a file in place in one go: a reader, or a later run after a crash, sees all of it or nothing."""
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.unlink(missing_ok=True)
-    # "x": what stands there of a crash, or a link that somebody has put there, is never written into
-    with open(temporary, "xb") as file:
+    with whole(path) as part, open(part, "wb") as file:
         file.write(data)
         if sync:
             file.flush()
             os.fsync(file.fileno())
-    _replace(temporary, path)
     if sync:
         sync_folder(path.parent)
-
-
-def _replace(temporary: Path, path: Path) -> None:
-    """`os.replace`; where a reader may hold the old file open (Windows) a few more times."""
-    for attempt in range(5):
-        try:
-            os.replace(temporary, path)
-            return
-        except PermissionError:
-            if attempt == 4:
-                raise
-            import time
-
-            time.sleep(0.02 * 2**attempt)
 
 
 def sync_file(path: Path) -> None:

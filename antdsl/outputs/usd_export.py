@@ -3,7 +3,6 @@ and axes. USD has its own ways: quaternions real part first, colours linear, foc
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -21,6 +20,7 @@ from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd, Item, Solid
 from antdsl.scene.model import UNIT_MM
 from antdsl.scene.usd import pxr
+from antdsl.whole import whole
 
 SUFFIXES = (".usd", ".usda", ".usdc")
 _ROOT = "/World"
@@ -34,12 +34,11 @@ def export_usd(gallery: Gallery, frames: Iterable[int], path: Path, watch: Calla
 
     UsdError without usd-core, CacheError for a frame that is damaged, OSError where nothing can be written."""
     frames = list(frames)
-    part = path.with_name(f".{path.stem}.part{path.suffix}")
-    try:
-        stage = pxr("Usd").Stage.CreateNew(str(part))
-    except pxr("Tf").ErrorException as problem:
-        raise OSError(None, "cannot be written", str(path)) from problem
-    try:
+    with whole(path, path.suffix) as part:
+        try:
+            stage = pxr("Usd").Stage.CreateNew(str(part))
+        except pxr("Tf").ErrorException as problem:
+            raise OSError(None, "cannot be written", str(path)) from problem
         writer = _Writer(stage, gallery, frames)
         for number, frame in enumerate(frames):
             writer.frame(frame)
@@ -48,9 +47,6 @@ def export_usd(gallery: Gallery, frames: Iterable[int], path: Path, watch: Calla
                 stage.Save()
         stage.Save()
         del writer, stage  # the file is closed before it is moved
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 class _Samples:

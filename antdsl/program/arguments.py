@@ -20,11 +20,12 @@ Found = dict[str, list[nodes.Argument]]
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """One argument of what is called. `required` ones have no default and are not optional."""
+    """One argument of what is called. `required` ones have no default and are not optional; `range`: two values with `..`."""
 
     name: str
     required: bool
     variadic: bool = False
+    range: bool = False
 
 
 def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: Called, form: str = "") -> Found | None:
@@ -43,7 +44,7 @@ def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: Called, for
     arguments = [each for each in node.arguments if isinstance(each, nodes.Argument)]
     comma = _decimal_comma(slots, arguments)
     if comma is not None:
-        scope.report.add(comma_in_number(comma, only=not _sound(slots, [each.name for each in arguments])))
+        scope.report.add(comma_in_number(comma, only=not _sound(slots, _given(arguments))))
         return None
     found: Found = {}
     names, position, sound = [slot.name for slot in slots], 0, True
@@ -55,8 +56,8 @@ def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: Called, for
         while position < len(slots) and slots[position].name in found and not slots[position].variadic:
             position += 1
         if position >= len(slots):
-            advice = f"write `{_shape(form, slots)}`"
-            scope.report.error("wrong-arity", f"`{called}` takes {_how_many(slots)}", argument.span, advice)
+            advice, fix = _as_range(slots, arguments) or (f"write `{_shape(form, slots)}`", None)
+            scope.report.error("wrong-arity", f"`{called}` takes {_how_many(slots)}", argument.span, advice, fix=fix)
             return None
         found.setdefault(slots[position].name, []).append(argument)
         if any(each.name is not None for each in arguments[:number]):
@@ -154,18 +155,64 @@ def _decimal_comma(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -
         whole = number in joints and isinstance(following.value, (nodes.Number, nodes.Quantity))
     if not joints:
         return None
-    merged = [each.name for number, each in enumerate(arguments) if number - 1 not in joints]
-    in_a_row = tight > 1 and tight == len(arguments) - 1 and _sound(slots, [each.name for each in arguments])
-    return joints[min(joints)] if _sound(slots, merged, least=2) and not in_a_row else None
+    merged: list[list[nodes.Argument]] = []
+    for number, argument in enumerate(arguments):
+        if number - 1 in joints:
+            merged[-1].append(argument)
+        else:
+            merged.append([argument])
+    one = [_Given(pieces[0].name, any(isinstance(each.value, nodes.RangeExpr) for each in pieces)) for pieces in merged]
+    in_a_row = tight > 1 and tight == len(arguments) - 1 and _sound(slots, _given(arguments))
+    return joints[min(joints)] if _sound(slots, _paired(slots, one), least=2) and not in_a_row else None
 
 
-def _sound(slots: Sequence[Slot], given: Sequence[nodes.Name | None], least: int = 1) -> bool:
+@dataclass(frozen=True, slots=True)
+class _Given:
+    """An argument as far as counting goes."""
+
+    name: nodes.Name | None
+    range: bool
+
+
+def _given(arguments: Sequence[nodes.Argument]) -> list[_Given]:
+    return [_Given(each.name, isinstance(each.value, nodes.RangeExpr)) for each in arguments]
+
+
+def _paired(slots: Sequence[Slot], given: Sequence[_Given]) -> list[_Given] | None:
+    """The arguments with two values by place, where a range is wanted, as that range; None where a value has no second one."""
+    found: list[_Given] = []
+    left = list(given)
+    while left:
+        each = left.pop(0)
+        place = len(found)
+        if each.name is None and not each.range and place < len(slots) and slots[place].range:
+            if not left or left[0].name is not None or left[0].range:
+                return None
+            left.pop(0)
+        found.append(each)
+    return found
+
+
+def _as_range(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -> tuple[str, Fix] | None:
+    """What to write for two values where a range is wanted, if there is nothing else wrong with how many there are."""
+    place = next((n for n, slot in enumerate(slots) if slot.range), len(arguments))
+    if place + 1 >= len(arguments) or not _sound(slots, _paired(slots, _given(arguments))):
+        return None
+    low, high = arguments[place : place + 2]
+    text = f"{' '.join(low.span.text.split())} .. {' '.join(high.span.text.split())}"
+    return f"write the two ends as a range: `{text}`", Fix(Span(low.span.source, low.span.start, high.span.end), text)
+
+
+def _sound(slots: Sequence[Slot], given: Sequence[_Given] | None, least: int = 1) -> bool:
     """Whether as many arguments, by place and by name, are what is called takes; `least`: of what takes any number of them."""
+    if given is None:
+        return False
+    by_name = [each.name for each in given]
     names = [slot.name for slot in slots]
-    places = sum(name is None for name in given)
-    found = {name.text for name in given if name is not None}
+    places = sum(name is None for name in by_name)
+    found = {name.text for name in by_name if name is not None}
     many = any(slot.variadic for slot in slots)
-    if any(name is None for name in given[places:]) or not found <= set(names) or len(found) + places < len(given):
+    if any(name is None for name in by_name[places:]) or not found <= set(names) or len(found) + places < len(given):
         return False
     if (places > len(slots) and not many) or (many and places < least) or found & set(names[:places]):
         return False

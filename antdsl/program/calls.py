@@ -13,6 +13,7 @@ from antdsl.program.expressions import MAY_BE_NONE, THINGS, Known
 from antdsl.program.folding import constant_behind, fold
 from antdsl.program.model import Dim, Expr, Kind, Op, Rate, Type
 from antdsl.program.operators import as_value, count, draw_site, value
+from antdsl.program.other_words import instead_of_call
 from antdsl.program.places import place
 from antdsl.program.scope import BAD, NUMBER, Scope, bad, did_you_mean, rate_of, type_from_words
 from antdsl.program.sets import SETS, reduce
@@ -66,9 +67,9 @@ def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
 
 def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type | None) -> None:
     if name.text in RESERVED:
-        scope.report.error(
-            "not-yet", f"`{name.text}` is a word of the language that does not work yet", name.span, "leave it out for now"
-        )
+        advice = "write `normal(0, 1)` for a number drawn in each step; `wander()` strolls" if name.text == "noise" else ""
+        words = f"`{name.text}` is a word of the language that does not work yet"
+        scope.report.error("not-yet", words, name.span, advice or "leave it out for now")
         return
     if name.text in REDUCERS:
         scope.report.error(
@@ -84,11 +85,15 @@ def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type | None
             scope.report.error("unknown-behaviour", f"`{name.text}` is in the library `{home}`", name.span, advice, fix=fix)
         return
     known = set(BUILTINS) | set(REDUCERS) | set(scope.file.own) | set(scope.file.library)
-    if name.text in OTHER_SENSES:
+    instead, fix = instead_of_call(node, name.text), None
+    if instead is not None:
+        text, whole = instead
+        advice, fix = (f"write `{text}`", Fix(node.span, text)) if whole else (f"here that is `{text}`", None)
+    elif name.text in OTHER_SENSES:
         advice = f"ask {OTHER_SENSES[name.text].replace('X', _first_written(node))}"
     else:
         advice = did_you_mean(name.text, known, _own(node, name.text, want))
-    scope.report.error("unknown-behaviour", f"no behaviour `{name.text}`", name.span, advice)
+    scope.report.error("unknown-behaviour", f"no behaviour `{name.text}`", name.span, advice, fix=fix)
 
 
 def _first_written(node: nodes.Call) -> str:
@@ -115,7 +120,7 @@ def _builtin(scope: Scope, node: nodes.Call, name: str, want: Type | None) -> Ex
     if rows[0].op in SETS:
         return SETS[rows[0].op](scope, node, name, rows[0])
     row, node = (rows[0], node) if len(rows) == 1 else _row(scope, node, rows)
-    found = arranged(scope, name, [Slot(a.name, a.default is None and not a.optional, a.variadic) for a in row.args], node)
+    found = arranged(scope, name, [_slot(each) for each in row.args], node)
     if found is None:
         type_all(scope, node)
         return bad(node.span)
@@ -131,6 +136,10 @@ def _builtin(scope: Scope, node: nodes.Call, name: str, want: Type | None) -> Ex
     if any(a is not None and a.type.kind is Kind.BAD for a in args):
         return Op(_result(row, variables, args), rate_of(args), node.span, row.op, tuple(args))
     return _operation(scope, node, row, tuple(args), variables)
+
+
+def _slot(arg: Arg) -> Slot:
+    return Slot(arg.name, arg.default is None and not arg.optional, arg.variadic, arg.type.startswith("range"))
 
 
 def _row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> tuple[Builtin, nodes.Call]:
@@ -314,7 +323,7 @@ def _first(scope: Scope, node: nodes.Call, made: Op) -> None:
             "wrong-kind",
             f"`first` is for things that may be none, and {quoted(node.arguments[0].span)} is {type_words(made.type)}",
             node.span,
-            "write `first(nearest(food), nearest(nest))` or `max(a, b)`",
+            "write `first(nearest(food, with: load > 0), nearest(food))` or `max(a, b)`",
         )  # fmt: skip
 
 

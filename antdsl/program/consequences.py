@@ -48,13 +48,27 @@ def with_all_places(report: Report, places: Mapping[Span, Sequence[Span]]) -> Re
     return Report([replace(d, labels=_also(d, places)) if d.span in places else d for d in report.diagnostics])
 
 
+def in_one(report: Report) -> Report:
+    """The same report where what is told in the same words of several places of one file is told once, with all of them."""
+    found: dict[tuple[str, str, str], list[Diagnostic]] = {}
+    for each in report.diagnostics:
+        found.setdefault((each.code, each.message, each.span.source.path if each.span else ""), []).append(each)
+    places = [[each.span for each in others if each.span] for _, *others in found.values()]
+    firsts = [first for first, *_ in found.values()]
+    return Report([replace(one, labels=(*one.labels, *_here(rest))) for one, rest in zip(firsts, places, strict=True)])
+
+
 def _also(found: Diagnostic, places: Mapping[Span, Sequence[Span]]) -> tuple[Label, ...]:
     others = [each for each in places[found.span] if each != found.span] if found.code in _MISSING and found.span else []
+    return (*found.labels, *_here(others))
+
+
+def _here(others: Sequence[Span]) -> list[Label]:
     left = len(others) - _SHOWN
     labels = [Label(span, "and here") for span in others[:_SHOWN]]
     if left > 0:
         labels[-1] = replace(labels[-1], text=f"and here, and at {left} more {'place' if left == 1 else 'places'}")
-    return (*found.labels, *labels)
+    return labels
 
 
 def _renamed(found: Diagnostic, twice: set[tuple[Source, str]]) -> bool:

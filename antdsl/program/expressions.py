@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from antdsl import limits
+from antdsl.diagnostics import Fix
 from antdsl.program.missing import missing_thing
 from antdsl.program.model import (
     Attribute,
@@ -21,6 +22,7 @@ from antdsl.program.model import (
     Thing,
     Type,
 )
+from antdsl.program.other_words import NAMES
 from antdsl.program.scope import BAD, BOOL, Scope, attributes_of, bad, did_you_mean, listed, told_before, type_from_words
 from antdsl.program.states import STATE_WORDS, machine_named, of_machine, state_word
 from antdsl.program.units import constant, number
@@ -234,15 +236,21 @@ def _unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
         behaviour = scope.file.behaviour(name)
         alone = behaviour is not None and all(argument.default is not None for argument in behaviour.node.arguments)
         report.error("call-without-brackets", f"`{name}` wants brackets", node.span, f"write `{name}({'' if alone else '…'})`")
-    elif name in UNIT_NAMES:
-        advice = "a unit stands behind its number, without blanks inside: `30 mm/s`"
-        report.error("unknown-name", f"no `{name}` is known here", node.span, advice)
     else:
-        advice, fix = missing_thing(scope, name, want) or (None, None)
+        advice, fix = missing_thing(scope, name, want) or _other_word(name, node.span)
         if advice is None:
             advice = did_you_mean(name, visible(scope), f"declare it, or use one of {listed(visible(scope) - set(GIVEN))}")
         report.error("unknown-name", f"no `{name}` is known here", node.span, advice, fix=fix)
     return bad(node.span)
+
+
+def _other_word(name: str, span: Span) -> tuple[str | None, Fix | None]:
+    """What to write for a unit without its number, and for a name that other tools have."""
+    unit = f"a unit stands behind its number, without blanks inside: `1 {name}`" if name in UNIT_NAMES else None
+    instead = NAMES.get(name)
+    if instead is None:
+        return unit, None
+    return f"write `{instead}`{f', how long a step lasts; {unit}' if unit else ''}", Fix(span, instead)
 
 
 # --- values of things ------------------------------------------------------------------------------------------------

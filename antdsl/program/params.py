@@ -10,10 +10,11 @@ from antdsl.diagnostics import Fix, Label
 from antdsl.program import model
 from antdsl.program.behaviours import declared_type
 from antdsl.program.folding import constant_behind
-from antdsl.program.model import Const, Kind
+from antdsl.program.model import Const, Kind, Type
 from antdsl.program.operators import value
 from antdsl.program.scope import BAD, Scope
-from antdsl.program.units import constant, dimension_words, unit_of, unit_spelling
+from antdsl.program.units import constant, dimension_words, number, unit_of, unit_spelling
+from antdsl.program.vocabulary import UNITS
 from antdsl.program.wording import fits, mismatch, quoted, type_words
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -100,7 +101,7 @@ def _together(scope: Scope, node: nodes.Declaration, three: list[_Number]) -> li
         else:
             wanted = three[odd - 1].const
             who = f"the range of `{node.name.text}`" if odd else f"`{node.name.text}`, which has such a range,"
-            mismatch(scope.report, three[odd].node, types[odd], wanted.type, who)
+            _odd_one_out(scope, three, odd, wanted.type, who)
     return [replace(each, const=_as(each.const, wanted)) for each in three]
 
 
@@ -108,19 +109,101 @@ def _as(const: Const, wanted: Const) -> Const:
     return const if const.type == wanted.type else Const(wanted.type, const.rate, const.span, const.number, wanted.u, wanted.step)
 
 
+def _odd_one_out(scope: Scope, three: Sequence[_Number], odd: int, wanted: Type, who: str) -> None:
+    """One of another type than the two others."""
+    node, type = three[odd].node, three[odd].const.type
+    if (type.kind, wanted.kind) != (Kind.NUMBER, Kind.NUMBER):
+        mismatch(scope.report, node, type, wanted, who)
+        return
+    want = dimension_words(wanted.dim)
+    instead = _fitting(three, odd)
+    message = f"{quoted(node.span)} is {type_words(type)}, and {who} wants {want}"
+    advice = f"write {want}" if odd else f"write {want} inside the range"
+    fix = None if instead is None else Fix(node.span, instead)
+    scope.report.error("wrong-unit", message, node.span, advice if fix is None else f"{advice}, such as `{instead}`", fix=fix)
+
+
+def _fitting(three: Sequence[_Number], odd: int) -> str | None:
+    """A text for one of them with which all three go together: its own number with another unit, or the nearest of the others."""
+    others = [each for each in three if each is not three[odd]]
+
+    def fit(const: Const) -> bool:
+        return _go_together([const if each is three[odd] else each.const for each in three])
+
+    by_unit = _by_unit(three[odd].node, others)
+    for unit, const in by_unit.items():
+        if fit(const):
+            return f"{_digits(three[odd].node)} {unit}".strip()
+    about = next((const.number for const in by_unit.values()), 0.0)
+    near = sorted(others, key=lambda each: abs(each.const.number - about))
+    return next((" ".join(each.node.span.text.split()) for each in near if fit(each.const)), None)
+
+
+def _by_unit(node: nodes.Expr, others: Sequence[_Number]) -> dict[str, Const]:
+    """What a written number is worth with the units of the others, and with all that are of their dimension."""
+    if not isinstance(node, (nodes.Number, nodes.Quantity)):
+        return {}
+    type = others[0].const.type
+    alike = [name for name, unit in UNITS.items() if unit.dim == type.dim and not (unit.u or unit.step)]
+    units = dict.fromkeys([*(each.unit for each in others if each.unit), unit_of(type.dim), *alike])
+    found = {unit: constant(node.value, unit, node.span) if unit else number(node.value, node.span) for unit in units}
+    return {unit: const for unit, const in found.items() if const is not None and const.type == type}
+
+
+def _digits(node: nodes.Expr) -> str:
+    """A number as written, without its unit."""
+    end = node.unit_span.start if isinstance(node, nodes.Quantity) else node.span.end
+    return node.span.source.text[node.span.start : end].rstrip()
+
+
+def _go_together(consts: Sequence[Const]) -> bool:
+    """Whether a value and both ends are of one type and in order, as far as that is known without a scene."""
+    value, low, high = consts
+    if not value.type == low.type == high.type:
+        return False
+    return len({(each.u, each.step) for each in consts}) > 1 or low.number <= value.number <= high.number
+
+
 def _units_left_out(scope: Scope, three: Sequence[_Number], told: Sequence[_Number]) -> None:
     """Some of the numbers have no unit: it is written out behind each, in one go."""
-    unit = next((each.unit for each in told if each.unit), "") or unit_of(told[0].const.type.dim)
     bare = [each for each in three if each.bare]
+    unit = _unit_for(three, told)
+    if unit is None:
+        _no_unit_will_do(scope, three, bare, told)
+        return
     span = Span(bare[0].node.span.source, bare[0].node.span.start, bare[-1].node.span.end)
     text, done = "", span.start
     for each in bare:
         text += span.source.text[done : each.node.span.end] + f" {unit}"
         done = each.node.span.end
+    scope.report.error("missing-unit", _lack(bare, told), span, f"write `{' '.join(text.split())}`", fix=Fix(span, text))
+
+
+def _lack(bare: Sequence[_Number], told: Sequence[_Number]) -> str:
     which = " and ".join(quoted(each.node.span) for each in bare)
-    lack = f"{which} {'has' if len(bare) == 1 else 'have'} no unit"
-    message = f"{lack}, and {quoted(told[0].node.span)} is {dimension_words(told[0].const.type.dim)}"
-    scope.report.error("missing-unit", message, span, f"write `{' '.join(text.split())}`", fix=Fix(span, text))
+    has = "has" if len(bare) == 1 else "have"
+    return f"{which} {has} no unit, and {quoted(told[0].node.span)} is {dimension_words(told[0].const.type.dim)}"
+
+
+def _unit_for(three: Sequence[_Number], told: Sequence[_Number]) -> str | None:
+    """The unit with which the bare ones go together with the others: one that is written, or another of the dimension."""
+    by_unit = [_by_unit(each.node, told) for each in three]
+    for unit in next(found for each, found in zip(three, by_unit, strict=True) if each.bare):
+        if _go_together([found[unit] if each.bare else each.const for each, found in zip(three, by_unit, strict=True)]):
+            return unit
+    return None
+
+
+def _no_unit_will_do(scope: Scope, three: Sequence[_Number], bare: Sequence[_Number], told: Sequence[_Number]) -> None:
+    span = Span(bare[0].node.span.source, bare[0].node.span.start, bare[-1].node.span.end)
+    instead = _fitting(three, three.index(bare[0])) if len(bare) == 1 else None
+    want = dimension_words(told[0].const.type.dim)
+    ends = " and ".join(quoted(each.node.span) for each in told)
+    advice = f"write {want} that goes together with {ends}"
+    fix = None if instead is None else Fix(span, instead)
+    scope.report.error(
+        "missing-unit", _lack(bare, told), span, advice if fix is None else f"{advice}, such as `{instead}`", fix=fix
+    )
 
 
 def _ordered(scope: Scope, node: nodes.Declaration, three: list[_Number]) -> None:
@@ -173,6 +256,4 @@ def _inside(three: Sequence[_Number]) -> str | None:
     found = constant(node.value, unit, node.span)
     if found is None or unit == value.unit or found.type != low.const.type:
         return None
-    end = node.unit_span.start if isinstance(node, nodes.Quantity) else node.span.end
-    number = node.span.source.text[node.span.start : end].rstrip()
-    return f"{number} {unit}" if low.const.number <= found.number <= high.const.number else None
+    return f"{_digits(node)} {unit}" if low.const.number <= found.number <= high.const.number else None

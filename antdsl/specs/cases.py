@@ -10,6 +10,7 @@ from antdsl.diagnostics import Report
 from antdsl.loading import CheckedOnce, Parsed
 from antdsl.pipeline import Choices, Shot, check_path, find_files, open_scene
 from antdsl.plan.judging import SpecPlan, lower_spec
+from antdsl.program.consequences import in_one
 from antdsl.program.expected import Changed, Spec
 from antdsl.program.model import Program
 from antdsl.scene.paths import PathRefused, Roots
@@ -120,6 +121,7 @@ class _Finder:
 
     def __init__(self, grants: dict[str, Path], parsed: Parsed, report: Report) -> None:
         self.grants, self.parsed, self.report = grants, parsed, report
+        self.nowhere = Report()  # scenes that are not there
         self.shots: dict[tuple[Path, tuple[str, ...]], Shot | None] = {}
         self.found: dict[tuple[Path, Span], tuple[Path, Spec]] = {}
 
@@ -151,7 +153,7 @@ class _Finder:
         try:
             roots.exists(name.text)
         except PathRefused as refused:
-            self.report.error(refused.code, str(refused), name.span, refused.help)
+            self.nowhere.error(refused.code, str(refused), name.span, refused.help)
             return None
         path = roots.path(name.text)
         return own.parent / name.text if (own.parent / name.text).resolve() == path.resolve() else path
@@ -167,6 +169,7 @@ class _Finder:
             for seed in range(1, seeds + 1) if seeds else spec.seeds or (shot.scene.model.seed,):
                 run = made.setdefault((id(shot), seed), Run(shot, seed, []))
                 run.cases.append(Case(plan.spec, plan, scene, seed, against=other))
+        self.report.extend(in_one(self.nowhere))
         return list(made.values())
 
     def _opponent(self, scene: Path, spec: Spec) -> Opponent | None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 from pathlib import Path
+
+from antdsl.whole import whole
 
 
 def write(path: Path, text: str) -> None:
@@ -15,14 +16,9 @@ def write(path: Path, text: str) -> None:
     if not os.access(place, os.W_OK):
         # the folder would let us put another file in its place, but this one is not to be changed
         raise PermissionError(13, "permission denied", str(path))
-    descriptor, name = tempfile.mkstemp(prefix=f".{place.name}.", suffix=".part", dir=place.parent)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
+    with whole(place) as part:
+        shutil.copymode(place, part)  # before anything is in it: nobody reads it meanwhile who could not read the file
+        with open(part, "wb") as file:
             file.write(text.encode("utf-8"))
             file.flush()
             os.fsync(file.fileno())
-        shutil.copymode(place, name)
-        os.replace(name, place)
-    except BaseException:
-        os.unlink(name)
-        raise

@@ -1,6 +1,5 @@
 """Pictures into files: PNG stills, and films where the extra `[video]` is installed."""
 
-import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.diagnostics.model import Report
+from antdsl.whole import whole
 
 Image = NDArray[np.uint8]
 
@@ -16,12 +16,8 @@ def still(image: Image, path: Path) -> None:
     """Writes a PNG, whole or not at all. Raises OSError where that cannot be done."""
     from PIL import Image as PillowImage
 
-    part = path.with_name(f".{path.name}.part")
-    try:
+    with whole(path) as part:
         PillowImage.fromarray(np.ascontiguousarray(image)).save(part, format="PNG")
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def film_ready() -> Report:
@@ -56,25 +52,22 @@ def film(images: Iterable[Image], path: Path, fps: float) -> Report:
         report.error("no-pictures", "a film needs at least one frame", None, help="ask for frames that the cache holds")
         return report
     height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
-    part = path.with_name(f".{path.stem}.part{path.suffix or '.mp4'}")
     try:
-        writer = imageio_ffmpeg.write_frames(
-            str(part), (width, height), fps=float(fps), quality=8, macro_block_size=2, ffmpeg_log_level="error"
-        )
-        writer.send(None)
-        try:
-            for image in _with(first, pictures):
-                writer.send(np.ascontiguousarray(image[:height, :width]))
-        finally:
-            writer.close()
-        os.replace(part, path)
+        with whole(path, path.suffix or ".mp4") as part:
+            writer = imageio_ffmpeg.write_frames(
+                str(part), (width, height), fps=float(fps), quality=8, macro_block_size=2, ffmpeg_log_level="error"
+            )
+            writer.send(None)
+            try:
+                for image in _with(first, pictures):
+                    writer.send(np.ascontiguousarray(image[:height, :width]))
+            finally:
+                writer.close()
     except OSError as problem:
         why = (problem.strerror or "the encoder stopped").lower()
         report.error(
             "cannot-write", f"cannot write the film `{path.name}`: {why}", None, "name a folder that is there, with room"
         )
-    finally:
-        part.unlink(missing_ok=True)
     return report
 
 

@@ -14,12 +14,13 @@ import re
 import secrets
 import stat
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
+
+from antdsl.whole import whole
 
 _STARTS = 4  # whose keys are kept
 _FILES = 64  # of scenes and ports; the oldest go
@@ -98,15 +99,8 @@ def _read(place: Path) -> tuple[str, ...]:
 
 def _write(place: Path, keys: Sequence[str]) -> None:
     """Whole or not at all. Who makes the file is the only one to read it."""
-    handle, made = tempfile.mkstemp(dir=place.parent, suffix=".new")
-    try:
-        with os.fdopen(handle, "w", encoding="ascii") as file:
-            json.dump({"keys": list(keys)}, file)
-        os.replace(made, place)
-    except OSError:
-        with suppress(OSError):
-            os.unlink(made)
-        raise
+    with whole(place, mode=0o600) as made:
+        made.write_text(json.dumps({"keys": list(keys)}), encoding="ascii")
     with suppress(OSError):
         files = sorted(place.parent.glob("*.json"), key=lambda each: each.lstat().st_mtime)
         for old in files[:-_FILES]:

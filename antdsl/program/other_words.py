@@ -1,0 +1,80 @@
+"""Words that other tools have, as calls and as names, and what is written for them here."""
+
+from __future__ import annotations
+
+import re
+
+from antdsl.syntax import nodes
+
+# `{a}` stands for the first argument as written, `{A}` for the same in brackets where it is made of several.
+_CALLS = (
+    ("lerp interpolate interp blend tween", "mix({a}, {b}, {c})"),
+    ("saturate clamp01 sat", "clamp({a}, 0 .. 1)"),
+    ("constrain bound bounded", "clamp({a}, {b} .. {c})"),
+    ("remap fit map_range maprange map scale_range linmap", "ramp({a}, from: {b} .. {c}, to: {d} .. {e})"),
+    ("fit01", "ramp({a}, from: 0 .. 1, to: {b} .. {c})"),
+    ("smoothstep linstep linearstep inverse_lerp inverselerp unlerp", "rising({c}, {a} .. {b})"),
+    ("step", "(if {B} > {A} then 1 else 0)"),
+    ("pow power", "{A} ^ {B}"),
+    ("sqr square squared", "{A} ^ 2"),
+    ("cbrt", "{A} ^ (1 / 3)"),
+    ("fract frac", "({A} - floor({a}))"),
+    ("mod fmod modulo", "({A} - {B} * floor({A} / {B}))"),
+    ("ceil ceiling", "-floor(-{A})"),
+    ("round rint", "floor({A} + 0.5)"),
+    ("trunc int", "floor({a})"),
+    ("sign sgn", "(if {A} < 0 then -1 else 1)"),
+    ("norm magnitude mag len vlength", "length({a})"),
+    ("normalize normalise normalized normalised", "unit({a})"),
+    ("vec vec3 vector3 float3 xyz", "vector({a}, {b}, {c})"),
+    ("fabs absolute", "abs({a})"),
+    ("minimum fmin", "min({a}, {b})"),
+    ("maximum fmax", "max({a}, {b})"),
+    ("ln", "log({a})"),
+    ("log10", "log({a}) / log(10)"),
+    ("log2", "log({a}) / log(2)"),
+    ("tan", "sin({a}) / cos({a})"),
+    ("acos asin atan atan2", "angle({a}, {b})"),
+    ("cond iif ternary select", "(if {a} then {b} else {c})"),
+    ("choose choice choices sample oneof one_of", "pick({a}, {b})"),
+    ("gauss gaussian randn random_normal normalvariate", "normal({a}, {b})"),
+    ("randint irandom random_int", "floor(uniform({a}, {B} + 1))"),
+    ("avg average", "mean(n in neighbours(20 mm): n.speed)"),
+    ("radians deg", "{A} * 1 deg"),
+    ("degrees rad", "{A} * 1 rad"),
+    ("snoise perlin simplex turbulence", "normal(0, 1)"),
+)
+_NAMES = (
+    ("step delta_time deltatime time_step timestep", "dt"),
+    ("pi", "0.5 turn"),
+    ("tau two_pi", "1 turn"),
+    ("now clock elapsed", "time"),
+    ("tick ticks frame_number framecount frame_count", "frame"),
+)
+CALLS: dict[str, str] = {word: text for words, text in _CALLS for word in words.split()}
+NAMES: dict[str, str] = {word: text for words, text in _NAMES for word in words.split()}
+
+_LETTER = re.compile(r"\{([a-e])\}", re.IGNORECASE)
+_WHOLE = (nodes.Number, nodes.Quantity, nodes.NameRef, nodes.Call, nodes.Member, nodes.Index)
+
+
+def instead_of_call(node: nodes.Call, word: str) -> tuple[str, bool] | None:
+    """What is written for a call of such a word, and whether it is made of the arguments as written: with letters for them where
+    they are more or fewer than it takes."""
+    if word in NAMES and not node.arguments:
+        return NAMES[word], True
+    form = CALLS.get(word)
+    if form is None:
+        return None
+    letters = sorted({letter.lower() for letter in _LETTER.findall(form)})
+    given = [each for each in node.arguments if isinstance(each, nodes.Argument) and each.name is None]
+    if not letters or len(given) != len(node.arguments) or len(given) != len(letters):
+        return _LETTER.sub(lambda found: found[1].lower(), form), False
+    texts = {letter: each for letter, each in zip(letters, given, strict=True)}
+
+    def written(found: re.Match[str]) -> str:
+        each = texts[found[1].lower()]
+        text = " ".join(each.span.text.split())
+        return f"({text})" if found[1].isupper() and not isinstance(each.value, _WHOLE) else text
+
+    return _LETTER.sub(written, form), True

@@ -1,0 +1,57 @@
+"""Files that are put in their place whole: written beside it under a name that nothing has, then moved there in one go."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+PART = ".part"
+_LONGEST = 40  # characters of a name that are kept, so that no system finds the new one too long
+_TRIES = 8
+
+
+def new_beside(path: Path, ending: str = PART, mode: int = 0o666) -> Path:
+    """An empty file of our own beside a path. Whatever is there, also a link or a pipe, is neither opened nor written into nor
+    taken away. Raises OSError where none can be made."""
+    for left in reversed(range(_TRIES)):
+        new = path.with_name(f".{path.name[:_LONGEST]}.{secrets.token_hex(6)}{ending}")
+        try:
+            os.close(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), mode))
+        except FileExistsError:
+            if not left:
+                raise
+        else:
+            return new
+    raise AssertionError
+
+
+@contextmanager
+def whole(path: Path, ending: str = PART, mode: int = 0o666) -> Iterator[Path]:
+    """A file to write that takes the place of `path` at the end: a reader, or whoever comes after a crash, sees the old one or
+    all of the new one. Where anything fails the old one is left as it was. `ending`: what the file that is written ends in, for
+    those who go by it; `mode`: who may read and write it, less what the system keeps from new files."""
+    part = new_beside(path, ending, mode)
+    try:
+        yield part
+        _replace(part, path)
+    except BaseException:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise
+
+
+def _replace(part: Path, path: Path) -> None:
+    """`os.replace`; where a reader may hold the old file open (Windows) a few more times."""
+    for attempt in range(5):
+        try:
+            os.replace(part, path)
+            return
+        except PermissionError:
+            if attempt == 4 or os.name != "nt":
+                raise
+            import time
+
+            time.sleep(0.02 * 2**attempt)
