@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -554,6 +555,51 @@ def test_a_run_begins_where_another_cache_was(unbroken: tuple[Path, dict[int, st
     second.write_text(second.read_text().replace("frame: 57", "frame: 56"))
     code, words = finished(start(second))
     assert code == 1 and "write one of" in words and "57" in words
+
+
+@pytest.mark.parametrize("words", [(), ("--profile", "--summary", "s.json")])
+def test_a_run_whose_words_nobody_reads_any_more_goes_on_to_its_end(tmp_path: Path, words: tuple[str, ...]) -> None:
+    """As with `| head -1`."""
+    scene = project(tmp_path / "p")
+    run = start(scene, "--frames", "1..6", *words)
+    assert run.stdout is not None and run.stderr is not None
+    run.stdout.close()
+    assert run.stderr.read() == "" and run.wait(60) == 0
+    assert open_cache(scene.parent / "out" / "scene").frames() == [1, 2, 3, 4, 5, 6]
+    assert not words or (scene.parent / "s.json").is_file()
+
+
+@pytest.mark.parametrize(
+    "kind", ["frames/frame.0012.npz", "frames/frame.0099.npz", "static.npz", "checkpoints/checkpoint.0009.npz"]
+)
+def test_a_folder_in_the_place_of_a_file_is_told_before_anything_is_removed(
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, kind: str
+) -> None:
+    shutil.copytree(unbroken[0].parent, tmp_path / "p")
+    scene = tmp_path / "p" / "scene.yaml"
+    folder = scene.parent / "out" / "scene"
+    (folder / kind).unlink(missing_ok=True)
+    (folder / kind / "work").mkdir(parents=True)
+    before = sorted(path for path in folder.rglob("*"))
+    for words in ([], ["--resume"]):
+        stopped = CliRunner().invoke(app, ["run", str(scene), *words]).exception
+        assert isinstance(stopped, Stop) and f"{kind}` is a folder" in stopped.message and "move it away" in stopped.hint
+        assert sorted(path for path in folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize(("number", "advice"), [("ENOSPC", "make room, then go on"), ("EIO", "once that is mended, go on")])
+def test_only_a_full_disk_is_to_be_made_room_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: str, advice: str
+) -> None:
+    def broken(*_: object) -> None:
+        raise OSError(getattr(errno, number), os.strerror(getattr(errno, number)))
+
+    scene = project(tmp_path / "p")
+    monkeypatch.setattr("antdsl.whole._replace", broken)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / ".antdsl-cache").write_text("")
+    stopped = CliRunner().invoke(app, ["run", str(scene), "--out", str(tmp_path / "out"), "--frames", "1..2"]).exception
+    assert isinstance(stopped, Stop) and advice in stopped.hint and f"`{tmp_path / 'out' / 'hashes.jsonl'}`" in stopped.message
 
 
 @both_ways

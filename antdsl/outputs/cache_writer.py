@@ -4,7 +4,7 @@ simulation, checkpoints only after all frames before them are on the disk, hashe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -26,7 +26,7 @@ from antdsl.outputs.cache import (
 from antdsl.outputs.frames import FrameMaker
 from antdsl.outputs.hashes import HASHES, hash_of_static, read_lines
 from antdsl.outputs.lock import LOCK, FolderLock
-from antdsl.outputs.manifest import Manifest, ManifestError, write_manifest
+from antdsl.outputs.manifest import MANIFEST, Manifest, ManifestError, write_manifest
 from antdsl.outputs.npz import to_bytes, write_whole
 from antdsl.outputs.scribe import Scribe
 from antdsl.runtime import World, handed_over, snapshot, state
@@ -39,6 +39,10 @@ class ForeignFolder(Exception):
     """The folder has files that antdsl did not write; the message names one."""
 
 
+class InTheWay(Exception):
+    """Something in a cache's folder stands where a file of the cache goes; the message names it."""
+
+
 class DifferentInputs(Exception):
     """The cache was made from other inputs; `names` says which differ."""
 
@@ -48,10 +52,19 @@ class DifferentInputs(Exception):
 
 
 def prepare_folder(folder: Path, *, force: bool) -> None:
-    """Make the folder, or see that it is ours to write to; ForeignFolder when it holds somebody else's files."""
+    """Make the folder, or see that it is ours to write to; ForeignFolder when it holds somebody else's files, InTheWay
+    when something stands where a file of the cache goes: nothing has been changed then."""
     if folder.exists() and not folder.is_dir():
         raise ForeignFolder(f"`{folder}` is a file")
     folder.mkdir(parents=True, exist_ok=True)
+    for name in ("frames", "checkpoints"):
+        if (folder / name).is_symlink():
+            raise ForeignFolder(f"`{folder / name}` is a link")
+        if (folder / name).exists() and not (folder / name).is_dir():
+            raise InTheWay(f"`{folder / name}` is a file, and a folder is wanted there")
+    for path in _files(folder):
+        if path.is_dir() and not path.is_symlink():
+            raise InTheWay(f"`{path}` is a folder, and a file of the cache is wanted there")
     marker = folder / MARKER
     if not marker.exists():
         # a lock or a half-written marker is what a run leaves that was killed as it began
@@ -60,9 +73,20 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
             raise ForeignFolder(f"`{folder}` has files that are not a cache's, such as `{others[0]}`")
         write_whole(marker, b"This folder is written by antdsl; what is in it may be replaced by the next run.\n", sync=True)
     for name in ("frames", "checkpoints"):
-        if (folder / name).is_symlink():
-            raise ForeignFolder(f"`{folder / name}` is a link")
         (folder / name).mkdir(exist_ok=True)
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """What a run removes or writes in a cache's folder, as far as it can be there before."""
+    yield from (folder / name for name in (MARKER, LOCK, STATIC, MANIFEST, HASHES))
+    for path in (frame_path, checkpoint_path):
+        yield from (path(folder, number) for number in numbered(folder, path)[0])
+    yield from _parts(folder)
+
+
+def _parts(folder: Path) -> list[Path]:
+    """Files that were not finished when a run was killed."""
+    return [part for place in (folder, folder / "frames", folder / "checkpoints") for part in place.glob(f".*{PART}")]
 
 
 def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) -> None:
@@ -74,7 +98,7 @@ def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) 
     for number in numbered(folder, checkpoint_path)[0]:
         if above is None or number > above or number in damaged:
             checkpoint_path(folder, number).unlink(missing_ok=True)
-    for part in (part for place in (folder, folder / "frames", folder / "checkpoints") for part in list(place.glob(f".*{PART}"))):
+    for part in _parts(folder):
         part.unlink(missing_ok=True)
     kept = {} if above is None else {f: line for f, line in read_lines(folder / HASHES).items() if f <= above}
     write_whole(folder / HASHES, b"".join(line.text(frame) for frame, line in kept.items()), sync=True)
