@@ -31,15 +31,18 @@ def new_beside(path: Path, ending: str = PART, mode: int = 0o666) -> Path:
 @contextmanager
 def whole(path: Path, ending: str = PART, mode: int = 0o666) -> Iterator[Path]:
     """A file to write that takes the place of `path` at the end: a reader, or whoever comes after a crash, sees the old one or
-    all of the new one. Where anything fails the old one is left as it was. `ending`: what the file that is written ends in, for
-    those who go by it; `mode`: who may read and write it, less what the system keeps from new files."""
+    all of the new one. Where anything fails the old one is left as it was, and an OSError names `path`. `ending`: what the file
+    that is written ends in, for those who go by it; `mode`: who may read and write it, less what the system keeps from new
+    files."""
     part = new_beside(path, ending, mode)
     try:
         yield part
         _replace(part, path)
-    except BaseException:
+    except BaseException as problem:
         with suppress(OSError):
             part.unlink(missing_ok=True)
+        if isinstance(problem, OSError) and problem.errno is not None and problem.filename in (None, str(part), part):
+            problem.filename, problem.filename2 = str(path), None
         raise
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -13,6 +14,7 @@ import time
 import warnings
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +22,9 @@ import pytest
 from typer.testing import CliRunner
 
 from antdsl.cli import app
+from antdsl.cli.exits import Stop
 from antdsl.cli.new import ground
-from antdsl.outputs.cache import CacheError, checkpoint_path, frame_path, open_cache
+from antdsl.outputs.cache import SURFACE_ERROR, CacheError, checkpoint_path, frame_path, open_cache
 from antdsl.outputs.cache_writer import ForeignFolder, prepare_folder
 from antdsl.outputs.frames import orientation
 from antdsl.outputs.hashes import HASHES, read_lines
@@ -261,6 +264,28 @@ def test_the_summary_has_its_keys_and_the_last_hash(tmp_path: Path) -> None:
     assert found["state_hash"] == hashes[60] and found["max_surface_error"] < 1e-3 and found["faults"] == 0
 
 
+def test_the_summary_of_a_run_that_goes_on_is_of_all_frames(tmp_path: Path) -> None:
+    scene = project(tmp_path / "p", hills=True)
+    folder, summary = scene.parent / "out" / "scene", scene.parent / "summary.json"
+
+    def worst(*words: str) -> float | None:
+        assert finished(start(scene, "--frames", "1..12", "--summary", summary.name, *words))[0] == 0
+        found: float | None = json.loads(summary.read_text())["max_surface_error"]
+        return found
+
+    unbroken = worst()
+    assert unbroken is not None and unbroken > 0 and worst("--resume") == unbroken == worst("--resume")
+    checkpoint_path(folder, 12).unlink()
+    assert worst("--resume") == unbroken
+    line = read_lines(folder / HASHES)[12]
+    arrays = dict(read_npz(checkpoint_path(folder, 12)))
+    arrays.pop(SURFACE_ERROR)  # as before it was kept
+    checkpoint_path(folder, 12).write_bytes(to_bytes(arrays))
+    with open(folder / HASHES, "ab") as hashes:
+        hashes.write(replace(line, checkpoint="").text(12))
+    assert worst("--resume") is None is worst("--resume")
+
+
 def test_frames_hold_what_the_manifest_says(unbroken: tuple[Path, dict[int, str]]) -> None:
     cache = open_cache(unbroken[0].parent / "out" / "scene")
     arrays = cache.frame(30)
@@ -299,6 +324,12 @@ def renumbered(folder: Path, number: int) -> None:
     frame_path(folder, number).write_bytes(to_bytes(arrays))
 
 
+def of_another_run(path: Path) -> None:
+    """Another whole checkpoint of the same frame: the state is the same, what was counted on the way is not."""
+    arrays = dict(read_npz(path))
+    path.write_bytes(to_bytes(arrays | {"world.faults": arrays["world.faults"] + 5}))
+
+
 # What may happen to a cache of 60 frames with checkpoints at 1, 9, 17, …; the frame that a run goes on after; what is told.
 DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
     "nothing": (lambda f: None, 60, ""),
@@ -318,11 +349,17 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
     "a bit of a checkpoint": (lambda f: flipped(checkpoint_path(f, 60), 0.5), 57, "checkpoint.0060.npz"),
     "a checkpoint cut off": (lambda f: os.truncate(checkpoint_path(f, 60), 5000), 57, "frames 58 to 60 are made again"),
     "an early checkpoint": (lambda f: flipped(checkpoint_path(f, 9), 0.5), 60, "and is removed"),
-    "two checkpoints swapped": (lambda f: swapped(checkpoint_path(f, 60), checkpoint_path(f, 49)), 57, "does not hold frame 60"),
+    "two checkpoints swapped": (
+        lambda f: swapped(checkpoint_path(f, 60), checkpoint_path(f, 49)), 57, "0060.npz` is not what was written",
+    ),
+    "a checkpoint of another run": (lambda f: of_another_run(checkpoint_path(f, 60)), 57, "checkpoint.0060.npz` is not what was"),
+    "an early one of another run": (lambda f: of_another_run(checkpoint_path(f, 9)), 60, "checkpoint.0009.npz` is not what was"),
+    "other meshes": (lambda f: swapped(f / "static.npz", checkpoint_path(f, 9)), 60, "static.npz` is not what was written there"),
+    "no meshes": (lambda f: (f / "static.npz").unlink(), 60, "static.npz` is not there; it is written again"),
     "no checkpoints": (lambda f: [p.unlink() for p in (f / "checkpoints").iterdir()], None, "no checkpoint from which"),
     "a hash of another state": (lambda f: lines_changed(f, 33, hash="0" * 32), 25, "frame.0033.npz` is not what was written"),
     "a hash of another file": (lambda f: lines_changed(f, 12, file="0" * 32), 9, "frame.0012.npz` is not what was written"),
-    "a cut line": (lambda f: os.truncate(f / HASHES, 3000), 25, "has no hash in `hashes.jsonl`"),
+    "a cut line": (lambda f: os.truncate(f / HASHES, 3321), 25, "has no hash in `hashes.jsonl`"),
     "no hashes": (lambda f: (f / HASHES).unlink(), None, "frame.0001.npz` has no hash in `hashes.jsonl`"),
 }  # fmt: skip
 
@@ -354,6 +391,51 @@ def test_what_is_damaged_in_a_cache_is_told_and_made_again(
         assert frame_path(folder, frame).read_bytes() == frame_path(whole, frame).read_bytes()
     assert read_lines(folder / HASHES) == read_lines(whole / HASHES)
     assert verified(folder)[0] == 0
+
+
+def test_a_cache_from_before_checkpoints_had_hashes_is_read_and_said_to_be_not_checked(
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path
+) -> None:
+    shutil.copytree(unbroken[0].parent, tmp_path / "p")
+    folder = tmp_path / "p" / "out" / "scene"
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest.pop("static")
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    lines = {frame: replace(line, checkpoint="") for frame, line in read_lines(folder / HASHES).items()}
+    (folder / HASHES).write_bytes(b"".join(line.text(frame) for frame, line in lines.items()))
+    code, words = verified(folder)
+    assert code == 0 and "60 frames, 0 checkpoints" in words
+    assert "not checked  `static.npz`, checkpoints 1 9 17 25 33 41 49 57 60" in words
+    swapped(checkpoint_path(folder, 60), checkpoint_path(folder, 49))
+    assert verified(folder)[0] == 1
+    shot, _ = open_scene(tmp_path / "p" / "scene.yaml")
+    assert shot is not None
+    recording = begin(shot, folder, Options(), resume=True, force=False)
+    assert recording.resumed_from == 57 and "does not hold frame 60" in recording.notes[0]
+    for _ in record(recording):
+        pass
+    code, words = verified(folder)
+    assert code == 0 and "60 frames, 1 checkpoint\n" in words and "not checked  checkpoints 1 9 17 25 33 41 57" in words
+
+
+def test_only_the_written_form_of_a_name_is_a_frame(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
+    shutil.copytree(unbroken[0].parent, tmp_path / "p")
+    folder = tmp_path / "p" / "out" / "scene"
+    for name in ("frames/frame.12.npz", "frames/frame.00012.npz", "frames/checkpoint.0012.npz", "checkpoints/checkpoint.9.npz"):
+        shutil.copy(frame_path(folder, 12), folder / name)
+    cache = open_cache(folder)
+    assert (
+        cache.frames() == list(range(1, 61)) and cache.checkpoints() == open_cache(unbroken[0].parent / "out/scene").checkpoints()
+    )
+    stopped = CliRunner().invoke(app, ["info", str(folder), "--verify"]).exception
+    assert isinstance(stopped, Stop) and stopped.code == 1 and "move away" in stopped.hint and "--resume" not in stopped.hint
+    shutil.copy(frame_path(folder, 12), frame_path(folder, 70))
+    shot, _ = open_scene(tmp_path / "p" / "scene.yaml")
+    assert shot is not None
+    told = "\n".join(begin(shot, folder, Options(), resume=True, force=False).notes)
+    for name in ("frame.12.npz", "frame.00012.npz", "frames/checkpoint.0012.npz", "checkpoint.9.npz"):
+        assert f"{name}` is no " in stopped.message and f"{name}` is no " in told
+    assert "frame 70 lies beyond frame 60, the last, and is removed" in told and "made again" not in told
 
 
 def test_a_damaged_frame_is_told_and_written_again(tmp_path: Path) -> None:
@@ -473,6 +555,51 @@ def test_a_run_begins_where_another_cache_was(unbroken: tuple[Path, dict[int, st
     second.write_text(second.read_text().replace("frame: 57", "frame: 56"))
     code, words = finished(start(second))
     assert code == 1 and "write one of" in words and "57" in words
+
+
+@pytest.mark.parametrize("words", [(), ("--profile", "--summary", "s.json")])
+def test_a_run_whose_words_nobody_reads_any_more_goes_on_to_its_end(tmp_path: Path, words: tuple[str, ...]) -> None:
+    """As with `| head -1`."""
+    scene = project(tmp_path / "p")
+    run = start(scene, "--frames", "1..6", *words)
+    assert run.stdout is not None and run.stderr is not None
+    run.stdout.close()
+    assert run.stderr.read() == "" and run.wait(60) == 0
+    assert open_cache(scene.parent / "out" / "scene").frames() == [1, 2, 3, 4, 5, 6]
+    assert not words or (scene.parent / "s.json").is_file()
+
+
+@pytest.mark.parametrize(
+    "kind", ["frames/frame.0012.npz", "frames/frame.0099.npz", "static.npz", "checkpoints/checkpoint.0009.npz"]
+)
+def test_a_folder_in_the_place_of_a_file_is_told_before_anything_is_removed(
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, kind: str
+) -> None:
+    shutil.copytree(unbroken[0].parent, tmp_path / "p")
+    scene = tmp_path / "p" / "scene.yaml"
+    folder = scene.parent / "out" / "scene"
+    (folder / kind).unlink(missing_ok=True)
+    (folder / kind / "work").mkdir(parents=True)
+    before = sorted(path for path in folder.rglob("*"))
+    for words in ([], ["--resume"]):
+        stopped = CliRunner().invoke(app, ["run", str(scene), *words]).exception
+        assert isinstance(stopped, Stop) and f"{kind}` is a folder" in stopped.message and "move it away" in stopped.hint
+        assert sorted(path for path in folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize(("number", "advice"), [("ENOSPC", "make room, then go on"), ("EIO", "once that is mended, go on")])
+def test_only_a_full_disk_is_to_be_made_room_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: str, advice: str
+) -> None:
+    def broken(*_: object) -> None:
+        raise OSError(getattr(errno, number), os.strerror(getattr(errno, number)))
+
+    scene = project(tmp_path / "p")
+    monkeypatch.setattr("antdsl.whole._replace", broken)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / ".antdsl-cache").write_text("")
+    stopped = CliRunner().invoke(app, ["run", str(scene), "--out", str(tmp_path / "out"), "--frames", "1..2"]).exception
+    assert isinstance(stopped, Stop) and advice in stopped.hint and f"`{tmp_path / 'out' / 'hashes.jsonl'}`" in stopped.message
 
 
 @both_ways

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from antdsl.cli.doctor import EXTRAS
+from antdsl.cli.run import at_once
 
 ROOT = Path(__file__).resolve().parent.parent
 FOR_DEVELOPERS = {"test", "quality"}
@@ -37,3 +38,25 @@ def test_doctor_lists_every_extra() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     told = {found for words in EXTRAS.values() for found in re.findall(r"antdsl\[(\w+)\]", words)}
     assert told == set(extras) - FOR_DEVELOPERS
+
+
+@pytest.mark.parametrize(
+    ("there", "asked", "taken", "told"),
+    [(2, 4, 2, "there are 2 cores here"), (1, 4, 1, "there is 1 core"), (2, 0, 2, ""), (2, 2, 2, ""), (8, 3, 3, "")],
+)
+def test_more_threads_than_cores_are_not_started_and_that_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], there: int, asked: int, taken: int, told: str
+) -> None:
+    """Embree's scheduler writes to the terminal where it is asked for more workers than there are cores."""
+    monkeypatch.setattr("antdsl.cli.run.cores", lambda: there)
+    assert at_once(asked) == taken
+    said = capsys.readouterr().err
+    assert told in said and bool(said) == bool(told)
+    assert at_once(asked, quiet=True) == taken and not capsys.readouterr().err
+
+
+def test_every_command_with_threads_takes_no_more_than_there_are_cores() -> None:
+    """All go by `at_once`."""
+    for path in sorted((ROOT / "antdsl" / "cli").glob("*.py")):
+        if '"--threads"' in (text := path.read_text(encoding="utf-8")):
+            assert "at_once(threads" in text and "threads or cores" not in text, path.name

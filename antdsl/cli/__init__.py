@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 import sys
 import warnings
 
@@ -14,6 +13,7 @@ import typer  # noqa: E402
 
 from antdsl.cli import check, doctor, explain, export, fmt, graph, info, lsp, new, plan, preview, render, run, sweep, test  # noqa: E402
 from antdsl.cli.exits import Exit, Stop  # noqa: E402
+from antdsl.cli.saying import closed  # noqa: E402
 
 # In the order of `antdsl --help`: what one does first comes first.
 COMMANDS = (
@@ -91,8 +91,7 @@ def _command() -> int:
                 print(line, file=sys.stderr)
         return stop.code
     except BrokenPipeError:
-        # whoever read our output has had enough; Python would complain once more when it flushes at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        closed()
         return Exit.FINE
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

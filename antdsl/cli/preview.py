@@ -73,11 +73,11 @@ def _listen(host: str | None, port: int | None, let_others_in: bool) -> Listenin
 def _live(scene: Path, choices: Choices, threads: int) -> Live:
     """Who simulates. Where the files have mistakes they are told, and it begins as soon as they are mended."""
     from antdsl.cli.reports import show, verdict
-    from antdsl.cli.run import cores
+    from antdsl.cli.run import at_once
     from antdsl.preview.live import Live
     from antdsl.runtime import Options
 
-    live = Live.open(scene, choices, Options(threads=threads or cores()))
+    live = Live.open(scene, choices, Options(threads=at_once(threads)))
     show(live.report, to_stderr=True)
     if verdict(live.report) is Exit.INPUT_OUTPUT:
         raise Stop(Exit.INPUT_OUTPUT)

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from antdsl.cli.saying import say
 from antdsl.runtime.profiling import Profile
 
 MOST = 10  # lines that are told
@@ -21,6 +22,12 @@ _LEAST = 12  # letters of a text that are shown, however narrow the terminal
 def show(profile: Profile, *, lines: bool) -> None:
     """Print a profile. `lines` is false where the backend measures phases only."""
     console = Console(highlight=False, soft_wrap=True)
+    with console.capture() as told:
+        _tell(console, profile, lines)
+    say(told.get(), newline=False)
+
+
+def _tell(console: Console, profile: Profile, lines: bool) -> None:
     if not profile.frames:
         console.print("nothing to tell of: no frame was simulated after the first")
         return

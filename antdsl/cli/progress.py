@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+from antdsl.cli.saying import say
 from antdsl.outputs.recording import Recording
 from antdsl.outputs.summary import states
 
@@ -58,7 +59,7 @@ class Lines(Watch):
         now = time.perf_counter()
         if always or now - self.said > _EVERY:
             self.said = now
-            print(line, flush=True)
+            say(line)
 
 
 class Bar(Watch):
@@ -87,7 +88,7 @@ def progress(recording: Recording, quiet: bool) -> Iterator[Watch]:
     """Something to tell of each frame, as fits the place where the run's words go; says where the cache is at the end."""
     frames, preroll = recording.shot.frames, recording.shot.scene.model.preroll
     if recording.resumed_from is not None and not quiet:
-        print(f"goes on after frame {recording.resumed_from}")
+        say(f"goes on after frame {recording.resumed_from}")
     if quiet:
         yield Watch(recording)
         return
@@ -130,11 +131,11 @@ def _tell_end(recording: Recording) -> None:
     set_up = spent.pop("bind", 0.0) + spent.pop("first_step", 0.0)
     spent.pop("preroll", None)
     parts, behind = _each(spent, recording.steps), _each(recording.behind, recording.steps)
-    print(f"{len(recording.world):,} agents; set up in {set_up:.1f} s; milliseconds a frame: {parts or 'none'}")
-    print(f"meanwhile, behind the simulation: {behind or 'none'}")
+    say(f"{len(recording.world):,} agents; set up in {set_up:.1f} s; milliseconds a frame: {parts or 'none'}")
+    say(f"meanwhile, behind the simulation: {behind or 'none'}")
     if recording.world.detail is not None:
         levels = recording.world.detail.summary(recording.world)["mean"]
-        print(f"level of detail, agents on the average: {', '.join(f'{name} {count:,.0f}' for name, count in levels.items())}")
+        say(f"level of detail, agents on the average: {', '.join(f'{name} {count:,.0f}' for name, count in levels.items())}")
     if recording.world.faults.count:
-        print(f"{recording.world.faults.count} faults: agents that got a number that is none")
-    print(f"the cache is in {recording.folder}")
+        say(f"{recording.world.faults.count} faults: agents that got a number that is none")
+    say(f"the cache is in {recording.folder}")

@@ -57,7 +57,7 @@ def render(
 ) -> None:
     """Draw frames of a cache."""
     from antdsl.cli.arguments import frame_range
-    from antdsl.cli.run import cores
+    from antdsl.cli.run import at_once
 
     gallery = _gallery(cache, _cut(cut))
     wanted = _frames(gallery, frame_range(frames), every, sheet, film)
@@ -68,7 +68,7 @@ def render(
     folder.mkdir(parents=True, exist_ok=True)
     if film:
         _ready_for_films()
-    drawn = _draw(gallery, wanted, camera, followed, words, width, height, threads or cores(), rest=film and not followed)
+    drawn = _draw(gallery, wanted, camera, followed, words, width, height, at_once(threads), rest=film and not followed)
     if film:
         _film(drawn, gallery, folder)
     elif sheet:

@@ -10,6 +10,7 @@ import typer
 
 from antdsl.cli.destinations import file_to_write, folder_to_write
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.saying import say
 
 if TYPE_CHECKING:
     from antdsl.outputs.recording import Recording
@@ -72,7 +73,7 @@ def run(
     from antdsl.runtime import Options
 
     options = Options(
-        backend=backend.value, chunk=chunk, threads=threads or cores(), shuffle_rows=shuffle, on_fault=on_fault.value
+        backend=backend.value, chunk=chunk, threads=at_once(threads, quiet), shuffle_rows=shuffle, on_fault=on_fault.value
     )
     recording = _begin(shot, folder, options, choices, resume, force)
     if profile:
@@ -80,14 +81,14 @@ def run(
 
         recording.meter = Meter(None)
     _go(recording, quiet, _again(scene, out))
-    if recording.meter is not None:
-        from antdsl.cli.profile_table import show
-
-        show(recording.meter.profile(), lines=options.backend == "numpy")
     if summary is not None:
         from antdsl.outputs.summary import write_summary
 
         write_summary(summary, recording)
+    if recording.meter is not None:
+        from antdsl.cli.profile_table import show
+
+        show(recording.meter.profile(), lines=options.backend == "numpy")
 
 
 def cores() -> int:
@@ -95,6 +96,18 @@ def cores() -> int:
     import os
 
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def at_once(asked: int, quiet: bool = False) -> int:
+    """How many threads to use where so many are asked for, 0 being all: more than there are cores would only wait for each other,
+    and libraries complain about it."""
+    there = cores()
+    if asked > there and not quiet:
+        say(
+            f"`--threads {asked}`: there {'is 1 core' if there == 1 else f'are {there} cores'} here, so {there} at a time",
+            err=True,
+        )
+    return min(asked or there, there)
 
 
 def _again(scene: Path, out: Path | None) -> str:
@@ -106,7 +119,7 @@ def _again(scene: Path, out: Path | None) -> str:
 
 def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume: bool, force: bool) -> Recording:
     from antdsl.cli.reports import demand, show
-    from antdsl.outputs.cache_writer import DifferentInputs, ForeignFolder
+    from antdsl.outputs.cache_writer import DifferentInputs, ForeignFolder, InTheWay
     from antdsl.outputs.recording import NothingToResume, begin
     from antdsl.outputs.starting import StartError
     from antdsl.pipeline import crowding
@@ -117,7 +130,7 @@ def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume:
         if recording.resumed_from is None and shot.scene.model.start is None:
             show(crowding(shot, recording.world), to_stderr=True)
         for note in recording.notes:
-            typer.echo(note, err=True)
+            say(note, err=True)
         return recording
     except (BindError, StartError) as why:
         demand(why.report)
@@ -126,6 +139,8 @@ def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume:
         raise Stop(
             Exit.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`, or write into it anyway with `--force`"
         ) from None
+    except InTheWay as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "move it away, or name another folder with `--out`") from None
     except DifferentInputs as why:
         raise Stop(Exit.FINDINGS, f"error: {why}", "run without `--resume` to begin again") from None
     except NothingToResume as why:
@@ -164,8 +179,12 @@ def _go(recording: Recording, quiet: bool, again: str) -> None:
             f"the frames before are in {recording.folder}",
         ) from None
     except OSError as problem:
-        words = f"error: cannot write the cache: {(problem.strerror or str(problem)).lower()}"
-        raise Stop(Exit.INPUT_OUTPUT, words, f"make room, then go on with: {again}") from None
+        import errno
+
+        where = f": `{problem.filename}`" if problem.filename else ""
+        words = f"error: cannot write the cache: {(problem.strerror or str(problem)).lower()}{where}"
+        first = "make room, then" if problem.errno in (errno.ENOSPC, errno.EDQUOT) else "once that is mended,"
+        raise Stop(Exit.INPUT_OUTPUT, words, f"{first} go on with: {again}") from None
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

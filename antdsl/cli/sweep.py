@@ -11,6 +11,7 @@ import typer
 
 from antdsl.cli.destinations import folder_to_write
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.saying import say
 
 if TYPE_CHECKING:
     from antdsl.sweep import Job, Keeper, Outcome
@@ -67,7 +68,7 @@ def sweep(
         done = {job.key: kept for job in made if (kept := keeper.kept(job)) is not None}
     todo = [job for job in made if job.key not in done]
     if done and not quiet:
-        typer.echo(f"{len(made) - len(todo)} of {len(made)} runs were finished before")
+        say(f"{len(made) - len(todo)} of {len(made)} runs were finished before")
     processes = min(jobs or cores(), max(len(todo), 1))
     threads = max(1, cores() // processes)
     failed: list[Outcome] = []
@@ -145,14 +146,14 @@ def _tell(keeper: Keeper, results: list[Result], show: Sequence[str], plots: boo
     files = {"table.txt": words, "table.csv": as_csv(table), "runs.csv": runs_csv(results), "sweep.json": as_json(results, table)}
     for name, content in files.items():
         write_whole(keeper.folder / name, content.encode(), sync=False)
-    typer.echo(words.rstrip("\n"))
+    say(words.rstrip("\n"))
     drawn = plots and available() and len(measures) <= 24
     if drawn:
         draw(results, measures, keeper.folder / "table.png")
     names = ", ".join([*files, *(["table.png"] if drawn else [])])
-    typer.echo(f"in {keeper.folder}: {names}")
+    say(f"in {keeper.folder}: {names}")
     if plots and not available():
-        typer.echo(HOW)
+        say(HOW)
 
 
 class _Watch:
@@ -168,12 +169,12 @@ class _Watch:
         """A run has ended, one way or the other."""
         self.count += 1
         if outcome.measures is None:
-            typer.echo(f"failed: {outcome.job.name}: {outcome.problem}", err=True)
+            say(f"failed: {outcome.job.name}: {outcome.problem}", err=True)
         elif not self.quiet:
             self.say(f"{self.count} of {self.total}: {outcome.job.name}, {outcome.measures['frames']} frames")
 
     def say(self, line: str) -> None:
-        typer.echo(line)
+        say(line)
 
 
 class _Bar(_Watch):

@@ -12,6 +12,7 @@ import typer
 from antdsl.cli.destinations import file_to_write, folder_to_write
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.run import Backend
+from antdsl.cli.saying import say
 
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
@@ -43,7 +44,7 @@ def test(
     """Run the specs of programs and say what was not as expected."""
     from antdsl.cli.arguments import grants
     from antdsl.cli.reports import show, verdict
-    from antdsl.cli.run import cores
+    from antdsl.cli.run import at_once
     from antdsl.runtime import Options
     from antdsl.specs import Work, cases, run_cases
     from antdsl.specs.goldens import Goldens
@@ -66,11 +67,11 @@ def test(
     def done(case: Case) -> None:
         progress.clear()
         if case.failures:
-            typer.echo(failed(case))
+            say(failed(case))
         elif not quiet:
-            typer.echo(one_line(case))
+            say(one_line(case))
 
-    options = Options(backend=backend.value, threads=threads or cores())
+    options = Options(backend=backend.value, threads=at_once(threads, quiet))
     keeper = None if no_keep else Keeper(keep, grants(root), options)
     work = Work(options, keeper=keeper, goldens=Goldens(update), done=done)
     coverage, goldens = work.coverage, work.goldens
@@ -98,7 +99,7 @@ def test(
     lines += [] if quiet else [covered(coverage)] * whole + [uncovered(coverage)]
     low = under is not None and not stopped and coverage.share * 100 < under
     lines += [f"{coverage.share * 100:.4g} % of states and changes were met, less than {under:g} %"] if low else []
-    typer.echo("\n".join(line for line in lines if line))
+    say("\n".join(line for line in lines if line))
     _write(junit, json, everything, coverage, report, goldens.results)
     if stopped:
         raise Stop(Exit.INTERRUPTED, "stopped by Ctrl-C; the specs above were finished")

@@ -56,7 +56,7 @@ class CacheHistory:
 
     def world(self, point: int) -> World | None:
         try:
-            arrays = read_checkpoint(self.cache, point)
+            arrays, _ = read_checkpoint(self.cache, point)
             world = bind(self.shot.plan, self.shot.setting, Options(threads=self.threads, on_fault="quarantine"))
             restore(world, arrays)
         except (CacheError, CheckpointError):

@@ -5,13 +5,13 @@ manifest.json                   what it was made from and how to read it
 static.npz                      meshes, places of field cells
 frames/frame.1001.npz           one a frame: agents, fields, items
 checkpoints/checkpoint.1050.npz all that is needed to go on from there
-hashes.jsonl                    a hash of the whole state and one of the frame's file, one line a frame
+hashes.jsonl                    a hash of the whole state, of the frame's file and of its checkpoint's, by frame
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,13 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.hashes import HASHES, Line, damage, read_lines
+from antdsl.outputs.hashes import HASHES, Line, checkpoint_damage, damage, read_lines, static_damage
 from antdsl.outputs.manifest import Manifest, read_manifest
 from antdsl.outputs.npz import ArrayFileError, read_npz
 
 MARKER = ".antdsl-cache"
 STATIC = "static.npz"
-_NUMBERED = re.compile(r"(frame|checkpoint)\.(-?[0-9]{1,10})\.npz", re.ASCII)
+SURFACE_ERROR = "surface_error"  # of a checkpoint: the greatest of all frames up to it
+_NUMBERED = re.compile(r"[a-z]+\.(-?[0-9]{1,10})\.npz", re.ASCII)
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -43,12 +44,18 @@ def checkpoint_path(folder: Path, frame: int) -> Path:
     return folder / "checkpoints" / f"checkpoint.{frame:04d}.npz"
 
 
-def numbered(folder: Path) -> list[int]:
-    """The numbers of the frames or checkpoints that lie in a folder, in order."""
-    if not folder.is_dir():
-        return []
-    found = (_NUMBERED.fullmatch(name.name) for name in folder.iterdir())
-    return sorted(int(match[2]) for match in found if match)
+def numbered(folder: Path, path: Callable[[Path, int], Path]) -> tuple[list[int], list[Path]]:
+    """The numbers of the frames or checkpoints (as `path` writes their names) of a cache's folder, in order; and what lies among
+    them under a name that none is written by, `frame.12.npz` for one."""
+    place = path(folder, 0).parent
+    found, strays = [], []
+    for each in place.iterdir() if place.is_dir() else ():
+        match = _NUMBERED.fullmatch(each.name)
+        if match and path(folder, int(match[1])).name == each.name:
+            found.append(int(match[1]))
+        elif each.name.endswith(".npz") and not each.name.startswith("."):
+            strays.append(each)
+    return sorted(found), sorted(strays)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,11 +67,19 @@ class Cache:
 
     def frames(self) -> list[int]:
         """The frames that are there, in order."""
-        return numbered(self.folder / "frames")
+        return numbered(self.folder, frame_path)[0]
 
     def checkpoints(self) -> list[int]:
         """The frames that have a checkpoint, in order."""
-        return numbered(self.folder / "checkpoints")
+        return numbered(self.folder, checkpoint_path)[0]
+
+    def strays(self) -> list[str]:
+        """Why files beside frames and checkpoints count for nothing, in words that stand alone."""
+        return [
+            f"`{stray}` is no {what} of this cache: {what}s have names such as `{path(self.folder, 12).name}`"
+            for what, path in (("frame", frame_path), ("checkpoint", checkpoint_path))
+            for stray in numbered(self.folder, path)[1]
+        ]
 
     def frame(self, number: int, only: frozenset[str] | None = None) -> Arrays:
         """The arrays of a frame, or `only` those of some names, as the format says; CacheError when it is missing or damaged."""
@@ -90,10 +105,27 @@ class Cache:
         """What is wrong with the file of a frame, None where it has the bytes that were written. `line`: what is known of it."""
         return damage(frame_path(self.folder, frame), frame, line)
 
+    def checkpoint_damage(self, frame: int, line: Line | None) -> str | None:
+        """The same for a checkpoint, which must hold together besides. One from before its hash was kept may have other bytes."""
+        return checkpoint_damage(checkpoint_path(self.folder, frame), frame, line) or _unread(lambda: self.checkpoint(frame))
+
+    def static_damage(self) -> str | None:
+        """The same for `static.npz`."""
+        kept = self.manifest.static
+        return (static_damage(self.folder / STATIC, kept) if kept else None) or _unread(self.static)
+
 
 def open_cache(folder: Path) -> Cache:
     """The cache in a folder; ManifestError says why there is none."""
     return Cache(folder, read_manifest(folder))
+
+
+def _unread(read: Callable[[], object]) -> str | None:
+    try:
+        read()
+    except CacheError as why:
+        return str(why)
+    return None
 
 
 def _read(path: Path, number: int | None, only: frozenset[str] | None = None) -> Arrays:

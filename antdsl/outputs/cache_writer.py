@@ -3,7 +3,8 @@ simulation, checkpoints only after all frames before them are on the disk, hashe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping
+import math
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -15,6 +16,7 @@ from antdsl.outputs.behind import Behind
 from antdsl.outputs.cache import (
     MARKER,
     STATIC,
+    SURFACE_ERROR,
     Cache,
     checkpoint_path,
     frame_path,
@@ -22,9 +24,9 @@ from antdsl.outputs.cache import (
     open_cache,
 )
 from antdsl.outputs.frames import FrameMaker
-from antdsl.outputs.hashes import HASHES, read_lines
+from antdsl.outputs.hashes import HASHES, hash_of_static, read_lines
 from antdsl.outputs.lock import LOCK, FolderLock
-from antdsl.outputs.manifest import Manifest, ManifestError, write_manifest
+from antdsl.outputs.manifest import MANIFEST, Manifest, ManifestError, write_manifest
 from antdsl.outputs.npz import to_bytes, write_whole
 from antdsl.outputs.scribe import Scribe
 from antdsl.runtime import World, handed_over, snapshot, state
@@ -37,6 +39,10 @@ class ForeignFolder(Exception):
     """The folder has files that antdsl did not write; the message names one."""
 
 
+class InTheWay(Exception):
+    """Something in a cache's folder stands where a file of the cache goes; the message names it."""
+
+
 class DifferentInputs(Exception):
     """The cache was made from other inputs; `names` says which differ."""
 
@@ -46,10 +52,19 @@ class DifferentInputs(Exception):
 
 
 def prepare_folder(folder: Path, *, force: bool) -> None:
-    """Make the folder, or see that it is ours to write to; ForeignFolder when it holds somebody else's files."""
+    """Make the folder, or see that it is ours to write to; ForeignFolder when it holds somebody else's files, InTheWay
+    when something stands where a file of the cache goes: nothing has been changed then."""
     if folder.exists() and not folder.is_dir():
         raise ForeignFolder(f"`{folder}` is a file")
     folder.mkdir(parents=True, exist_ok=True)
+    for name in ("frames", "checkpoints"):
+        if (folder / name).is_symlink():
+            raise ForeignFolder(f"`{folder / name}` is a link")
+        if (folder / name).exists() and not (folder / name).is_dir():
+            raise InTheWay(f"`{folder / name}` is a file, and a folder is wanted there")
+    for path in _files(folder):
+        if path.is_dir() and not path.is_symlink():
+            raise InTheWay(f"`{path}` is a folder, and a file of the cache is wanted there")
     marker = folder / MARKER
     if not marker.exists():
         # a lock or a half-written marker is what a run leaves that was killed as it began
@@ -58,21 +73,32 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
             raise ForeignFolder(f"`{folder}` has files that are not a cache's, such as `{others[0]}`")
         write_whole(marker, b"This folder is written by antdsl; what is in it may be replaced by the next run.\n", sync=True)
     for name in ("frames", "checkpoints"):
-        if (folder / name).is_symlink():
-            raise ForeignFolder(f"`{folder / name}` is a link")
         (folder / name).mkdir(exist_ok=True)
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """What a run removes or writes in a cache's folder, as far as it can be there before."""
+    yield from (folder / name for name in (MARKER, LOCK, STATIC, MANIFEST, HASHES))
+    for path in (frame_path, checkpoint_path):
+        yield from (path(folder, number) for number in numbered(folder, path)[0])
+    yield from _parts(folder)
+
+
+def _parts(folder: Path) -> list[Path]:
+    """Files that were not finished when a run was killed."""
+    return [part for place in (folder, folder / "frames", folder / "checkpoints") for part in place.glob(f".*{PART}")]
 
 
 def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) -> None:
     """Remove the frames and checkpoints (above a frame, if given, and those checkpoints that are `damaged`) of an earlier run,
     and its hashes of them; nothing else."""
-    for number in numbered(folder / "frames"):
+    for number in numbered(folder, frame_path)[0]:
         if above is None or number > above:
             frame_path(folder, number).unlink(missing_ok=True)
-    for number in numbered(folder / "checkpoints"):
+    for number in numbered(folder, checkpoint_path)[0]:
         if above is None or number > above or number in damaged:
             checkpoint_path(folder, number).unlink(missing_ok=True)
-    for part in (part for place in (folder, folder / "frames", folder / "checkpoints") for part in list(place.glob(f".*{PART}"))):
+    for part in _parts(folder):
         part.unlink(missing_ok=True)
     kept = {} if above is None else {f: line for f, line in read_lines(folder / HASHES).items() if f <= above}
     write_whole(folder / HASHES, b"".join(line.text(frame) for frame, line in kept.items()), sync=True)
@@ -112,10 +138,14 @@ def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -
     return Whole(cache, points, there, broken)
 
 
-def read_checkpoint(cache: Cache, frame: int) -> Arrays:
-    """A checkpoint's arrays less the bookkeeping; CacheError when it is damaged."""
+def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None]:
+    """A checkpoint's arrays less the bookkeeping, and the greatest surface error of all frames up to it, None where it was not
+    kept; CacheError when it is damaged."""
     arrays = cache.checkpoint(frame)
-    return {name.removeprefix("world."): array for name, array in arrays.items() if name.startswith("world.")}
+    kept = arrays.get(SURFACE_ERROR)
+    known = kept is not None and kept.shape == () and kept.dtype.kind == "f" and 0 <= float(kept) < math.inf
+    worst = float(kept) if kept is not None and known else None
+    return {name.removeprefix("world."): array for name, array in arrays.items() if name.startswith("world.")}, worst
 
 
 class CacheWriter:
@@ -156,15 +186,23 @@ class CacheWriter:
             behind.check()
 
     def begin(
-        self, world: World, static: Arrays, maker: FrameMaker, kept_up_to: int | None, damaged: Container[int] = ()
+        self,
+        world: World,
+        static: Arrays,
+        maker: FrameMaker,
+        kept_up_to: int | None,
+        damaged: Container[int] = (),
+        worst: float | None = 0.0,
     ) -> None:
         """Write what stands for the whole run. Frames above `kept_up_to` (all if None) of an earlier run are removed first, and
-        those checkpoints that are `damaged`."""
+        those checkpoints that are `damaged`. `worst`: the greatest surface error of the frames that are kept, as a `Scribe`
+        takes it."""
         clear(self.folder, kept_up_to, damaged)
-        write_whole(self.folder / STATIC, to_bytes(static), sync=True)
-        write_manifest(self.folder, self.manifest)
+        data = to_bytes(static)
+        write_whole(self.folder / STATIC, data, sync=True)
+        write_manifest(self.folder, self.manifest.model_copy(update={"static": hash_of_static(data)}))
         world.carved = {}
-        self._behind = Behind(Scribe(self.folder, snapshot(world), maker).work, self._told)
+        self._behind = Behind(Scribe(self.folder, snapshot(world), maker, worst).work, self._told)
 
     def put(self, world: World, *jobs: str) -> None:
         """Hand over the state between two steps; behind the caller's back the jobs (of `scribe.JOBS`) are done with it.

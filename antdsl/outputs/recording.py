@@ -14,6 +14,7 @@ from antdsl.outputs.cache import Cache, CacheError, checkpoint_path
 from antdsl.outputs.cache_writer import CacheWriter, Whole, prepare_folder, read_checkpoint, whole_part
 from antdsl.outputs.feelers import feelers_of
 from antdsl.outputs.frames import FrameMaker, describe, static_arrays
+from antdsl.outputs.hashes import Line
 from antdsl.outputs.manifest import CameraEntry, way_to
 from antdsl.outputs.solid_pieces import PieceMaker
 from antdsl.outputs.starting import start_from_cache, start_hash
@@ -39,7 +40,7 @@ class Recording:
     frame: int | None = None  # the last that was handed over to be written
     stop: bool = False
     hash: str = ""  # of the last frame that is known to be written
-    surface_error: float = 0.0  # in body lengths
+    surface_error: float | None = 0.0  # the greatest of all frames, in body lengths; None where those before are not known of
     steps: int = 0  # after the first
     seconds: dict[str, float] = field(default_factory=dict)
     behind: dict[str, float] = field(default_factory=dict)  # of who writes, while the next frames are simulated
@@ -60,7 +61,7 @@ class Recording:
         for what, seconds in found["seconds"].items():
             self.behind[what] = self.behind.get(what, 0.0) + seconds
         self.hash = found.get("hash", self.hash)
-        self.surface_error = max(self.surface_error, found.get("surface_error", 0.0))
+        self.surface_error = found.get("surface_error", self.surface_error)
 
 
 class NothingToResume(Exception):
@@ -92,47 +93,57 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
 
 def _go_on(recording: Recording, kept: Whole, options: Options) -> None:
     """Put the world where the last good checkpoint left it, and note what was damaged and is made again."""
-    shot, hashes, found = recording.shot, kept.cache.hashes(), [] if kept.broken is None else [kept.broken]
+    shot, lines, found = recording.shot, kept.cache.lines(), [] if kept.broken is None else [kept.broken]
     for frame in kept.points:
-        why = _restored(recording.world, kept.cache, frame, hashes[frame])
+        why = _restored(recording, kept.cache, frame, lines[frame])
         if why is None:
             recording.resumed_from = recording.frame = frame
-            recording.hash = hashes[frame]
+            recording.hash = lines[frame].hash
             break
         found.append(why)
+        recording.surface_error = 0.0
         recording.world = bind(shot.plan, shot.setting, options)  # what is bad has been put into the one before
     if recording.resumed_from is not None:
-        found += _damaged(recording, kept.cache, recording.resumed_from)
+        found += _damaged(recording, kept.cache, lines, recording.resumed_from)
     first = shot.frames.first if recording.resumed_from is None else recording.resumed_from + 1
     again = min(shot.frames.last, first if kept.there is None else kept.there)
     if not found and recording.resumed_from is None and kept.there is not None and kept.there >= first:
         found.append(f"`{kept.cache.folder}` has no checkpoint from which all frames are whole")
     if len(found) > len(recording.damaged) and again >= first:
         found.append(f"frame {first} is made again" if again == first else f"frames {first} to {again} are made again")
-    recording.notes = found
+    why = kept.cache.static_damage()
+    if why is not None:
+        found.append(f"{why}; it is written again")
+    beyond = [frame for frame in kept.cache.frames() if frame > shot.frames.last]
+    if beyond:
+        which = f"frame {beyond[0]} lies" if len(beyond) == 1 else f"{len(beyond)} frames, {beyond[0]} to {beyond[-1]}, lie"
+        found.append(f"{which} beyond frame {shot.frames.last}, the last, and {'is' if len(beyond) == 1 else 'are'} removed")
+    recording.notes = found + [f"{why}; it is left as it is" for why in kept.cache.strays()]
 
 
-def _damaged(recording: Recording, cache: Cache, before: int) -> Iterator[str]:
-    """Why checkpoints before a frame cannot be read; they are noted to be removed."""
+def _damaged(recording: Recording, cache: Cache, lines: Mapping[int, Line], before: int) -> Iterator[str]:
+    """Why checkpoints before a frame are of no use; they are noted to be removed."""
     for frame in cache.checkpoints():
-        if frame < before:
-            try:
-                cache.checkpoint(frame)
-            except CacheError as why:
-                recording.damaged.append(frame)
-                yield f"{why}, and is removed"
+        why = cache.checkpoint_damage(frame, lines.get(frame)) if frame < before else None
+        if why is not None:
+            recording.damaged.append(frame)
+            yield f"{why}, and is removed"
 
 
-def _restored(world: World, cache: Cache, frame: int, state: str) -> str | None:
-    """Put the world where a checkpoint left it; why that is not possible, in words that stand alone."""
-    path = checkpoint_path(cache.folder, frame)
+def _restored(recording: Recording, cache: Cache, frame: int, line: Line) -> str | None:
+    """Put the world, and what was measured, where a checkpoint left it; why that is not possible, in words that stand alone."""
+    world, path = recording.world, checkpoint_path(cache.folder, frame)
+    why = cache.checkpoint_damage(frame, line)
+    if why is not None:
+        return why
     try:
-        restore(world, read_checkpoint(cache, frame))
-    except CacheError as why:
-        return str(why)
-    except CheckpointError as why:
-        return f"`{path}` is damaged: {why}"
-    return None if state_hash(world) == state else f"`{path}` does not hold the state of frame {frame}"
+        arrays, recording.surface_error = read_checkpoint(cache, frame)
+        restore(world, arrays)
+    except CacheError as problem:
+        return str(problem)
+    except CheckpointError as problem:
+        return f"`{path}` is damaged: {problem}"
+    return None if state_hash(world) == line.hash else f"`{path}` does not hold the state of frame {frame}"
 
 
 def record(recording: Recording, watch: Callable[[str, int], None] = lambda what, frame: None) -> Iterator[Recording]:
@@ -164,7 +175,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         camera=_camera(shot),
     )
     with CacheWriter(recording.folder, manifest, recording.written) as writer:
-        writer.begin(world, recording.static, maker, recording.resumed_from, recording.damaged)
+        writer.begin(world, recording.static, maker, recording.resumed_from, recording.damaged, recording.surface_error)
         if recording.resumed_from is None:
             for _ in range(model.preroll):
                 if recording.stop:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.cache import checkpoint_path, frame_path
+from antdsl.outputs.cache import SURFACE_ERROR, checkpoint_path, frame_path
 from antdsl.outputs.frames import FrameMaker
-from antdsl.outputs.hashes import HASHES, line_of
+from antdsl.outputs.hashes import HASHES, Line, line_of, read_lines, with_checkpoint
 from antdsl.outputs.npz import sync_file, sync_folder, to_bytes, write_whole
 from antdsl.runtime import World, dig_again, show, solid_state, state_hash
 
@@ -21,11 +21,13 @@ Arrays = Mapping[str, NDArray[Any]]
 
 class Scribe:
     """Writes states into a cache's folder, in order: frames whole, a line with the hash after each, checkpoints only when all
-    frames before them are on the disk. `still` is a snapshot of the world that is simulated."""
+    frames before them are on the disk. `still` is a snapshot of the world that is simulated,
+    `worst` the greatest `surface_error` of the frames before, None where that is not known."""
 
-    def __init__(self, folder: Path, still: World, maker: FrameMaker) -> None:
-        self.folder, self.still, self.maker = folder, still, maker
+    def __init__(self, folder: Path, still: World, maker: FrameMaker, worst: float | None = 0.0) -> None:
+        self.folder, self.still, self.maker, self.worst = folder, still, maker, worst
         self._unsynced: list[Path] = []
+        self._last: dict[int, Line] = {}  # the line of the frame that was written last
 
     def work(self, jobs: Sequence[str], arrays: Arrays) -> dict[str, Any]:
         """Do these of JOBS with a state's arrays; gives `seconds` by name and what else they found out."""
@@ -35,11 +37,12 @@ class Scribe:
         return found
 
     def frame(self, arrays: Arrays, found: dict[str, Any]) -> None:
-        """Write the frame and its line; finds `hash` and `surface_error`."""
+        """Write the frame and its line; finds `hash` and, of all frames so far, `surface_error`."""
         began = time.perf_counter()
         show(self.still, arrays)
         dig_again(self.still, arrays)
-        found["surface_error"] = surface_error(self.still)
+        self.worst = None if self.worst is None else max(self.worst, surface_error(self.still))
+        found["surface_error"] = self.worst
         began = _spend(found, "measure", began)
         found["hash"] = state_hash(self.still)
         began = _spend(found, "hash", began)
@@ -49,18 +52,29 @@ class Scribe:
         data = to_bytes(made)
         write_whole(path, data, sync=False)
         self._unsynced.append(path)
-        with open(self.folder / HASHES, "ab") as hashes:
-            hashes.write(line_of(self.still.frame, found["hash"], data).text(self.still.frame))
+        self._line(self.still.frame, line_of(self.still.frame, found["hash"], data))
         _spend(found, "write", began)
 
+    def _line(self, frame: int, line: Line) -> None:
+        self._last = {frame: line}
+        with open(self.folder / HASHES, "ab") as hashes:
+            hashes.write(line.text(frame))
+
     def checkpoint(self, arrays: Arrays, found: dict[str, Any]) -> None:
-        """Write a checkpoint, durably, after everything before it."""
-        self.sync(arrays, found)
+        """Write a checkpoint, durably, after everything before it, its hash included: one without is from before there were
+        any."""
         began = time.perf_counter()
         dig_again(self.still, arrays)
         kept = {name: array for name, array in arrays.items() if not name.endswith(".carved")} | solid_state(self.still)
         whole = {"frame": arrays["frame"], **{f"world.{name}": array for name, array in kept.items()}}
-        write_whole(checkpoint_path(self.folder, int(arrays["frame"])), to_bytes(whole), sync=True)
+        whole |= {} if self.worst is None else {SURFACE_ERROR: np.array(self.worst)}
+        frame, data = int(arrays["frame"]), to_bytes(whole)
+        lines = self._last or read_lines(self.folder / HASHES)
+        self._line(frame, with_checkpoint(frame, lines[frame], data))
+        began = _spend(found, "checkpoint", began)
+        self.sync(arrays, found)
+        began = time.perf_counter()
+        write_whole(checkpoint_path(self.folder, frame), data, sync=True)
         _spend(found, "checkpoint", began)
 
     def sync(self, arrays: Arrays, found: dict[str, Any]) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from antdsl.loading import shown
-from antdsl.outputs.cache_writer import ForeignFolder, prepare_folder
+from antdsl.outputs.cache_writer import ForeignFolder, InTheWay, prepare_folder
 from antdsl.outputs.frames import static_arrays
 from antdsl.outputs.recording import Recording, record
 from antdsl.outputs.starting import StartError, start_hash
@@ -87,7 +87,7 @@ class Keeper:
             return Kept(None, f"not saved: {report.errors[0].message}")
         try:
             found = self._record(shot, folder, moment)
-        except (OSError, ForeignFolder, StartError, CheckpointError) as why:
+        except (OSError, ForeignFolder, InTheWay, StartError, CheckpointError) as why:
             return Kept(None, f"not saved: {str(why).lower()}")
         words = [f"--root {shlex.quote(f'{name}={path}')}" for name, path in self.grants.items()]
         words += [f"--set {shlex.quote(f'{name}={text}')}" for name, text in params.items()]

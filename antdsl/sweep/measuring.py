@@ -36,14 +36,14 @@ def measure(job: Job, threads: int, told: Callable[[int], None]) -> dict[str, An
     world.motion.reset()
     empty: dict[str, int | None] = {}
     _look(world, empty)
-    recording.surface_error = surface_error(world)
+    worst = surface_error(world)
     while world.frame < shot.frames.last and not _over(world, job.until):
         step(world)
         _look(world, empty)
-        recording.surface_error = max(recording.surface_error, surface_error(world))
+        worst = max(worst, surface_error(world))
         recording.steps += 1
         told(world.frame)
-    recording.frame = world.frame
+    recording.frame, recording.surface_error = world.frame, worst
     recording.hash = state_hash(world)
     recording.spend("step", began)
     found = dict(_flat("", summary(recording)))

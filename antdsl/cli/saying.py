@@ -1,0 +1,23 @@
+"""Words to the terminal from commands that do more than talk: where whoever reads them has had enough, the work goes on."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import typer
+
+
+def say(words: str = "", *, err: bool = False, newline: bool = True) -> None:
+    """Print, as far as anybody reads it."""
+    try:
+        typer.echo(words, err=err, nl=newline)
+    except BrokenPipeError:
+        closed(err=err)
+
+
+def closed(*, err: bool = False) -> None:
+    """Nobody reads what is printed any more: what comes goes nowhere. Python would complain again when it flushes at exit."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, (sys.stderr if err else sys.stdout).fileno())
+    os.close(nowhere)
