@@ -18,7 +18,7 @@ from antdsl import passes, plan
 from antdsl.cli.new import ground
 from antdsl.pipeline import Choices, Shot, crowding, open_scene
 from antdsl.runtime import Options, bind, spacing, step, take_over
-from antdsl.runtime.spacing import Drawn, Room, spread
+from antdsl.runtime.spacing import Draw, Drawn, Room, spread
 from antdsl.runtime.world import World
 from antdsl.scene.setting import CrowdData, MeshData, Painted, PlaceData, Setting, SolidData
 
@@ -280,6 +280,45 @@ def test_pairs_are_few_where_thousands_want_one_place(monkeypatch: pytest.Monkey
     _, fits = spread(Room(), draw, np.arange(n), np.full(n, 2.0), 0)
     assert fits.tolist() == [True] + [False] * (n - 1)
     assert most[0] < 20 * n
+
+
+def _square(wide: float, seed: int) -> Draw:
+    """Draws places on a square."""
+
+    def draw(ids: np.ndarray, tries: range) -> Drawn:
+        place = np.concatenate([np.random.default_rng((seed, k)).random((ids.max() + 1, 3))[ids] for k in tries]) * wide
+        place[:, 1] = 0.0
+        return Drawn(Feet(place[:, 0].copy()), place, np.zeros_like(place), np.ones(len(place), np.bool_))
+
+    return draw
+
+
+def test_large_ones_do_not_look_through_all_small_ones_below_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    n, compared = 3000, [0]
+    share = Room._share
+
+    def counted(room: Room, place: np.ndarray, radius: np.ndarray, entry: np.ndarray) -> np.ndarray:
+        compared[0] += entry.size
+        return share(room, place, radius, entry)
+
+    monkeypatch.setattr(Room, "_share", counted)
+    room = Room()
+    assert spread(room, _square(200.0, 1), np.arange(n), np.full(n, 0.1), 0)[1].all()
+    _, fits = spread(room, _square(200.0, 2), np.arange(n), np.full(n, 200.0), n)
+    assert not fits.any() and compared[0] < 100 * n
+
+
+@pytest.mark.parametrize("count", [20, 400, 3000])
+def test_how_free_a_large_disc_is_among_small_ones_is_exact(count: int) -> None:
+    draw = np.random.default_rng(count)
+    small, wide = draw.random((count, 3)) * 100, 0.05 + 0.05 * draw.random(count)
+    large, size = draw.random((200, 3)) * 100, 0.5 + 20 * draw.random(200)
+    room = Room()
+    room.add(small, wide, np.arange(count))
+    room.settle()
+    away = np.sqrt(((large[:, None] - small[None]) ** 2).sum(axis=2))
+    expected = np.minimum((away / ((size[:, None] + wide[None]) * 1.001)).min(axis=1), 1)
+    assert room.free(large, size, np.full(200, count)) == pytest.approx(expected, rel=1e-12)
 
 
 # --- by area -------------------------------------------------------------------------------------------------------------

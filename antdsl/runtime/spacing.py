@@ -25,6 +25,7 @@ _SOME = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
 _ROUNDS = ((0.005, _SOME + (32,) * 8), (0.1, _SOME), (1.0, (1,) * 4))
 _BATCH = 64  # agents of the first batch; of each other as many as have been before it
 _APART = 1.001  # so much farther apart than their radii reach: float32 rounds
+_NEAREST = 8  # of smaller ones, asked for first; twice as many again where these do not settle it
 _FINE = 8  # of those who may overlap already, one in so small a part of a body stands for all there
 
 
@@ -55,11 +56,12 @@ Draw = Callable[[NDArray[np.int64], range], Drawn]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Group:
-    """Some discs of much the same size, in a tree. `entries` are their numbers."""
+    """Some discs of much the same size, in a tree. `entries` are their numbers; `before`: all come before whoever asks."""
 
     tree: Any
     entries: Rows
     widest: float
+    before: bool
 
 
 class Room:
@@ -78,9 +80,9 @@ class Room:
         """Take in those who are there already and stay wherever they are; they may overlap each other."""
         rows = np.flatnonzero(takes_room(radius))
         rows = rows[_firsts(place[rows], radius[rows], _FINE)]
-        self.add(place[rows], radius[rows], np.full(len(rows), -1))
+        self.add(place[rows], radius[rows], np.full(len(rows), -1), before=True)
 
-    def add(self, place: Floats, radius: Floats, order: Rows) -> Rows:
+    def add(self, place: Floats, radius: Floats, order: Rows, before: bool = False) -> Rows:
         """Take in discs; gives their numbers as entries."""
         first = len(self._order)
         self._place = np.concatenate([self._place, place])
@@ -88,7 +90,7 @@ class Room:
         self._order = np.concatenate([self._order, order])
         self._there = np.concatenate([self._there, np.ones(len(order), np.bool_)])
         entries = np.arange(first, len(self._order))
-        self._groups += self._grouped(entries)
+        self._groups += self._grouped(entries, before)
         return entries
 
     def remove(self, entries: Rows) -> None:
@@ -96,21 +98,21 @@ class Room:
 
     def settle(self) -> None:
         """Put what is left into as few trees as can be."""
-        self._groups = self._grouped(np.flatnonzero(self._there))
+        self._groups = self._grouped(np.flatnonzero(self._there), True)
 
-    def _grouped(self, entries: Rows) -> list[_Group]:
+    def _grouped(self, entries: Rows, before: bool) -> list[_Group]:
         from scipy.spatial import cKDTree
 
         classes = _size_class(self._radius[entries])
         found = []
         for size in np.unique(classes):
             chosen = entries[classes == size]
-            found.append(_Group(cKDTree(self._place[chosen]), chosen, float(self._radius[chosen].max())))
+            found.append(_Group(cKDTree(self._place[chosen]), chosen, float(self._radius[chosen].max()), before))
         return found
 
     def met(self, place: Floats, radius: Floats) -> tuple[Rows, Rows, Floats]:
         """Pairs of given discs and entries that overlap: numbers of both, and their distance as a share of that at which they
-        would touch."""
+        would touch. Of smaller ones, who all come before and may be thousands below one disc, the one that it meets most."""
         from scipy.spatial import cKDTree
 
         pairs: list[tuple[Rows, Rows, Floats]] = []
@@ -119,18 +121,43 @@ class Room:
             rows = np.flatnonzero(classes == size)
             tree, widest = cKDTree(place[rows]), float(radius[rows].max())
             for group in self._groups:
-                reach = (widest + group.widest) * _APART * 1.001 + self._rounding
-                near = tree.sparse_distance_matrix(group.tree, reach, output_type="ndarray")
-                i, entry = rows[near["i"]], group.entries[near["j"]]
-                apart = place[i] - self._place[entry]
-                square = apart[:, 0] * apart[:, 0] + apart[:, 1] * apart[:, 1] + apart[:, 2] * apart[:, 2]
-                share = np.sqrt(square) / ((radius[i] + self._radius[entry]) * _APART + self._rounding)
+                if group.before and 2 * group.widest < widest:
+                    i, entry, share = self._met_most(place, radius, rows, group)
+                else:
+                    reach = (widest + group.widest) * _APART * 1.001 + self._rounding
+                    near = tree.sparse_distance_matrix(group.tree, reach, output_type="ndarray")
+                    i, entry = rows[near["i"]], group.entries[near["j"]]
+                    share = self._share(place[i], radius[i], entry)
                 meets = (share < 1) & self._there[entry]
                 pairs.append((i[meets], entry[meets], share[meets]))
         if not pairs:
             return np.empty(0, np.intp), np.empty(0, np.intp), np.empty(0)
         i, entry, share = (np.concatenate(part) for part in zip(*pairs, strict=True))
         return i, entry, share
+
+    def _share(self, place: Floats, radius: Floats, entry: Rows) -> Floats:
+        """The distance of discs and entries as a share of that at which they would touch."""
+        apart = place - self._place[entry]
+        square = apart[..., 0] * apart[..., 0] + apart[..., 1] * apart[..., 1] + apart[..., 2] * apart[..., 2]
+        share: Floats = np.sqrt(square) / ((radius + self._radius[entry]) * _APART + self._rounding)
+        return share
+
+    def _met_most(self, place: Floats, radius: Floats, rows: Rows, group: _Group) -> tuple[Rows, Rows, Floats]:
+        """The entry of a group that each of some discs meets most: among the nearest ones, until none farther off can be."""
+        entry, least = np.zeros(len(rows), np.intp), np.full(len(rows), np.inf)
+        asked, count = np.arange(len(rows)), _NEAREST
+        while asked.size:
+            count = min(count, len(group.entries))
+            at, wide = place[rows[asked]], radius[rows[asked]]
+            away, near = group.tree.query(at, np.arange(1, count + 1))
+            near = group.entries[near]
+            share = self._share(at[:, None], wide[:, None], near)
+            best = share.argmin(axis=1)
+            entry[asked], least[asked] = near[np.arange(len(asked)), best], share[np.arange(len(asked)), best]
+            beyond = away[:, -1] / ((wide + group.widest) * _APART + self._rounding)
+            asked = asked[(beyond < np.minimum(least[asked], 1.0)) & (count < len(group.entries))]
+            count *= 2
+        return rows, entry, least
 
     def free(self, place: Floats, radius: Floats, order: Rows) -> Floats:
         """How free of all who come before (n) the given discs are: 1 free, 0 in the middle of another."""
