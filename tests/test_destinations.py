@@ -67,6 +67,55 @@ def test_where_nothing_can_be_written_nothing_is_run(shot: Path, words: tuple[st
     assert (shot / "taken").read_text() == "mine" and not (shot / "out").exists()
 
 
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("words", "flag", "why"),
+    [
+        (("run", "scene.yaml", "--summary", "scene.yaml"), "--summary", "`scene.yaml` is read here"),
+        (("run", "scene.yaml", "--summary", "./folder/../ground.ply"), "--summary", "ground.ply` is read here"),
+        (("run", "scene.yaml", "--summary", "walker.ant"), "--summary", "`walker.ant` is read here"),
+        (("run", "scene.yaml", "--summary", "mine.ant"), "--summary", "`mine.ant` is read here"),
+        (("run", "scene.yaml", "--summary", "link"), "--summary", "`link` is read here"),
+        (("run", "scene.yaml", "--summary", "out/scene/hashes.jsonl"), "--summary", "has a name of what `--out` puts there"),
+        (("run", "more.yaml", "--summary", "scene.yaml"), "--summary", "`scene.yaml` is read here"),
+        (("test", ".", "--junit", "walker.ant"), "--junit", "`walker.ant` is read here"),
+        (("test", ".", "--json", "ground.ply"), "--json", "`ground.ply` is read here"),
+        (("test", ".", "--json", "scene.golden.json"), "--json", "`scene.golden.json` is read here"),
+        (("test", ".", "--json", "x", "--junit", "./x"), "--junit", "is named by `--json` too"),
+        (("graph", "walker.ant", "--format", "svg", "--out", "walker.ant"), "--out", "`walker.ant` is read here"),
+        (("graph", "scene.yaml", "--format", "dot", "--out", "mine.ant"), "--out", "`mine.ant` is read here"),
+    ],
+)
+def test_no_result_takes_the_place_of_what_it_is_made_from(shot: Path, words: tuple[str, ...], flag: str, why: str) -> None:
+    (shot / "mine.ant").write_text("ant 1\nbehaviour half(way: push) -> push { way / 2 }\n")
+    program = (shot / "walker.ant").read_text(encoding="utf-8")
+    (shot / "walker.ant").write_text(program.replace("use steering", 'use steering\nuse "./mine.ant" as mine'), encoding="utf-8")
+    (shot / "more.yaml").write_text("antdsl: 1\nextends: scene.yaml\nseed: 4\n")
+    (shot / "scene.golden.json").write_text("{}")
+    (shot / "link").symlink_to("ground.ply")
+    (shot / "out" / "scene").mkdir(parents=True)
+    before = contents(shot)
+    done = asked(*words)
+    said = " ".join(done.stderr.replace("│", " ").split())
+    assert done.exit_code == Exit.USAGE and flag in said and why in said, (done.output, done.exception)
+    assert contents(shot) == before
+
+
+def test_a_run_does_not_write_over_the_cache_it_begins_with(shot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    monkeypatch.chdir(shot)
+    assert asked("run", "scene.yaml", "--frames", "1..2", "--out", "first", "-q").exit_code == 0
+    (shot / "more.yaml").write_text("antdsl: 1\nextends: scene.yaml\nfrom: {cache: first, frame: 2}\n")
+    before = contents(shot)
+    done = asked("run", "more.yaml", "--frames", "1..2", "--out", "first")
+    assert isinstance(done.exception, Stop) and "checkpoint.0002.npz` is read here" in done.exception.message
+    assert "--out" in done.exception.hint and contents(shot) == before
+    assert asked("run", "more.yaml", "--frames", "1..2", "--out", "second", "-q").exit_code == 0
+
+
 @pytest.mark.parametrize(
     "words",
     [

@@ -1,8 +1,11 @@
-"""Where results are to go is tried before the work begins, so that hours of it are not lost to a name that cannot be written."""
+"""Where results are to go is tried before the work begins, so that hours of it are not lost to a name that cannot be written,
+and held against what the work reads, so that no input is lost to a result."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import typer
@@ -37,6 +40,53 @@ def folder_to_write(path: Path | None, flag: str, *names: str) -> None:
             words = f"error: `{path / name}` is a folder, and a file is to be put there"
             raise Stop(Exit.INPUT_OUTPUT, words, f"name another folder with `{flag}`")
     _try(there / "antdsl", path, flag)
+
+
+@contextmanager
+def keeping_inputs(
+    files: Mapping[str, Path | None], folders: Mapping[str, tuple[Path | None, Iterable[str]]] | None = None
+) -> Iterator[list[Path]]:
+    """Leave where a result, by its flag, would take the place of a file that is read meanwhile, of one that is put into the list
+    given, of one that comes with antdsl, or of another result. `folders`: each with the names of what is put into it."""
+    from antdsl.resources import behaviours_folder
+    from antdsl.scene.paths import sought
+
+    named: list[Path] = []
+    with sought() as found:
+        yield named
+    inputs = [*named, *found, *behaviours_folder().glob("*.ant")]
+    results = {flag: path for flag, path in files.items() if path is not None}
+    for flag, path in results.items():
+        if any(_same(path, each) for each in inputs):
+            raise typer.BadParameter(f"`{path}` is read here, and would be lost; name another file", param_hint=flag)
+        others = [other for other in results if other != flag and _one_place(path, results[other])]
+        if others:
+            raise typer.BadParameter(f"`{path}` is named by `{others[0]}` too; name another file", param_hint=flag)
+    for flag, (folder, names) in (folders or {}).items():
+        lost = [] if folder is None else [each for each in inputs if each.exists() and _top(each, folder) in names]
+        if lost:
+            words = f"error: `{lost[0]}` is read here, and would be lost"
+            raise Stop(Exit.USAGE, words, f"name another folder with `{flag}`")
+        for other, path in results.items():
+            if folder is not None and _top(path, folder) in names:
+                raise typer.BadParameter(f"`{path}` has a name of what `{flag}` puts there; name another file", param_hint=other)
+
+
+def _same(one: Path, other: Path) -> bool:
+    try:
+        return os.path.samefile(one, other)
+    except (OSError, ValueError):
+        return False
+
+
+def _one_place(one: Path, other: Path) -> bool:
+    return _same(one, other) or os.path.realpath(one) == os.path.realpath(other)
+
+
+def _top(path: Path, folder: Path) -> str | None:
+    """The first name on the way from a folder down to a path; None where it does not lie below."""
+    way, start = Path(os.path.realpath(path)), os.path.realpath(folder)
+    return way.relative_to(start).parts[0] if way != Path(start) and way.is_relative_to(start) else None
 
 
 def _try(beside: Path, path: Path, flag: str) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from antdsl.cli.destinations import file_to_write
+from antdsl.cli.destinations import file_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 
 
@@ -29,7 +29,9 @@ def export(
     file_to_write(to, "--to")
     between = frame_range(frames)
     try:
-        gallery = Gallery(open_cache(cache))
+        with keeping_inputs({"--to": to}) as inputs:
+            gallery = Gallery(open_cache(cache))
+            inputs += gallery.cache.made_from()
         there = [f for f in gallery.cache.frames() if between is None or between.first <= f <= between.last]
         if not there:
             raise Stop(Exit.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has")

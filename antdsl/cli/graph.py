@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import file_to_write
+from antdsl.cli.destinations import file_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.whole import whole
 
@@ -44,7 +44,10 @@ def graph(
 
     chosen = _format(format, out)
     file_to_write(None if str(out) == "-" else out, "--out")
-    program, report = pipeline.check_path(file)
+    target = out or Path(file.stem + graphs.FORMATS[chosen][0][0])
+    with keeping_inputs({"--out": target}) as inputs:
+        inputs.append(file)
+        program, report = pipeline.check_path(file)
     demand(report)
     if program is None:
         raise Stop(Exit.FINDINGS)
@@ -54,7 +57,7 @@ def graph(
     written, report = graphs.write(charts, chosen)
     demand(report)
     assert written is not None
-    _give(written, out or Path(file.stem + graphs.FORMATS[chosen][0][0]))
+    _give(written, target)
 
 
 def _format(format: Format | None, out: Path | None) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import file_to_write, folder_to_write
+from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.saying import say
 
@@ -57,6 +57,7 @@ def run(
     """Simulate a scene and write a cache."""
     from antdsl.cli.arguments import frame_range, grants, pairs
     from antdsl.cli.reports import demand
+    from antdsl.outputs.cache import NAMES
     from antdsl.pipeline import Choices, open_scene
 
     if scene.suffix == ".ant":
@@ -66,7 +67,10 @@ def run(
     if scene.is_file():  # else there is no folder beside it to ask
         folder_to_write(folder, "--out")
     choices = Choices(grants(root), frame_range(frames), seed, pairs(set_, "--set"))
-    shot, report = open_scene(scene, choices)
+    files, folders = {"--summary": summary}, {"--out": (folder, NAMES)}
+    with keeping_inputs(files, folders) as inputs:
+        inputs.append(scene)
+        shot, report = open_scene(scene, choices)
     demand(report)
     if shot is None:
         raise Stop(Exit.FINDINGS)
@@ -75,7 +79,8 @@ def run(
     options = Options(
         backend=backend.value, chunk=chunk, threads=at_once(threads, quiet), shuffle_rows=shuffle, on_fault=on_fault.value
     )
-    recording = _begin(shot, folder, options, choices, resume, force)
+    with keeping_inputs(files, folders):  # another cache too, that the scene begins with
+        recording = _begin(shot, folder, options, choices, resume, force)
     if profile:
         from antdsl.runtime.profiling import Meter
 

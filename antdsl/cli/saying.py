@@ -18,6 +18,5 @@ def say(words: str = "", *, err: bool = False, newline: bool = True) -> None:
 
 def closed(*, err: bool = False) -> None:
     """Nobody reads what is printed any more: what comes goes nowhere. Python would complain again when it flushes at exit."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, (sys.stderr if err else sys.stdout).fileno())
-    os.close(nowhere)
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), (sys.stderr if err else sys.stdout).fileno())

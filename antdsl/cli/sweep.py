@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from antdsl.cli.destinations import folder_to_write
+from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.saying import say
 
@@ -56,7 +56,9 @@ def sweep(
         folder_to_write(folder, "--out", *RESULTS)
     chosen = variations(dict.fromkeys(scenes), _varied(vary))
     numbers = _seeds(seeds)
-    made, report = all_jobs(chosen, numbers, frames=frame_range(frames), until=tuple(until), grants=grants(root))
+    with keeping_inputs({}, {"--out": (folder, (*RESULTS, "runs"))}) as inputs:
+        inputs += scenes
+        made, report = all_jobs(chosen, numbers, frames=frame_range(frames), until=tuple(until), grants=grants(root))
     demand(report)
     try:
         keeper = Keeper(folder)

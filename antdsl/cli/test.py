@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import file_to_write, folder_to_write
+from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.run import Backend
 from antdsl.cli.saying import say
@@ -45,8 +45,10 @@ def test(
     from antdsl.cli.arguments import grants
     from antdsl.cli.reports import show, verdict
     from antdsl.cli.run import at_once
+    from antdsl.pipeline import find_files
     from antdsl.runtime import Options
     from antdsl.specs import Work, cases, run_cases
+    from antdsl.specs.golden import golden_path
     from antdsl.specs.goldens import Goldens
     from antdsl.specs.keeping import Keeper
     from antdsl.specs.telling import counted, covered, failed, golden, one_line, settled, uncovered
@@ -55,7 +57,9 @@ def test(
     file_to_write(junit, "--junit")
     file_to_write(json, "--json")
     folder_to_write(keep, "--keep")
-    runs, report = cases(paths, grants=grants(root), seeds=seeds, named=named)
+    with keeping_inputs({"--junit": junit, "--json": json}) as inputs:
+        runs, report = cases(paths, grants=grants(root), seeds=seeds, named=named)
+        inputs += [*find_files(paths)[0], *(golden_path(case.scene) for run in runs for case in run.cases)]
     show(report, to_stderr=True)
     everything = [case for run in runs for case in run.cases]
     if not everything and report.ok:

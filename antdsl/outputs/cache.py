@@ -10,6 +10,7 @@ hashes.jsonl                    a hash of the whole state, of the frame's file a
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -20,11 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.hashes import HASHES, Line, checkpoint_damage, damage, read_lines, static_damage
-from antdsl.outputs.manifest import Manifest, read_manifest
+from antdsl.outputs.manifest import MANIFEST, Manifest, read_manifest
 from antdsl.outputs.npz import ArrayFileError, read_npz
 
 MARKER = ".antdsl-cache"
 STATIC = "static.npz"
+NAMES = ("frames", "checkpoints", STATIC, HASHES, MANIFEST, MARKER)  # what lies in a cache's folder
 SURFACE_ERROR = "surface_error"  # of a checkpoint: the greatest of all frames up to it
 _NUMBERED = re.compile(r"[a-z]+\.(-?[0-9]{1,10})\.npz", re.ASCII)
 
@@ -92,6 +94,13 @@ class Cache:
     def static(self) -> Arrays:
         """Meshes (`mesh.NAME.vertices`, `.faces`) and places of field cells (`field.NAME.P`), in scene units."""
         return _read(self.folder / STATIC, None)
+
+    def made_from(self) -> list[Path]:
+        """The files of the scene that it was made from, as far as they can be told and are where they were."""
+        if self.manifest.scene_path is None:
+            return []
+        scene = Path(os.path.normpath(self.folder.resolve() / self.manifest.scene_path))
+        return [each for each in (scene, *(scene.parent / name for name in self.manifest.inputs)) if each.is_file()]
 
     def hashes(self) -> dict[int, str]:
         """The hash of the state at each frame; a last line that was cut off by a crash is left out."""

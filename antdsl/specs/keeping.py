@@ -16,7 +16,7 @@ from antdsl.loading import shown
 from antdsl.outputs.cache_writer import ForeignFolder, InTheWay, prepare_folder
 from antdsl.outputs.frames import static_arrays
 from antdsl.outputs.recording import Recording, record
-from antdsl.outputs.starting import StartError, start_hash
+from antdsl.outputs.starting import StartError, source_of, start_hash
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.program.folding import constant_behind
 from antdsl.program.model import Const, Expr
@@ -107,6 +107,9 @@ class Keeper:
         output = model.output.model_copy(update={"checkpoint": 1})
         short = FrameRange(moment.begins, moment.frame)
         scene = shot.scene.changed(output=output, frames=short, preroll=0)
+        begins = source_of(shot)
+        if begins is not None and begins.resolve() == folder.resolve():
+            raise ForeignFolder(f"`{folder}` is what the scene begins with")
         prepare_folder(folder, force=False)
         world = bind(shot.plan, shot.setting, self.options)
         restore(world, moment.arrays)
