@@ -229,26 +229,29 @@ def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
         yield world
 
 
-_COVERED = 0.42  # share of the ground that agents placed at random cover without touching, and all find room
-
-
 def crowding(shot: Shot, world: World) -> Report:
-    """Warnings for lines of the crowd whose place had no room for all when the world was bound, each at the line's place."""
-    report, scene = Report(), shot.scene
+    """Warnings for lines of the crowd whose place had no room for all when the world was bound, each at the line's place. Of one
+    that lies beside all surfaces was told before."""
+    from antdsl.scene.laying import beside
+
+    report, scene, setting = Report(), shot.scene, shot.setting
     for line in world.crowded:
+        if beside(setting.crowds[line.group].place, setting.surfaces, setting.solids, scene.model.up):
+            continue
         low, high = (f"{radius:.3g}" for radius in line.radius)
         wide = f"{low} mm" if low == high else f"{low} to {high} mm"
         cover = f"{line.cover:,.0f} mm²" if line.area is None else f"{line.cover:,.0f} of {line.area:,.0f} mm²"
         words = f"only {line.fit:,} of {line.count:,} `{line.species}` find room where they begin"
         words += f": with a radius of {wide} they cover {cover}"
         place = scene.model.crowd[line.group].place
-        help = "write a larger place, a smaller `count`, or a smaller `radius` in the program"
-        if place.radius is not None:
-            needed = math.sqrt(line.cover / (_COVERED * math.pi) / (4 if place.by == "area" else 1)) / scene.model.unit_mm
-            larger = f"`radius: {_rounded_up(needed)} {scene.model.units}`"
+        help = "write a smaller `count`, or a smaller `radius` in the program"
+        if line.larger is not None:
+            larger = f"`radius: {_rounded_up(line.larger / scene.model.unit_mm)} {scene.model.units}`"
             help = f"write {larger}, a smaller `count`, or a smaller `radius` in the program"
-        elif place.on is not None and place.by != "area" and place.density is None:
+        elif line.sides:
             help = "cover its sides and its underside too with `by: area`, or write a smaller `count`"
+        elif place.inside is not None or place.density is not None:
+            help = "write a larger place, a smaller `count`, or a smaller `radius` in the program"
         report.warning("no-room", words, scene.span("crowd", line.group, "place"), help)
     return report
 

@@ -4,7 +4,7 @@ without room for all says so with numbers."""
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import meshes
@@ -280,6 +280,39 @@ def test_pairs_are_few_where_thousands_want_one_place(monkeypatch: pytest.Monkey
     _, fits = spread(Room(), draw, np.arange(n), np.full(n, 2.0), 0)
     assert fits.tolist() == [True] + [False] * (n - 1)
     assert most[0] < 20 * n
+
+
+BARE = "ant 1\nuse steering\nworld { surface floor }\nspecies ant { size 4 mm; state go { steer coast() } }\n"
+
+
+@pytest.mark.parametrize(
+    ("mesh", "place", "count", "area", "larger", "sides"),
+    [
+        (meshes.box((-20, -20, -20), (20, 20, 20)), PlaceData(on=("floor",)), 120, 1600, False, True),  # its lid alone
+        (meshes.box((-20, -20, -20), (20, 20, 20)), PlaceData(on=("floor",)), 900, 1600, False, False),
+        (meshes.grid(40.0, 4), PlaceData(on=("floor",)), 120, 1600, False, False),
+        (meshes.grid(40.0, 4), PlaceData(around=(0, 0, 0), radius=10.0), 40, 314, True, False),
+        (meshes.grid(40.0, 4), PlaceData(around=(0, 0, 0), radius=10.0), 400, 314, False, False),  # the floor ends
+        (meshes.grid(40.0, 4), PlaceData(around=(0, 0, 0), radius=10.0, by_area=True), 40, 314, True, False),
+        (meshes.grid(40.0, 4), PlaceData(around=(20, 0, 0), radius=10.0), 30, 157, True, False),  # half beside it
+    ],
+)
+def test_what_is_said_of_no_room_is_true(
+    mesh: tuple, place: PlaceData, count: int, area: float, larger: bool, sides: bool
+) -> None:
+    more = dict(text=BARE, surfaces={"floor": MeshData(*mesh)}, solids={}, obstacles={}, maps={})
+    (line,) = world(CrowdData("ant", count, place), **more).crowded  # type: ignore[arg-type]
+    assert line.area == pytest.approx(area, rel=0.05) and (line.larger is not None, line.sides) == (larger, sides)
+    if line.larger is not None:
+        assert world(CrowdData("ant", count, replace(place, radius=line.larger)), **more).crowded == []  # type: ignore[arg-type]
+    if sides:
+        assert world(CrowdData("ant", count, replace(place, by_area=True)), **more).crowded == []  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("by", ["above", "area"])
+def test_nothing_is_said_of_room_beside_all_surfaces(folder: Path, by: str) -> None:  # noqa: F811
+    shot, _ = _opened(folder, f"{{on: ground, around: [900, 0, 0], radius: 5 mm, by: {by}}}", 200)
+    assert shot is not None and crowding(shot, bind(shot.plan, shot.setting)).diagnostics == []
 
 
 def _square(wide: float, seed: int) -> Draw:

@@ -69,9 +69,9 @@ def arrive(world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]])
                 wide = radius[k][takes_room(radius[k])]
                 ends = (float(wide.min(initial=np.inf)), float(wide.max(initial=0.0)))
                 cover = float(np.pi * (wide * wide).sum())
-                world.crowded.append(
-                    Crowded(crowd.group, crowd.species, len(ids), int(np.count_nonzero(fits)), ends, cover, starts[k].area)
-                )
+                fit, start = int(np.count_nonzero(fits)), starts[k]
+                room_for = (start.area(), start.larger(cover), start.sides(cover))
+                world.crowded.append(Crowded(crowd.group, crowd.species, len(ids), fit, ends, cover, *room_for))
     rows: dict[str, list[NDArray[np.intp]]] = {}
     for k, (crowd, ids) in enumerate(joining):
         rows.setdefault(crowd.species, []).append(_put(world, crowd, ids, found[k]))

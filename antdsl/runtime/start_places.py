@@ -3,6 +3,9 @@ id, number of the try)."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,14 +21,18 @@ Floats = NDArray[np.float64]
 
 PLACEMENT_FRAME = 0  # placement belongs to no frame
 TURN = np.float32(2 * np.pi)
+COVERED = 0.42  # share of the ground that agents placed at random cover without touching, and all find room
+_SAMPLE = 1 << 14  # places that tell how much of a surface can be begun on
+_SAME = 1e-3  # mm
+_LARGER = 8  # radii that are tried
 _DISC = 100.0  # mm: without any ground and any place
 
 
 class StartPlaces:
-    """The places of one line of the crowd. `area` (mm²): what they lie on, None where that is not known."""
+    """The places of one line of the crowd."""
 
     def __init__(self, world: World, crowd: CrowdData) -> None:
-        self._world, self._species, self.place = world, crowd.species, crowd.place
+        self._world, self._crowd, self._species, self.place = world, crowd, crowd.species, crowd.place
         self.given = crowd.place.points is not None and len(crowd.place.points) > 0
         setting = world.setting
         self._grounds = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
@@ -35,17 +42,46 @@ class StartPlaces:
         if crowd.place.by_area and not self.given and self._grounds:
             self._faces = areas(world, self._on, crowd.place.density, crowd.place.around, crowd.place.radius)
 
-    @property
     def area(self) -> float | None:
+        """How much of the ground (mm²) agents can begin on, to two digits where a sample tells; None where that is not known."""
         place = self.place
-        if self._faces is not None:
-            return self._faces.total
-        if self.given or place.inside is not None or place.density is not None:
+        if self.given or place.inside is not None or (place.density is not None and not place.by_area):
             return None
-        if place.around is not None or not self._grounds:
+        ids = np.arange(_SAMPLE)
+        drawn = self.draw(ids, range(1))
+        good = drawn.good
+        if self._faces is not None:
+            whole = self._faces.total
+        elif place.around is not None or not self._grounds:
             radius = _DISC if place.radius is None else place.radius
-            return float(np.pi * radius * radius)
-        return areas(self._world, self._on, None, None, None).total
+            whole = float(np.pi * radius * radius)
+        else:
+            whole = areas(self._world, self._on, None, None, None).total
+            way = drawn.place - self._points(ids, 0)  # what is dropped onto another face does not lie open to above
+            good = good & (vec.length(vec.columns(way, np.float64)) < _SAME)
+        share = float(np.count_nonzero(good)) / _SAMPLE
+        return whole if share == 1 else float(f"{whole * share:.1e}")
+
+    def larger(self, cover: float) -> float | None:
+        """A radius (mm) of the place at which agents who cover so much find room; None where there is none."""
+        radius = self.place.radius
+        for _ in range(_LARGER):
+            if radius is None:
+                break
+            wider = StartPlaces(self._world, replace(self._crowd, place=replace(self.place, radius=radius)))
+            area = wider.area()
+            if area is None or area * COVERED >= cover * 0.999:
+                return radius if area is not None else None
+            radius *= min(max(math.sqrt(cover / (COVERED * area)), 1.01), 8.0) if area > 0 else 8.0
+        return None
+
+    def sides(self, cover: float) -> bool:
+        """Whether agents who cover so much, and begin anywhere on a surface from above, find room on all of its sides."""
+        place = self.place
+        if self.given or place.by_area or not place.on or any((place.inside, place.density, place.around, place.radius)):
+            return False
+        wider = StartPlaces(self._world, replace(self._crowd, place=replace(place, by_area=True))).area()
+        return wider is not None and wider * COVERED >= cover
 
     def draw(self, ids: Ids, tries: range) -> Drawn:
         """Places for agents: those of the first try, then those of the next."""

@@ -127,7 +127,8 @@ class Population:
 @dataclass(frozen=True, slots=True)
 class Crowded:
     """A line of the scene's crowd (by its number) whose place has no room for all: `fit` of `count` stand clear of all others.
-    `radius`: the least and the greatest (mm); `cover`: what all would cover, `area`: what there is (mm²; None: not known)."""
+    `radius`: the least and the greatest (mm); `cover`: what all would cover, `area`: what there is (mm²; None: not known);
+    `larger`: of a place with a radius (mm) where all would find room, `sides`: whether they would by area. None: nowhere."""
 
     group: int
     species: str
@@ -136,6 +137,8 @@ class Crowded:
     radius: tuple[float, float]
     cover: float
     area: float | None
+    larger: float | None
+    sides: bool
 
 
 @dataclass(slots=True, eq=False)

@@ -78,21 +78,26 @@ def check_crowds(
     solids: Mapping[str, stage_of.SolidData],
 ) -> None:
     """Warn of a crowd that is to begin where no surface is: it would stand at the nearest place of one."""
-    grounds = {**surfaces, **{name: solid.mesh for name, solid in solids.items()}}
     for crowd in crowds:
-        wanted = (surfaces or grounds) if crowd.place.by_area and not crowd.place.on else grounds
-        if crowd.count and beside(crowd.place, wanted, staging.scene.model.up):
+        if crowd.count and beside(crowd.place, surfaces, solids, staging.scene.model.up):
             words = f"there is no surface where `{crowd.species}` is to begin, so it begins at the nearest"
             ball = ", write a larger `radius`" if crowd.place.by_area else ""
             help = f"move it with `around`{ball}, or check the `units` of the mesh"
             staging.report.warning("off-surface", words, staging.scene.span("crowd", crowd.group, "place"), help)
 
 
-def beside(place: stage_of.PlaceData, grounds: Mapping[str, stage_of.MeshData], up: str) -> bool:
+def beside(
+    place: stage_of.PlaceData,
+    surfaces: Mapping[str, stage_of.MeshData],
+    solids: Mapping[str, stage_of.SolidData],
+    up: str,
+) -> bool:
     """Whether no surface lies below or above the disc in which a crowd is to begin, or in its ball where it begins by area."""
     if place.around is None or place.radius is None:
         return False
-    meshes = [grounds[name] for name in place.on or grounds if name in grounds]
+    grounds = {**surfaces, **{name: solid.mesh for name, solid in solids.items()}}
+    usual = surfaces if place.by_area and surfaces else grounds
+    meshes = [grounds[name] for name in place.on or usual if name in grounds]
     axes = (0, 1, 2) if place.by_area else (0, 2) if up == "y" else (0, 1)
     return len(meshes) > 0 and not any(_within(mesh, place.around, place.radius, axes) for mesh in meshes)
 
