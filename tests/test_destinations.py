@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from pathlib import Path
@@ -51,7 +52,8 @@ def asked(*words: str) -> Result:
         (("run", "scene.yaml", "--summary", "folder"), "--summary", "is a folder"),
         (("run", "scene.yaml", "--summary", "none/x.json"), "--summary", "there is no folder `none`"),
         (("run", "scene.yaml", "--summary", "taken/x.json"), "--summary", "there is no folder `taken`"),
-        (("run", "scene.yaml", "--summary", "/dev/null"), "--summary", "is no regular file"),
+        (("run", "scene.yaml", "--summary", "pipe"), "--summary", "is no regular file"),
+        (("test", ".", "--json", "-", "--junit", "/dev/stdout"), "--junit", "is named by `--json` too"),
         (("test", ".", "--junit", "."), "--junit", "is a folder"),
         (("test", ".", "--json", "folder"), "--json", "is a folder"),
         (("export", "folder", "--to", "other.usda"), "--to", "is a folder"),
@@ -59,6 +61,7 @@ def asked(*words: str) -> Result:
     ],
 )
 def test_where_nothing_can_be_written_nothing_is_run(shot: Path, words: tuple[str, ...], flag: str, why: str) -> None:
+    os.mkfifo(shot / "pipe")
     for name in ("other.usda", "x.svg"):
         (shot / name).mkdir()
     done = asked(*words)
@@ -102,6 +105,25 @@ def test_no_result_takes_the_place_of_what_it_is_made_from(shot: Path, words: tu
     said = " ".join(done.stderr.replace("│", " ").split())
     assert done.exit_code == Exit.USAGE and flag in said and why in said, (done.output, done.exception)
     assert contents(shot) == before
+
+
+@pytest.mark.parametrize("there", ["-", "/dev/stdout"])
+def test_a_result_may_go_to_standard_output_alone(shot: Path, monkeypatch: pytest.MonkeyPatch, there: str) -> None:
+    monkeypatch.undo()
+    monkeypatch.chdir(shot)
+    done = asked("run", "scene.yaml", "--frames", "1..2", "--profile", "--summary", there)
+    assert done.exit_code == 0 and json.loads(done.stdout)["frames"] == 2 and "the cache is in" in done.stderr
+    done = asked("test", ".", "--json", there)
+    assert done.exit_code == 0 and json.loads(done.stdout)["passed"] == 1 and "1 passed" in done.stderr
+    assert asked("graph", "walker.ant", "--format", "dot", "--out", there).stdout.startswith("digraph")
+    assert not (shot / "-").exists()
+
+
+def test_what_goes_to_dev_null_is_gone(shot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    monkeypatch.chdir(shot)
+    done = asked("test", ".", "--json", os.devnull, "--junit", os.devnull)
+    assert done.exit_code == 0 and "1 passed" in done.stdout and not Path(os.devnull).is_file()
 
 
 def test_a_run_does_not_write_over_the_cache_it_begins_with(shot: Path, monkeypatch: pytest.MonkeyPatch) -> None:

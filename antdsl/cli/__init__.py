@@ -91,7 +91,7 @@ def _command() -> int:
                 print(line, file=sys.stderr)
         return stop.code
     except BrokenPipeError:
-        closed()
+        closed(sys.stdout)
         return Exit.FINE
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

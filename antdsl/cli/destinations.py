@@ -4,20 +4,23 @@ and held against what the work reads, so that no input is lost to a result."""
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from pathlib import Path
+from typing import TextIO
 
 import typer
 
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.saying import closed
 from antdsl.whole import new_beside
 
 
 def file_to_write(path: Path | None, flag: str) -> None:
     """Leave with words about `flag` where no file can be put at a path; None is fine. Nothing is left behind, and a file that is
     there stays as it is."""
-    if path is None:
+    if path is None or is_output(path) or _same(path, Path(os.devnull)):
         return
     if path.is_dir():
         raise typer.BadParameter(f"`{path}` is a folder; name a file", param_hint=flag)
@@ -26,6 +29,37 @@ def file_to_write(path: Path | None, flag: str) -> None:
     if not path.absolute().parent.is_dir():
         raise typer.BadParameter(f"there is no folder `{path.parent}`", param_hint=flag)
     _try(path, path, flag)
+
+
+def is_output(path: Path | None) -> bool:
+    """Whether this means standard output."""
+    return path is not None and str(path) in ("-", "/dev/stdout")
+
+
+@contextmanager
+def words_aside(*paths: Path | None) -> Iterator[TextIO]:
+    """Where one of these results goes to standard output, what is printed meanwhile goes to standard error. Gives the standard
+    output, for `put`."""
+    output = sys.stdout
+    with redirect_stdout(sys.stderr) if any(map(is_output, paths)) else nullcontext():
+        yield output
+
+
+def put(path: Path | None, data: bytes, output: TextIO) -> None:
+    """A result to where it was asked for, whole: a file, standard output, or nowhere."""
+    from antdsl.outputs.npz import write_whole
+
+    if path is None or _same(path, Path(os.devnull)):
+        return
+    if not is_output(path):
+        write_whole(path, data, sync=True)
+        return
+    with suppress(BrokenPipeError):
+        output.flush()
+        output.buffer.write(data)
+        output.buffer.flush()
+        return
+    closed(output)
 
 
 def folder_to_write(path: Path | None, flag: str, *names: str) -> None:
@@ -55,9 +89,9 @@ def keeping_inputs(
     with sought() as found:
         yield named
     inputs = [*named, *found, *behaviours_folder().glob("*.ant")]
-    results = {flag: path for flag, path in files.items() if path is not None}
+    results = {flag: path for flag, path in files.items() if path is not None and not _same(path, Path(os.devnull))}
     for flag, path in results.items():
-        if any(_same(path, each) for each in inputs):
+        if not is_output(path) and any(_same(path, each) for each in inputs):
             raise typer.BadParameter(f"`{path}` is read here, and would be lost; name another file", param_hint=flag)
         others = [other for other in results if other != flag and _one_place(path, results[other])]
         if others:
@@ -80,7 +114,7 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def _one_place(one: Path, other: Path) -> bool:
-    return _same(one, other) or os.path.realpath(one) == os.path.realpath(other)
+    return (is_output(one) and is_output(other)) or _same(one, other) or os.path.realpath(one) == os.path.realpath(other)
 
 
 def _top(path: Path, folder: Path) -> str | None:

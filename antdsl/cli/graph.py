@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import file_to_write, keeping_inputs
+from antdsl.cli.destinations import file_to_write, is_output, keeping_inputs, put
 from antdsl.cli.exits import Exit, Stop
-from antdsl.whole import whole
 
 if TYPE_CHECKING:
     from antdsl.graphs import Chart
@@ -43,7 +42,7 @@ def graph(
     from antdsl.cli.reports import demand
 
     chosen = _format(format, out)
-    file_to_write(None if str(out) == "-" else out, "--out")
+    file_to_write(out, "--out")
     target = out or Path(file.stem + graphs.FORMATS[chosen][0][0])
     with keeping_inputs({"--out": target}) as inputs:
         inputs.append(file)
@@ -57,7 +56,9 @@ def graph(
     written, report = graphs.write(charts, chosen)
     demand(report)
     assert written is not None
-    _give(written, target)
+    put(target, written, sys.stdout)
+    if not is_output(target):
+        typer.echo(target)
 
 
 def _format(format: Format | None, out: Path | None) -> str:
@@ -66,7 +67,7 @@ def _format(format: Format | None, out: Path | None) -> str:
 
     if format is not None:
         return format.value
-    if out is None or str(out) == "-":
+    if out is None or is_output(out):
         return next(iter(FORMATS))
     for name, (endings, _) in FORMATS.items():
         if out.suffix.lower() in endings:
@@ -87,15 +88,3 @@ def _named(charts: tuple[Chart, ...], names: list[str]) -> tuple[Chart, ...]:
             raise Stop(Exit.USAGE, f"error: no species or machine `{name}`", hint)
     wanted = set(names)
     return tuple(c for c in charts if not wanted or c.title in wanted or c.title.partition(".")[0] in wanted)
-
-
-def _give(written: bytes, out: Path) -> None:
-    """To standard output, or to a file, at once and whole; what lies there already stays as it is until then."""
-    if str(out) == "-":
-        sys.stdout.flush()
-        sys.stdout.buffer.write(written)
-        sys.stdout.buffer.flush()
-        return
-    with whole(out) as part:
-        part.write_bytes(written)
-    typer.echo(out)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
+from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs, put, words_aside
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.saying import say
 
@@ -81,19 +81,20 @@ def run(
     )
     with keeping_inputs(files, folders):  # another cache too, that the scene begins with
         recording = _begin(shot, folder, options, choices, resume, force)
-    if profile:
-        from antdsl.runtime.profiling import Meter
+    with words_aside(summary) as output:
+        if profile:
+            from antdsl.runtime.profiling import Meter
 
-        recording.meter = Meter(None)
-    _go(recording, quiet, _again(scene, out))
-    if summary is not None:
-        from antdsl.outputs.summary import write_summary
+            recording.meter = Meter(None)
+        _go(recording, quiet, _again(scene, out))
+        if summary is not None:
+            from antdsl.outputs.summary import summary_file
 
-        write_summary(summary, recording)
-    if recording.meter is not None:
-        from antdsl.cli.profile_table import show
+            put(summary, summary_file(recording), output)
+        if recording.meter is not None:
+            from antdsl.cli.profile_table import show
 
-        show(recording.meter.profile(), lines=options.backend == "numpy")
+            show(recording.meter.profile(), lines=options.backend == "numpy")
 
 
 def cores() -> int:

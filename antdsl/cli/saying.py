@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from typing import TextIO
 
 import typer
 
@@ -13,10 +14,10 @@ def say(words: str = "", *, err: bool = False, newline: bool = True) -> None:
     try:
         typer.echo(words, err=err, nl=newline)
     except BrokenPipeError:
-        closed(err=err)
+        closed(sys.stderr if err else sys.stdout)
 
 
-def closed(*, err: bool = False) -> None:
+def closed(stream: TextIO) -> None:
     """Nobody reads what is printed any more: what comes goes nowhere. Python would complain again when it flushes at exit."""
     with open(os.devnull, "wb") as nowhere:
-        os.dup2(nowhere.fileno(), (sys.stderr if err else sys.stdout).fileno())
+        os.dup2(nowhere.fileno(), stream.fileno())

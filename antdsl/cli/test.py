@@ -9,16 +9,13 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
+from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs, put, words_aside
 from antdsl.cli.exits import Exit, Stop
 from antdsl.cli.run import Backend
 from antdsl.cli.saying import say
 
 if TYPE_CHECKING:
-    from antdsl.diagnostics import Report
     from antdsl.specs import Case, Run
-    from antdsl.specs.coverage import Coverage
-    from antdsl.specs.golden import GoldenResult
 
 
 def test(
@@ -51,6 +48,7 @@ def test(
     from antdsl.specs.golden import golden_path
     from antdsl.specs.goldens import Goldens
     from antdsl.specs.keeping import Keeper
+    from antdsl.specs.reports import as_json, as_junit
     from antdsl.specs.telling import counted, covered, failed, golden, one_line, settled, uncovered
     from antdsl.specs.verdicts import settle
 
@@ -66,45 +64,47 @@ def test(
         what = f"no spec here has `{named}` in its name" if named else "there is no spec here"
         raise Stop(Exit.USAGE, f"error: {what}", 'write one in a program: `spec "…" on "scene.yaml" { always: … }`')
 
-    progress = _Progress(quiet, len(runs))
+    with words_aside(junit, json) as output:
+        progress = _Progress(quiet, len(runs))
 
-    def done(case: Case) -> None:
-        progress.clear()
-        if case.failures:
-            say(failed(case))
-        elif not quiet:
-            say(one_line(case))
+        def done(case: Case) -> None:
+            progress.clear()
+            if case.failures:
+                say(failed(case))
+            elif not quiet:
+                say(one_line(case))
 
-    options = Options(backend=backend.value, threads=at_once(threads, quiet))
-    keeper = None if no_keep else Keeper(keep, grants(root), options)
-    work = Work(options, keeper=keeper, goldens=Goldens(update), done=done)
-    coverage, goldens = work.coverage, work.goldens
-    assert goldens is not None
-    stopped = False
-    try:
-        with _ended_between_frames() as ask:
+        options = Options(backend=backend.value, threads=at_once(threads, quiet))
+        keeper = None if no_keep else Keeper(keep, grants(root), options)
+        work = Work(options, keeper=keeper, goldens=Goldens(update), done=done)
+        coverage, goldens = work.coverage, work.goldens
+        assert goldens is not None
+        stopped = False
+        try:
+            with _ended_between_frames() as ask:
 
-            def frame(run: Run, number: int, last: int) -> None:
-                ask()
-                progress.frame(run, number, last)
+                def frame(run: Run, number: int, last: int) -> None:
+                    ask()
+                    progress.frame(run, number, last)
 
-            work.frame = frame
-            run_cases(runs, work)
-            goldens.write()
-    except KeyboardInterrupt:
-        stopped = True
-        progress.clear()
-    show(goldens.report, to_stderr=True)
-    report.extend(goldens.report)
-    verdicts = settle(everything)
-    lines = [settled(verdict) for verdict in verdicts]
-    lines += [golden(result) for result in goldens.results if not quiet or result.outcome == "differs"]
-    lines.append(counted(everything, len(report.errors), goldens.results))
-    lines += [] if quiet else [covered(coverage)] * whole + [uncovered(coverage)]
-    low = under is not None and not stopped and coverage.share * 100 < under
-    lines += [f"{coverage.share * 100:.4g} % of states and changes were met, less than {under:g} %"] if low else []
-    say("\n".join(line for line in lines if line))
-    _write(junit, json, everything, coverage, report, goldens.results)
+                work.frame = frame
+                run_cases(runs, work)
+                goldens.write()
+        except KeyboardInterrupt:
+            stopped = True
+            progress.clear()
+        show(goldens.report, to_stderr=True)
+        report.extend(goldens.report)
+        verdicts = settle(everything)
+        lines = [settled(verdict) for verdict in verdicts]
+        lines += [golden(result) for result in goldens.results if not quiet or result.outcome == "differs"]
+        lines.append(counted(everything, len(report.errors), goldens.results))
+        lines += [] if quiet else [covered(coverage)] * whole + [uncovered(coverage)]
+        low = under is not None and not stopped and coverage.share * 100 < under
+        lines += [f"{coverage.share * 100:.4g} % of states and changes were met, less than {under:g} %"] if low else []
+        say("\n".join(line for line in lines if line))
+        put(junit, as_junit(everything, report, goldens.results).encode(), output)
+        put(json, as_json(everything, coverage, report, goldens.results).encode(), output)
     if stopped:
         raise Stop(Exit.INTERRUPTED, "stopped by Ctrl-C; the specs above were finished")
     differ = any(result.outcome == "differs" for result in goldens.results)
@@ -164,20 +164,3 @@ class _Progress:
         if self.stream is not None:
             self.stream.write("\r" + " " * 100 + "\r")
             self.stream.flush()
-
-
-def _write(
-    junit: Path | None,
-    json: Path | None,
-    cases: list[Case],
-    coverage: Coverage,
-    report: Report,
-    goldens: list[GoldenResult],
-) -> None:
-    from antdsl.outputs.npz import write_whole
-    from antdsl.specs.reports import as_json, as_junit
-
-    if junit is not None:
-        write_whole(junit, as_junit(cases, report, goldens).encode(), sync=False)
-    if json is not None:
-        write_whole(json, as_json(cases, coverage, report, goldens).encode(), sync=False)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 from antdsl.outputs.memory import peak_memory
-from antdsl.outputs.npz import write_whole
 from antdsl.outputs.recording import Recording
 
 
@@ -64,6 +62,6 @@ def carried(recording: Recording) -> dict[str, float]:
     }
 
 
-def write_summary(path: Path, recording: Recording) -> None:
-    """Write the summary to a file."""
-    write_whole(path, (json.dumps(summary(recording), indent=1) + "\n").encode(), sync=True)
+def summary_file(recording: Recording) -> bytes:
+    """The summary as a file has it."""
+    return (json.dumps(summary(recording), indent=1) + "\n").encode()
