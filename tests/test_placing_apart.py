@@ -265,8 +265,8 @@ def test_pairs_are_few_where_thousands_want_one_place(monkeypatch: pytest.Monkey
     """Nobody counts all pairs of those who are drawn to one point."""
     met, most = Room.met, [0]
 
-    def counted(room: Room, place: np.ndarray, radius: np.ndarray) -> tuple:
-        found = met(room, place, radius)
+    def counted(room: Room, *discs: np.ndarray) -> tuple:
+        found = met(room, *discs)
         most[0] += len(found[0])
         return found
 
@@ -326,7 +326,8 @@ def _square(wide: float, seed: int) -> Draw:
     return draw
 
 
-def test_large_ones_do_not_look_through_all_small_ones_below_them(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("mixed", [False, True])
+def test_large_ones_do_not_look_through_all_small_ones_below_them(mixed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     n, compared = 3000, [0]
     share = Room._share
 
@@ -336,9 +337,12 @@ def test_large_ones_do_not_look_through_all_small_ones_below_them(monkeypatch: p
 
     monkeypatch.setattr(Room, "_share", counted)
     room = Room()
-    assert spread(room, _square(200.0, 1), np.arange(n), np.full(n, 0.1), 0)[1].all()
-    _, fits = spread(room, _square(200.0, 2), np.arange(n), np.full(n, 200.0), n)
-    assert not fits.any() and compared[0] < 100 * n
+    small, large = np.full(n, 0.1), np.full(n, 200.0)
+    first, then = (np.where(np.arange(n) % 2, large, small),) * 2 if mixed else (small, large)
+    fits = spread(room, _square(200.0, 1), np.arange(n), first, 0)[1]
+    more = spread(room, _square(200.0, 2), np.arange(n), then, n)[1]
+    assert fits[first < 1].mean() > 0.9
+    assert more[then > 1].sum() == 0 and compared[0] < 500 * n
 
 
 @pytest.mark.parametrize("count", [20, 400, 3000])

@@ -56,12 +56,11 @@ Draw = Callable[[NDArray[np.int64], range], Drawn]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Group:
-    """Some discs of much the same size, in a tree. `entries` are their numbers; `before`: all come before whoever asks."""
+    """Some discs of much the same size, in a tree. `entries` are their numbers."""
 
     tree: Any
     entries: Rows
     widest: float
-    before: bool
 
 
 class Room:
@@ -80,9 +79,9 @@ class Room:
         """Take in those who are there already and stay wherever they are; they may overlap each other."""
         rows = np.flatnonzero(takes_room(radius))
         rows = rows[_firsts(place[rows], radius[rows], _FINE)]
-        self.add(place[rows], radius[rows], np.full(len(rows), -1), before=True)
+        self.add(place[rows], radius[rows], np.full(len(rows), -1))
 
-    def add(self, place: Floats, radius: Floats, order: Rows, before: bool = False) -> Rows:
+    def add(self, place: Floats, radius: Floats, order: Rows) -> Rows:
         """Take in discs; gives their numbers as entries."""
         first = len(self._order)
         self._place = np.concatenate([self._place, place])
@@ -90,7 +89,7 @@ class Room:
         self._order = np.concatenate([self._order, order])
         self._there = np.concatenate([self._there, np.ones(len(order), np.bool_)])
         entries = np.arange(first, len(self._order))
-        self._groups += self._grouped(entries, before)
+        self._groups += self._grouped(entries)
         return entries
 
     def remove(self, entries: Rows) -> None:
@@ -98,21 +97,22 @@ class Room:
 
     def settle(self) -> None:
         """Put what is left into as few trees as can be."""
-        self._groups = self._grouped(np.flatnonzero(self._there), True)
+        self._groups = self._grouped(np.flatnonzero(self._there))
 
-    def _grouped(self, entries: Rows, before: bool) -> list[_Group]:
+    def _grouped(self, entries: Rows) -> list[_Group]:
         from scipy.spatial import cKDTree
 
         classes = _size_class(self._radius[entries])
         found = []
         for size in np.unique(classes):
             chosen = entries[classes == size]
-            found.append(_Group(cKDTree(self._place[chosen]), chosen, float(self._radius[chosen].max()), before))
+            found.append(_Group(cKDTree(self._place[chosen]), chosen, float(self._radius[chosen].max())))
         return found
 
-    def met(self, place: Floats, radius: Floats) -> tuple[Rows, Rows, Floats]:
+    def met(self, place: Floats, radius: Floats, order: Rows | None = None) -> tuple[Rows, Rows, Floats]:
         """Pairs of given discs and entries that overlap: numbers of both, and their distance as a share of that at which they
-        would touch. Of smaller ones, who all come before and may be thousands below one disc, the one that it meets most."""
+        would touch. With the `order` of the discs only entries before them, and of smaller ones, of which thousands may lie
+        below one disc, the one that it meets most."""
         from scipy.spatial import cKDTree
 
         pairs: list[tuple[Rows, Rows, Floats]] = []
@@ -121,14 +121,16 @@ class Room:
             rows = np.flatnonzero(classes == size)
             tree, widest = cKDTree(place[rows]), float(radius[rows].max())
             for group in self._groups:
-                if group.before and 2 * group.widest < widest:
-                    i, entry, share = self._met_most(place, radius, rows, group)
+                if order is not None and 2 * group.widest < widest:
+                    i, entry, share = self._met_most(place, radius, order, rows, group)
                 else:
                     reach = (widest + group.widest) * _APART * 1.001 + self._rounding
                     near = tree.sparse_distance_matrix(group.tree, reach, output_type="ndarray")
                     i, entry = rows[near["i"]], group.entries[near["j"]]
                     share = self._share(place[i], radius[i], entry)
                 meets = (share < 1) & self._there[entry]
+                if order is not None:
+                    meets &= self._order[entry] < order[i]
                 pairs.append((i[meets], entry[meets], share[meets]))
         if not pairs:
             return np.empty(0, np.intp), np.empty(0, np.intp), np.empty(0)
@@ -142,8 +144,8 @@ class Room:
         share: Floats = np.sqrt(square) / ((radius + self._radius[entry]) * _APART + self._rounding)
         return share
 
-    def _met_most(self, place: Floats, radius: Floats, rows: Rows, group: _Group) -> tuple[Rows, Rows, Floats]:
-        """The entry of a group that each of some discs meets most: among the nearest ones, until none farther off can be."""
+    def _met_most(self, place: Floats, radius: Floats, order: Rows, rows: Rows, group: _Group) -> tuple[Rows, Rows, Floats]:
+        """The entry before it that each of some discs meets most in a group: among the nearest, until none farther off can be."""
         entry, least = np.zeros(len(rows), np.intp), np.full(len(rows), np.inf)
         asked, count = np.arange(len(rows)), _NEAREST
         while asked.size:
@@ -152,6 +154,7 @@ class Room:
             away, near = group.tree.query(at, np.arange(1, count + 1))
             near = group.entries[near]
             share = self._share(at[:, None], wide[:, None], near)
+            share[~self._there[near] | (self._order[near] >= order[rows[asked], None])] = np.inf
             best = share.argmin(axis=1)
             entry[asked], least[asked] = near[np.arange(len(asked)), best], share[np.arange(len(asked)), best]
             beyond = away[:, -1] / ((wide + group.widest) * _APART + self._rounding)
@@ -161,10 +164,9 @@ class Room:
 
     def free(self, place: Floats, radius: Floats, order: Rows) -> Floats:
         """How free of all who come before (n) the given discs are: 1 free, 0 in the middle of another."""
-        i, entry, share = self.met(place, radius)
-        before = self._order[entry] < order[i]
+        i, _, share = self.met(place, radius, order)
         least = np.ones(len(place))
-        np.minimum.at(least, i[before], share[before])
+        np.minimum.at(least, i, share)
         return least
 
     def give_way(self, entries: Rows) -> tuple[Rows, Floats]:
