@@ -21,6 +21,7 @@ import pytest
 from antdsl.outputs import behind, lock
 from antdsl.outputs.behind import Behind
 from antdsl.outputs.handover import Arrays, Message
+from antdsl.outputs.hashes import HASHES, read_lines
 from antdsl.outputs.lock import FolderLock, Locked
 from antdsl.outputs.recording import begin, record
 from antdsl.outputs.summary import summary
@@ -356,8 +357,12 @@ def test_a_growing_crowd_is_the_same_to_the_byte_by_a_process_and_by_a_thread(
     assert len([name for name in names if name.startswith("frames")]) == 40
     assert len([name for name in names if name.startswith("checkpoints")]) == 7  # 1 8 15 22 29 36, and the last
     for name in names:
-        if not name.startswith("checkpoints"):  # they have their rows in the order that the run had them in
+        if not name.startswith(("checkpoints", HASHES)):  # checkpoints have their rows in the order that the run had them in
             assert (tmp_path / "process" / name).read_bytes() == (tmp_path / "thread" / name).read_bytes(), name
+    lines = [read_lines(tmp_path / way / HASHES) for way in ("process", "thread")]
+    of_frames = [{frame: (line.hash, line.file) for frame, line in found.items()} for found in lines]
+    assert len(of_frames[0]) == 40 and of_frames[0] == of_frames[1]
+    assert sum(bool(line.checkpoint) for line in lines[0].values()) == 7
 
 
 def test_an_error_behind_a_run_ends_it_and_frees_the_folder(
