@@ -246,7 +246,7 @@ def _unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
 
 def _other_word(name: str, span: Span) -> tuple[str | None, Fix | None]:
     """What to write for a unit without its number, and for a name that other tools have."""
-    unit = f"a unit stands behind its number, without blanks inside: `1 {name}`" if name in UNIT_NAMES else None
+    unit = f"a unit stands behind its number, without blanks inside: `1 {name}`, `30 mm/s`" if name in UNIT_NAMES else None
     instead = NAMES.get(name)
     if instead is None:
         return unit, None
