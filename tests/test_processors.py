@@ -38,7 +38,7 @@ def hashes(scenes: tuple[str, ...], frames: int, most: int, settings: dict[str, 
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NPY_", "NUMBA_", "GLIBC_", "OPENBLAS_"))}
     paths = [str(ROOT / "examples" / f"{scene}.yaml") for scene in scenes]
     made = subprocess.run(
-        [*before, sys.executable, str(ROOT / "tests" / "few_frames.py"), str(frames), str(most), *paths],
+        [*before, sys.executable, str(ROOT / "tests" / "state_hashes.py"), "--frames", str(frames), "--most", str(most), *paths],
         env={**clean, "PYTHONPATH": str(ROOT), **settings}, capture_output=True, text=True,
     )  # fmt: skip
     assert made.returncode == 0, made.stderr[-3000:]

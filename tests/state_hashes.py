@@ -1,0 +1,100 @@
+"""State hashes of the examples, frame by frame: the same on every machine, and unchanged by what only changes the code.
+
+`python tests/state_hashes.py --compare` holds every example against `tests/state_hashes.txt` at frames 0, 1, 2, 4, 8, … and tells
+the first frame that differs; `--record` writes that file anew. `--frames 8` stops after frame 8, `--most 200` takes at most
+so many agents of each line of a crowd (and is only printed: the file is of whole crowds). Scenes may be named one by one. With
+COMPILED=1 in the environment, compiled kernels are used for any number of agents. Exit code 1 where a hash differs, so that
+`git bisect run python tests/state_hashes.py --compare examples/worth/scene.yaml` finds the commit that changed one."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from antdsl.pipeline import open_scene
+from antdsl.runtime import bind, compiled, state_hash, step
+
+ROOT = Path(__file__).resolve().parent.parent
+RECORDED = ROOT / "tests" / "state_hashes.txt"
+# `base` and `fields` are what other scenes of their folder extend.
+SCENES = tuple(p for p in sorted((ROOT / "examples").rglob("*.yaml")) if p.stem not in ("base", "fields"))
+
+
+def named(scene: Path) -> str:
+    """`foraging/many`: the scene's place below `examples`."""
+    return scene.resolve().relative_to(ROOT / "examples").with_suffix("").as_posix()
+
+
+def frames_of(scene: Path, frames: int | None, most: int | None) -> Iterator[tuple[int, str]]:
+    """Every frame of a scene with its state hash, up to `frames` or the scene's own end."""
+    shot, report = open_scene(scene)
+    if shot is None:
+        sys.exit(str(report))
+    setting = shot.setting
+    if most is not None:
+        setting = replace(setting, crowds=tuple(replace(crowd, count=min(crowd.count, most)) for crowd in setting.crowds))
+    world = bind(shot.plan, setting)
+    yield 0, state_hash(world)
+    for frame in range(1, (shot.frames.last - shot.frames.first if frames is None else frames) + 1):
+        step(world)
+        yield frame, state_hash(world)
+
+
+def recorded(path: Path = RECORDED) -> dict[str, dict[int, str]]:
+    """What the file says: for each scene the hashes by frame."""
+    lines = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
+    return {name: {int(frame): found for frame, _, found in (word.partition(":") for word in words)} for name, *words in lines}
+
+
+def kept(frame: int) -> bool:
+    """Whether a frame is one of those that are recorded."""
+    return frame & (frame - 1) == 0
+
+
+def difference(scene: Path, frames: int | None = None) -> str | None:
+    """Where a scene first differs from what is recorded, in words; None where it does not."""
+    wanted = recorded().get(named(scene))
+    if wanted is None:
+        return f"{named(scene)} is not recorded: python tests/state_hashes.py --record"
+    for frame, found in frames_of(scene, frames, None):
+        if frame in wanted and wanted[frame] != found:
+            return f"{named(scene)} differs at frame {frame}: {found}, recorded was {wanted[frame]}"
+    return None
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", type=Path, default=SCENES)
+    parser.add_argument("--frames", type=int)
+    parser.add_argument("--most", type=int)
+    task = parser.add_mutually_exclusive_group()
+    task.add_argument("--compare", action="store_true")
+    task.add_argument("--record", action="store_true")
+    asked = parser.parse_args()
+    if os.environ.get("COMPILED") == "1":
+        compiled.wanted = lambda count: True
+    known = recorded() if RECORDED.exists() else {}
+    wrong = 0
+    for scene in asked.scenes:
+        if asked.compare:
+            told = difference(scene, asked.frames)
+            wrong += told is not None
+            print(told or f"{named(scene)}: as recorded", flush=True)
+            continue
+        found = [(frame, each) for frame, each in frames_of(scene, asked.frames, asked.most) if asked.most or kept(frame)]
+        print(named(scene), *(f"{frame}:{each}" for frame, each in found), flush=True)
+        known[named(scene)] = dict(found)
+        if asked.record:
+            lines = [
+                " ".join([name, *(f"{frame}:{each}" for frame, each in rows.items())]) for name, rows in sorted(known.items())
+            ]
+            RECORDED.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
