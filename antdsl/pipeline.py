@@ -20,7 +20,7 @@ from antdsl.source import Source
 
 if TYPE_CHECKING:
     from antdsl.plan.ir import Plan
-    from antdsl.program.expected import Changed
+    from antdsl.program.expectations import Changed
     from antdsl.program.memo import Memo
     from antdsl.program.model import Program
     from antdsl.runtime import Options, World
@@ -99,7 +99,7 @@ def open_scene(
     from antdsl import passes, plan
     from antdsl.scene.adjusting import with_fields
     from antdsl.scene.matching import layer_order
-    from antdsl.scene.staging import stage
+    from antdsl.scene.staging.stage_scene import stage
 
     choices = choices or Choices()
     scene, program, loaded, report = _read_scene(path, choices, parsed=parsed)
@@ -138,7 +138,7 @@ def _with_fields(program: Program, changes: Iterable[Changed]) -> Program:
 
 
 def _with_params(setting: Setting, scene: Scene, program: Program, changes: Iterable[Changed]) -> Setting:
-    from antdsl.program.folding import constant_behind
+    from antdsl.program.types.folding import constant_behind
     from antdsl.scene.matching import const_base
 
     known = {change.name: constant_behind(change.value) for change in changes if change.name in program.params}
@@ -232,7 +232,7 @@ def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
 def crowding(shot: Shot, world: World) -> Report:
     """Warnings for lines of the crowd whose place had no room for all when the world was bound, each at the line's place. Of one
     that lies beside all surfaces was told before."""
-    from antdsl.scene.laying import beside
+    from antdsl.scene.staging.item_placement import beside
 
     report, scene, setting = Report(), shot.scene, shot.setting
     for line in world.crowded:
@@ -285,7 +285,7 @@ def check_path(
     scene, program, _, report = _read_scene(path, choices, strict, parsed)
     report.extend(spec_scenes(program, choices.grants) if specs else ())
     if scene is not None and program is not None and report.ok and scene.model.world:
-        from antdsl.scene.staging import stage
+        from antdsl.scene.staging.stage_scene import stage
 
         report.extend(stage(scene, program, _overrides(scene, program, choices, Report()))[1])
     return program, report

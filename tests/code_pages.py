@@ -123,7 +123,7 @@ def laid_out(example: Example, folder: Path) -> Iterator[None]:
 
 def _hide(package: str) -> None:
     """Importing the package fails from now on, as where it is not installed."""
-    from antdsl.scene.usd.errors import pxr
+    from antdsl.scene.geometry.usd.errors import pxr
 
     pxr.cache_clear()
     for name in [name for name in sys.modules if name.split(".")[0] == package]:

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from antdsl.explain import CacheHistory, Explanation, Replay, accounts, open_shot
-from antdsl.outputs.cache import Cache, open_cache
+from antdsl.numerics import randomness
+from antdsl.outputs.cache.reading import Cache, open_cache
 from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import Choices, Shot, open_scene
-from antdsl.runtime import Options, World, bind, randomness, state_hash
+from antdsl.runtime import Options, World, bind, state_hash
 from antdsl.runtime.phases import PHASES
 from antdsl.scene.values import FrameRange
 

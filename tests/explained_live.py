@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from explained import Fact, differences, fact_of
 
+from antdsl.numerics import randomness
 from antdsl.preview import Session
 from antdsl.preview.explaining import Explainer
-from antdsl.runtime import World, randomness, stepping
+from antdsl.runtime import World, stepping
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.rays import RayScene
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.runtime import Options, World, bind, step
-from antdsl.runtime.senses.rays import RayScene
 from antdsl.scene.setting import Setting
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "foraging"

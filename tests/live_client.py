@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from antdsl.pipeline import open_scene, simulate
 from antdsl.preview import Live
-from antdsl.preview.asks import ASK
 from antdsl.preview.packing import unpack
+from antdsl.preview.requests import ASK
 from antdsl.runtime import state_hash
 
 Message = dict[str, Any]

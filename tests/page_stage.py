@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from antdsl.preview.asks import ASK
+from antdsl.preview.requests import ASK
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page, Route, WebSocketRoute

@@ -11,8 +11,8 @@ from typing import Any
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.frames import Opcode
 
-from antdsl.preview.asks import Ask
 from antdsl.preview.live import Busy, Client
+from antdsl.preview.requests import Ask
 from antdsl.preview.serving.addresses import Listening, listen
 from antdsl.preview.serving.guard import Guard
 from antdsl.preview.serving.pages import Pages, pages

@@ -15,8 +15,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from antdsl.numerics import compiled
 from antdsl.pipeline import open_scene
-from antdsl.runtime import bind, compiled, state_hash, step
+from antdsl.runtime import bind, state_hash, step
 
 ROOT = Path(__file__).resolve().parent.parent
 RECORDED = ROOT / "tests" / "state_hashes.txt"

@@ -17,8 +17,8 @@ from meshes import Mesh
 from numpy.typing import NDArray
 from torture_walks import BODY, HAIR, Seen, above, crowd, parts, shapes, wander, winding
 
-from antdsl.runtime.senses.ground import Ground, MoveResult
-from antdsl.runtime.senses.surroundings import LIFT
+from antdsl.ground.mesh.surface import Ground, MoveResult
+from antdsl.ground.mesh.surroundings import LIFT
 
 SHAPES = shapes()
 SHEETS = ("pot", "moebius", "rag", "ground")

@@ -12,9 +12,9 @@ import numpy as np
 from meshes import Mesh
 from numpy.typing import NDArray
 
-from antdsl.runtime.senses.faces import nearest_on_triangle
-from antdsl.runtime.senses.ground import Footing, Ground, MoveResult
-from antdsl.runtime.senses.rays import RayScene
+from antdsl.casting.faces import nearest_on_triangle
+from antdsl.casting.rays import RayScene
+from antdsl.ground.mesh.surface import Footing, Ground, MoveResult
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "torture"
 BODY = 4.0

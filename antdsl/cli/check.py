@@ -50,7 +50,7 @@ def check(
         raise typer.BadParameter("name a file or a folder", param_hint="PATH")
     from antdsl.checking import check_all
     from antdsl.cli.arguments import grants
-    from antdsl.cli.reports import show, verdict
+    from antdsl.cli.printing.reports import show, verdict
     from antdsl.cli.run import cores
     from antdsl.diagnostics.ignoring import judged, without_ignored
     from antdsl.pipeline import Choices, find_files
@@ -69,7 +69,7 @@ def check(
         if shown:
             typer.echo(f"`antdsl check --explain {shown[0]}` says more{f'; so for {others}' if others else ''}\n")
     if params or cost:
-        from antdsl.cli.check_tables import cost_table, params_table
+        from antdsl.cli.printing.check_tables import cost_table, params_table
 
         programs = [(file, checked.programs[file]) for file in files if file in checked.programs]
         sound = [(file, program) for file, program in programs if checked.reports[file].ok]
@@ -97,11 +97,11 @@ def _explain(word: str) -> None:
     """The page of a code, or what is known about a word of the language, of scenes or of the library."""
     import re
 
-    from antdsl.cli.pages import show, show_page
+    from antdsl.cli.printing.pages import show, show_page
     from antdsl.diagnostics.codes import CODES
     from antdsl.diagnostics.suggestion import nearest_name
     from antdsl.lsp.language import about, words
-    from antdsl.syntax.numbers import unit_help
+    from antdsl.syntax.mistakes.numbers import unit_help
     from antdsl.syntax.words import UNIT_NAMES
 
     if word in CODES:

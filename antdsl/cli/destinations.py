@@ -13,7 +13,7 @@ from typing import TextIO
 import typer
 
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.saying import closed
+from antdsl.cli.printing.lines import closed
 from antdsl.whole import new_beside
 
 
@@ -47,7 +47,7 @@ def words_aside(*paths: Path | None) -> Iterator[TextIO]:
 
 def put(path: Path | None, data: bytes, output: TextIO) -> None:
     """A result to where it was asked for, whole: a file, standard output, or nowhere."""
-    from antdsl.outputs.npz import write_whole
+    from antdsl.outputs.cache.npz import write_whole
 
     if path is None or _same(path, Path(os.devnull)):
         return

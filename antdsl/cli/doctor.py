@@ -90,7 +90,7 @@ def _optional(package: str, purpose: str) -> None:
 
     words = "installed" if find_spec(package) is not None else f"not installed; wanted for {purpose}"
     if package == "numba" and words == "installed":
-        from antdsl.runtime import compiled
+        from antdsl.numerics import compiled
 
         if not compiled.available():
             words = "of no use here: turned off, made for another NumPy, or no folder to keep compiled kernels in"

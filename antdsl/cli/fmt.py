@@ -30,7 +30,7 @@ def fmt(
         raise typer.BadParameter("name a file or a folder, or - for standard input", param_hint="PATH")
     if STDIN in paths and len(paths) > 1:
         raise typer.BadParameter("standard input goes alone", param_hint="-")
-    from antdsl.cli.reports import demand
+    from antdsl.cli.printing.reports import demand
 
     work = _Work(check, diff)
     if STDIN in paths:

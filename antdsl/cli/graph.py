@@ -39,7 +39,7 @@ def graph(
 ) -> None:
     """Draw the state machines of a program."""
     from antdsl import graphs, pipeline
-    from antdsl.cli.reports import demand
+    from antdsl.cli.printing.reports import demand
 
     chosen = _format(format, out)
     file_to_write(out, "--out")

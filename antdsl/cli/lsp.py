@@ -7,7 +7,7 @@ from antdsl.cli.exits import Exit, Stop
 
 def lsp() -> None:
     """Answer an editor over standard input and output (language server protocol). Needs the extra [lsp]."""
-    from antdsl.cli.reports import demand
+    from antdsl.cli.printing.reports import demand
     from antdsl.lsp import ready
 
     demand(ready())

@@ -16,7 +16,7 @@ def plan(
     """Print the array passes that a program became."""
     from antdsl import passes, pipeline
     from antdsl import plan as planning
-    from antdsl.cli.reports import demand
+    from antdsl.cli.printing.reports import demand
 
     program, report = pipeline.check_path(file)
     if program is not None and report.ok:

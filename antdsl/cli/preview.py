@@ -35,7 +35,7 @@ def preview(
     ),
 ) -> None:
     """Watch a scene while you write it: a page in the browser that reloads, rewinds and explains. Needs the extra [preview]."""
-    from antdsl.cli.reports import demand
+    from antdsl.cli.printing.reports import demand
     from antdsl.preview.serving import ready
 
     demand(ready())
@@ -72,7 +72,7 @@ def _listen(host: str | None, port: int | None, let_others_in: bool) -> Listenin
 
 def _live(scene: Path, choices: Choices, threads: int) -> Live:
     """Who simulates. Where the files have mistakes they are told, and it begins as soon as they are mended."""
-    from antdsl.cli.reports import show, verdict
+    from antdsl.cli.printing.reports import show, verdict
     from antdsl.cli.run import at_once
     from antdsl.preview.live import Live
     from antdsl.runtime import Options

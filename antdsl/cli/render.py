@@ -88,9 +88,9 @@ def _cut(text: str | None) -> Cut | None:
 
 
 def _gallery(folder: Path, cut: Cut | None) -> Gallery:
-    from antdsl.outputs.cache import CacheError, open_cache
+    from antdsl.outputs.cache.manifest import ManifestError
+    from antdsl.outputs.cache.reading import CacheError, open_cache
     from antdsl.outputs.gallery import Gallery, NoPicture
-    from antdsl.outputs.manifest import ManifestError
 
     try:
         return Gallery(open_cache(folder), cut)
@@ -140,7 +140,7 @@ def _draw(
     rest: bool,
 ) -> Iterator[tuple[int, Any]]:
     """Frames with their pictures; with `rest` a camera at eye level stays where the first frame put it, as a film needs it."""
-    from antdsl.outputs.cache import CacheError
+    from antdsl.outputs.cache.reading import CacheError
     from antdsl.outputs.pictures.render import Renderer
 
     renderer = Renderer(width, height, threads=threads)
@@ -179,7 +179,7 @@ def _camera(gallery: Gallery, picture: Picture, which: View, agents: tuple[int, 
 
 def _ready_for_films() -> None:
     """Say so before anything is drawn, if the extra is missing."""
-    from antdsl.cli.reports import demand
+    from antdsl.cli.printing.reports import demand
     from antdsl.outputs.pictures import film_ready
 
     demand(film_ready())
@@ -187,7 +187,7 @@ def _ready_for_films() -> None:
 
 def _film(drawn: Iterator[tuple[int, Any]], gallery: Gallery, folder: Path) -> None:
     """Pictures go into the film as they are drawn, none is kept."""
-    from antdsl.cli.reports import demand
+    from antdsl.cli.printing.reports import demand
     from antdsl.outputs.pictures import film
 
     path = folder / "film.mp4"

@@ -10,7 +10,7 @@ import typer
 
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs, put, words_aside
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.saying import say
+from antdsl.cli.printing.lines import say
 
 if TYPE_CHECKING:
     from antdsl.outputs.recording import Recording
@@ -56,8 +56,8 @@ def run(
 ) -> None:
     """Simulate a scene and write a cache."""
     from antdsl.cli.arguments import frame_range, grants, pairs
-    from antdsl.cli.reports import demand
-    from antdsl.outputs.cache import NAMES
+    from antdsl.cli.printing.reports import demand
+    from antdsl.outputs.cache.reading import NAMES
     from antdsl.pipeline import Choices, open_scene
 
     if scene.suffix == ".ant":
@@ -92,7 +92,7 @@ def run(
 
             put(summary, summary_file(recording), output)
         if recording.meter is not None:
-            from antdsl.cli.profile_table import show
+            from antdsl.cli.printing.profile_table import show
 
             show(recording.meter.profile(), lines=options.backend == "numpy")
 
@@ -124,8 +124,8 @@ def _again(scene: Path, out: Path | None) -> str:
 
 
 def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume: bool, force: bool) -> Recording:
-    from antdsl.cli.reports import demand, show
-    from antdsl.outputs.cache_writer import DifferentInputs, ForeignFolder, InTheWay
+    from antdsl.cli.printing.reports import demand, show
+    from antdsl.outputs.cache.writing import DifferentInputs, ForeignFolder, InTheWay
     from antdsl.outputs.recording import NothingToResume, begin
     from antdsl.outputs.starting import StartError
     from antdsl.pipeline import crowding
@@ -157,8 +157,8 @@ def _go(recording: Recording, quiet: bool, again: str) -> None:
     """Run to the end, or until Ctrl-C or a termination asks for a stop after the frame under way."""
     import signal
 
-    from antdsl.cli.progress import progress
-    from antdsl.outputs.lock import Locked
+    from antdsl.cli.printing.progress import progress
+    from antdsl.outputs.cache.lock import Locked
     from antdsl.outputs.recording import record
     from antdsl.runtime import FaultStop, LimitStop
 

@@ -11,7 +11,7 @@ import typer
 
 from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.saying import say
+from antdsl.cli.printing.lines import say
 
 if TYPE_CHECKING:
     from antdsl.sweep import Job, Keeper, Outcome
@@ -42,11 +42,11 @@ def sweep(
 ) -> None:
     """Run scenes with other values and seeds, and tell medians and quartiles."""
     from antdsl.cli.arguments import frame_range, grants
-    from antdsl.cli.reports import demand
+    from antdsl.cli.printing.reports import demand
     from antdsl.cli.run import cores
     from antdsl.sweep import Keeper, run_all, variations
     from antdsl.sweep import jobs as all_jobs
-    from antdsl.sweep.keeping import OtherFiles
+    from antdsl.sweep.store import OtherFiles
 
     for scene in scenes:
         if scene.suffix == ".ant":
@@ -132,7 +132,7 @@ def _seeds(text: str) -> range:
 
 def _tell(keeper: Keeper, results: list[Result], show: Sequence[str], plots: bool) -> None:
     """Write the table in all its forms, and print it."""
-    from antdsl.outputs.npz import write_whole
+    from antdsl.outputs.cache.npz import write_whole
     from antdsl.sweep import rows
     from antdsl.sweep.plots import HOW, available, draw
     from antdsl.sweep.table import as_csv, as_json, runs_csv, shown, text
@@ -208,7 +208,7 @@ class _Bar(_Watch):
 
 @contextmanager
 def _progress(total: int, quiet: bool) -> Iterator[_Watch]:
-    from antdsl.cli.progress import fancy
+    from antdsl.cli.printing.progress import fancy
 
     if quiet or not total or not fancy():
         yield _Watch(total, quiet)

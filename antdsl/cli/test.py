@@ -11,8 +11,8 @@ import typer
 
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs, put, words_aside
 from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.lines import say
 from antdsl.cli.run import Backend
-from antdsl.cli.saying import say
 
 if TYPE_CHECKING:
     from antdsl.specs import Case, Run
@@ -40,16 +40,16 @@ def test(
 ) -> None:
     """Run the specs of programs and say what was not as expected."""
     from antdsl.cli.arguments import grants
-    from antdsl.cli.reports import show, verdict
+    from antdsl.cli.printing.reports import show, verdict
     from antdsl.cli.run import at_once
     from antdsl.pipeline import find_files
     from antdsl.runtime import Options
     from antdsl.specs import Work, cases, run_cases
-    from antdsl.specs.golden import golden_path
-    from antdsl.specs.goldens import Goldens
-    from antdsl.specs.keeping import Keeper
+    from antdsl.specs.golden.comparing import Goldens
+    from antdsl.specs.golden.recorded import golden_path
     from antdsl.specs.reports import as_json, as_junit
-    from antdsl.specs.telling import counted, covered, failed, golden, one_line, settled, uncovered
+    from antdsl.specs.store import Keeper
+    from antdsl.specs.text_report import counted, covered, failed, golden, one_line, settled, uncovered
     from antdsl.specs.verdicts import settle
 
     file_to_write(junit, "--junit")

@@ -12,7 +12,7 @@ from antdsl.explain.tracing import Trace
 from antdsl.explain.values import in_unit, said, triple, value
 from antdsl.plan.ir import Register
 from antdsl.program.model import Dim, Kind, Species, Type
-from antdsl.program.units import unit_of
+from antdsl.program.tables.units import unit_of
 from antdsl.runtime.effects import Effects
 from antdsl.runtime.world import AXES, Population, World
 

@@ -7,10 +7,10 @@ import numpy as np
 from antdsl.explain.model import Choice, Claim, Looked, MachineStep
 from antdsl.explain.tracing import Trace
 from antdsl.explain.values import part, place, timer
+from antdsl.numerics import randomness
 from antdsl.plan.ir import MachinePlan
-from antdsl.plan.noting import ChangeNote, ChoiceNote, Notes
+from antdsl.plan.lowering.source_map import ChangeNote, ChoiceNote, Notes
 from antdsl.program import model
-from antdsl.runtime import randomness
 from antdsl.runtime.effects import ClaimEntry
 from antdsl.runtime.world import Population, World
 

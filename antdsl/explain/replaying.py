@@ -14,7 +14,7 @@ from antdsl.explain.history import History
 from antdsl.explain.tracing import Trace, of_notes, traced
 from antdsl.passes.hoist import hoist
 from antdsl.plan.ir import Node, Plan
-from antdsl.plan.noting import Notes
+from antdsl.plan.lowering.source_map import Notes
 from antdsl.runtime import FaultStop, Population, World, state_hash, step
 from antdsl.runtime.phases import PHASES
 from antdsl.scene.matching import layer_order

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.plan import ir
-from antdsl.plan.noting import ChangeNote, LayerNote, Notes, PartNote
+from antdsl.plan.lowering.source_map import ChangeNote, LayerNote, Notes, PartNote
 from antdsl.runtime.backends.reference import BLOCKS, Agent, Member, with_winnings
 from antdsl.runtime.effects import ClaimEntry, Effects
 from antdsl.runtime.reading import places

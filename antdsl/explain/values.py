@@ -9,9 +9,9 @@ import numpy as np
 
 from antdsl.explain.model import Part, Place, Timer, Triple, Value
 from antdsl.plan.ir import Node
-from antdsl.plan.noting import PartNote, TimerNote
+from antdsl.plan.lowering.source_map import PartNote, TimerNote
 from antdsl.program.model import Kind, Type
-from antdsl.program.units import measure
+from antdsl.program.tables.units import measure
 from antdsl.runtime.world import World
 from antdsl.source import Span
 from antdsl.specs.values import shown

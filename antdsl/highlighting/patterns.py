@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from antdsl.program.colours import COLOURS
-from antdsl.program.vocabulary import BUILTINS, GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES, TYPE_WORDS
+from antdsl.program.tables.colours import COLOURS
+from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES, TYPE_WORDS
 from antdsl.syntax.words import FIELD_SETTINGS, FORMS, LINE_WORDS, UNIT_NAMES, WORLD_KINDS
 
 

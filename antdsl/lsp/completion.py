@@ -9,9 +9,9 @@ from antdsl.lsp.context import context_at
 from antdsl.lsp.proposals import Item, Request, argument_names, behaviours, fields, members, own, species, things, values
 from antdsl.lsp.words import FORM_HELP, KINDS, SETTINGS
 from antdsl.lsp.workspace import Document, Workspace
-from antdsl.program.colours import COLOURS
-from antdsl.program.expected import MOTION
-from antdsl.program.vocabulary import GIVEN, TYPE_WORDS
+from antdsl.program.expectations import MOTION
+from antdsl.program.tables.colours import COLOURS
+from antdsl.program.tables.vocabulary import GIVEN, TYPE_WORDS
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FORMS, LINE_WORDS, UNIT_NAMES
 
@@ -105,7 +105,7 @@ def _word(word: str) -> Item:
 
 
 def _units(begun: str) -> Iterator[Item]:
-    from antdsl.program.units import dimension_words, measure
+    from antdsl.program.tables.units import dimension_words, measure
 
     head = begun[: max(begun.rfind("/"), begun.rfind("*")) + 1]
     units = (*UNIT_NAMES, "%", "mm/s", "deg/s", "/s", "%/s", "/step") if not head else UNIT_NAMES

@@ -12,8 +12,8 @@ from antdsl.lsp.words import KINDS
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.kinds import Kind, Type
 from antdsl.program.model import Program
-from antdsl.program.units import unit_of
-from antdsl.program.wording import type_words
+from antdsl.program.tables.units import unit_of
+from antdsl.program.types.descriptions import type_words
 from antdsl.syntax import nodes
 
 

@@ -8,9 +8,9 @@ from fractions import Fraction
 from math import ceil
 
 from antdsl.lsp.workspace import Document, Workspace
-from antdsl.program.units import measure
-from antdsl.program.vocabulary import TIME
-from antdsl.program.walk import written
+from antdsl.program.tables.units import measure
+from antdsl.program.tables.vocabulary import TIME
+from antdsl.program.traverse import written
 from antdsl.source import Span
 from antdsl.syntax import nodes
 

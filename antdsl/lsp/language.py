@@ -29,12 +29,12 @@ from antdsl.lsp.words import (
     WHOLE_HELP,
     WORD_HELP,
 )
-from antdsl.program.collect import EVENTS
-from antdsl.program.colours import COLOURS
-from antdsl.program.expected import GEOMETRY, MOTION
+from antdsl.program.expectations import GEOMETRY, MOTION
 from antdsl.program.kinds import Dim
-from antdsl.program.units import dimension_words, measure, unit_of
-from antdsl.program.vocabulary import (
+from antdsl.program.names.collect import EVENTS
+from antdsl.program.tables.colours import COLOURS
+from antdsl.program.tables.units import dimension_words, measure, unit_of
+from antdsl.program.tables.vocabulary import (
     BUILTINS,
     GIVEN,
     HIT_GIVEN,

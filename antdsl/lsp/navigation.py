@@ -13,8 +13,8 @@ from antdsl.lsp.text import Range
 from antdsl.lsp.tokens import keywords
 from antdsl.lsp.uses import Occurrence
 from antdsl.lsp.workspace import Document, Workspace
-from antdsl.program.states import STATE_WORDS
-from antdsl.program.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
+from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
+from antdsl.program.types.states import STATE_WORDS
 from antdsl.source import Span
 
 # Kinds of names that an author gives; the others are words of the language.

@@ -13,8 +13,8 @@ from antdsl.lsp.names import Names, declaration
 from antdsl.lsp.owners import owner_of
 from antdsl.lsp.uses import Place
 from antdsl.lsp.workspace import Document, Workspace
-from antdsl.program.states import STATE_WORDS
-from antdsl.program.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES
+from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES
+from antdsl.program.types.states import STATE_WORDS
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
 

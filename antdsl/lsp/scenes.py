@@ -10,7 +10,7 @@ from typing import Any
 from antdsl.bounded import real_path
 from antdsl.lsp.names import Key
 from antdsl.lsp.uses import Occurrence
-from antdsl.program.vocabulary import ITEM_GIVEN
+from antdsl.program.tables.vocabulary import ITEM_GIVEN
 from antdsl.scene.document import MappingNode, Node, ScalarNode, SequenceNode, read_document
 from antdsl.scene.model import ItemThing
 from antdsl.source import Source, Span

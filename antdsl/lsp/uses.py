@@ -8,10 +8,10 @@ from typing import Any
 
 from antdsl.lsp.names import Key, Names
 from antdsl.lsp.owners import Owner, owner_of, set_of
-from antdsl.program.expected import MOTION
-from antdsl.program.states import STATE_WORDS
-from antdsl.program.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES
-from antdsl.program.wholes import WHOLES
+from antdsl.program.expectations import MOTION
+from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES
+from antdsl.program.types.aggregates import WHOLES
+from antdsl.program.types.states import STATE_WORDS
 from antdsl.source import Span
 from antdsl.syntax import nodes
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.ground.solid import Volume
+from antdsl.ground.solid.bricks import CUBE, SIDE
 from antdsl.outputs.pictures.model import Crowd, Picture, Solid
-from antdsl.runtime.solids import Volume
-from antdsl.runtime.solids.bricks import CUBE, SIDE
 
 _WRITTEN = re.compile(r"\s*([xyz])\s*([<>])\s*(-?[0-9]+(?:\.[0-9]+)?)\s*")
 

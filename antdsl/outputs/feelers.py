@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.manifest import FeelersEntry
+from antdsl.outputs.cache.manifest import FeelersEntry
 from antdsl.program.model import Attribute, Const, Expr, Local, Op, ParamRef, Program, SetOf, Species
 
 _OPS: dict[str, Callable[..., float]] = {

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from antdsl.bodies.body import turned
 from antdsl.bodies.catalogue import BODIES, body_of
 from antdsl.bodies.placed import shape_of
-from antdsl.outputs.cache import Arrays, Cache, CacheError
+from antdsl.outputs.cache.dug_solids import DugSolids
+from antdsl.outputs.cache.manifest import CameraEntry, SpeciesEntry
+from antdsl.outputs.cache.reading import Arrays, Cache, CacheError
 from antdsl.outputs.cutting import Cut
-from antdsl.outputs.dug_solids import DugSolids
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.flow_arrows import drawn
-from antdsl.outputs.manifest import CameraEntry, SpeciesEntry
 from antdsl.outputs.pictures.camera import three
 from antdsl.outputs.pictures.model import Arrows, Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
 from antdsl.outputs.pictures.trails import robust_full

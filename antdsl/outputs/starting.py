@@ -10,12 +10,12 @@ import numpy as np
 
 from antdsl.bounded import blocks
 from antdsl.diagnostics import Report
-from antdsl.outputs.cache import CacheError, checkpoint_path, open_cache
-from antdsl.outputs.manifest import ManifestError
-from antdsl.outputs.npz import FILE_BYTES
+from antdsl.outputs.cache.manifest import ManifestError
+from antdsl.outputs.cache.npz import FILE_BYTES
+from antdsl.outputs.cache.reading import CacheError, checkpoint_path, open_cache
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, World, restore
-from antdsl.runtime.carrying import pose
+from antdsl.runtime.moving.moving_geometry import pose
 from antdsl.scene.paths import PathRefused
 
 _SAME_PLACE = 1e-6  # mm

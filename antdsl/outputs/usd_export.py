@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from antdsl import __version__
 from antdsl.bodies.catalogue import body
 from antdsl.bodies.placed import placed
-from antdsl.outputs.cache import Arrays
+from antdsl.outputs.cache.reading import Arrays
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd, Item, Solid
+from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
-from antdsl.scene.usd import pxr
 from antdsl.whole import whole
 
 SUFFIXES = (".usd", ".usda", ".usdc")

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from antdsl.passes.rewriting import rebuilt
 from antdsl.plan.ir import Block, Claim, If, Plan, SpeciesPlan, Statement, Store
-from antdsl.plan.walk import PHASES, blocks, needed, operands, registers_read, statements
+from antdsl.plan.traverse import PHASES, blocks, needed, operands, registers_read, statements
 
 KEPT = frozenset(("push.x", "push.y", "push.z"))  # the runtime reads the result
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from antdsl.passes.rewriting import with_blocks
 from antdsl.plan.ir import Block, If, Node, Plan, SpeciesPlan, Statement
+from antdsl.plan.traverse import needed, registers_read, statements
 from antdsl.plan.verify import written
-from antdsl.plan.walk import needed, registers_read, statements
 
 
 def merge(plan: Plan) -> Plan:

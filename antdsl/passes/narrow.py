@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from antdsl.passes.rewriting import with_blocks
 from antdsl.plan.ir import SENSES, Block, If, Node, Plan, SpeciesPlan, Statement
-from antdsl.plan.walk import needed
+from antdsl.plan.traverse import needed
 
 
 def narrow(plan: Plan) -> Plan:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from antdsl.plan.builder import Builder
 from antdsl.plan.ir import (
     Block,
     Carve,
@@ -23,7 +22,8 @@ from antdsl.plan.ir import (
     Statement,
     Store,
 )
-from antdsl.plan.walk import PHASES, needed, roots
+from antdsl.plan.lowering.builder import Builder
+from antdsl.plan.traverse import PHASES, needed, roots
 
 Make = Callable[[Builder, str, tuple[Node, ...], tuple[Any, ...]], Node | None]
 

@@ -25,7 +25,7 @@ from antdsl.plan.ir import (
     Statement,
     Store,
 )
-from antdsl.plan.walk import blocks, needed, operands, statements
+from antdsl.plan.traverse import blocks, needed, operands, statements
 
 _INFIX = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=",

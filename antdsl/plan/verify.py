@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from antdsl.plan.builder import PlanError, fitting, result_kind, result_rate
 from antdsl.plan.ir import (
     Block,
     Carve,
@@ -22,7 +21,8 @@ from antdsl.plan.ir import (
     Statement,
     Store,
 )
-from antdsl.plan.walk import blocks, field_nodes, needed, operands, roots, statements
+from antdsl.plan.lowering.builder import PlanError, fitting, result_kind, result_rate
+from antdsl.plan.traverse import blocks, field_nodes, needed, operands, roots, statements
 
 _READS = ("snap", "load")
 _OWN = {"position", "velocity", "heading", "up"}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from antdsl.plan.ir import Plan
-from antdsl.plan.walk import field_nodes, needed, operands, statements
+from antdsl.plan.traverse import field_nodes, needed, operands, statements
 
 
 def asked_before_the_first_step(plan: Plan) -> frozenset[str]:

@@ -12,8 +12,9 @@ from antdsl import syntax
 from antdsl.diagnostics import Report
 from antdsl.loading import Parsed
 from antdsl.pipeline import Choices, Shot, open_scene
-from antdsl.preview.foreseen import Foreseen
-from antdsl.runtime import BindError, Built, Taken, World, take_over
+from antdsl.preview.speculative import Foreseen
+from antdsl.reload import Taken, take_over
+from antdsl.runtime import BindError, Built, World
 from antdsl.scene.paths import Sought, open_again, sought
 from antdsl.source import Source
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from antdsl.pipeline import Shot
-from antdsl.preview.foreseen import sources
+from antdsl.preview.speculative import sources
 
 _NAMED = 3  # files that are told by name
 

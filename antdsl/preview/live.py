@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices
-from antdsl.preview.asks import Ask, Breaks, Explain, Look, Profile, Seek, Set
 from antdsl.preview.compiling import Compiler
 from antdsl.preview.observing import Observer, Stop
+from antdsl.preview.requests import Ask, Breaks, Explain, Look, Profile, Seek, Set
 from antdsl.preview.session import Session
 from antdsl.preview.watch import Watch
 from antdsl.runtime import Options
@@ -76,7 +76,7 @@ class Live:
         return made
 
     def _begin(self, compiler: Compiler, session: Session | None, report: Report, watch: bool) -> None:
-        from antdsl.preview.onlookers import OBSERVERS
+        from antdsl.preview.observers import OBSERVERS
         from antdsl.preview.viewing.screen import Screen
 
         self.compiler, self._session, self.report = compiler, session, report
@@ -211,7 +211,7 @@ class Live:
 
     def reload(self, of: str) -> None:
         """Take up the files as they are, and tell everybody what came of it."""
-        from antdsl.preview.viewing.telling import outcome
+        from antdsl.preview.viewing.messages import outcome
 
         if self._session is None:
             self._try_to_open()

@@ -17,7 +17,8 @@ from antdsl.preview.compiling import Compiler
 from antdsl.preview.differing import differing
 from antdsl.preview.layers import Off, texts_without
 from antdsl.preview.timeline import Light, Stretch, Timeline, nearest_checkpoint
-from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step, taken_line
+from antdsl.reload import taken_line
+from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step
 from antdsl.runtime.profiling import Meter
 from antdsl.scene.adjusting import settable
 from antdsl.scene.matching import check_param

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from antdsl.pipeline import Choices, Shot
 from antdsl.preview.turns import turn
 from antdsl.runtime import Built, Options, Population, World, checkpoint, restore, set_param, state_hash
-from antdsl.runtime.binding import unpeopled
+from antdsl.runtime.binding.bind_world import unpeopled
 
 _LIGHT = 0.25  # of the budget, that light frames keep
 _CURVES = 50_000  # frames

@@ -8,17 +8,17 @@ from functools import partial
 
 from antdsl.diagnostics import Label, Report
 from antdsl.program import model
-from antdsl.program.behaviours import check_behaviour
 from antdsl.program.checks import CHECKS, OF_EACH, OF_SOUND, OF_STATES, Check, Checked
-from antdsl.program.collect import Library, Loader, declare
 from antdsl.program.consequences import with_all_places, without_consequences
+from antdsl.program.declarations.behaviours import check_behaviour
+from antdsl.program.declarations.species import complete, draft
+from antdsl.program.declarations.specs import check_spec
+from antdsl.program.declarations.world import check_brought, check_field, declare_fields, declare_world
 from antdsl.program.memo import Memo, part, seen
-from antdsl.program.rules import RULES
-from antdsl.program.scope import Declared, FileNames, SpeciesNames
-from antdsl.program.species import complete, draft
-from antdsl.program.specs import check_spec
-from antdsl.program.wording import quoted
-from antdsl.program.world import check_brought, check_field, declare_fields, declare_world
+from antdsl.program.names.collect import Library, Loader, declare
+from antdsl.program.names.scope import Declared, FileNames, SpeciesNames
+from antdsl.program.types.descriptions import quoted
+from antdsl.program.types.rules import RULES
 from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.parts import moved

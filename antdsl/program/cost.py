@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from antdsl.program.folding import constant_behind
 from antdsl.program.model import (
     Assign,
     Carve,
@@ -25,7 +24,8 @@ from antdsl.program.model import (
     Take,
     Thing,
 )
-from antdsl.program.walk import parts
+from antdsl.program.traverse import parts
+from antdsl.program.types.folding import constant_behind
 
 # Weights are about what one costs one agent, one addition being 1: orders of magnitude for crowds of some ten thousand agents.
 # A ray is cast where an obstacle is near only; a set is gone over for MEMBERS.

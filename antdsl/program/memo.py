@@ -10,7 +10,7 @@ from antdsl.diagnostics import Diagnostic
 from antdsl.source import Span
 
 if TYPE_CHECKING:
-    from antdsl.program.scope import Declared
+    from antdsl.program.names.scope import Declared
 
 T = TypeVar("T")
 

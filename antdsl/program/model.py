@@ -30,7 +30,7 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 
 if TYPE_CHECKING:
-    from antdsl.program.expected import Spec
+    from antdsl.program.expectations import Spec
 
 
 # --- statements ------------------------------------------------------------------------------------------------------

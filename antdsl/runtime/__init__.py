@@ -1,15 +1,13 @@
 """Plan and setting become a world that steps."""
 
-from antdsl.runtime.binding import BindError, bind, set_flow, set_param
+from antdsl.runtime.binding.bind_world import BindError, bind, set_flow, set_param
+from antdsl.runtime.binding.reuse import Built
 from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore, show, solid_state, state
 from antdsl.runtime.digging import dig_again, handed_over
 from antdsl.runtime.faults import Fault, FaultStop, LimitStop
 from antdsl.runtime.hashing import state_hash
-from antdsl.runtime.reuse import Built
 from antdsl.runtime.snapshots import snapshot
 from antdsl.runtime.stepping import step
-from antdsl.runtime.taken_words import taken_line
-from antdsl.runtime.taking_over import Taken, take_over
 from antdsl.runtime.world import Items, Options, Population, World
 from antdsl.scene.setting import CrowdData, FieldStart, ItemData, MeshData, PlaceData, Setting
 
@@ -29,7 +27,6 @@ __all__ = [
     "PlaceData",
     "Population",
     "Setting",
-    "Taken",
     "World",
     "bind",
     "checkpoint",
@@ -44,6 +41,4 @@ __all__ = [
     "state",
     "state_hash",
     "step",
-    "take_over",
-    "taken_line",
 ]

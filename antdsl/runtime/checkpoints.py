@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime.carrying import pose, pose_ground
-from antdsl.runtime.motion import Motion
+from antdsl.runtime.motion_measures import Motion
+from antdsl.runtime.moving.moving_geometry import pose, pose_ground
 from antdsl.runtime.world import Population, World
 
 Arrays = dict[str, NDArray[Any]]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime import randomness
+from antdsl.numerics import randomness
 from antdsl.runtime.effects import ClaimEntry, GiveEntry
 from antdsl.runtime.world import Population, World
 

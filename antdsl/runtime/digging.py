@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.fields.walls import grow
 from antdsl.runtime.effects import CarveEntry
-from antdsl.runtime.fields.walls import grow
 from antdsl.runtime.world import Population, World
 
 

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.numerics import compiled, exact_sums
 from antdsl.plan import ir
-from antdsl.plan.walk import blocks, needed, operands, statements
-from antdsl.runtime import compiled, exact
+from antdsl.plan.traverse import blocks, needed, operands, statements
 from antdsl.runtime.faults import Fault, LimitStop
-from antdsl.runtime.senses.neighbours import CellGrid, TooManyWithin, View, seen
 from antdsl.runtime.world import AXES, Items, Population, World
+from antdsl.senses.neighbours import CellGrid, TooManyWithin, View, seen
 from antdsl.source import Span
 
 Floats = NDArray[np.float32]
@@ -302,7 +302,7 @@ def _body(pairs: PairRows, body: Any, keep: NDArray[np.intp] | None) -> Floats:
 
 def _sum(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
     i, keep = _held(pairs, condition)
-    return exact.sums(i, _body(pairs, body, keep), int(node.attrs[0]), pairs.count)
+    return exact_sums.sums(i, _body(pairs, body, keep), int(node.attrs[0]), pairs.count)
 
 
 def _count(pairs: PairRows, node: ir.Node, condition: Any) -> Any:

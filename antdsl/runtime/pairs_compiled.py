@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime.compiling import njit
+from antdsl.numerics.kernel_cache import njit
 
 Floats = NDArray[np.float32]
 

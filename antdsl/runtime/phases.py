@@ -10,9 +10,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.sorting import stable_order
 from antdsl.plan.ir import Kind
-from antdsl.runtime import births, carrying, claims, digging, faults, moving, tilting
-from antdsl.runtime.senses.sorting import stable_order
+from antdsl.runtime import claims, digging, faults, lifecycle
+from antdsl.runtime.moving import advance, moving_geometry, tilting
 from antdsl.runtime.world import Population, World, select_rows
 
 _SORT_EVERY, _SORT_FROM = 16, 2048  # frames, agents
@@ -30,7 +31,7 @@ def sense(world: World) -> None:
     for flow in world.flows.values():
         flow.begin(world)
     for population in world.populations.values():
-        births.find_cells(world, population)
+        lifecycle.find_cells(world, population)
         tilting.lay(population)
         for name, register in population.plan.registers.items():
             if register.role == "temp":
@@ -73,9 +74,9 @@ def _run(world: World, block: str) -> None:
 
 def effects(world: World) -> None:
     """Events for the next step, gifts, deposits."""
-    births.raise_events(world)
+    lifecycle.raise_events(world)
     claims.give(world)
-    births.deposit(world)
+    lifecycle.deposit(world)
 
 
 def fields(world: World) -> None:
@@ -92,7 +93,7 @@ def move(world: World) -> None:
             tilting.stand_up(population)
         for substep in range(world.setting.substeps):
             for population in world.populations.values():
-                moving.move(world, population, substep)
+                advance.move(world, population, substep)
 
 
 def measure(world: World) -> None:
@@ -103,8 +104,8 @@ def measure(world: World) -> None:
 
 def bear(world: World) -> None:
     """The dead go, the new come."""
-    births.deaths_and_births(world)
-    births.settle_newborn(world)
+    lifecycle.deaths_and_births(world)
+    lifecycle.settle_newborn(world)
     faults.gather(world)  # of births, while their rows and the frame are still these
 
 
@@ -161,7 +162,7 @@ PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
     ("solids", digging.dig),  # before moving: who digs goes on into what it dug
     ("move", move),
     ("motion", measure),  # before the ground goes on: what it carries along is no step of theirs
-    ("carry", carrying.carry),  # after walking: who has walked stands on ground that goes on from here
+    ("carry", moving_geometry.carry),  # after walking: who has walked stands on ground that goes on from here
     ("births", bear),  # after moving: a child starts where its parent is now
     ("commit", commit),
 )

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics import randomness
 from antdsl.plan import ir
-from antdsl.runtime import carrying, randomness
-from antdsl.runtime.clearances import clearance, may_touch
+from antdsl.runtime.moving import moving_geometry
+from antdsl.runtime.moving.clearances import clearance, may_touch
 from antdsl.runtime.world import AXES, Population, World
 
 Value = Any
@@ -158,13 +159,13 @@ def _field_strongest(world: World, population: Population, node: ir.Node, rows: 
     field, count = node.attrs
     value, *place = world.fields[field].strongest(population.cells[field][rows], int(count))
     nothing = ~(value > 0)
-    there = carrying.from_rest(world, population, rows, tuple(place))
+    there = moving_geometry.from_rest(world, population, rows, tuple(place))
     return value, *(np.where(nothing, own, k) for own, k in zip(_place(world, population, rows), there, strict=True))
 
 
 def _field_gradient(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
     slope = tuple(world.fields[node.attrs[0]].gradient(population.cells[node.attrs[0]][rows]))
-    return carrying.turned_from_rest(world, population, rows, slope)
+    return moving_geometry.turned_from_rest(world, population, rows, slope)
 
 
 def _curve_closest(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:

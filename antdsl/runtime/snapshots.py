@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import copy, deepcopy
 
-from antdsl.runtime.carrying import moving
+from antdsl.runtime.moving.moving_geometry import moving
 from antdsl.runtime.world import Population, World
 
 

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.sorting import stable_order
 from antdsl.plan import ir
 from antdsl.runtime.effects import Effects
-from antdsl.runtime.senses.sorting import stable_order
 from antdsl.scene.setting import Setting
 
 if TYPE_CHECKING:
-    from antdsl.runtime.detail import Detail
     from antdsl.runtime.faults import FaultLog
-    from antdsl.runtime.motion import Motion
+    from antdsl.runtime.lod import Detail
+    from antdsl.runtime.motion_measures import Motion
 
 DTYPES: Mapping[ir.Kind, Any] = {ir.Kind.F32: np.float32, ir.Kind.BOOL: np.bool_, ir.Kind.I32: np.int32, ir.Kind.I64: np.int64}
 AXES = ("x", "y", "z")

@@ -10,9 +10,9 @@ from typing import Any
 
 from antdsl import limits
 from antdsl.diagnostics import Diagnostic, Label, Report
-from antdsl.scene.indenting import indented_otherwise, without_colon
+from antdsl.scene.indentation import indented_otherwise, without_colon
 from antdsl.source import Source, Span
-from antdsl.syntax.numbers import comma_in_number, number_with_comma
+from antdsl.syntax.mistakes.numbers import comma_in_number, number_with_comma
 
 Key = str | int
 

@@ -12,10 +12,10 @@ from antdsl import limits
 from antdsl.diagnostics import Diagnostic, Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.scene.document import Key, MappingNode, ScalarNode, decode, find, plain, read_document
-from antdsl.scene.extending import extended
+from antdsl.scene.inheritance import extended
 from antdsl.scene.paths import PathRefused, Roots, read_named
 from antdsl.source import Source, Span
-from antdsl.syntax.numbers import WITH_COMMAS, comma_in_number
+from antdsl.syntax.mistakes.numbers import WITH_COMMAS, comma_in_number
 
 if TYPE_CHECKING:
     from antdsl.scene.model import SceneModel

@@ -12,14 +12,14 @@ from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Const, Dim, Kind, Program, WorldThing
-from antdsl.program.units import dimension_words, shown, unit_of, with_unit
+from antdsl.program.tables.units import dimension_words, shown, unit_of, with_unit
 from antdsl.scene import adjusting
 from antdsl.scene.document import Key
 from antdsl.scene.load import Scene
 from antdsl.scene.model import CurveThing, FlowThing, MeshThing, PaintedThing, Placement, UsdThing
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.spreading import spreading
+from antdsl.scene.stability import spreading
 
 _FORMS: dict[str, tuple[Any, str, str]] = {
     "surface": ((MeshThing, UsdThing), "a mesh", "{mesh: ground.ply}"),
@@ -142,7 +142,7 @@ def _thing(scene: Scene, program: Program, report: Report, name: str, thing: Wor
     elif isinstance(value, CurveThing):
         _file(scene, report, value.curve, "world", name, "curve")
     elif isinstance(value, (FlowThing, PaintedThing)):
-        from antdsl.scene.flows import match_flow  # late: a scene without flows is checked without NumPy
+        from antdsl.scene.staging.flows import match_flow  # late: a scene without flows is checked without NumPy
 
         file = match_flow(scene, program, report, name, value)
         if file is not None:

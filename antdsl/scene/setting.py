@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.scene.moves import Moves
+from antdsl.scene.staging.moves import Moves
 
 Point = tuple[float, float, float]
 

@@ -14,7 +14,7 @@ from pydantic_core import PydanticCustomError
 
 from antdsl import limits
 from antdsl.program.model import Dim
-from antdsl.program.units import dimension_words, with_unit
+from antdsl.program.tables.units import dimension_words, with_unit
 from antdsl.scene.quantities import BadQuantity, Quantity, parse_number, parse_quantity
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)

@@ -9,9 +9,9 @@ from pathlib import Path
 from antdsl.diagnostics import Report
 from antdsl.loading import CheckedOnce, Parsed
 from antdsl.pipeline import Choices, Shot, check_path, find_files, open_scene
-from antdsl.plan.judging import SpecPlan, lower_spec
+from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
 from antdsl.program.consequences import in_one
-from antdsl.program.expected import Changed, Spec
+from antdsl.program.expectations import Changed, Spec
 from antdsl.program.model import Program
 from antdsl.scene.paths import PathRefused, Roots
 from antdsl.source import Span

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.plan import ir
-from antdsl.plan.judging import JudgementPlan, ReadingPlan, SpecPlan
+from antdsl.plan.lowering.spec_blocks import JudgementPlan, ReadingPlan, SpecPlan
 from antdsl.runtime.world import World
-from antdsl.specs.asking import Asker, by_id
 from antdsl.specs.cases import TOLD_AGENTS, Failure
+from antdsl.specs.comparison import Rival
 from antdsl.specs.lines import Ids, Line, Seen, about_the_whole, in_steps
-from antdsl.specs.rivals import Rival
+from antdsl.specs.queries import Asker, by_id
 from antdsl.specs.values import shown, whereabouts
 
 _NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?")

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.plan import ir
-from antdsl.plan.judging import JudgementPlan
+from antdsl.plan.lowering.spec_blocks import JudgementPlan
 from antdsl.runtime.world import World
-from antdsl.specs.asking import by_id
-from antdsl.specs.wholes import value_of
+from antdsl.specs.aggregates import value_of
+from antdsl.specs.queries import by_id
 
 Ids = NDArray[np.int64]
 Truths = NDArray[np.bool_]

@@ -15,8 +15,8 @@ from antdsl.loading import shown
 from antdsl.source import Span
 from antdsl.specs.cases import Case, Failure, Kept
 from antdsl.specs.coverage import Counted, Coverage
-from antdsl.specs.golden import GoldenResult
-from antdsl.specs.telling import golden, told
+from antdsl.specs.golden.recorded import GoldenResult
+from antdsl.specs.text_report import golden, told
 
 
 def as_json(cases: Sequence[Case], coverage: Coverage, report: Report, goldens: Sequence[GoldenResult] = ()) -> str:

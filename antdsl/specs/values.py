@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.program.model import Kind, Type
-from antdsl.program.units import measure
+from antdsl.program.tables.units import measure
 from antdsl.runtime.world import World
 
 

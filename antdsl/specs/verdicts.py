@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from antdsl.program.expected import Spec
+from antdsl.program.expectations import Spec
 from antdsl.specs.cases import Case
 
 

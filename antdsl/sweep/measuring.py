@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from antdsl.outputs.recording import Recording
-from antdsl.outputs.scribe import surface_error
 from antdsl.outputs.starting import start_from_cache
 from antdsl.outputs.summary import summary
+from antdsl.outputs.writer.frame_writer import surface_error
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options, World, bind, state_hash, step
 from antdsl.sweep.jobs import Job, matches

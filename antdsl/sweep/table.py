@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from antdsl.sweep.jobs import Job
-from antdsl.sweep.keeping import about
+from antdsl.sweep.store import about
 
 Result = tuple[Job, Mapping[str, Any]]
 NOT_COMPARED = ("seconds", "fps")  # say something about the machine

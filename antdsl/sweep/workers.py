@@ -119,7 +119,7 @@ def _how_it_ended(code: int | None) -> str:
 
 def _work(pipe: Connection, threads: int) -> None:
     """The life of a process: jobs in, measures out, until nobody is at the other end."""
-    from antdsl.runtime.compiled import expect_long_runs
+    from antdsl.numerics.compiled import expect_long_runs
 
     expect_long_runs()
     if not sys.warnoptions:

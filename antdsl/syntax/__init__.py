@@ -15,9 +15,9 @@ __all__ = ["format", "parse", "read", "read_bytes", "write"]
 
 def format(source: Source) -> tuple[str | None, Report]:
     """As `formatting.format`."""
-    from antdsl.syntax import formatting
+    from antdsl.syntax.formatting import layout
 
-    return formatting.format(source)
+    return layout.format(source)
 
 
 def write(path: Path, text: str) -> None:

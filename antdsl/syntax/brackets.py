@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from antdsl import limits
-from antdsl.syntax.continuing import joined
+from antdsl.syntax.mistakes.continued_lines import joined
 from antdsl.syntax.scan import Scan, Token
 from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS
 

@@ -22,9 +22,7 @@ from antdsl.syntax.blocks import Group, Line, Lookup, cut, lookup
 from antdsl.syntax.brackets import pair, text_of
 from antdsl.syntax.builder import Builder, Header, Result
 from antdsl.syntax.depth import deep_places
-from antdsl.syntax.scan import UNREADABLE, Scan, scan
-from antdsl.syntax.tables import load_parser
-from antdsl.syntax.wording import (
+from antdsl.syntax.mistakes.unexpected_tokens import (
     Surprise,
     begins_line,
     better_first_word,
@@ -34,6 +32,8 @@ from antdsl.syntax.wording import (
     misplaced,
     plain_complaint,
 )
+from antdsl.syntax.scan import UNREADABLE, Scan, scan
+from antdsl.syntax.tables import load_parser
 from antdsl.syntax.words import BELONGS, BODIES, LINE_WORDS
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from meshes import Mesh, ball
 from torture_walks import crowd, wander
 
-from antdsl.runtime.senses.ground import Ground
+from antdsl.ground.mesh.surface import Ground
 
 STEPS = 20
 

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from antdsl.bodies.body import Body, orientation, rotation, vertex_normals
 from antdsl.bodies.catalogue import body
 from antdsl.bodies.placed import placed
+from antdsl.casting.rays import RayScene
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd, Item, Picture
 from antdsl.outputs.pictures.vectors import Floats
-from antdsl.runtime.senses.rays import RayScene
 
 Array = NDArray[np.float64]
 

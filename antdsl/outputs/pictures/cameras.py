@@ -4,11 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.body import turned
+from antdsl.casting.rays import RayScene
 from antdsl.outputs.pictures.actors import item_mesh
 from antdsl.outputs.pictures.camera import three, view
 from antdsl.outputs.pictures.model import Camera, Crowd, Picture
 from antdsl.outputs.pictures.setting import BELOW
-from antdsl.runtime.senses.rays import RayScene
 
 Array = NDArray[np.float64]
 

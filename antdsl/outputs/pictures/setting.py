@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.body import vertex_normals
+from antdsl.casting.rays import RayScene
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import decoded
-from antdsl.outputs.pictures.litter import litter
 from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.model import Solid
+from antdsl.outputs.pictures.pebbles import litter
 from antdsl.outputs.pictures.vectors import Floats
-from antdsl.runtime.senses.rays import RayScene
 
 Array = NDArray[np.float64]
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.rays import Hits, RayScene
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.actors import Actors
 from antdsl.outputs.pictures.light import SUN, Sun, ambient, displayed, hazed, sky
@@ -12,7 +13,6 @@ from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.noise import dither
 from antdsl.outputs.pictures.stage import Stage, screen_places
 from antdsl.outputs.pictures.vectors import Floats, blended, dots, units
-from antdsl.runtime.senses.rays import Hits, RayScene
 
 Rows = NDArray[np.int64]
 

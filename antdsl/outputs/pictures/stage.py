@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.rays import Hits, RayScene
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import Sun
@@ -15,7 +16,6 @@ from antdsl.outputs.pictures.looks import Scales, surface
 from antdsl.outputs.pictures.noise import dither
 from antdsl.outputs.pictures.setting import Setting, with_litter
 from antdsl.outputs.pictures.vectors import Floats, blended, dots, units
-from antdsl.runtime.senses.rays import Hits, RayScene
 
 Array = NDArray[np.float64]
 

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Shot
-from antdsl.plan.judging import SpecPlan, lower_spec
-from antdsl.preview.asks import ConditionBreak
+from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
 from antdsl.preview.breaking.model import Misfit
 from antdsl.preview.breaking.states import MOST, named
 from antdsl.preview.observing import Stop
+from antdsl.preview.requests import ConditionBreak
 from antdsl.preview.session import Session
 from antdsl.runtime import World
 from antdsl.source import Source
-from antdsl.specs.asking import Asker
+from antdsl.specs.queries import Asker
 from antdsl.specs.values import shown
 from antdsl.syntax import nodes, parse
 

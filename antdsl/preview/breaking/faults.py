@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from antdsl.preview.asks import FaultBreak
 from antdsl.preview.observing import Stop
+from antdsl.preview.requests import FaultBreak
 from antdsl.preview.session import Session
 
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.preview.asks import StateBreak
 from antdsl.preview.breaking.model import Misfit
 from antdsl.preview.observing import Stop
+from antdsl.preview.requests import StateBreak
 from antdsl.preview.session import Session
 
 _NAMED = 3  # agents that are named in words

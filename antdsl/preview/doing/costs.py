@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from antdsl.preview import asks
+from antdsl.preview import requests
 from antdsl.preview.costs import Costs
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
 
-def profile(live: Live, ask: asks.Profile, client: Client) -> None:
+def profile(live: Live, ask: requests.Profile, client: Client) -> None:
     live.observer(Costs).switch(client, ask.on)

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from antdsl.preview import asks
+from antdsl.preview import requests
 from antdsl.preview.session import Outcome
-from antdsl.preview.viewing.telling import outcome, scene_file
+from antdsl.preview.viewing.messages import outcome, scene_file
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
 
-def set_value(live: Live, ask: asks.Set, client: Client) -> None:
+def set_value(live: Live, ask: requests.Set, client: Client) -> None:
     live.be_exact()
     _told(live, "set", live.session.set(ask.name, ask.value), scene_file(live))
 
 
-def layer(live: Live, ask: asks.Layer, client: Client) -> None:
+def layer(live: Live, ask: requests.Layer, client: Client) -> None:
     live.be_exact()
     plan = live.session.shot.plan.species.get(ask.species)
     found = next((each for each in plan.layers if each.span.text == ask.layer), None) if plan is not None else None
@@ -25,12 +25,12 @@ def layer(live: Live, ask: asks.Layer, client: Client) -> None:
     _told(live, "layer", live.session.layer(ask.species, ask.layer, ask.on), file)
 
 
-def field(live: Live, ask: asks.Field_, client: Client) -> None:
+def field(live: Live, ask: requests.Field_, client: Client) -> None:
     live.be_exact()
     _told(live, "field", live.session.field(ask.name, ask.on), scene_file(live))
 
 
-def reload(live: Live, ask: asks.Reload, client: Client) -> None:
+def reload(live: Live, ask: requests.Reload, client: Client) -> None:
     live.reload("reload")
 
 

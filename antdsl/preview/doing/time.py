@@ -4,34 +4,34 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from antdsl.preview import asks
-from antdsl.preview.viewing.telling import outcome
+from antdsl.preview import requests
+from antdsl.preview.viewing.messages import outcome
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
 
-def play(live: Live, ask: asks.Play, client: Client) -> None:
+def play(live: Live, ask: requests.Play, client: Client) -> None:
     live.be_exact()
     live.play()
 
 
-def pause(live: Live, ask: asks.Pause, client: Client) -> None:
+def pause(live: Live, ask: requests.Pause, client: Client) -> None:
     live.pause()
 
 
-def step(live: Live, ask: asks.Step, client: Client) -> None:
+def step(live: Live, ask: requests.Step, client: Client) -> None:
     """So many steps, fewer when something stops it."""
     live.pause()
     live.be_exact()
     live.step_on(ask.count)
 
 
-def speed(live: Live, ask: asks.Speed, client: Client) -> None:
+def speed(live: Live, ask: requests.Speed, client: Client) -> None:
     live.pace(ask.times)
 
 
-def seek(live: Live, ask: asks.Seek, client: Client) -> None:
+def seek(live: Live, ask: requests.Seek, client: Client) -> None:
     """Frames that are not kept count as the nearest that is."""
     live.pause()
     session = live.session
@@ -42,7 +42,7 @@ def seek(live: Live, ask: asks.Seek, client: Client) -> None:
         live.show_light(frame)
 
 
-def restart(live: Live, ask: asks.Restart, client: Client) -> None:
+def restart(live: Live, ask: requests.Restart, client: Client) -> None:
     live.pause()
     live.show_light(live.session.frame)
     done = live.session.restart()

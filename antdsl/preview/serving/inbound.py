@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from antdsl.preview.asks import ASK, Ask
+from antdsl.preview.requests import ASK, Ask
 
 
 @dataclass(frozen=True, slots=True)

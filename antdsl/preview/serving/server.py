@@ -22,8 +22,8 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from antdsl import limits
-from antdsl.preview.asks import Ask
 from antdsl.preview.live import Busy, Client
+from antdsl.preview.requests import Ask
 from antdsl.preview.serving.addresses import Listening
 from antdsl.preview.serving.connections import Door
 from antdsl.preview.serving.guard import PROTOCOL, Guard, Verdict

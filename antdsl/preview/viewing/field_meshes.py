@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.body import vertex_normals
+from antdsl.fields.growing import GrowingCells
 from antdsl.runtime import World
-from antdsl.runtime.carrying import vertices_at
-from antdsl.runtime.fields.growing import GrowingCells
+from antdsl.runtime.moving.moving_geometry import vertices_at
 
 Floats = NDArray[np.float64]
 

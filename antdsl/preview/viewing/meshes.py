@@ -7,7 +7,7 @@ import numpy as np
 from antdsl.preview.packing import pack
 from antdsl.preview.viewing.seen import Packets, Seen
 from antdsl.runtime import World
-from antdsl.runtime.carrying import vertices_at
+from antdsl.runtime.moving.moving_geometry import vertices_at
 from antdsl.scene.setting import MeshData
 
 

@@ -10,9 +10,9 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from antdsl.preview.breaking import Breakpoints
-from antdsl.preview.judging import Specs
 from antdsl.preview.session import Session
-from antdsl.preview.viewing import telling
+from antdsl.preview.spec_judgement import Specs
+from antdsl.preview.viewing import messages
 from antdsl.preview.viewing.agents import Agents
 from antdsl.preview.viewing.bodies import Bodies, ItemBodies
 from antdsl.preview.viewing.charts import Charts
@@ -88,16 +88,16 @@ class Screen:
     def greet(self, client: Client) -> None:
         """Tell and show one page everything."""
         self.looked()
-        client.tell(telling.hello(self.live))
+        client.tell(messages.hello(self.live))
         if len(self.live.clients) == 1:
             self._program = self._files = False  # nobody else is there to hear of it
         if self.live.is_open:
             told = self._scene_message()
             self._scene = self._scene if len(self.live.clients) > 1 else told
             client.tell(told)
-        client.tell(telling.texts(self.live))
-        client.tell(telling.problems(self.live))
-        client.tell(telling.status(self.live, self._rate(), self._hash_now()))
+        client.tell(messages.texts(self.live))
+        client.tell(messages.problems(self.live))
+        client.tell(messages.status(self.live, self._rate(), self._hash_now()))
         if self.live.is_open:
             timeline = self.live.session.timeline
             news = self._curves.news(timeline)
@@ -108,7 +108,7 @@ class Screen:
                     other.tell(news)
             client.tell(self.live.observer(Specs).message())
             client.tell(self.live.observer(Breakpoints).message())
-            client.tell(telling.stops(self.live))
+            client.tell(messages.stops(self.live))
             sent = self._show(self.live.session, monotonic())
             for slot, packet in self._standing.items():
                 if slot not in sent:
@@ -136,8 +136,8 @@ class Screen:
                 self._moved = False
                 self._show(session, now)
         if files:
-            live.tell_all(telling.texts(live))
-            live.tell_all(telling.problems(live))
+            live.tell_all(messages.texts(live))
+            live.tell_all(messages.problems(live))
         if not laid:
             self._tell_scene(True)
         if not playing or now - self._told_at >= _TOLD_EVERY:
@@ -172,13 +172,13 @@ class Screen:
         return scene(self.live, self._box, charts, self._charts.need)
 
     def _tell_progress(self, session: Session | None) -> None:
-        told = telling.status(self.live, self._rate(), self._hash_now())
+        told = messages.status(self.live, self._rate(), self._hash_now())
         if told != self._status:
             self._status = told
             self.live.tell_all(told)
         if session is not None and session.timeline.stops != self._stops:
             self._stops = dict(session.timeline.stops)
-            self.live.tell_all(telling.stops(self.live))
+            self.live.tell_all(messages.stops(self.live))
         news = self._curves.news(session.timeline) if session is not None else None
         if news is not None:
             self.live.tell_all(news)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from antdsl.pipeline import Shot
-from antdsl.preview.asks import Look, Who
+from antdsl.preview.requests import Look, Who
 from antdsl.preview.session import Session
 from antdsl.runtime import World
 

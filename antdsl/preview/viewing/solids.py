@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from antdsl.outputs.solid_pieces import Piece, joined
+from antdsl.ground.solid import Volume
+from antdsl.outputs.cache.solid_pieces import Piece, joined
 from antdsl.preview.packing import pack
 from antdsl.preview.viewing.seen import Packets, Seen
-from antdsl.runtime.solids import Volume
 
 _SIDE = 2  # bricks side by side in a piece
 _EVERY = 0.1  # seconds between two showings while it plays

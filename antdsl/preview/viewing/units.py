@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from antdsl.program.model import AttributeDecl, Const, ItemAttribute, Kind
-from antdsl.program.units import measure, unit_of
+from antdsl.program.tables.units import measure, unit_of
 from antdsl.runtime import World
 from antdsl.scene.quantities import BadQuantity, parse_quantity
 

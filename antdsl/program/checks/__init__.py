@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from antdsl.diagnostics import Report
-from antdsl.program.checks.checked import Checked
+from antdsl.program.checks.analysis.checked import Checked
 from antdsl.program.checks.draws import draws
 from antdsl.program.checks.empty import empty
 from antdsl.program.checks.events import events

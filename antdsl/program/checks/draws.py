@@ -6,10 +6,10 @@ import math
 from collections.abc import Collection, Iterator
 
 from antdsl.diagnostics import Fix, Report
-from antdsl.program.checks.checked import Checked
-from antdsl.program.folding import constant_behind
+from antdsl.program.checks.analysis.checked import Checked
 from antdsl.program.model import Const, Expr, Local, Op
-from antdsl.program.wording import quoted
+from antdsl.program.types.descriptions import quoted
+from antdsl.program.types.folding import constant_behind
 
 _DRAWS = frozenset(("uniform", "normal", "pick"))
 _ARITHMETIC = frozenset(("neg", "add", "sub", "mul", "div", "abs", "clamp", "min", "max", "mix", "if"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from antdsl.diagnostics import Report
-from antdsl.program.checks.checked import Checked
+from antdsl.program.checks.analysis.checked import Checked
 from antdsl.syntax import nodes
 
 _DECLARING = re.compile(r"\b(species|behaviour)\b")

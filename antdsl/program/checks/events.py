@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.checks.checked import Checked
+from antdsl.program.checks.analysis.checked import Checked
 
 
 def events(checked: Checked, report: Report) -> None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from antdsl.diagnostics import Report
-from antdsl.program.checks.checked import Checked
-from antdsl.program.checks.conditions import Reader, always, never
+from antdsl.program.checks.analysis.checked import Checked
+from antdsl.program.checks.analysis.conditions import Reader, always, never
 from antdsl.program.model import Const, Expr, Transition
-from antdsl.program.wording import quoted
+from antdsl.program.types.descriptions import quoted
 
 
 def firing(checked: Checked, report: Report) -> None:

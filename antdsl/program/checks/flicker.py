@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from antdsl.diagnostics import Label, Report
-from antdsl.program.checks.checked import Checked
-from antdsl.program.checks.conditions import NOT_FOLLOWED, Reader
+from antdsl.program.checks.analysis.checked import Checked
+from antdsl.program.checks.analysis.conditions import NOT_FOLLOWED, Reader
 from antdsl.program.model import Assign, Attribute, Expr, Machine, State, Transition
-from antdsl.program.walk import parts
-from antdsl.program.wording import quoted
+from antdsl.program.traverse import parts
+from antdsl.program.types.descriptions import quoted
 
 
 def flicker(checked: Checked, report: Report) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 from antdsl.diagnostics import Label, Report
-from antdsl.program.checks.checked import Checked
-from antdsl.program.checks.conditions import Reader, always, never
-from antdsl.program.folding import constant_behind
+from antdsl.program.checks.analysis.checked import Checked
+from antdsl.program.checks.analysis.conditions import Reader, always, never
 from antdsl.program.model import Attribute, Const, Expr, Inline, Layer, Local, Op, Species, Steer
-from antdsl.program.wording import quoted
+from antdsl.program.types.descriptions import quoted
+from antdsl.program.types.folding import constant_behind
 
 
 def idle_layers(checked: Checked, report: Report) -> None:

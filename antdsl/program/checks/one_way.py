@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from functools import partial
 
 from antdsl.diagnostics import Report
-from antdsl.program.checks.checked import Checked
+from antdsl.program.checks.analysis.checked import Checked
 from antdsl.program.memo import part
 from antdsl.program.model import AttributeDecl, Const, Deposit, NoneRef, Program, Species, Thing
-from antdsl.program.walk import parts
-from antdsl.program.wording import quoted
+from antdsl.program.traverse import parts
+from antdsl.program.types.descriptions import quoted
 
 
 def one_way(checked: Checked, report: Report) -> None:

@@ -9,13 +9,13 @@ import math
 import re
 
 from antdsl.diagnostics import Fix, Label, Report
-from antdsl.program.checks.checked import Checked
-from antdsl.program.checks.short_steps import Own, changers, is_own, is_rate, reads, timed
+from antdsl.program.checks.analysis.checked import Checked
+from antdsl.program.checks.analysis.short_steps import Own, changers, is_own, is_rate, reads, timed
 from antdsl.program.checks.steps import FPS
-from antdsl.program.folding import constant_behind
 from antdsl.program.model import Assign, Binding, Deposit, Dim, Expr, Give, Kind, Op, State
-from antdsl.program.walk import parts
-from antdsl.program.wording import quoted
+from antdsl.program.traverse import parts
+from antdsl.program.types.descriptions import quoted
+from antdsl.program.types.folding import constant_behind
 from antdsl.source import Span
 
 _LITERAL = re.compile(r"([0-9][0-9.]*(?:e[+-]?[0-9]+)?)\s*(%|[a-z]+)?")

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from antdsl.diagnostics import Label, Report
-from antdsl.program.checks.checked import Checked
-from antdsl.program.checks.conditions import Reader, always, implies, never
-from antdsl.program.folding import constant_behind
+from antdsl.program.checks.analysis.checked import Checked
+from antdsl.program.checks.analysis.conditions import Reader, always, implies, never
 from antdsl.program.model import Expr, Transition
+from antdsl.program.types.folding import constant_behind
 from antdsl.source import Span
 
 

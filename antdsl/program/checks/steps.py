@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator, Sequence
 
 from antdsl.diagnostics import Fix, Report
-from antdsl.program.checks.checked import Checked
-from antdsl.program.scope import FileNames
-from antdsl.program.units import measure
-from antdsl.program.walk import written
-from antdsl.program.wording import quoted
+from antdsl.program.checks.analysis.checked import Checked
+from antdsl.program.names.scope import FileNames
+from antdsl.program.tables.units import measure
+from antdsl.program.traverse import written
+from antdsl.program.types.descriptions import quoted
 from antdsl.source import Span
 from antdsl.syntax import nodes
 

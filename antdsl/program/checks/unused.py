@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from antdsl.diagnostics import Report
-from antdsl.program.checks.checked import Checked
+from antdsl.program.checks.analysis.checked import Checked
 from antdsl.program.model import Op, Species
 from antdsl.syntax import nodes
 

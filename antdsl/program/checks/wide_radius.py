@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 from antdsl import limits
 from antdsl.diagnostics import Report
-from antdsl.program.checks.checked import Checked
-from antdsl.program.checks.ranges import range_of
-from antdsl.program.folding import constant_behind
+from antdsl.program.checks.analysis.checked import Checked
+from antdsl.program.checks.analysis.ranges import range_of
 from antdsl.program.model import Const, Expr, Kind, Local, Param, ParamRef, Reduce, SetOf, Species
-from antdsl.program.walk import parts
-from antdsl.program.wording import quoted
+from antdsl.program.traverse import parts
+from antdsl.program.types.descriptions import quoted
+from antdsl.program.types.folding import constant_behind
 
 _LENGTHS = 1000  # of a body: beyond so many nobody senses a neighbour
 _SIZE = 4.0  # mm, of a body where the program does not say

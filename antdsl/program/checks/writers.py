@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from antdsl.diagnostics import Label, Report
-from antdsl.program.checks.checked import Checked
+from antdsl.program.checks.analysis.checked import Checked
 from antdsl.program.model import Assign, Machine
 from antdsl.source import Span
 

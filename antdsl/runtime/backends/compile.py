@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from antdsl.numerics.elementwise import UFUNCS
 from antdsl.plan import ir
-from antdsl.runtime.elementwise import UFUNCS
 from antdsl.runtime.reading import early_loads, kept_senses, reach, statement_nodes, walk, written
 from antdsl.runtime.world import DTYPES
 from antdsl.source import Span

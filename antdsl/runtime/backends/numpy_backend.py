@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.runtime.backends import numpy_calls
 from antdsl.runtime.backends.compile import (
@@ -25,7 +26,6 @@ from antdsl.runtime.backends.compile import (
 from antdsl.runtime.backends.metering import Metered
 from antdsl.runtime.backends.numpy_statements import statement
 from antdsl.runtime.effects import Effects
-from antdsl.runtime.elementwise import ELEMENTWISE
 from antdsl.runtime.pairs import MOST_PAIRS, NearbySets
 from antdsl.runtime.reading import kept_senses, places, reach
 from antdsl.runtime.sensing import uniform_leaf

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics import randomness
+from antdsl.numerics.elementwise import ELEMENTWISE, UFUNCS
 from antdsl.plan import ir
 from antdsl.runtime import pairs as sets
-from antdsl.runtime import randomness
 from antdsl.runtime.backends.compile import BUFFERS, LAZY, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Run, Scope, Slots
-from antdsl.runtime.elementwise import ELEMENTWISE, UFUNCS
 from antdsl.runtime.sensing import SENSES
 
 Make = Callable[[int, tuple[int, ...], "int | None"], Run]

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from antdsl import limits
+from antdsl.numerics import exact_sums
+from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
-from antdsl.runtime import exact
 from antdsl.runtime.effects import CarveEntry, ClaimEntry, DepositEntry, Effects, EmitEntry, FaultEntry, GiveEntry, SpawnEntry
-from antdsl.runtime.elementwise import ELEMENTWISE
 from antdsl.runtime.reading import early_loads, places, reach
 from antdsl.runtime.sensing import SENSES, uniform_leaf
 from antdsl.runtime.world import AXES, Population, World
@@ -274,7 +274,7 @@ _INF = np.float32(np.inf)
 
 def _sum(agent: Agent, node: ir.Node, chosen: ir.Node, found: Found) -> Any:
     quantum = int(node.attrs[0])
-    terms = [float(exact.rounded(body, quantum)) for _, body in found]
+    terms = [float(exact_sums.rounded(body, quantum)) for _, body in found]
     if any(term != term for term in terms):
         return np.float32(np.nan)
     return np.float32(ldexp(sum(int(ldexp(term, -quantum)) for term in terms), quantum))  # whole numbers of the quantum

@@ -1,5 +1,5 @@
 // What goes over the wire. Text messages are JSON with an `op`; binary ones are a header and arrays, see `unpack`.
-// The Python side is antdsl/preview/asks.py (what a page may ask) and antdsl/preview/viewing (what it is shown).
+// The Python side is antdsl/preview/requests.py (what a page may ask) and antdsl/preview/viewing (what it is shown).
 // Places are in mm of the world, less its origin; turns are unit vectors; colours are display values 0..1.
 
 export type Triple = [number, number, number];

@@ -1,0 +1,243 @@
+"""Triangles in float64: where rays cross them, which of their points is nearest, and which of them meet at a corner.
+
+Sums, products, quotients and roots of single elements in one fixed order: the same bits on every processor.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics import compiled
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+HAIR = 1e-6  # of the largest coordinate: several times what float32 makes of a corner, of a ray, and of where they meet
+CLOSED = 1e-9  # weight by which a crossing may lie outside of a face, so that none is lost between two of them
+WIDE = 16.0  # hairs by which faces are wider for rays: even one that passes a side at 4 degrees finds them, whatever it rounds
+_RIM = 20.0  # hairs: nearer to a side than this, the faces at its end are asked too
+AHEAD = 40.0  # hairs behind a face that is named: where another one may be the first that is hit
+_TABLES = 200_000  # faces, above which what is known of each is worked out when it is asked for
+_SHARP = 1 / 128  # 1 + cosine of two sides' outward directions: below it their corner is moved no further out
+
+
+class Faces:
+    """Triangles with corners float64[m,3,3] (mm). Of those that are `brief`, asked for few faces, no tables are made."""
+
+    def __init__(self, corners: Floats, brief: bool = False) -> None:
+        self.corners = corners
+        self.hair = HAIR * float(np.abs(corners).max(initial=0.0))
+        self._brief = brief or len(corners) > _TABLES
+        self._normals: Floats | None = None
+        self._planes: tuple[Floats, Floats] | None = None
+        self._meeting: tuple[Index, Index, Index] | None = None
+
+    def widened(self) -> NDArray[np.float32]:
+        """Corners float32[3m,3] of triangles each side of which is some hairs further out: float32 rays miss no face."""
+        a, b, c = (self.corners[:, k] for k in range(3))
+        normal = _unit(np.cross(b - a, c - a))
+        ab, bc, ca = (np.cross(_unit(side), normal) for side in (b - a, c - b, a - c))
+        moved = []
+        for corner, one, two in ((a, ca, ab), (b, ab, bc), (c, bc, ca)):
+            moved.append(corner + (one + two) * (WIDE * self.hair / np.maximum(1.0 + _dot(one, two), _SHARP))[:, None])
+        return np.stack(moved, axis=1).reshape(-1, 3).astype(np.float32)
+
+    def normal(self, face: Index) -> Floats:
+        """Unit normals [k,3] of faces, by how they are wound; 0 without area."""
+        if self._brief:
+            corners = self.corners.take(face, axis=0)
+            return _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+        if self._normals is None:
+            self._normals = _unit(np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0]))
+        return self._normals.take(face, axis=0)
+
+    def _known(self, face: Index) -> tuple[Floats, Floats]:
+        """`planes` and rims of faces."""
+        if self._brief:
+            return self._worked_out(self.corners.take(face, axis=0))
+        if self._planes is None:
+            rows, rims = self._worked_out(self.corners)
+            rims[self._doubled()] = np.inf  # what lies in another one is nowhere the only one there
+            self._planes = rows, rims
+        rows, rims = self._planes
+        return rows.take(face, axis=0), rims.take(face)
+
+    def _worked_out(self, corners: Floats) -> tuple[Floats, Floats]:
+        rows = planes(corners)
+        one, two = rows[:, 1, :3], rows[:, 2, :3]
+        both = one + two
+        steepest = np.maximum(np.maximum(_dot(one, one), _dot(two, two)), _dot(both, both))
+        return rows, _RIM * self.hair * np.sqrt(steepest)
+
+    def crossing(self, face: Index, origin: Floats, way: Floats) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Where rays from `origin` [k,3] along `way` [k,3] cross the planes of faces: after how many lengths of the way, the
+        weights [k,3] of the corners there, whether that is in the face, and whether it is as near to its rim as float32 errs."""
+        rows, rim = self._known(face)
+        at = ((rows[:, :, 0] * origin[:, 0:1] + rows[:, :, 1] * origin[:, 1:2]) + rows[:, :, 2] * origin[:, 2:]) + rows[:, :, 3]
+        to = (rows[:, :, 0] * way[:, 0:1] + rows[:, :, 1] * way[:, 1:2]) + rows[:, :, 2] * way[:, 2:]
+        with np.errstate(all="ignore"):
+            t = -at[:, 0] / to[:, 0]
+            weights = at + t[:, None] * to
+            weights[:, 0] = (1.0 - weights[:, 1]) - weights[:, 2]
+            least = np.minimum(np.minimum(weights[:, 0], weights[:, 1]), weights[:, 2])
+            return t, weights, (least >= -CLOSED) & (np.abs(t) < np.inf), ~(np.abs(least) > rim)
+
+    def judged(
+        self, named: Index, origin: Floats, way: Floats, at: NDArray[np.floating]
+    ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
+        """For rays that Open3D says meet the named faces after about `at` of their way: after what part they do, the weights of
+        the corners there, whether they do, and a hair as a part of the way. Those that cross the named face near its rim meet
+        the first of the faces that meet it there, and `named` is changed to that one."""
+        tables = self.tables() if compiled.wanted(len(named)) else None
+        if tables is not None:
+            from antdsl.casting import faces_compiled
+
+            n = len(named)
+            here, hair, weights, hit = np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n, np.bool_)
+            faces_compiled.hits(*tables, self.hair, AHEAD, at.astype(np.float64), origin, way, named, here, weights, hit, hair)
+            return here, weights, hit, hair
+        hair = self.hair / np.sqrt((way[:, 0] * way[:, 0] + way[:, 1] * way[:, 1]) + way[:, 2] * way[:, 2])
+        here, weights, hit, beside = self.crossing(named, origin, way)
+        hit &= here > hair
+        unsure = np.flatnonzero(beside)
+        if unsure.size:
+            which, other = self.meeting(named[unsure], weights[unsure])
+            row = unsure[which]
+            t, there, inside, _ = self.crossing(other, origin[row], way[row])
+            near = (t <= at[row] + AHEAD * hair[row]) | (other == named[row])
+            good = np.flatnonzero(inside & near & (t > hair[row]))
+            order = good[np.lexsort((other[good], t[good], row[good]))]
+            first = order[np.concatenate(([True], row[order[1:]] != row[order[:-1]]))] if order.size else order
+            hit[unsure] = False
+            row = row[first]
+            named[row], here[row], weights[row], hit[row] = other[first], t[first], there[first], True
+        return here, weights, hit, hair
+
+    def tables(self) -> tuple[Floats, Floats, Index, Index, Index] | None:
+        """For the compiled kernels, where all is known of all faces: planes, rims, and as `_met`; else None."""
+        if self._brief:
+            return None
+        self._known(np.empty(0, np.int64))
+        assert self._planes is not None and self._meeting is not None
+        return *self._planes, *self._meeting
+
+    def nearest(self, points: Floats, face: Index) -> tuple[Floats, Floats, Index]:
+        """Nearest place to each point [k,3], its square distance and its face, where float32 says that it is `face`: that one,
+        or one of those that meet it where it is nearest. Of equally near ones the first."""
+        tables = self.tables() if compiled.wanted(len(face)) else None
+        if tables is not None:
+            from antdsl.casting import faces_compiled
+
+            face, place, square = face.copy(), np.empty_like(points), np.empty(len(points))
+            faces_compiled.nearest(*tables, self.corners, points, face, place, square)
+            return place, square, face
+        place = nearest_on_triangle(points, self.corners.take(face, axis=0))
+        gap = place - points
+        square = _dot(gap, gap)
+        rows, rim = self._known(face)
+        weights = ((rows[:, :, 0] * place[:, 0:1] + rows[:, :, 1] * place[:, 1:2]) + rows[:, :, 2] * place[:, 2:]) + rows[:, :, 3]
+        weights[:, 0] = (1.0 - weights[:, 1]) - weights[:, 2]
+        beside = np.flatnonzero(~(np.minimum(np.minimum(weights[:, 0], weights[:, 1]), weights[:, 2]) > rim))
+        if beside.size:
+            which, other = self.meeting(face[beside], weights[beside])
+            there = nearest_on_triangle(points[beside[which]], self.corners.take(other, axis=0))
+            gap = there - points[beside[which]]
+            apart = _dot(gap, gap)
+            order = np.lexsort((other, apart, which))
+            first = order[np.concatenate(([True], which[1:] != which[:-1]))]  # `which` is ascending already
+            face = face.copy()
+            face[beside], place[beside], square[beside] = other[first], there[first], apart[first]
+        return place, square, face
+
+    def meeting(self, face: Index, weights: Floats) -> tuple[Index, Index]:
+        """Of each face all those that have the corner of most weight, itself among them: which of those asked, and their numbers,
+        ascending."""
+        if self._meeting is None:
+            self._meeting = self._met()
+        weld, first, faces = self._meeting
+        corner = weld.take(3 * face + np.argmax(weights, axis=1))
+        count = first.take(corner + 1) - first.take(corner)
+        which = np.repeat(np.arange(face.size), count)
+        step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
+        return which, faces.take(np.repeat(first.take(corner), count) + step)
+
+    def _doubled(self) -> NDArray[np.bool_]:
+        """Which faces have the corners of another one."""
+        if self._meeting is None:
+            self._meeting = self._met()
+        three = np.sort(self._meeting[0].reshape(-1, 3), axis=1)
+        order = np.lexsort((three[:, 2], three[:, 1], three[:, 0]))
+        same = (three[order[1:]] == three[order[:-1]]).all(axis=1)
+        found = np.zeros(len(three), bool)
+        found[order[1:][same]] = found[order[:-1][same]] = True
+        return found
+
+    def _met(self) -> tuple[Index, Index, Index]:
+        """The place of each corner by number; where the faces at each place begin; these faces."""
+        flat = self.corners.reshape(-1, 3)
+        order = np.lexsort((flat[:, 2], flat[:, 1], flat[:, 0]))
+        new = (flat[order[1:]] != flat[order[:-1]]).any(axis=1)
+        number = np.concatenate(([0], np.cumsum(new)))[: len(flat)]
+        weld = np.empty(len(flat), np.int64)
+        weld[order] = number
+        first = np.concatenate(([0], np.cumsum(np.bincount(weld))))
+        return weld, first, np.argsort(weld, kind="stable") // 3
+
+
+def planes(corners: Floats) -> Floats:
+    """Three rows (k, 3, 4) for triangles [k,3,3]: along the normal, and the weights of the second and third corner, as what a
+    place's coordinates and 1 are multiplied with. All zero for a triangle without area (D. Baldwin, M. Weber, Fast Ray-Triangle
+    Intersections by Coordinate Transformation, JCGT 5(3), 2016)."""
+    a, one, two = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(one, two)
+    size = _dot(normal, normal)[:, None]
+    over = np.where(size > 0, size, np.inf)
+    rows = np.empty((len(corners), 3, 4))
+    for k, row in enumerate((normal, np.cross(two, normal) / over, np.cross(normal, one) / over)):
+        rows[:, k, :3] = row
+        rows[:, k, 3] = -_dot(row, a)
+    return rows
+
+
+def nearest_on_triangle(points: Floats, corners: Floats) -> Floats:
+    """Nearest point of each triangle [n,3,3] to each point [n,3] (Ericson, Real-Time Collision Detection, 2005, p. 136-142)."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    u, v, w = b - a, c - a, points - a
+    uu, uv, vv, wu, wv = _dot(u, u), _dot(u, v), _dot(v, v), _dot(w, u), _dot(w, v)
+    size = uu * vv - uv * uv
+    flat = size <= 0
+    size = np.where(flat, 1.0, size)
+    s, t = (vv * wu - uv * wv) / size, (uu * wv - uv * wu) / size
+    inside = ~flat & (s >= 0) & (t >= 0) & (s + t <= 1)
+    best = (a + s[:, None] * u) + t[:, None] * v
+    out = np.flatnonzero(~inside)
+    if out.size:
+        best[out] = _nearest_on_sides(points[out], corners[out])
+    return best
+
+
+def _nearest_on_sides(points: Floats, corners: Floats) -> Floats:
+    best = np.empty_like(points)
+    gap = np.full(len(points), np.inf)
+    for k in range(3):
+        p = corners[:, k]
+        side = corners[:, (k + 1) % 3] - p
+        length = _dot(side, side)
+        s = np.minimum(np.maximum(_dot(points - p, side) / np.where(length > 0, length, 1.0), 0.0), 1.0)
+        place = p + s[:, None] * side
+        away = place - points
+        here = _dot(away, away)
+        closer = here < gap
+        best[closer], gap[closer] = place[closer], here[closer]
+    return best
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    product = a * b
+    return (product[..., 0] + product[..., 1]) + product[..., 2]
+
+
+def _unit(v: Floats) -> Floats:
+    length = np.sqrt(_dot(v, v))
+    return v / np.where(length > 0, length, 1.0)[..., None]

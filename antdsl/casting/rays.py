@@ -1,0 +1,385 @@
+"""The one door to Open3D: rays, occlusions, closest points and feelers against triangles, same bits for any batch or threads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.distance_grid import DistanceGrid
+from antdsl.casting.faces import Faces, nearest_on_triangle
+
+Vectors = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mesh = tuple[Vectors, NDArray[np.int32]]
+
+_CROWD = 2_000  # places asked about at once, from which on finer distances pay
+_CHUNK = 1 << 16  # rays at once
+_AGAIN = 16  # faces that a ray may pass by at less than a hair
+_APART = 8.0  # hairs further away from the nearest face: from there one that is as near is nearer
+_END = 1.1  # of a ray: Open3D looks as far, which is more than it errs by unless the ray is a hair long
+_BRIEF_CELLS = 1000
+_FARTHEST = 1e15  # mm: Open3D, whose squares are float32, names no nearest face from much farther off
+FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """What each ray met. `t` counts lengths of the direction (inf = nothing), `mesh` and `face` are -1 for nothing.
+
+    `u v` are the weights of the face's second and third corner. `normal` float32[n,3] is the face's unit normal, turned
+    towards the ray's origin (0 for nothing).
+    """
+
+    t: Vectors
+    mesh: NDArray[np.int32]
+    face: NDArray[np.int32]
+    u: Vectors
+    v: Vectors
+    normal: NDArray[np.float32]
+
+    @property
+    def hit(self) -> NDArray[np.bool_]:
+        return self.face >= 0
+
+
+@dataclass(frozen=True, slots=True)
+class FeelerHits:
+    """What feelers touched: `hit`, its distance `t` (mm, inf = nothing) and the face's normal towards the asker."""
+
+    hit: NDArray[np.bool_]
+    t: NDArray[np.float32]
+    nx: NDArray[np.float32]
+    ny: NDArray[np.float32]
+    nz: NDArray[np.float32]
+
+
+@cache
+def _open3d() -> Any:
+    try:
+        import open3d
+    except (ImportError, OSError) as problem:
+        raise ImportError(
+            f"open3d cannot be loaded ({problem}): install the package `open3d-cpu`; on a bare Linux system it also needs "
+            "the system packages libegl1 libgl1 libusb-1.0-0"
+        ) from problem
+    return open3d
+
+
+class RayScene:
+    """Triangle meshes that rays can be cast at. Vertices are float64[n,3], faces int[m,3]; lengths in millimetres.
+
+    Open3D works in float32 around the middle of meshes that are far from the world's origin, and its last bits depend on the
+    processor. So it only names faces, of triangles that are a hair wider than they are: what a ray meets and where, and which
+    place is nearest, is worked out in float64 from the face named and those that meet it there. Of equally near ones the first
+    mesh counts, then the first face. A scene that is `brief`, asked for a single step, knows less well who is far from it, and
+    is made faster.
+    """
+
+    _brief = False
+
+    def __init__(self, vertices: Vectors, faces: NDArray[np.int32], brief: bool = False) -> None:
+        self._brief = brief
+        self._fill([(vertices, faces)])
+
+    @classmethod
+    def of(cls, meshes: Sequence[Mesh]) -> RayScene:
+        """A scene of several meshes; `Hits.mesh` counts them from 0."""
+        scene = cls.__new__(cls)
+        scene._fill(meshes)
+        return scene
+
+    def _fill(self, meshes: Sequence[Mesh]) -> None:
+        arrays = [(np.asarray(v, np.float64).reshape(-1, 3), np.asarray(f, np.int32).reshape(-1, 3)) for v, f in meshes]
+        counts = np.array([len(f) for _, f in arrays], np.int64)
+        corners = np.concatenate([np.empty((0, 3, 3)), *(v[f] for v, f in arrays)])
+        self._first_face = np.cumsum(np.concatenate(([0], counts)))
+        self._mesh_of_face = np.repeat(np.arange(len(arrays), dtype=np.int32), counts)
+        middle = (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2 if corners.size else np.zeros(3)
+        # Whole metres, and none at all near zero: one more stone at the rim moves no bit of a ray at the others.
+        self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > FAR else np.zeros(3)
+        self._faces = Faces(corners - self.origin, self._brief)
+        self._scene: Any = None
+        self._grid: DistanceGrid | None = None
+        self._refined = False
+        self._exact: Any = None
+        if len(corners):
+            self._scene = self._built(self._faces.widened())
+
+    def _built(self, corners: NDArray[np.float32]) -> Any:
+        # By one thread, so that the tree is the same on every machine of one kind.
+        scene = _open3d().t.geometry.RaycastingScene(nthreads=1)
+        scene.add_triangles(self._tensor(corners), self._tensor(np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)))
+        return scene
+
+    @staticmethod
+    def _tensor(array: NDArray[Any]) -> Any:
+        return _open3d().core.Tensor.from_numpy(np.ascontiguousarray(array))
+
+    # ---- rays
+
+    def cast(self, origin: Vectors, direction: Vectors, threads: int = 1) -> Hits:
+        """First hit of each ray from `origin` [n,3] along `direction` [n,3] (any length)."""
+        n = len(origin)
+        t, mesh, local = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
+        weights, normal = np.zeros((n, 3)), np.zeros((n, 3), np.float32)
+        for start in range(0, n, _CHUNK):
+            rays = slice(start, start + _CHUNK)
+            way = np.ascontiguousarray(direction[rays], np.float64)
+            met, here, face, at = self._first(np.asarray(origin[rays], np.float64) - self.origin, way, np.inf, threads)
+            rows = start + met
+            t[rows], weights[rows], normal[rows] = here, at, self._towards(face, way[met])
+            mesh[rows], local[rows] = self._counted(face)
+        return Hits(t, mesh, local, weights[:, 1], weights[:, 2], normal)
+
+    def cast_within(
+        self, origin: Vectors, step: Vectors, threads: int = 1
+    ) -> tuple[Index, Vectors, NDArray[np.int32], NDArray[np.int32]]:
+        """Which rays hit something between `origin` [n,3] and `origin + step`: their numbers, ascending, and t, mesh, face."""
+        which, t, face, _ = self._first(origin - self.origin, step, 1.0, threads)
+        return which, t, *self._counted(face)
+
+    def _first(self, origin: Vectors, way: Vectors, most: float, threads: int) -> tuple[Index, Vectors, Index, Vectors]:
+        """Which rays from places [n,3], as the scene counts them, hit something within `most` lengths of their way [n,3]: their
+        numbers, ascending, after what part of the way, the face over all meshes and the weights of its corners.
+
+        What lies within a hair of a ray's start is not before it. Open3D looks a little too far, and again behind each face that
+        it names and that is not hit: one that a ray passes by at less than a hair, or starts from.
+        """
+        nothing = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty((0, 3))
+        if self._scene is None:
+            return nothing
+        rows, a, w = np.arange(len(origin)), origin, way
+        begin: Vectors | None = None
+        found: list[tuple[Index, Vectors, Index, Vectors]] = []
+        for _ in range(_AGAIN):
+            if not rows.size:
+                break
+            rays = np.empty((len(rows), 6), np.float32)
+            rays[:, :3] = a if begin is None else a + w * begin[:, None]
+            rays[:, 3:] = w
+            if most < np.inf:
+                # A ray that hits nothing costs the whole scene's length unless it has an end, which only occlusions know.
+                maybe = self._occluded(rays, most * _END, threads).nonzero()[0]
+                rows, rays, a, w = (v.take(maybe, axis=0) for v in (rows, rays, a, w))
+                begin = None if begin is None else begin[maybe]
+            if not rows.size:
+                break
+            at, named = self._named(rays, threads)
+            at = at if begin is None else begin + at
+            if named.min() < 0:
+                some = np.flatnonzero(named >= 0)
+                rows, at, named, a, w = (v.take(some, axis=0) for v in (rows, at, named, a, w))
+            here, weights, hit, hair = self._faces.judged(named, a, w, at)
+            if hit.all():
+                found.append((rows, here, named, weights))
+                break
+            found.append((rows[hit], here[hit], named[hit], weights[hit]))
+            behind = np.flatnonzero(~hit)
+            rows, a, w, begin = rows[behind], a[behind], w[behind], (at + 2.0 * hair)[behind]
+        if not found:
+            return nothing
+        if len(found) > 1:
+            rows, here, named, weights = (np.concatenate(v) for v in zip(*found, strict=True))
+            order = np.argsort(rows)
+            found = [(rows[order], here[order], named[order], weights[order])]
+        rows, here, named, weights = found[0]
+        near = here <= most
+        if near.all():
+            return found[0]
+        met = np.flatnonzero(near)
+        return rows.take(met), here.take(met), named.take(met), weights.take(met, axis=0)
+
+    def _named(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
+        """After about what part of prepared rays Open3D names a face, and which, over all meshes (-1 = none)."""
+        answer = self._scene.cast_rays(self._tensor(rays), nthreads=threads)
+        t = answer["t_hit"].numpy()
+        face = answer["primitive_ids"].numpy().astype(np.int64)
+        nothing = ~np.isfinite(t)
+        if nothing.any():
+            face[nothing] = -1
+        return t, face
+
+    def _counted(self, face: Index) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """The mesh of faces over all meshes, and their numbers in it."""
+        mesh = self._mesh_of_face.take(face)
+        return mesh, (face - self._first_face.take(mesh)).astype(np.int32)
+
+    def _towards(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
+        """Normals of faces, turned against the direction of the rays that met them."""
+        normal = self._faces.normal(face)
+        along = (normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1]) + normal[:, 2] * direction[:, 2]
+        turned: NDArray[np.float32] = np.where(along[:, None] > 0, -normal, normal).astype(np.float32)
+        return turned
+
+    def occluded(self, origin: Vectors, direction: Vectors, far: float = np.inf, threads: int = 1) -> NDArray[np.bool_]:
+        """Whether anything lies on each ray before `far` lengths of its direction, as Open3D says: for pictures only."""
+        rays = np.empty((len(origin), 6), np.float32)
+        np.subtract(origin, self.origin, out=rays[:, :3], casting="unsafe")
+        rays[:, 3:] = direction
+        return self._occluded(rays, far, threads)
+
+    def _occluded(self, rays: NDArray[np.float32], far: float, threads: int) -> NDArray[np.bool_]:
+        if self._scene is None or len(rays) == 0:
+            return np.zeros(len(rays), bool)
+        return self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=far, nthreads=threads).numpy()
+
+    # ---- nearest faces
+
+    def closest(
+        self, points: Vectors, threads: int = 1, within: NDArray[Any] | float = np.inf
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32], Vectors, NDArray[np.float64]]:
+        """Nearest surface of each point [n,3]: mesh, face, place [n,3] in float64 on that face, distance [n].
+
+        Slow far from the surface (10 to 30 rays' worth each): for the few that nothing else finds. Beyond `within` (mm, one or
+        float[n]) one that is as near on another side may stand for it.
+        """
+        n = len(points)
+        if self._scene is None or n == 0:
+            nothing = np.full(n, -1, np.int32)
+            return nothing, nothing.copy(), np.array(points, np.float64).reshape(-1, 3), np.full(n, np.inf)
+        local = np.asarray(points, np.float64) - self.origin
+        place, square, face = self._faces.nearest(local, self._nearest(local, threads))
+        # A little further away from it what is as near on another side is nearer: so it is known too, whichever was named.
+        distance = np.sqrt(square)
+        asked = np.flatnonzero(distance <= within)
+        if asked.size:
+            local, square, one = local[asked], square[asked], face[asked]
+            away = (local - place[asked]) * (_APART * self._faces.hair / np.maximum(distance[asked], 1e-30))[:, None]
+            there, apart, other = self._faces.nearest(local, self._nearest(local + away, threads))
+            nearer = np.flatnonzero((apart < square) | ((apart == square) & (other < one)))
+            rows = asked[nearer]
+            place[rows], face[rows], distance[rows] = there[nearer], other[nearer], np.sqrt(apart[nearer])
+        return *self._counted(face), place + self.origin, distance
+
+    def _about(self, points: Vectors) -> Vectors:
+        """Distances [n] to the nearest face or to one that is no further but for float32: for bounds."""
+        local = points - self.origin
+        gap = nearest_on_triangle(local, self._faces.corners.take(self._nearest(local, 1), axis=0)) - local
+        return np.sqrt((gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]) + gap[:, 2] * gap[:, 2])
+
+    def _nearest(self, points: Vectors, threads: int) -> Index:
+        """The face that Open3D names as nearest to places as the scene counts them."""
+        if self._exact is None:
+            self._exact = self._scene if self._brief else self._built(self._faces.corners.reshape(-1, 3).astype(np.float32))
+        near = np.clip(points, -_FARTHEST, _FARTHEST).astype(np.float32)
+        answer = self._exact.compute_closest_points(self._tensor(near), nthreads=threads)
+        return answer["primitive_ids"].numpy().astype(np.int64)
+
+    def depth(self, points: Vectors, threads: int = 1) -> NDArray[np.float64]:
+        """How far inside each point [n,3] is, mm: the way out for those from which most of three rays leave by an odd number of
+        faces, 0 for the others. Meshes are taken to be closed."""
+        deep = np.zeros(len(points))
+        if self._scene is not None and len(points):
+            local = self._tensor((np.asarray(points, np.float64) - self.origin).astype(np.float32))
+            inside = np.flatnonzero(self._scene.compute_occupancy(local, nthreads=threads, nsamples=3).numpy() > 0.5)
+            deep[inside] = self.closest(points[inside], threads)[3]
+        return deep
+
+    def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.float32]:
+        """A distance (mm, float32[n]) within which places have no face; 0 when near, inf without faces."""
+        if self._scene is None:
+            return np.full(len(x), np.inf, np.float32)
+        if self._grid is None:
+            self._grid = self._distances()
+        if len(x) >= _CROWD and not self._refined and not self._brief:
+            self._refined = True
+            self._grid.refine(self._about)
+        return self._grid.at_least(x, y, z)
+
+    def _distances(self) -> DistanceGrid:
+        args = (_BRIEF_CELLS,) if self._brief else ()
+        return DistanceGrid(self._faces.corners + self.origin, *args)
+
+    def feelers(
+        self,
+        x: NDArray[Any],
+        y: NDArray[Any],
+        z: NDArray[Any],
+        dx: NDArray[Any],
+        dy: NDArray[Any],
+        dz: NDArray[Any],
+        reach: NDArray[Any] | float,
+        threads: int = 1,
+    ) -> FeelerHits:
+        """What lies within `reach` (mm, one or float[n]) of places along unit directions, all 1-D arrays of one length.
+
+        Whoever is too far from everything to touch it is not asked (performance: most agents), and gets the same answer.
+        """
+        n = len(x)
+        reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
+        t = np.full(n, np.inf, np.float32)
+        normal = np.zeros((3, n), np.float32)
+        near = self._reachable(x, y, z, dx, dy, dz, reach)
+        if near.size:
+            length = reach.take(near)
+            origin, way = np.empty((3, near.size)), np.empty((3, near.size))
+            for axis, (place, step) in enumerate(((x, dx), (y, dy), (z, dz))):
+                np.subtract(place.take(near), self.origin[axis], out=origin[axis])
+                np.multiply(step.take(near), length, out=way[axis], dtype=np.float64)
+            met, part, face, _ = self._first(origin.T, way.T, 1.0, threads)
+            if met.size:
+                near = near.take(met)
+                t[near] = part * length.take(met)
+                normal[:, near] = self._towards(face, way.T[met]).T
+        return FeelerHits(np.isfinite(t), t, *normal)
+
+    def near(
+        self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
+    ) -> FeelerHits:
+        """The nearest face within `reach` (mm, one or float[n]) of places, 1-D arrays: distance, and unit way to the asker."""
+        n = len(x)
+        reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
+        t = np.full(n, np.inf, np.float32)
+        normal = np.zeros((3, n), np.float32)
+        if self._scene is not None and n:
+            if self._grid is None:
+                self._grid = self._distances()
+            asked = np.flatnonzero(self._grid.at_least(x, y, z) <= reach)
+            points = np.stack([x[asked], y[asked], z[asked]], axis=1).astype(np.float64)
+            _, _, place, distance = self.closest(points, threads, reach[asked] * _END)
+            met = np.flatnonzero(distance.astype(np.float32) <= reach[asked])
+            away = (points[met] - place[met]) / np.maximum(distance[met], 1e-12)[:, None]
+            t[asked[met]] = distance[met]
+            normal[:, asked[met]] = away.T
+        return FeelerHits(np.isfinite(t), t, *normal)
+
+    def apart(
+        self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], within: NDArray[Any] | float, threads: int = 1
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """How far (mm, float32[n]) places are out of the meshes, below 0 inside, and the unit way out, float32[3,n].
+
+        Inside is behind the nearest face; slow far from the surface."""
+        points = np.stack([x, y, z], axis=1).astype(np.float64)
+        mesh, face, place, distance = self.closest(points, threads, within)
+        if self._scene is None or not len(points):
+            return distance.astype(np.float32), np.zeros((3, len(points)), np.float32)
+        normal = self._faces.normal(face + self._first_face[mesh])
+        away = points - place
+        side = np.where((away[:, 0] * normal[:, 0] + away[:, 1] * normal[:, 1]) + away[:, 2] * normal[:, 2] < 0, -1.0, 1.0)
+        touching = distance < 1e-6
+        out = np.where(touching[:, None], normal, away * (side / np.maximum(distance, 1e-6))[:, None])
+        return (distance * side).astype(np.float32), np.ascontiguousarray(out.T, np.float32)
+
+    def _reachable(
+        self,
+        x: NDArray[Any],
+        y: NDArray[Any],
+        z: NDArray[Any],
+        dx: NDArray[Any],
+        dy: NDArray[Any],
+        dz: NDArray[Any],
+        reach: NDArray[Any],
+    ) -> NDArray[np.int64]:
+        """Rays that may hit: those whose ball around the middle of the feeler is not known to be empty."""
+        if self._scene is None:
+            return np.empty(0, np.int64)
+        if self._grid is None:
+            self._grid = self._distances()
+        half = reach * np.float32(0.5)
+        least = self._grid.at_least(x + dx * half, y + dy * half, z + dz * half)
+        return np.flatnonzero(least <= half * np.float32(1 + 1e-4) + np.float32(1e-4))

@@ -1,0 +1,103 @@
+"""Tables that `antdsl check` prints about programs: `--params` and `--cost`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from antdsl.diagnostics.places import safe
+from antdsl.program.cost import Part, costs
+from antdsl.program.kinds import Kind
+from antdsl.program.model import Const, Param, Program, Species
+from antdsl.program.tables.units import measure
+from antdsl.source import Span
+
+Programs = Sequence[tuple[Path, Program]]
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Rows as lines, their columns below each other; the last one may be as long as it is."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]) - 1)]
+    for row in rows:
+        cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
+        yield "  " + "  ".join([*cells, row[-1]]).rstrip()
+
+
+# --- params ----------------------------------------------------------------------------------------------------------
+
+
+def params_table(programs: Programs) -> Iterator[str]:
+    """The params under the first file that brings them."""
+    listed: set[Span] = set()
+    for file, program in programs:
+        new = [param for param in program.params.values() if param.span not in listed]
+        listed.update(param.span for param in new)
+        if new:
+            yield f"{file}:"
+            yield from _aligned([("param", "default", "unit", "range", "help"), *(_param(param) for param in new)])
+    if not listed:
+        yield "no program here has a param"
+
+
+def _param(param: Param) -> tuple[str, ...]:
+    """Name, default, unit, range and help; numbers in the unit that the author wrote, those of another kind as written."""
+    known = measure(param.unit) if param.unit else None
+
+    def cell(value: Const | None) -> str:
+        if value is None:
+            return "…"
+        if param.type.kind is Kind.BOOL:
+            return "true" if value.number else "false"
+        if known is None or (known.u, known.step) != (value.u, value.step):
+            return " ".join(value.span.text.split()) if param.unit else f"{value.number:.6g}"
+        return f"{value.number / known.factor:.6g}"
+
+    bounded = param.low is not None or param.high is not None
+    range = f"{cell(param.low)} .. {cell(param.high)}" if bounded else "any"
+    return param.name, cell(param.default), param.unit or "-", range, safe(param.help)
+
+
+# --- cost ------------------------------------------------------------------------------------------------------------
+
+
+def cost_table(programs: Programs) -> Iterator[str]:
+    """What each state asks for, under the first file that brings its species, and what an agent takes in memory."""
+    listed: set[Span] = set()
+    for file, program in programs:
+        new = [species for species in program.species.values() if species.span not in listed]
+        listed.update(species.span for species in new)
+        sizes = _memory(program) if new else {}
+        for species in new:
+            yield f"{file}: {species.name}{sizes.get(species.name, '')}"
+            yield from _aligned([("state", "cost", "sums", "what it asks for"), *_states(program, species)])
+    if not listed:
+        yield "no program without errors here has a species"
+
+
+def _states(program: Program, species: Species) -> Iterator[tuple[str, ...]]:
+    for part in costs(program, species):
+        words = "; ".join(_asked(part))
+        yield part.name, f"{part.weight:,.0f}", f"{part.sums:,}", words or "-"
+
+
+def _asked(part: Part) -> Iterator[str]:
+    for kind in ("senses", "fields", "draws"):
+        words = [use.words for use in part.uses if use.kind == kind]
+        if words:
+            yield f"{kind}: {', '.join(words)}"
+
+
+def _memory(program: Program) -> dict[str, str]:
+    """For each species a few words; none where the program cannot be turned into a plan yet."""
+    from antdsl import passes, plan
+    from antdsl.plan.memory import memory
+
+    lowered, report = plan.lower(program)
+    if not report.ok:
+        return {}
+    found = {}
+    for name, species in passes.optimise(lowered).species.items():
+        size = memory(species)
+        kept, attributes = size["attribute"] + size["memory"], size["attribute"]
+        found[name] = f", {kept} bytes an agent ({attributes} attributes, {size['memory']} memory), {size['temp']} more in a step"
+    return found

@@ -1,0 +1,83 @@
+"""What a run spent its time on, as tables for a terminal: phases, layers, the dearest lines. Figures are whole in a
+terminal of 80 columns; what is too long for it is cut at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from antdsl.cli.printing.lines import say
+from antdsl.runtime.profiling import Profile
+
+MOST = 10  # lines that are told
+_FIGURE, _SHARE = 8, 3  # letters of a figure
+_PLACE = 28  # letters of a file and a line, at most
+_LEAST = 12  # letters of a text that are shown, however narrow the terminal
+
+
+def show(profile: Profile, *, lines: bool) -> None:
+    """Print a profile. `lines` is false where the backend measures phases only."""
+    console = Console(highlight=False, soft_wrap=True)
+    with console.capture() as told:
+        _tell(console, profile, lines)
+    say(told.get(), newline=False)
+
+
+def _tell(console: Console, profile: Profile, lines: bool) -> None:
+    if not profile.frames:
+        console.print("nothing to tell of: no frame was simulated after the first")
+        return
+    frames = "1 frame" if profile.frames == 1 else f"{profile.frames:,} frames"
+    worked = sum(profile.worked.values())
+    console.print(f"{profile.total:.2f} ms a frame, {worked:.2f} ms of processors, over {frames}")
+    whole = profile.total
+    phases = sorted(profile.phases.items(), key=lambda each: -each[1])
+    _table(console, "phase", ((name, "", ms) for name, ms in phases), whole, profile.worked)
+    if not lines:
+        console.print("layers and lines are told for the backend `numpy`")
+        return
+    layers = sorted(profile.layers, key=lambda each: -each.ms)
+    _table(console, "layer", ((each.span.text, each.species, each.ms) for each in layers), whole)
+    dearest = profile.lines[:MOST]
+    _table(console, "line", ((each.text, f"{_short(each.file)}:{each.line}", each.ms) for each in dearest), whole)
+
+
+def _short(file: str) -> str:
+    """A file by its last two names: a long way there would leave no room for figures."""
+    return "/".join(Path(file).parts[-2:])
+
+
+def _table(
+    console: Console,
+    what: str,
+    rows: Iterable[tuple[str, str, float]],
+    whole: float,
+    worked: Mapping[str, float] | None = None,
+) -> None:
+    """What there is of a kind: milliseconds, those of processors where they are known, and the share of the whole frame."""
+    rows = list(rows)
+    if not rows:
+        return
+    place = min(_PLACE, max(len(where) for _, where, _ in rows))
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="")
+    figures = [("ms", _FIGURE), *([("cpu ms", _FIGURE)] if worked is not None else []), ("%", _SHARE)]
+    for title, width in figures:
+        table.add_column(title, justify="right", no_wrap=True, width=width)
+    if place:
+        table.add_column("of" if what == "layer" else "in", no_wrap=True, width=place)
+    room = console.width - sum(width + 2 for _, width in figures) - (place + 2 if place else 0)
+    table.add_column(what, no_wrap=True, max_width=max(room, _LEAST))
+    for text, where, ms in rows:
+        told = [f"{ms:.2f}", *([f"{worked.get(text, 0.0):.2f}"] if worked is not None else [])]
+        told.append(f"{100 * ms / max(whole, 1e-12):.0f}")
+        table.add_row(*map(Text, [*told, *([_cut(where, place)] if place else []), _cut(text, max(room, _LEAST))]))
+    console.print()
+    console.print(table)
+
+
+def _cut(text: str, most: int) -> str:
+    return text if len(text) <= most else text[: most - 1] + "…"

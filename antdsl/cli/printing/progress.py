@@ -1,0 +1,141 @@
+"""How a run shows how far it is: a bar with frames a second and states on a terminal, a plain line now and then elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from antdsl.cli.printing.lines import say
+from antdsl.outputs.recording import Recording
+from antdsl.outputs.summary import states
+
+_EVERY = 5.0  # seconds between plain lines
+_ENCODES = "█"
+
+
+class Watch:
+    """Told of each frame; shows nothing by itself."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        self.began = time.perf_counter()
+        self.done = 0
+
+    def preroll(self, what: str, frame: int) -> None:
+        """A frame before the first was simulated."""
+
+    def frame(self) -> None:
+        """A frame was written."""
+        self.done += 1
+
+    def rate(self) -> float:
+        """Frames a second since the beginning."""
+        return self.done / max(time.perf_counter() - self.began, 1e-6)
+
+    def words(self) -> str:
+        """`search 312 · carry 45`: the states that somebody is in."""
+        return " · ".join(f"{name.split('.', 1)[1]} {count:,}" for name, count in states(self.recording).items() if count)
+
+
+class Lines(Watch):
+    """Plain lines, the first and the last frame always."""
+
+    def __init__(self, recording: Recording) -> None:
+        super().__init__(recording)
+        self.said = 0.0
+
+    def preroll(self, what: str, frame: int) -> None:
+        self._say(f"preroll {frame}")
+
+    def frame(self) -> None:
+        super().frame()
+        last = self.recording.shot.frames.last
+        self._say(f"frame {self.recording.frame} of {last}, {self.rate():.1f} fps, {self.words()}", self.recording.frame == last)
+
+    def _say(self, line: str, always: bool = False) -> None:
+        now = time.perf_counter()
+        if always or now - self.said > _EVERY:
+            self.said = now
+            say(line)
+
+
+class Bar(Watch):
+    """One line that moves."""
+
+    def __init__(self, recording: Recording, bar: Any, task: Any) -> None:
+        super().__init__(recording)
+        self.bar, self.task = bar, task
+        self.drawn = 0.0
+
+    def preroll(self, what: str, frame: int) -> None:
+        self.bar.update(self.task, advance=1, words=f"preroll {frame}")
+
+    def frame(self) -> None:
+        super().frame()
+        now = time.perf_counter()
+        complete = self.recording.complete
+        if now - self.drawn > 0.2 or complete:
+            self.drawn = now
+            self.bar.update(self.task, words=f"frame {self.recording.frame} · {self.rate():.1f} fps · {self.words()}")
+        self.bar.advance(self.task)
+
+
+@contextmanager
+def progress(recording: Recording, quiet: bool) -> Iterator[Watch]:
+    """Something to tell of each frame, as fits the place where the run's words go; says where the cache is at the end."""
+    frames, preroll = recording.shot.frames, recording.shot.scene.model.preroll
+    if recording.resumed_from is not None and not quiet:
+        say(f"goes on after frame {recording.resumed_from}")
+    if quiet:
+        yield Watch(recording)
+        return
+    if fancy():
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        left = (
+            frames.last - recording.resumed_from
+            if recording.resumed_from is not None
+            else frames.last - frames.first + 1 + preroll
+        )
+        columns = (BarColumn(24), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[words]}"))
+        with Progress(*columns) as bar:
+            yield Bar(recording, bar, bar.add_task("", total=left, words=""))
+    else:
+        yield Lines(recording)
+    if recording.complete:
+        _tell_end(recording)
+
+
+def fancy() -> bool:
+    """Whether a bar can be drawn where the words go."""
+    if not sys.stdout.isatty():
+        return False
+    try:
+        _ENCODES.encode(sys.stdout.encoding or "ascii")
+    except (UnicodeEncodeError, LookupError):
+        return False
+    return True
+
+
+def _each(spent: Mapping[str, float], steps: int) -> str:
+    """Milliseconds a step, the longest first; what is next to nothing is left out."""
+    shares = sorted(((value / max(steps, 1), name) for name, value in spent.items()), reverse=True)
+    return ", ".join(f"{name} {1000 * share:.1f}" for share, name in shares if share > 5e-5)
+
+
+def _tell_end(recording: Recording) -> None:
+    spent = {**recording.seconds, **recording.world.timings}
+    set_up = spent.pop("bind", 0.0) + spent.pop("first_step", 0.0)
+    spent.pop("preroll", None)
+    parts, behind = _each(spent, recording.steps), _each(recording.behind, recording.steps)
+    say(f"{len(recording.world):,} agents; set up in {set_up:.1f} s; milliseconds a frame: {parts or 'none'}")
+    say(f"meanwhile, behind the simulation: {behind or 'none'}")
+    if recording.world.detail is not None:
+        levels = recording.world.detail.summary(recording.world)["mean"]
+        say(f"level of detail, agents on the average: {', '.join(f'{name} {count:,.0f}' for name, count in levels.items())}")
+    if recording.world.faults.count:
+        say(f"{recording.world.faults.count} faults: agents that got a number that is none")
+    say(f"the cache is in {recording.folder}")

@@ -1,0 +1,114 @@
+"""`explain`: from a cache, an agent and a frame to the account of what it did and why; what cannot be explained is said."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.explain.account import accounts
+from antdsl.explain.history import CacheHistory
+from antdsl.explain.model import Explanation, Stretch
+from antdsl.explain.opening import ExplainError, open_shot
+from antdsl.explain.replaying import Replay
+from antdsl.explain.strip import strip
+from antdsl.outputs.cache.reading import Cache
+
+
+def explain(
+    cache: Cache,
+    agent: int,
+    frame: int,
+    *,
+    species: str | None = None,
+    scene: Path | None = None,
+    grants: Mapping[str, Path] | None = None,
+    threads: int = 1,
+) -> Explanation:
+    """What an agent did in the step that led to a frame, and why. The step is done again from the nearest checkpoint, and must
+    have the hash that the cache has for it. Nothing is written. Raises ExplainError, and CacheError for a damaged frame.
+
+    `species` may be left out where the scene has one; `scene` where its file lies near the cache."""
+    name = _species(cache, species)
+    _frame(cache, frame)
+    stretches, alive = strip(cache, name, agent)
+    _alive(cache, name, agent, frame, stretches, alive)
+    replay = Replay(CacheHistory.of(cache, open_shot(cache, scene, grants), threads))
+    found = accounts(replay, frame, [(name, agent)])[0]
+    if found is None:
+        raise absent(replay, name, agent, frame)
+    return replace(found, strip=stretches, alive=alive)
+
+
+def _species(cache: Cache, wanted: str | None) -> str:
+    names = [entry.name for entry in cache.manifest.species]
+    if wanted in names:
+        return str(wanted)
+    listed = ", ".join(f"`{name}`" for name in names)
+    if wanted is None:
+        if len(names) == 1:
+            return names[0]
+        raise ExplainError(f"`{cache.folder}` has more than one species", f"say which with `--species`: {listed}", usage=True)
+    near = nearest_name(wanted, names)
+    raise ExplainError(f"no species `{wanted}`", f"did you mean `{near}`?" if near else f"there is {listed}", usage=True)
+
+
+def _frame(cache: Cache, frame: int) -> None:
+    """A frame has a step that led to it when it is in the cache, and is not the first."""
+    frames = cache.frames()
+    if not frames:
+        raise ExplainError(f"`{cache.folder}` has no frames", "run the scene first")
+    if frame == cache.manifest.first:
+        raise ExplainError(
+            f"frame {frame} is the first: no step of this cache led to it",
+            f"ask for a later one: `--frame {frame + 1}`",
+            usage=True,
+        )
+    if frame not in frames:
+        raise ExplainError(f"no frame {frame}", f"`{cache.folder}` has {frames[0] + 1} to {frames[-1]} to explain", usage=True)
+
+
+def _alive(
+    cache: Cache, species: str, agent: int, frame: int, stretches: tuple[Stretch, ...], alive: tuple[int, int] | None
+) -> None:
+    """Whether the agent lived in the frame before; as far as the frames say, which need not keep ids."""
+    if "id" not in cache.manifest.attributes:
+        return
+    if alive is None:
+        raise ExplainError(f"no {species} {agent}", _whom(cache, species, agent, frame), usage=True)
+    if not any(s.first <= frame - 1 <= s.last for s in stretches):
+        when = f"{species} {agent} is there from frame {alive[0]} to {alive[1]}"
+        if frame <= alive[0]:
+            raise ExplainError(
+                f"{species} {agent} had not decided anything by frame {frame}", f"{when}: its first step leads to {alive[0] + 1}",
+                usage=True,
+            )  # fmt: skip
+        raise ExplainError(f"{species} {agent} is not there at frame {frame}", when, usage=True)
+
+
+def _whom(cache: Cache, species: str, agent: int, frame: int) -> str:
+    """Who there is at a frame, and whose id is most like it."""
+    arrays = cache.frame(frame, frozenset(("id", "species")))
+    ids = arrays["id"]
+    if "species" in arrays:
+        ids = ids[arrays["species"] == [entry.name for entry in cache.manifest.species].index(species)]
+    if not len(ids):
+        return f"no {species} lives at frame {frame}"
+    near = nearest_name(str(agent), (str(each) for each in ids.tolist()))
+    there = f"at frame {frame} there are {len(ids)}, from {int(ids.min())} to {int(ids.max())}"
+    return f"did you mean {near}? {there}" if near else there
+
+
+def absent(replay: Replay, species: str, agent: int, frame: int) -> ExplainError:
+    """Why nobody was traced: the agent did not live, or was set aside."""
+    world = replay.begin(frame)
+    population = world.populations[species]
+    if agent in population.ids:
+        return ExplainError(
+            f"{species} {agent} was set aside after a fault, and did nothing in the step to frame {frame}",
+            "`antdsl run` told the value that was no number",
+        )
+    ids = population.ids
+    there = f"there are {len(ids)}, from {int(ids.min())} to {int(ids.max())}" if len(ids) else "none lives"
+    return ExplainError(f"no {species} {agent} at frame {frame - 1}", there, usage=True)

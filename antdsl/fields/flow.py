@@ -1,0 +1,146 @@
+"""Flows and maps on surfaces, as agents read them by their footing: vectors along the face, painted numbers; and flows about a
+curve or places, which are known everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.fields.face_points import Lattice
+from antdsl.scene.setting import SpreadFlow, Target
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+Singles = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+Source = Callable[[Floats], Floats]  # vectors (n, 3) at places (n, 3), not yet laid into any surface
+
+_CURVE_PIECE = 1.0  # mm, as curves that are asked for their nearest point
+_LIFT = 0.5  # cosine below which a vector that is laid down loses length
+
+
+def laid(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Floats]:
+    """Vectors (n, 3) along faces with these axes (3, n): their parts c, s. Up to 60 degrees off the face the length is kept."""
+    c, s = (axis1 * v.T).sum(axis=0), (axis2 * v.T).sum(axis=0)
+    flat = np.sqrt(c * c + s * s)
+    length = np.sqrt((v * v).sum(axis=1))
+    factor = np.minimum(length, flat / _LIFT) / np.where(flat > 1e-150, flat, 1.0)
+    return c * factor, s * factor
+
+
+def laid_by_up(v: Floats, up: Floats) -> Floats:
+    """The same across `up` (n, 3), for who stands on no face."""
+    across = v - (v * up).sum(axis=1)[:, None] * up
+    flat, length = (np.sqrt((w * w).sum(axis=1)) for w in (across, v))
+    down: Floats = across * (np.minimum(length, flat / _LIFT) / np.where(flat > 1e-150, flat, 1.0))[:, None]
+    return down
+
+
+def falling(distance: Floats, radius: float | None, word: str) -> Floats:
+    """Strength at a distance: 1 at the source, 0 at `radius` and beyond."""
+    if radius is None:
+        return np.ones_like(distance)
+    t = np.minimum(distance / radius, 1.0)
+    if word == "none":
+        return (distance <= radius).astype(np.float64)
+    strength: Floats = 1 - t if word == "linear" else 1 - t * t * (3 - 2 * t)
+    return strength
+
+
+@dataclass(slots=True, eq=False)
+class Flow:
+    """A flow in the slots of a lattice over the ground's faces: its parts `c`, `s` along the axes of each face.
+
+    `source` knows it anywhere, for agents that stand on none of the faces; without one it is nothing there. `renew` works it out
+    for what has moved since."""
+
+    lattice: Lattice
+    c: Floats
+    s: Floats
+    source: Source | None = None
+    renew: Callable[[Any], None] | None = None
+
+    def along_face(self, face: Index, b1: Floats, b2: Floats) -> tuple[Floats, Floats]:
+        """Its parts at places of faces."""
+        slots, weights = self.lattice.locate(face, b1, b2)
+        return (self.c.take(slots) * weights).sum(axis=0), (self.s.take(slots) * weights).sum(axis=0)
+
+    def at(self, meshes: Any, footing: Any, place: Floats, up: Floats) -> Singles:
+        """Vectors where agents stand, as float32 x, y, z. `meshes` is the ground's part with faces, or None; `place` and `up`
+        (n, 3) serve those that stand on no face."""
+        found, known = np.zeros((3, len(place))), np.zeros(len(place), bool)
+        if meshes is not None:
+            face, known = meshes.on_faces(footing)
+            found = meshes.laid_out(face, *self.along_face(face, footing.b1, footing.b2))
+        if not known.all():
+            found[:, ~known] = 0.0
+            if self.source is not None:
+                found[:, ~known] = laid_by_up(self.source(place[~known]), up[~known]).T
+        return tuple(np.ascontiguousarray(part, np.float32) for part in found)  # type: ignore[return-value]
+
+    def show(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Give as `state` what these arrays say, without being it: for a copy that is only looked at."""
+
+    def begin(self, world: Any) -> None:
+        """Before each step; a flow that was worked out once and for all has nothing to do."""
+        if self.renew is not None:
+            self.renew(world)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """What has to be kept to go on, by name; nothing where the frame alone says what the flow is."""
+        return {}
+
+    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Be as `state` said it was."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Map:
+    """Painted numbers: one in each corner of each face of the ground, (3, faces); 0 on surfaces that are not painted."""
+
+    corners: Floats
+
+    def at(self, meshes: Any, footing: Any) -> NDArray[np.float32]:
+        """The numbers where agents stand, float32[n]; 0 for those that stand on no face. `meshes` as for a flow."""
+        face, known = meshes.on_faces(footing)
+        a, b, c = (corner.take(face) for corner in self.corners)
+        return np.where(known, a * (1 - footing.b1 - footing.b2) + b * footing.b1 + c * footing.b2, 0.0).astype(np.float32)
+
+
+# --- about a curve or places -----------------------------------------------------------------------------------------
+
+
+def nearest(target: Target, places: Floats) -> tuple[Floats, Floats, Floats]:
+    """Distance (n,), nearest place (n, 3) and unit way along (n, 3; nothing for single places) of a target."""
+    if target.line:
+        from antdsl.casting.curves import Curve
+
+        found = Curve(target.places, _CURVE_PIECE).closest(*places.T)
+        columns = (found.px, found.py, found.pz, found.tx, found.ty, found.tz)
+        px, py, pz, tx, ty, tz = (part.astype(np.float64) for part in columns)
+        return found.distance.astype(np.float64), np.stack([px, py, pz], axis=1), np.stack([tx, ty, tz], axis=1)
+    from scipy.spatial import cKDTree
+
+    distance, which = cKDTree(target.places).query(places)
+    return distance, target.places[which], np.zeros_like(places)
+
+
+def spread(flow: SpreadFlow, target: Target) -> Source:
+    """The vectors of a flow about a target (already in the world's own axes and origin)."""
+
+    def vectors(places: Floats) -> Floats:
+        distance, point, along = nearest(target, places)
+        way = along
+        if flow.gather and flow.radius is not None:
+            way = along + (point - places) * (flow.gather / flow.radius)
+            way /= np.maximum(np.sqrt((way * way).sum(axis=1)), 1e-12)[:, None]
+        if flow.way != "tangent":
+            away = places - point
+            away /= np.where(distance > 1e-9, distance, 1.0)[:, None]
+            way = away if flow.way == "away" else -away
+        return way * (falling(distance, flow.radius, flow.falloff) * flow.strength)[:, None]
+
+    return vectors

@@ -1,0 +1,275 @@
+"""Scent on surfaces: it is laid in cells, fades, spreads and is smelled. Deposits add exactly, in whatever order they come."""
+
+from __future__ import annotations
+
+from copy import copy
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.fields.cells import NEAREST, Cells, SurfaceCells
+from antdsl.fields.growing import GrowingCells
+from antdsl.numerics import compiled
+from antdsl.numerics.sorting import stable_order
+from antdsl.scene.stability import largest_stable_diffusion
+
+Floats = NDArray[np.float32]
+
+UNIT = 2.0**-24  # deposits are whole numbers of this
+LARGEST_DEPOSIT = 2.0**16  # so that five million of them in one cell stay within 63 bits
+FLUSH = 1e-12
+_SPARSE = 0.2  # share of cells that hold scent above which looking for who may smell any does not pay
+_SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+class PheromoneField:
+    """Amounts of one scent in the cells of surfaces.
+
+    `combine` says what several deposits in one cell and step do: `add` up, or leave the greatest (`max`). `limit` is the most
+    that a cell holds. `values` float64[cells] is what was there at the start of a step; deposits land at its end.
+    """
+
+    def __init__(self, cells: SurfaceCells, combine: Literal["add", "max"] = "add", limit: float = np.inf) -> None:
+        self.cells, self.combine, self.limit = cells, combine, float(limit)
+        self._padded = np.zeros(len(cells) + 1)  # one past the end: what a cell that is not there holds
+        self._pending = np.zeros(len(cells), np.int64)
+        self._touched = False
+        self._added: dict[str, NDArray[Any]] | None = None  # of a snapshot: as it was
+        self._askers: dict[int, tuple[NDArray[np.int64], Cells]] = {}
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """What each cell holds; write into it to restore a state."""
+        return self._padded[:-1]
+
+    def grow(self, new: NDArray[np.int64]) -> None:
+        """Make room for cells that were added."""
+        more = len(self.cells) - len(self.values)
+        if more:
+            self._padded = np.concatenate([self.values, np.zeros(more + 1)])
+            self._pending = np.concatenate([self._pending, np.zeros(more, np.int64)])
+            for name in ("_places", "_seen"):
+                self.__dict__.pop(name, None)
+        elif "_places" in self.__dict__:
+            self._places[:, new] = self.cells.position[new].T
+            self._seen[:, new] = self._places[:, new]
+        self.__dict__.pop("_laplacian", None)
+
+    @property
+    def added(self) -> dict[str, NDArray[Any]]:
+        """Cells added since the start, for `grow_again`; no entry where none can be."""
+        if self._added is not None:
+            return self._added
+        return self.cells.added if isinstance(self.cells, GrowingCells) else {}
+
+    def grow_again(self, keys: NDArray[np.int64], places: NDArray[np.float64]) -> None:
+        """Add the cells that `added` told of, where they have not been; other fields may share them."""
+        assert isinstance(self.cells, GrowingCells)
+        known = self.cells.used - self.cells.at_start
+        self.cells.add(keys[known:], places[known:])
+        self.grow(np.arange(self.cells.at_start, self.cells.used))
+
+    def show(self, values: NDArray[np.float64], added: dict[str, NDArray[Any]]) -> None:
+        """Let a snapshot hold other values, of as many cells as there are by then."""
+        if len(values) != len(self.values):
+            self._padded = np.zeros(len(values) + 1)
+        self._padded[:-1] = values
+        self._added = added
+
+    def snapshot(self) -> PheromoneField:
+        """This field with a copy of what its cells hold; deposits that have not landed are left out."""
+        found = copy(self)
+        found._padded = self._padded.copy()
+        found._pending, found._touched = np.zeros(0, np.int64), False
+        return found
+
+    def state_bytes(self) -> bytes:
+        """What a hash of the state has to cover, the same on every machine."""
+        return self.values.astype("<f8").tobytes()
+
+    def deposit(self, cells: Cells, amounts: Floats) -> int:
+        """Lay amounts in cells (-1 = nowhere), to be there after `step`. Returns how many were refused or cut.
+
+        What is not a number is not laid; more than LARGEST_DEPOSIT is cut to it. With `combine` max only what is above 0 counts.
+        """
+        cells, amounts = np.asarray(cells), np.asarray(amounts, np.float64)
+        good = np.isfinite(amounts)
+        wrong = int(np.count_nonzero(~good | (np.abs(amounts) > LARGEST_DEPOSIT)))
+        laid = np.flatnonzero(good & (cells >= 0) & (amounts != 0))
+        if laid.size:
+            whole = np.rint(np.clip(amounts[laid], -LARGEST_DEPOSIT, LARGEST_DEPOSIT) / UNIT).astype(np.int64)
+            (np.add if self.combine == "add" else np.maximum).at(self._pending, cells[laid], whole)
+            self._touched = True
+        return wrong
+
+    def step(self, keep: float, diffusion: float, dt: float) -> None:
+        """One step of `dt` s: spread by `diffusion` (mm²/s), keep the share `keep`, then let the deposits land.
+
+        Raises ValueError, with the largest stable value, when `diffusion` is more than the cell allows.
+        """
+        values = self.values
+        if diffusion > 0:
+            most = largest_stable_diffusion(self.cells.cell, dt)
+            if diffusion > most * (1 + 1e-9):
+                raise ValueError(
+                    f"a diffusion of {diffusion:g} mm²/s is unstable here, the largest that is stable is {most:g} mm²/s"
+                )
+            if values.any():
+                values += (diffusion * dt / self.cells.cell**2) * (self._laplacian @ values)
+        if keep != 1:
+            values *= float(np.float32(keep))
+        if self._touched:
+            landed = self._pending * UNIT
+            if self.combine == "add":
+                values += landed
+            else:
+                np.maximum(values, landed, out=values)
+            self._pending[:] = 0
+            self._touched = False
+        if np.isfinite(self.limit):
+            np.minimum(values, self.limit, out=values)
+        values[values < FLUSH] = 0.0
+
+    @cached_property
+    def _laplacian(self) -> _Flow:
+        """Flow into each cell for a unit of diffusion, as a sparse matrix whose columns sum to 0.
+
+        Between two cells flows 4 / max(4, links of either) of their difference: the five-point stencil on a plane, and
+        nowhere more than four links' worth in all, so what is stable depends on the size of a cell alone.
+        """
+        from scipy.sparse import csr_array
+
+        links = self.cells.links
+        count = np.diff(links.start)
+        own = np.repeat(np.arange(len(self.cells)), count)
+        weight = 4.0 / np.maximum(np.maximum(count[own], count[links.cell]), 4)
+        inward = csr_array((weight, links.cell, links.start), shape=(len(self.cells), len(self.cells)))
+        return _Flow(inward, np.bincount(own, weight, len(self.cells)).astype(np.float64))
+
+    def sample(self, cells: Cells) -> Floats:
+        """What cells hold, float32[n]; 0 for -1."""
+        return self._padded.take(np.where(np.asarray(cells) < 0, len(self.cells), cells)).astype(np.float32)
+
+    def strongest(self, cells: Cells, k: int = NEAREST) -> tuple[Floats, Floats, Floats, Floats]:
+        """The most that one of the nearest `k` cells of the 3³ block holds, and that cell's place (x, y, z in mm), float32[n].
+
+        Of equal cells the first. Where none holds anything the value is 0 and the place is the own cell's; (0, 0, 0) for -1.
+        """
+        find = self._strongest_compiled if compiled.wanted(np.size(cells)) else self._strongest
+        best, value = find(np.asarray(cells), self._block(k))
+        x, y, z = (place.take(best) for place in self._seen)
+        return value.astype(np.float32), x, y, z
+
+    def _strongest(self, cells: NDArray[np.integer[Any]], block: Cells) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The strongest cell of each row of `block` that a cell stands for, and what it holds."""
+        own = np.where(cells < 0, len(self.cells), cells).astype(np.int64)
+        best, value = own.copy(), np.zeros(own.size)
+        asked = np.flatnonzero(self._scented(block).take(own))
+        if asked.size:
+            most, where = np.zeros(asked.size), own.take(asked)
+            for column in np.ascontiguousarray(block.take(where, axis=0).T).astype(np.int64):
+                held = self._padded.take(column)
+                more = held > most
+                where, most = np.where(more, column, where), np.where(more, held, most)
+            best[asked], value[asked] = where, most
+        return best, value
+
+    def _strongest_compiled(self, cells: NDArray[np.integer[Any]], block: Cells) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        from antdsl.fields.pheromone_compiled import strongest
+
+        best, value = np.empty(cells.size, np.int64), np.empty(cells.size)
+        strongest(cells.astype(np.int32, copy=False), block, self._padded, best, value)
+        return best, value
+
+    def _scented(self, block: Cells) -> NDArray[np.bool_]:
+        """Cells of whose row in `block` some hold anything, bool[cells + 1]; where most do, all but the last."""
+        found = np.zeros(len(self.cells) + 1, np.bool_)
+        holding = np.flatnonzero(self.values)
+        if holding.size > len(self.cells) * _SPARSE or (holding.size and isinstance(self.cells, GrowingCells)):
+            found[:-1] = True
+        elif holding.size:
+            k = block.shape[1]
+            if k not in self._askers:
+                self._askers[k] = _askers(block, len(self.cells))
+            start, cell = self._askers[k]
+            first, count = start.take(holding), start.take(holding + 1) - start.take(holding)
+            each = np.arange(int(count.sum())) + np.repeat(first - (np.cumsum(count) - count), count)
+            found[cell.take(each)] = True
+        return found
+
+    def gradient(self, cells: Cells, k: int = NEAREST) -> tuple[Floats, Floats, Floats]:
+        """Direction and strength in which scent grows along the surface, per mm: least squares over the nearest `k` cells."""
+        own = np.asarray(cells, np.int64)
+        known = (own >= 0) & (len(self.cells) > 0)
+        own = np.where(known, own, 0)
+        if not len(self.cells):
+            nothing = np.zeros(own.size, np.float32)
+            return nothing, nothing.copy(), nothing.copy()
+        places = self._places
+        here, normal = places.take(own, axis=1), np.ascontiguousarray(self.cells.normal.take(own, axis=0).T)
+        held = self._padded.take(own)
+        moments = np.zeros((6, own.size))
+        slope = np.zeros((3, own.size))
+        for column in np.ascontiguousarray(self._block(k).take(own, axis=0).T).astype(np.int64):
+            real = column < len(self.cells)
+            # A cell that is not there counts as the own one, which adds nothing.
+            column = np.where(real, column, own)
+            d = places.take(column, axis=1) - here
+            rise = self._padded.take(column) - held
+            for m, (a, b) in enumerate(_SYMMETRIC):
+                moments[m] += d[a] * d[b]
+            slope += d * rise
+        # Cells say nothing across the surface: the normal's own direction is made stiff, so that the answer lies in it.
+        stiff = moments[0] + moments[1] + moments[2] + 1e-30
+        for m, (a, b) in enumerate(_SYMMETRIC):
+            moments[m] += stiff * normal[a] * normal[b] * 1e3 + (1e-9 * stiff if m < 3 else 0.0)
+        return tuple(np.where(known, g, 0.0).astype(np.float32) for g in _solved(moments, slope))  # type: ignore[return-value]
+
+    def _block(self, k: int) -> Cells:
+        return self.cells.nearest(k)
+
+    @cached_property
+    def _seen(self) -> NDArray[np.float32]:
+        """Positions as agents see them: `_places` in float32."""
+        return self._places.astype(np.float32)
+
+    @cached_property
+    def _places(self) -> NDArray[np.float64]:
+        """Positions of cells, float64[3, cells + 1], the last one for no cell."""
+        return np.concatenate([self.cells.position.T, np.zeros((3, 1))], axis=1)
+
+
+def _askers(block: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:
+    """For each cell those whose block [cells, k] it is in, as rows of a table: cell a's are `cell[start[a]:start[a+1]]`."""
+    flat = block.ravel()
+    start = np.zeros(cells + 2, np.int64)
+    np.cumsum(np.bincount(flat, minlength=cells + 1), out=start[1:])
+    return start, (stable_order(flat) // block.shape[1]).astype(np.int32)
+
+
+class _Flow:
+    """A symmetric flow between cells: what comes in from the linked cells less what goes out."""
+
+    def __init__(self, inward: Any, out: NDArray[np.float64]) -> None:
+        self._inward, self._out = inward, out
+
+    def __matmul__(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        flow: NDArray[np.float64] = self._inward @ values
+        flow -= self._out * values
+        return flow
+
+
+def _solved(m: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """x of M x = v for symmetric 3×3 M given as (xx, yy, zz, xy, xz, yz), by cofactors."""
+    xx, yy, zz, xy, xz, yz = m
+    c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    c11, c12, c22 = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    size = xx * c00 + xy * c01 + xz * c02
+    size = np.where(size > 0, size, 1.0)
+    return (
+        (c00 * v[0] + c01 * v[1] + c02 * v[2]) / size,
+        (c01 * v[0] + c11 * v[1] + c12 * v[2]) / size,
+        (c02 * v[0] + c12 * v[1] + c22 * v[2]) / size,
+    )

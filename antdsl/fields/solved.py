@@ -1,0 +1,126 @@
+"""A flow that leads the cheapest way to a goal, over slopes, past obstacles, by what an artist painted, and round crowds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.fields import cost
+from antdsl.fields.cost import Land
+from antdsl.fields.face_points import Lattice
+from antdsl.fields.flow import Flow, laid
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_LEAST_COST = 0.05  # of a mm: what is painted below zero makes no way free
+_GRAIN = 1024.0  # parts of a mm² in which covered ground is counted, so that no order of agents matters
+_FULL = 2.0  # ground that is covered more often than so counts as so
+_SPREADS = 2  # how many points far a crowd is felt beyond the ground that it covers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grounds:
+    """A lattice over some faces of the ground as land to cross.
+
+    `point` is the point of each slot, `axis1`, `axis2` (3, slots) the axes of its face, `areas` (t,) those of the land's
+    triangles, `faces` which faces of the ground take part."""
+
+    lattice: Lattice
+    land: Land
+    point: Index
+    axis1: Floats
+    axis2: Floats
+    areas: Floats
+    faces: NDArray[np.bool_]
+
+
+@dataclass(slots=True, eq=False)
+class Solved(Flow):
+    """The flow downhill of what is still to pay for the way to the goal.
+
+    Where a crowd counts or something moves, `begin` looks at that anew when it is due; points and lattice stay the same."""
+
+    grounds: Grounds | None = None
+    cost: Floats | None = None  # (t,) of a mm, nobody being there
+    start: Index | None = None
+    first: Floats | None = None  # what is still to go from there
+    strength: float = 1.0
+    crowding: float = 0.0
+    every: int = 1  # steps
+    due: Callable[[Any], bool] = lambda world: False
+    crowd: NDArray[np.int64] | None = None  # covered ground at each point, in parts
+
+    def solve(self) -> None:
+        """Work the flow out for the crowd as it was last looked at."""
+        g = self.grounds
+        assert g is not None and self.cost is not None and self.start is not None and self.first is not None
+        price = self.cost if self.crowd is None else self.cost + self.crowding * self._shares(self.crowd)
+        bound = cost.ways(g.land, price, self.start, self.first)
+        way = cost.directions(g.land, bound) * self.strength
+        self.c, self.s = laid(way[g.point], g.axis1, g.axis2)
+        self.c *= g.faces[g.lattice.faces()]
+        self.s *= g.faces[g.lattice.faces()]
+
+    def _shares(self, crowd: NDArray[np.int64]) -> Floats:
+        """The share of each triangle that is covered by agents, felt a little beyond them."""
+        g = self.grounds
+        assert g is not None
+        room = self._spread(np.repeat(g.areas / 3, 3))
+        share = crowd / _GRAIN / np.maximum(room, 1e-9)
+        for _ in range(_SPREADS):
+            share = self._spread(np.repeat(share[g.land.triangles].mean(axis=1) * g.areas / 3, 3)) / np.maximum(room, 1e-9)
+        found: Floats = np.minimum(share[g.land.triangles].mean(axis=1), _FULL)
+        return found
+
+    def _spread(self, each: Floats) -> Floats:
+        assert self.grounds is not None
+        land = self.grounds.land
+        return np.bincount(land.triangles.ravel(), each, len(land.points)).astype(np.float64)
+
+    def begin(self, world: Any) -> None:
+        if (self.crowd is None and self.renew is None) or not self.due(world):
+            return
+        if self.renew is not None:
+            self.renew(world)
+        if self.crowd is not None:
+            self.crowd = self.covered(world)
+        self.solve()
+
+    def covered(self, world: Any) -> NDArray[np.int64]:
+        """Ground that agents of all species cover, counted at the lattice's point next to each."""
+        g = self.grounds
+        assert g is not None
+        found = np.zeros(len(g.land.points), np.int64)
+        for population in world.populations.values():
+            face, known = world.ground.meshes.on_faces(population.footing)
+            slots, weights = g.lattice.locate(face, population.footing.b1, population.footing.b2)
+            slot = np.take_along_axis(slots, weights.argmax(axis=0)[None], axis=0)[0]
+            radius = population.start["radius"].astype(np.float64)
+            parts = np.rint(np.pi * radius * radius * _GRAIN)
+            counted = known & g.faces[face] & (parts > 0) & (parts < 2.0**40)
+            # whole numbers: exact whatever the order
+            found += np.bincount(g.point[slot[counted]], parts[counted], len(found)).astype(np.int64)
+        return found
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        found: dict[str, NDArray[Any]] = {} if self.crowd is None else {"crowd": self.crowd}
+        return found if self.renew is None else {**found, "c": self.c, "s": self.s}
+
+    def show(self, arrays: dict[str, NDArray[Any]]) -> None:
+        for name, array in arrays.items():
+            setattr(self, name, array)
+
+    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+        self.show(arrays)
+        if self.renew is None:
+            self.solve()
+
+
+def least_cost(price: Floats) -> Floats:
+    """Costs of a mm, none of them free."""
+    return np.maximum(price, _LEAST_COST)

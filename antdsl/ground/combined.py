@@ -1,0 +1,366 @@
+"""Ground of meshes and solids together, behind the doors of `senses.ground.Ground`: who meets a hill steps up onto it, who meets
+a mesh steps back down; ground inside undug solid is closed, and open again where the solid is dug away."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.footing_table import Standing
+from antdsl.ground.mesh.surface import Footing, Ground, MoveResult
+from antdsl.ground.mesh.topology import facing
+from antdsl.ground.mesh.walk import turned
+from antdsl.ground.solid import Volume
+from antdsl.ground.solid import move as walk_on
+from antdsl.ground.solid_queries import below, dropped, entered, normals
+from antdsl.numerics.vector_rows import columned, length, level, some, within
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+_SUNK = 0.05  # voxels that a mesh's ground may lie under a solid's surface and still be walked on
+_HOPS = 4  # from mesh to solid and back in one step
+_LIFT = 0.02  # of a body: how far above its way an agent looks for a mesh across it
+
+
+@dataclass(slots=True)
+class _Walk:
+    """Agents on their way: where they stand and face, and what is left of their way (a vector). Of vectors each component is
+    contiguous."""
+
+    standing: Standing
+    place: Floats
+    up: Floats
+    heading: Floats
+    direction: Floats
+    left: Floats
+    gone: Floats
+    blocked: NDArray[np.bool_]
+
+
+@dataclass(slots=True)
+class _Entries:
+    """Who of some came into undug solid: their numbers, which solid, after what part of their way, and where."""
+
+    who: Rows
+    which: NDArray[np.intp]
+    part: Floats
+    place: Floats
+
+
+class Terrain:
+    """Meshes (a `Ground`, or None without any) and solids by name; names of solids come after those of meshes."""
+
+    def __init__(self, ground: Ground | None, solids: Mapping[str, Volume], up: Floats) -> None:
+        self.meshes = ground
+        self._up = np.asarray(up, np.float64)
+        self._volumes = tuple(solids.values())
+        self.names = (*(ground.names if ground is not None else ()), *solids)
+        self._count = len(self.names) - len(self._volumes)
+
+    def with_meshes(self, ground: Ground) -> Terrain:
+        """The same solids with other meshes of the same names."""
+        return Terrain(ground, dict(zip(self.names[self._count :], self._volumes, strict=True)), self._up)
+
+    # ---- asking
+
+    def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Standing, NDArray[np.bool_]]:
+        """Footings below points [n,3]: the first that a ray from far above along -`up` meets, of the names in `on` or of all.
+
+        Ground inside undug solid is no place to stand: there it is the solid's surface above, and False in the second array."""
+        points = np.asarray(points, np.float64).reshape(-1, 3)
+        names = self.names if on is None else tuple(on)
+        unknown = [name for name in names if name not in self.names]
+        if unknown:
+            raise KeyError(f"no surface `{unknown[0]}` on this ground, which has {', '.join(self.names) or 'none'}")
+        meshes = [name for name in names if name in self.names[: self._count]]
+        standing, found = Standing.on_mesh(Footing.nowhere(len(points))), np.zeros(len(points), np.bool_)
+        if meshes and self.meshes is not None:
+            footing, found = self.meshes.place(points, up, meshes)
+            standing = Standing.on_mesh(footing)
+        up = np.broadcast_to(np.asarray(up, np.float64), points.shape)
+        place = self.position(standing)
+        known = standing.mesh >= 0
+        height = np.where(known, ((place - points) * up).sum(axis=1), -np.inf)
+        for k, volume in enumerate(self._volumes):
+            asked = self.names[self._count + k] in names
+            buried = known & (volume.sample(place) < -_SUNK * volume.voxel)
+            rows = np.arange(len(points)) if asked else np.flatnonzero(buried)
+            if not rows.size:
+                continue
+            top, met = dropped(volume, points[rows], up[rows])
+            higher = met & (((top - points[rows]) * up[rows]).sum(axis=1) > height[rows])
+            higher |= met & buried[rows]
+            chosen = rows[higher]
+            standing.put(chosen, Standing.on_solid(self._count + k, top[higher]))
+            place[chosen] = top[higher]
+            height[chosen] = ((top[higher] - points[chosen]) * up[chosen]).sum(axis=1)
+            found = found.copy()
+            found[chosen] = asked
+        return standing, found
+
+    def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Standing, Floats]:
+        """Footings at the nearest point of the meshes, or of the solids where those are nearer, and the distance float64[n]; of
+        the names in `on`, or of all."""
+        points = np.asarray(points, np.float64).reshape(-1, 3)
+        standing, distance = Standing.on_mesh(Footing.nowhere(len(points))), np.full(len(points), np.inf)
+        names = self.names if on is None else tuple(on)
+        meshes = [name for name in self.names[: self._count] if name in names]
+        if meshes and self.meshes is not None:
+            footing, distance = self.meshes.nearest(points, meshes)
+            standing, distance = Standing.on_mesh(footing), distance.copy()
+        for k, volume in enumerate(self._volumes):
+            if self.names[self._count + k] not in names:
+                continue
+            hints = volume.gradient(points).astype(np.float64)
+            landed = volume.project(points, hints / np.maximum(length(hints), 1e-12)[:, None], volume.band[1])
+            away = length(landed.points - points)
+            rows = np.flatnonzero(landed.found & (away < distance))
+            standing.put(rows, Standing.on_solid(self._count + k, landed.points[rows]))
+            distance[rows] = away[rows]
+        return standing, distance
+
+    def position(self, standing: Standing) -> Floats:
+        """Places in the world, float64[n,3]; zero for footings nowhere."""
+        place = np.stack([standing.x, standing.y, standing.z], axis=1)
+        rows = self._mesh_rows(standing)
+        if rows.size and self.meshes is not None:
+            place[rows] = self.meshes.position(standing.footing(rows))
+        return place
+
+    def normal(self, standing: Standing) -> Floats:
+        """Unit normals, float64[n,3]: of the faces by how they are wound, out of the solids; zero for footings nowhere."""
+        normal = np.zeros((len(standing), 3))
+        rows = self._mesh_rows(standing)
+        if rows.size and self.meshes is not None:
+            normal[rows] = self.meshes.normal(standing.footing(rows))
+        for k, volume in enumerate(self._volumes):
+            rows = self._solid_rows(standing, k)
+            if rows.size:
+                normal[rows] = normals(volume, self.position(standing.take(rows)))
+        return normal
+
+    def sides(self, standing: Standing) -> NDArray[np.int64]:
+        """Which of six ways the normals point most, as `Ground.sides`."""
+        rows = self._mesh_rows(standing)
+        if rows.size == len(standing) and self.meshes is not None:
+            return self.meshes.sides(standing.footing(rows))
+        return np.where(standing.mesh >= 0, facing(self.normal(standing)), 0)
+
+    def upright(self, standing: Standing, up: Floats) -> Floats:
+        """Smooth unit normals float64[n,3]: on meshes on the side that `up` points to, on solids outwards."""
+        result = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(standing), 3)))
+        rows = self._mesh_rows(standing)
+        if rows.size and self.meshes is not None:
+            result[rows] = self.meshes.upright(standing.footing(rows), result[rows])
+        for k, volume in enumerate(self._volumes):
+            rows = self._solid_rows(standing, k)
+            if rows.size:
+                result[rows] = volume.upright(self.position(standing.take(rows)), result[rows])
+        return result
+
+    # ---- moving
+
+    def move(
+        self, standing: Standing, displacement: Floats, heading: Floats, up: Floats, body: Floats | float, threads: int = 1
+    ) -> MoveResult:
+        """As `Ground.move`, over meshes and solids."""
+        n = len(standing)
+        body = np.broadcast_to(np.asarray(body, np.float64), (n,))
+        way = columned(displacement)
+        np.nan_to_num(way, copy=False, posinf=0.0, neginf=0.0)
+        ahead = columned(heading)
+        walk = _Walk(
+            standing.copy(), np.empty((3, n)).T, columned(up), ahead, ahead.copy("K"), way, np.zeros(n), np.zeros(n, np.bool_)
+        )
+        rows = np.flatnonzero(standing.mesh >= 0)
+        if rows.size < n:
+            walk.place[:] = 0.0
+        for hop in range(_HOPS):
+            if not rows.size:
+                break
+            rows = self._stretch(walk, rows, body, threads, last=hop == _HOPS - 1)
+        return MoveResult(
+            walk.standing,  # type: ignore[arg-type]  # a ground has footings of its own kind
+            walk.place,
+            walk.up,
+            walk.heading,
+            walk.direction,
+            walk.gone,
+            walk.blocked,
+            standing.mesh < 0,
+        )
+
+    # ---- parts of moving
+
+    def _stretch(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
+        """Walk `rows` on what they stand on; those who meet something else stand on that, and are returned if way is left."""
+        again = []
+        on = walk.standing.mesh[rows]
+        mesh = rows[on < self._count]
+        if mesh.size:
+            again.append(self._on_meshes(walk, mesh, body, threads, last))
+        for k, volume in enumerate(self._volumes):
+            mine = rows[on == self._count + k]
+            if mine.size:
+                again.append(self._on_volume(walk, mine, k, volume, body, threads, last))
+        return np.sort(np.concatenate(again))
+
+    def _on_meshes(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
+        assert self.meshes is not None
+        before = walk.standing.footing(rows)
+        wish, ahead, up = (some(v, rows) for v in (walk.left, walk.heading, walk.up))
+        moved = self.meshes.move(before, wish, ahead, up, body[rows], threads)
+        found = self._entering(moved.position, lambda who: self.meshes.position(before.take(who)))  # type: ignore[union-attr]
+        self._stay(walk, rows, found.who, Standing.on_mesh(moved.footing), moved.position, moved)
+        return self._step_up(walk, rows, found, moved, body, threads, last)
+
+    @staticmethod
+    def _stay(walk: _Walk, rows: Rows, but: Rows, standing: Standing, place: Floats, moved: Any) -> None:
+        """All of `rows` but some have come to the end of their way."""
+        if but.size:
+            kept = np.ones(rows.size, np.bool_)
+            kept[but] = False
+            of = np.flatnonzero(kept)
+            rows, standing = rows[of], standing.take(of)
+            vectors = [some(v, of) for v in (place, moved.up, moved.heading, moved.direction)]
+            travelled, blocked = moved.travelled[of], moved.blocked[of]
+        else:
+            vectors, travelled, blocked = [place, moved.up, moved.heading, moved.direction], moved.travelled, moved.blocked
+        walk.standing.put(rows, standing)
+        for into, vector in zip((walk.place, walk.up, walk.heading, walk.direction), vectors, strict=True):
+            for axis in range(3):
+                into[rows, axis] = vector[:, axis]
+        walk.gone[rows] += travelled
+        walk.blocked[rows] |= blocked
+        walk.left[rows] = 0.0
+
+    def _entering(self, end: Floats, start: Callable[[Rows], Floats], but: int = -1) -> _Entries:
+        """Whose way from `start` (of some of them) to `end` leads into undug solid, of any but one."""
+        part, which = np.full(len(end), np.inf), np.zeros(len(end), np.intp)
+        places = np.zeros((len(end), 3))
+        for k, volume in enumerate(self._volumes):
+            if k == but:
+                continue
+            near = within(end, volume.low, volume.high)
+            inside = near[volume.sample(some(end, near)) < -_SUNK * volume.voxel]
+            if not inside.size:
+                continue
+            a, b = start(inside), end[inside]
+            free = entered(volume, a, b)
+            sooner = free < part[inside]
+            chosen = inside[sooner]
+            part[chosen], which[chosen] = free[sooner], k
+            places[chosen] = (a + free[:, None] * (b - a))[sooner]
+        who = np.flatnonzero(part <= 1)
+        return _Entries(who, which[who], part[who], places[who])
+
+    def _step_up(self, walk: _Walk, rows: Rows, found: _Entries, moved: Any, body: Floats, threads: int, last: bool) -> Rows:
+        """Those of `rows` who entered a solid step onto it; gives those with way left."""
+        again = [np.empty(0, np.intp)]
+        for k, volume in enumerate(self._volumes):
+            mine = np.flatnonzero(found.which == k)
+            if not mine.size:
+                continue
+            of, part = found.who[mine], found.part[mine]
+            # From a little above: who stood at the very seam might find itself below a mesh with its next step.
+            above = found.place[mine] + moved.up[of] * (_LIFT * body[rows[of]])[:, None]
+            landed = volume.project(above, normals(volume, above), 2 * volume.voxel)
+            ok = landed.found
+            if self.meshes is not None:
+                ok &= ~self.meshes.met(above, landed.points - above, threads)[0]
+            shut = rows[of[~ok]]  # no place that can be reached: stay where the step began
+            walk.blocked[shut], walk.left[shut] = True, 0.0
+            walk.place[shut] = self.position(walk.standing.take(shut))
+            on, of, part = rows[of[ok]], of[ok], part[ok]
+            normal, place = landed.normals[ok], landed.points[ok]
+            before, way = moved.up[of], moved.direction[of]
+            walk.heading[on] = turned(moved.heading[of].T, before.T, normal.T, way.T).T
+            walk.direction[on] = turned(way.T, before.T, normal.T, way.T).T
+            walk.place[on], walk.up[on] = place, normal
+            walk.gone[on] += moved.travelled[of] * part
+            rest = np.zeros(len(on)) if last else moved.travelled[of] * (1 - part)
+            walk.left[on] = walk.direction[on] * rest[:, None]
+            walk.standing.put(on, Standing.on_solid(self._count + k, place))
+            again.append(on[rest > 0])
+        return np.concatenate(again)
+
+    def _on_volume(self, walk: _Walk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, last: bool) -> Rows:
+        before = walk.standing
+        start = np.stack([before.x[rows], before.y[rows], before.z[rows]]).T
+        wish, ahead, up = (some(v, rows) for v in (walk.left, walk.heading, walk.up))
+        moved = walk_on(volume, start, wish, ahead, up, body[rows])
+        met, part, footing = self._across(start, moved.points, up, moved.up, body[rows], threads)
+        found = self._entering(moved.points, lambda who: start[who], k)
+        earlier = found.part < part[found.who]
+        found = _Entries(found.who[earlier], found.which[earlier], found.part[earlier], found.place[earlier])
+        met[found.who] = False
+        lost = moved.lost & ~met
+        lost[found.who] = False
+        other = met | lost
+        other[found.who] = True
+        self._stay(walk, rows, np.flatnonzero(other), Standing.on_solid(self._count + k, moved.points), moved.points, moved)
+        self._fall(walk, rows[lost])
+        again = self._step_up(walk, rows, found, moved, body, threads, last)
+        down = rows[met]
+        if not down.size or self.meshes is None:
+            return again
+        onto = footing.take(met)
+        normal = self.meshes.upright(onto, start[met] - moved.points[met])  # the side that they come from
+        tilted, way = moved.up[met], moved.direction[met]
+        walk.heading[down] = level(turned(moved.heading[met].T, tilted.T, normal.T, way.T).T, normal)
+        walk.direction[down] = turned(way.T, tilted.T, normal.T, way.T).T
+        walk.standing.put(down, Standing.on_mesh(onto))
+        walk.place[down], walk.up[down] = self.meshes.position(onto), normal
+        walk.gone[down] += moved.travelled[met] * part[met]
+        rest = np.zeros(len(down)) if last else moved.travelled[met] * (1 - part[met])
+        walk.left[down] = walk.direction[down] * rest[:, None]
+        return np.concatenate([again, down[rest > 0]])
+
+    def _fall(self, walk: _Walk, rows: Rows) -> None:
+        """Nothing of the solid is left near by: down, as the scene has it, onto what lies below; else to what is nearest."""
+        if not rows.size:
+            return
+        start = self.position(walk.standing.take(rows))
+        onto, _ = self.nearest(start)
+        least = np.full(len(rows), np.inf)
+        for k, volume in enumerate(self._volumes):
+            reach = length(np.maximum(np.abs(volume.high - start), np.abs(start - volume.low)))
+            place, met = below(volume, start, np.broadcast_to(self._up, start.shape), reach)
+            gone = length(place - start)
+            first = np.flatnonzero(met & (gone < least))
+            onto.put(first, Standing.on_solid(self._count + k, place[first]))
+            least[first] = gone[first]
+        if self.meshes is not None:
+            far = self.meshes.extent + length(start - (self.meshes.low + self.meshes.high) / 2)
+            met, part, footing = self.meshes.met(start, -self._up * far[:, None])
+            first = np.flatnonzero(met & (part * far < least))
+            onto.put(first, Standing.on_mesh(footing.take(first)))
+        walk.standing.put(rows, onto)
+        walk.place[rows] = self.position(onto)
+        normal = self.upright(onto, walk.up[rows])
+        walk.heading[rows] = walk.direction[rows] = level(walk.heading[rows], normal)
+        walk.up[rows], walk.left[rows] = normal, 0.0
+
+    def _across(
+        self, start: Floats, end: Floats, up: Floats, up_after: Floats, body: Floats, threads: int
+    ) -> tuple[NDArray[np.bool_], Floats, Footing]:
+        """Whose way a mesh lies across, seen from a little above it; after what part, and the footing there."""
+        n = len(start)
+        if self.meshes is None:
+            return np.zeros(n, np.bool_), np.ones(n), Footing.nowhere(n)
+        lift = (_LIFT * body)[:, None]
+        a, b = start + up * lift, end + up_after * lift
+        return self.meshes.met(a, b - a, threads)
+
+    # ---- footings
+
+    def _mesh_rows(self, standing: Standing) -> Rows:
+        return np.flatnonzero((standing.mesh >= 0) & (standing.mesh < self._count))
+
+    def _solid_rows(self, standing: Standing, k: int) -> Rows:
+        return np.flatnonzero(standing.mesh == self._count + k)

@@ -1,0 +1,191 @@
+"""What `Around` looks for, for one walker at a time: same operations in the same order and so the same bits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.ground.mesh.boxes_compiled import first_of, gather
+from antdsl.ground.mesh.packing import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, NORMAL, WIDTH
+from antdsl.ground.mesh.surroundings import DEEP, GAP, HIGH, LIFT, STEEPEST, TURNED
+from antdsl.numerics.kernel_cache import njit
+from antdsl.numerics.vectors_compiled import at, dot, inside, less, level, minus, more, nearest, plus, times, turned
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def other_ahead(table, sides, boxes, scale, found, body, f, b1, b2, side, c, s, left, length):  # type: ignore[no-untyped-def]
+    """As `Around._other`: the face met (-1 for none), weights, side to walk on, way gone. `found` has room for all faces."""
+    pieces, _ = sides
+    least, fine, _ = scale
+    row = WIDTH * f
+    place, up, way = stand(table, row, b1, b2, side), times(at(table, row + NORMAL), side), _in_space(table, row, c, s)
+    high = more(less(LIFT * body, left / STEEPEST), least)
+    n = gather(pieces, boxes, place, plus(place, times(way, length)), high + 2 * fine, -1, pieces[f], found)
+    if n == 0:
+        return -1, 0.0, 0.0, 1.0, length
+    ground = (place, up, way)
+    face, one, two, gone, towards, eye = _seen(table, boxes, scale, found, n, ground, length, high)
+    if face < 0:
+        return face, 0.0, 0.0, 1.0, length
+    if _hidden(table, pieces, boxes, scale, found, f, ground, length, eye, towards):
+        n = gather(pieces, boxes, place, plus(place, times(way, length)), high + 2 * fine, -1, pieces[f], found)
+        face, one, two, gone, towards, eye = _seen(table, boxes, scale, found, n, ground, length, least)
+        if face < 0:
+            return face, 0.0, 0.0, 1.0, length
+    one, two = inside(one + 0.0, two + 0.0)
+    return face, one, two, _side(table, face, towards), min(np.sqrt(gone * gone + eye * eye), left)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _seen(table, boxes, scale, found, n, ground, length, high):  # type: ignore[no-untyped-def]
+    """As `Around._seen`: the face met, weights, way gone on the eye's level, the way that came to it, the eye's height."""
+    _, fine, under = scale
+    place, up, way = ground
+    roof, part, _, _ = first_of(table, boxes, found, n, place, times(up, high), fine)
+    if roof >= 0 and (dot(at(table, WIDTH * roof + NORMAL), up) < 0 or high * part > under):
+        high = high * part / 2
+    eye, step = plus(place, times(up, high)), times(way, length)
+    face, part, one, two = first_of(table, boxes, found, n, eye, step, fine)
+    if face >= 0:
+        return face, one, two, min(part, 1.0) * length, way, high
+    down = times(up, -high)
+    face, _, one, two = first_of(table, boxes, found, n, plus(eye, step), down, 0.0)
+    return face, one, two, length, down, high
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _hidden(table, pieces, boxes, scale, found, f, ground, length, high, towards):  # type: ignore[no-untyped-def]
+    """As in `Around._seen`: whether what is met from an eye so high is behind the own piece."""
+    _, fine, _ = scale
+    place, up, way = ground
+    step, piece = times(way, length), pieces[f]
+    eye = plus(place, times(up, high))
+    n = gather(pieces, boxes, place, plus(place, step), high + 2 * fine, f, -1, found)
+    first = first_of(table, boxes, found, n, plus(place, times(up, fine)), times(up, high - fine), 0.0)[0]
+    if first >= 0 and pieces[first] == piece:
+        return True
+    first = first_of(table, boxes, found, n, eye, step, fine)[0]
+    if first >= 0 and pieces[first] == piece:
+        return True
+    if towards == way:
+        return False
+    first = first_of(table, boxes, found, n, plus(eye, step), towards, 0.0)[0]
+    return first >= 0 and pieces[first] == piece
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def beyond(table, sides, boxes, scale, found, body, f, edge, b1, b2, side):  # type: ignore[no-untyped-def]
+    """As `Around.beyond`: the face stepped over to (-1 for none), weights, side, way gone on its level, and how high that is."""
+    pieces, _ = sides
+    least, fine, _ = scale
+    row = WIDTH * f
+    place, up = stand(table, row, b1, b2, side), times(at(table, row + NORMAL), side)
+    out = _in_space(table, row, table[row + EDGE_S + edge], -table[row + EDGE_C + edge])
+    body = more(body, least / LIFT)
+    gap, high = GAP * body, HIGH * body
+    most, across = high, times(out, gap)
+    rise = times(up, high)
+    n = gather(pieces, boxes, plus(place, rise), minus(place, rise), gap + 4 * fine, f, -1, found)
+    if n == 0:
+        return -1, 0.0, 0.0, 1.0, 0.0, 0.0
+    hair = times(out, 2 * fine)
+    roof, part, _, _ = first_of(table, boxes, found, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0)
+    if roof >= 0:
+        high = (fine + part * (high - fine)) / 2
+    if first_of(table, boxes, found, n, plus(place, times(up, high)), across, 0.0)[0] >= 0:
+        high = min(high, LIFT * body)
+        face, part, one, two = first_of(table, boxes, found, n, plus(place, times(up, high)), across, 0.0)
+        if face >= 0:
+            gone = gap * min(part, 1.0)
+            if abs(high) <= gap:
+                return _leading(table, sides, f, side, up, face, one, two, out, np.sqrt(gone * gone + high * high), 0.0)
+            return _leading(table, sides, f, side, up, face, one, two, out, gone, high)
+    over, towards = plus(place, across), times(up, -(high + most))
+    face, part, one, two = first_of(table, boxes, found, n, plus(over, times(up, high)), towards, 0.0)
+    rise, gone = -most, gap
+    if face >= 0:
+        rise = high - part * (high + most)
+        if _leads(table, sides, f, side, up, face, towards):
+            there = WIDTH * face
+            normal, corner = at(table, there + NORMAL), at(table, there + CORNER)
+            plane = dot(minus(corner, place), normal) / dot(up, normal)
+            height = min(plane, high) if plane > rise else rise
+            if abs(height) <= gap:
+                height = 0.0
+            above, edge1, edge2 = plus(place, times(up, height)), at(table, there + EDGE1), at(table, there + EDGE2)
+            b1, b2, away = nearest(edge1, edge2, minus(above, corner))
+            onto = minus(plus(plus(corner, times(edge1, b1)), times(edge2, b2)), above)
+            rise, gone = height, away
+            first, part, before1, before2 = first_of(table, boxes, found, n, above, onto, 0.0)
+            if part * away < away - fine:
+                face, b1, b2, gone, towards = first, before1, before2, part * away, onto
+            one, two = b1, b2
+        else:
+            face = -1
+    if face < 0:
+        lowest, towards = rise, times(out, -2 * gap)
+        for deep in (GAP * body, DEEP * body):
+            if lowest < -deep:
+                face, part, one, two = first_of(table, boxes, found, n, minus(over, times(up, deep)), towards, 0.0)
+                if face >= 0:
+                    rise, gone = -deep, abs(gap - part * (2 * gap))
+                    break
+    if face < 0 or not _leads(table, sides, f, side, up, face, towards):
+        return -1, 0.0, 0.0, 1.0, 0.0, 0.0
+    if rise < -gap:
+        fall = times(up, rise + fine)
+        sooner, part, b1, b2 = first_of(table, boxes, found, n, minus(plus(place, hair), times(up, fine)), fall, 0.0)
+        if sooner >= 0:
+            face, one, two, towards = sooner, b1, b2, fall
+            rise, gone = part * (rise + fine) - fine, 0.0
+    if abs(rise) <= gap:
+        return _leading(table, sides, f, side, up, face, one, two, towards, np.sqrt(gone * gone + rise * rise), 0.0)
+    return _leading(table, sides, f, side, up, face, one, two, towards, gone, rise)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def landed(table, f, side, c, s, heading_c, heading_s, to, to_side):  # type: ignore[no-untyped-def]
+    """As `walk._land`: direction and heading in the frame of the face `to`."""
+    row, there = WIDTH * f, WIDTH * to
+    before, after = times(at(table, row + NORMAL), side), times(at(table, there + NORMAL), to_side)
+    direction = _in_space(table, row, c, s)
+    way = turned(direction, before, after, direction)
+    heading = turned(_in_space(table, row, heading_c, heading_s), before, after, direction)
+    axis1, axis2 = at(table, there + AXIS1), at(table, there + AXIS2)
+    c, s = level(dot(axis1, way), dot(axis2, way))
+    heading_c, heading_s = level(dot(axis1, heading), dot(axis2, heading))
+    return c, s, heading_c, heading_s
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def stand(table, row, b1, b2, side):  # type: ignore[no-untyped-def]
+    """Place on a face."""
+    return plus(plus(at(table, row + CORNER), times(at(table, row + EDGE1), b1)), times(at(table, row + EDGE2), b2))
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _in_space(table, row, c, s):  # type: ignore[no-untyped-def]
+    return plus(times(at(table, row + AXIS1), c), times(at(table, row + AXIS2), s))
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _side(table, face, towards):  # type: ignore[no-untyped-def]
+    return -1.0 if dot(at(table, WIDTH * face + NORMAL), towards) > 0 else 1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _leads(table, sides, f, side, up, face, towards):  # type: ignore[no-untyped-def]
+    """As `Around._leads`."""
+    pieces, ways = sides
+    there = _side(table, face, towards)
+    here, other = 1 if side < 0 else 0, 1 if there < 0 else 0
+    alike = pieces[f] != pieces[face] or ways[here, f] == ways[other, face]
+    return alike and dot(times(at(table, WIDTH * face + NORMAL), there), up) > TURNED
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _leading(table, sides, f, side, up, face, b1, b2, towards, gone, rise):  # type: ignore[no-untyped-def]
+    """As `Around._landing`, of who is led there."""
+    if not _leads(table, sides, f, side, up, face, towards):
+        return -1, 0.0, 0.0, 1.0, 0.0, 0.0
+    b1, b2 = inside(b1 + 0.0, b2 + 0.0)
+    return face, b1, b2, _side(table, face, towards), gone, rise

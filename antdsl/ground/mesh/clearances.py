@@ -1,0 +1,140 @@
+"""How far agents on a surface are from any other piece of surface, at least: most need not look out for one on their way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.distance_grid import cell_width
+from antdsl.casting.rasterise import triangle_cells
+from antdsl.casting.rays import RayScene
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_GRID_CELLS = 400_000
+_PARTS = 100_000  # of all faces near other pieces, at most
+_FINEST = 8  # parts along each edge of a face
+_MOST_PIECES = 500  # above it a face is a part, and is taken to be in touch
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """Faces cut into `count[f]` by `count[f]` parts along their first and second edge, numbered from `first[f]`; 0 for faces that
+    have no other piece within `reach` mm. `least` is the distance (mm) within which a part has none."""
+
+    reach: float
+    first: Index
+    count: NDArray[np.int32]
+    least: Floats
+
+    def of(self, face: Index, b1: Floats, b2: Floats) -> Floats:
+        """A distance within which agents have no other piece, `reach` being enough."""
+        if not self.least.size:
+            return np.full(face.size, self.reach)
+        count = self.count.take(face)
+        some = np.flatnonzero(count)
+        n = count.take(some).astype(np.int64)
+        one, two = (np.clip((b.take(some) * n).astype(np.int64), 0, n - 1) for b in (b1, b2))
+        clear: Floats = np.full(face.size, self.reach)
+        part: Index = self.first.take(face.take(some)) + one * n + two
+        clear[some] = self.least.take(part)
+        return clear
+
+
+class Clearances:
+    """Lower bounds of the distance to the nearest other piece: a coarse grid of pieces says for which faces to measure it.
+
+    `corners` float64[m,3,3] of faces, their `piece` int32[m] (-1 for none), which are `cut` by others of their piece (these count
+    as another piece, in touch with all), the lowest corner `low`, and the `noise` (mm) of what is measured.
+    """
+
+    def __init__(self, corners: Floats, piece: NDArray[np.int32], cut: NDArray[np.bool_], low: Floats, noise: float) -> None:
+        self.noise = noise
+        self._cut = cut
+        piece = np.where(cut, piece.max(initial=-1) + 1, piece).astype(np.int32)
+        self._piece = piece
+        self._corners = corners
+        self._parts: Parts | None = None
+        self._several = len(np.unique(piece[piece >= 0])) > 1
+        if not self._several:
+            return
+        size = corners.max(axis=(0, 1)) - low
+        self._width = cell_width(size, _GRID_CELLS)
+        self._scaled = (corners - low) / self._width
+        self._size = np.floor(size / self._width).astype(np.int64) + 1
+        self._least = np.full(int(self._size.prod()), np.iinfo(np.int32).max, np.int32)
+        self._most = np.full(int(self._size.prod()), -1, np.int32)
+        live = np.flatnonzero(piece >= 0)
+        for cell, which in triangle_cells(self._scaled[live], exact=False):
+            flat = self._flat(np.minimum(cell, self._size - 1))
+            np.minimum.at(self._least, flat, piece[live[which]])
+            np.maximum.at(self._most, flat, piece[live[which]])
+
+    def within(self, reach: float) -> Parts:
+        """Clearances that tell distances up to `reach` mm apart; kept, and measured anew when the reach has grown."""
+        if self._parts is None or self._parts.reach < reach:
+            # Wider than asked, or a crowd that speeds up slowly would have it measured anew again and again.
+            self._parts = self._measured(1.5 * reach if self._several else np.inf)
+        return self._parts
+
+    def _measured(self, reach: float) -> Parts:
+        m = len(self._piece)
+        near = np.flatnonzero(self._near(reach) | self._cut) if self._several else np.empty(0, np.int64)
+        count, first = np.zeros(m, np.int32), np.zeros(m, np.int64)
+        if not near.size:
+            return Parts(reach, first, count, np.empty(0))
+        measurable = len(np.unique(self._piece[near])) <= _MOST_PIECES
+        n = min(max(int((_PARTS / near.size) ** 0.5), 1), _FINEST) if measurable else 1
+        count[near] = n
+        first[near] = np.arange(near.size) * n * n
+        least = np.zeros((near.size, n * n))
+        if measurable:
+            for piece in np.unique(self._piece[near]):
+                if piece >= 0:
+                    own = self._piece[near] == piece
+                    least[own] = self._apart(near[own], near[~own & (self._piece[near] >= 0)], n, reach)
+        least[self._cut[near]] = 0.0
+        return Parts(reach, first, count, least.ravel())
+
+    def _apart(self, own: Index, others: Index, n: int, reach: float) -> Floats:
+        """Clearances of the n*n parts of faces from other faces, (k, n*n)."""
+        a, b, c = (self._corners[own, k] for k in range(3))
+        edge1, edge2 = (b - a) / n, (c - a) / n
+        middle = np.arange(n) + 0.5
+        one, two = (v.ravel() for v in np.meshgrid(middle, middle, indexing="ij"))
+        centre = a[:, None] + one[:, None] * edge1[:, None] + two[:, None] * edge2[:, None]
+        radius = np.sqrt(np.maximum(((edge1 + edge2) ** 2).sum(axis=1), ((edge1 - edge2) ** 2).sum(axis=1))) / 2
+        low, high = (np.min(centre, axis=(0, 1)) - 2 * reach, np.max(centre, axis=(0, 1)) + 2 * reach)
+        there = self._corners[others]
+        beside = ((there.min(axis=1) <= high) & (there.max(axis=1) >= low)).all(axis=1)
+        if not beside.any():
+            return np.full(centre.shape[:2], reach)
+        scene = RayScene(there[beside].reshape(-1, 3), np.arange(3 * int(beside.sum()), dtype=np.int32).reshape(-1, 3))
+        _, _, _, distance = scene.closest(centre.reshape(-1, 3))
+        apart = distance.reshape(centre.shape[:2]) - radius[:, None] - 2 * self.noise
+        clear: Floats = np.clip(apart, 0.0, reach)
+        return clear
+
+    def _flat(self, cell: Index) -> Index:
+        flat: Index = (cell[..., 0] * self._size[1] + cell[..., 1]) * self._size[2] + cell[..., 2]
+        return flat
+
+    def _near(self, reach: float) -> NDArray[np.bool_]:
+        """Faces that may have another piece within `reach` mm: those that lie in some cell that has two pieces around."""
+        mixed = self._spread(int(min(np.ceil(reach / self._width), self._size.max())))
+        found = np.zeros(len(self._scaled), bool)
+        for cell, which in triangle_cells(self._scaled, exact=False):
+            found[which[mixed[self._flat(np.clip(cell, 0, self._size - 1))]]] = True
+        return found
+
+    def _spread(self, rings: int) -> NDArray[np.bool_]:
+        from scipy.ndimage import maximum_filter, minimum_filter
+
+        shape, window = tuple(self._size), 2 * rings + 1
+        least = minimum_filter(self._least.reshape(shape), window, mode="nearest")
+        most = maximum_filter(self._most.reshape(shape), window, mode="nearest")
+        mixed: NDArray[np.bool_] = ((least != most) & (most >= 0)).ravel()
+        return mixed

@@ -1,0 +1,166 @@
+"""Where bodies may meet a surface that rises before them: near inner creases, and where two pieces of a ground are close."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.rasterise import triangle_cells
+from antdsl.casting.rays import RayScene
+from antdsl.ground.mesh.topology import NO_LINK, Topology
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_SAMPLES = 5  # places along a crease from which distances are measured
+_PIECES = 64  # pieces of a ground above which each face counts as near another
+_FAR = 0.1  # of the size of what else there is
+_NOISE = 1e-4  # of a ground's extent: distances in float32 err by less
+_ALONG = 192  # cells along the longest side of a ground
+_SMOOTH = 0.7071067811865476  # cosine of the turn up to which normals are smoothed over an edge
+_NONE = np.iinfo(np.int32).max
+
+
+def inner_creases(table: Topology, corners: Floats) -> Index:
+    """Half-edges at which, for somebody on one side of a face, the face beyond rises more steeply than what counts as smooth."""
+    found = np.zeros(table.link.shape[1], np.bool_)
+    for side, sign in ((0, 1.0), (1, -1.0)):
+        half = np.flatnonzero(table.link[side] != NO_LINK)
+        here, link = half // 3, table.link[side, half]
+        there, k, flip = link >> 3, (link >> 1) & 3, link & 1
+        up = table.normal.take(here, axis=1) * sign
+        beyond = table.normal.take(there, axis=1) * np.where(flip, -sign, sign)
+        far = corners[there, k].T - corners[here, (half % 3 + 1) % 3].T
+        rises = up[0] * far[0] + up[1] * far[1] + up[2] * far[2] > 0
+        sharp = up[0] * beyond[0] + up[1] * beyond[1] + up[2] * beyond[2] < _SMOOTH
+        found[half[rises & sharp]] = True
+    return np.flatnonzero(found)
+
+
+class Creases:
+    """A grid that says of a place whether an inner crease, another piece or a face that cuts its own piece is within a reach.
+
+    `corners` float64[m,3,3] of the faces, the `table` of their topology, and which of them to mind.
+    """
+
+    def __init__(self, corners: Floats, table: Topology, minded: NDArray[np.bool_]) -> None:
+        live = np.flatnonzero(table.live & minded)
+        self._around: dict[int, NDArray[np.bool_]] = {}
+        self._low = corners[live].min(axis=(0, 1)) if live.size else np.zeros(3)
+        size = (corners[live].max(axis=(0, 1)) if live.size else np.zeros(3)) - self._low
+        self._width = max(float(size.max()) / _ALONG, 1e-9)
+        self._shape = np.floor(size / self._width).astype(np.int64) + 1
+        half = inner_creases(table, corners)
+        half = half[minded[half // 3]]
+        one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
+        self._sharp = self._marked(np.stack([one, two, two], axis=1))
+        self._sharp |= self._marked(corners[np.flatnonzero(table.cuts.cut & minded)])
+        self._least, self._most = None, None
+        if len(np.unique(table.piece[live])) > 1:
+            self._least, self._most = np.full(self._shape, _NONE, np.int32), np.full(self._shape, -1, np.int32)
+            for cell, which in triangle_cells((corners[live] - self._low) / self._width, exact=False):
+                at = tuple(np.clip(cell, 0, self._shape - 1).T)
+                np.minimum.at(self._least, at, table.piece[live[which]])
+                np.maximum.at(self._most, at, table.piece[live[which]])
+
+    def _marked(self, corners: Floats) -> NDArray[np.bool_]:
+        found = np.zeros(self._shape, np.bool_)
+        if len(corners):
+            for cell, _ in triangle_cells((corners - self._low) / self._width, exact=False):
+                found[tuple(np.clip(cell, 0, self._shape - 1).T)] = True
+        return found
+
+    def near(self, place: Floats, reach: Floats) -> NDArray[np.bool_]:
+        """Whether places (3, n) may have something of the kind within `reach` [n] mm: never false where there is, and the same
+        for a place and a reach whoever else asks."""
+        found = np.zeros(len(reach), np.bool_)
+        whole = float(self._shape.max()) * self._width
+        rung = np.frexp(np.clip(np.nan_to_num(reach), self._width, whole))[1]  # so many doublings of a mm
+        for each in np.unique(rung):
+            near = self._within(int(each))
+            rows = np.flatnonzero(rung == each)
+            if near.any():
+                at = [np.floor((p[rows] - low) / self._width) for p, low in zip(place, self._low, strict=True)]
+                i, j, k = (np.clip(a, 0, n - 1).astype(np.int64) for a, n in zip(at, self._shape, strict=True))
+                found[rows] = near[i, j, k]
+        return found
+
+    def _within(self, rung: int) -> NDArray[np.bool_]:
+        """Cells within 2**rung mm of something of the kind."""
+        if rung not in self._around:
+            self._around[rung] = self._spread(int(min(np.ceil(np.ldexp(1.0, rung) / self._width) + 1, self._shape.max())))
+        return self._around[rung]
+
+    def _spread(self, rings: int) -> NDArray[np.bool_]:
+        from scipy.ndimage import maximum_filter, minimum_filter
+
+        window = 2 * rings + 1
+        found: NDArray[np.bool_] = maximum_filter(self._sharp, window, mode="nearest") if self._sharp.any() else self._sharp
+        if self._least is not None:
+            least = minimum_filter(self._least, window, mode="nearest")
+            most = maximum_filter(self._most, window, mode="nearest")
+            found = found | ((least != most) & (most >= 0))
+        return found
+
+
+def clear_of_rises(corners: Floats, table: Topology) -> Floats:
+    """Of each face, float64[m], a distance (mm) from its places within which there is no inner crease and no other piece; 0 for
+    faces that cut their own piece, inf where there is nothing of the kind at all."""
+    from scipy.spatial import cKDTree
+
+    middle = corners.mean(axis=1)
+    radius = np.sqrt(((corners - middle[:, None]) ** 2).sum(axis=2).max(axis=1))
+    found = np.full(len(corners), np.inf)
+    half = inner_creases(table, corners)
+    if half.size:
+        one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
+        part = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None]
+        reach = np.sqrt(((two - one) ** 2).sum(axis=1).max()) / (2 * (_SAMPLES - 1))
+        found = cKDTree((one + part * (two - one)).reshape(-1, 3)).query(middle)[0] - radius - reach
+    pieces = np.unique(table.piece[table.live])
+    if pieces.size > 1:
+        noise = _NOISE * float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
+        for piece in pieces if pieces.size <= _PIECES else pieces[:0]:
+            own, other = np.flatnonzero(table.piece == piece), np.flatnonzero(table.live & (table.piece != piece))
+            # Farther off than a tenth of the size of the others, the distance from the box around them will do.
+            low, high = corners[other].min(axis=(0, 1)), corners[other].max(axis=(0, 1))
+            off = np.maximum(np.maximum(low - middle[own], middle[own] - high), 0.0)
+            away = np.sqrt(off[:, 0] * off[:, 0] + off[:, 1] * off[:, 1] + off[:, 2] * off[:, 2])
+            far = away - radius[own] - noise > _FAR * float((high - low).max())
+            found[own[far]] = np.minimum(found[own[far]], (away - radius[own] - noise)[far])
+            own = own[~far]
+            scene = RayScene(corners[other].reshape(-1, 3), np.arange(3 * other.size, dtype=np.int32).reshape(-1, 3))
+            found[own] = np.minimum(found[own], scene.closest(middle[own])[3] - radius[own] - noise)
+        if pieces.size > _PIECES:
+            found[:] = 0.0
+    found[table.cuts.cut] = 0.0
+    return np.maximum(found, 0.0)
+
+
+def near_rises(ground: Any, footing: Any, place: Floats, reach: Floats) -> NDArray[np.bool_]:
+    """Whether for agents on a `Ground`, at places [n,3], a surface may rise within `reach` [n] mm: at an inner crease, or another
+    piece, or a mesh that moves. Never false where one does, and the same for an agent whoever else is asked for."""
+    moving = ground.boxes() if hasattr(ground, "boxes") else []
+    if ground.creases is None:
+        vertices, faces, _, table = ground.triangles
+        still = np.ones(len(faces), np.bool_)
+        for own, _, _ in moving:
+            still &= ~own
+        corners = vertices[faces]
+        clear = clear_of_rises(corners, table) if not moving else np.zeros(len(faces))
+        size = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
+        ground.creases = clear, size, Creases(corners, table, still)
+    clear, size, grid = ground.creases
+    face, known = ground.on_faces(footing)
+    rows = np.flatnonzero(known & (clear.take(face) <= reach))
+    found = np.zeros(len(reach), np.bool_)
+    if rows.size:
+        at = place.take(rows, axis=0)
+        found[rows] = True
+        wide = np.flatnonzero(size.take(face.take(rows)) > reach[rows])  # of such a face only a part is near
+        found[rows[wide]] = grid.near(at[wide].T, reach[rows[wide]])
+        for _, low, high in moving:
+            found[rows] |= ((at >= low - reach[rows, None]) & (at <= high + reach[rows, None])).all(axis=1)
+    return found

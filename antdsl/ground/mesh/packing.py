@@ -1,0 +1,39 @@
+"""All numbers that a compiled walk needs of a face lie side by side: agents stand on faces in no order."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.mesh.topology import Topology
+
+Floats = NDArray[np.float64]
+
+WIDTH = 40  # five whole lines of a cache
+CORNER, EDGE1, EDGE2, NORMAL, AXIS1, AXIS2, RATE1, RATE2, SHEAR, EDGE_C, EDGE_S, SMOOTH, LINK, MESH = (
+    0, 3, 6, 9, 12, 15, 18, 19, 20, 21, 24, 27, 36, 39,
+)  # fmt: skip
+
+
+def packed(table: Topology, mesh_of: NDArray[np.int32]) -> Floats:
+    """All numbers of each face side by side, float64[40 m], with the links of the normal's side and the mesh it is of."""
+    m = table.rate1.size
+    space = np.empty(WIDTH * m + 8)
+    start = -space.ctypes.data % 64 // 8
+    result = space[start : start + WIDTH * m]
+    pack(result, table, mesh_of, slice(0, m))
+    return result
+
+
+def pack(into: Floats, table: Topology, mesh_of: NDArray[np.int32], rows: slice) -> None:
+    """Write the numbers of some faces into a packed table."""
+    m = rows.stop - rows.start
+    halves = slice(3 * rows.start, 3 * rows.stop)
+    vectors = (table.corner, table.edge1, table.edge2, table.normal, table.axis1, table.axis2)
+    parts: list[NDArray[Any]] = [v[:, rows].T for v in vectors]
+    parts += [v[rows].reshape(m, 1) for v in (table.rate1, table.rate2, table.shear)]
+    parts += [v[halves].reshape(m, 3) for v in (table.edge_c, table.edge_s)]
+    parts += [table.smooth[:, rows].T, table.link[0, halves].reshape(m, 3), mesh_of[rows].reshape(m, 1)]
+    np.concatenate(parts, axis=1, out=into.reshape(-1, WIDTH)[rows])

@@ -1,0 +1,138 @@
+"""Where a mesh cuts through itself: the pairs of faces that do are found once; who walks on one of them crosses it where the
+other one cuts it and nowhere else, which is worked out exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.rasterise import triangle_cells
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Index = NDArray[np.int64]
+
+_PAIRS = 2_000_000  # of faces in one cell, looked at together
+_CELL = 2.0  # mean sizes of faces: width of a cell
+_COPLANAR = 1 - 1e-12  # cosine between the normals of faces that cannot cut each other
+_MOST_CELLS = 1 << 20  # along an axis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cuts:
+    """Face f is cut by the faces `other[first[f]:first[f + 1]]` of its own piece, and cuts these."""
+
+    first: Index
+    other: Index
+
+    @property
+    def cut(self) -> NDArray[np.bool_]:
+        """Which faces are cut."""
+        return np.diff(self.first) > 0
+
+    def of(self, face: Index) -> tuple[Index, Index]:
+        """All faces that cut some faces: which of those asked each cuts, and its number."""
+        count = np.diff(self.first).take(face)
+        which = np.repeat(np.arange(face.size), count)
+        step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
+        return which, self.other.take(np.repeat(self.first.take(face), count) + step)
+
+
+def cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> Cuts:
+    """Of faces with corners float64[m,3,3] whose places are numbered by `weld` (m, 3), of the pieces int32[m] (-1 for none). What
+    comes nearer to a face than `grain` (mm) touches it, and what touches it counts."""
+    flat = weld.ravel()
+    one_place = np.zeros((int(flat.max(initial=-1)) + 1, 3))
+    one_place[flat[::-1]] = corners.reshape(-1, 3)[::-1]  # corners that are nearly at one place do not cut what they belong to
+    one, two = _pairs(one_place[weld], weld, piece, grain)
+    face, other = np.concatenate([one, two]), np.concatenate([two, one])
+    order = np.lexsort((other, face))
+    return Cuts(np.concatenate([[0], np.cumsum(np.bincount(face, minlength=len(piece)))]), other[order])
+
+
+def _pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
+    """Pairs of faces of one piece, one of which has an edge that goes through the other, or ends or lies on it."""
+    found = [np.empty((2, 0), np.int64)]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.sqrt((normal * normal).sum(axis=1)), 1e-300)[:, None]
+    for one, two in _near(corners, np.flatnonzero(piece >= 0)):
+        own = piece[one] == piece[two]
+        one, two = one[own], two[own]
+        same = weld[one][:, :, None] == weld[two][:, None, :]
+        # Who share an edge fold along it and cannot cut each other. Who share a corner can.
+        apart = (same.sum(axis=(1, 2)) < 2) & (np.abs((normal[one] * normal[two]).sum(axis=1)) < _COPLANAR)
+        one, two, same = one[apart], two[apart], same[apart]
+        shared = [same.any(axis=2), same.any(axis=1)]
+        for _ in range(2):  # each has other corners on both sides of the other, or on it
+            height = ((corners[one] - corners[two, :1]) * normal[two][:, None]).sum(axis=2)
+            low = np.where(shared[0], np.inf, height).min(axis=1)
+            high = np.where(shared[0], -np.inf, height).max(axis=1)
+            across = (low <= grain) & (high >= -grain)
+            one, two, shared = two[across], one[across], [v[across] for v in shared[::-1]]
+        cuts = np.zeros(one.size, bool)
+        for f, g, meets in ((one, two, shared[0]), (two, one, shared[1])):
+            for k in range(3):
+                free = np.flatnonzero(~(meets[:, k] | meets[:, (k + 1) % 3] | cuts))
+                ends = corners[f[free], k], corners[f[free], (k + 1) % 3]
+                cuts[free] = _pierces(*ends, corners[g[free]], grain)
+        found.append(np.stack([one[cuts], two[cuts]]))
+    pairs = np.unique(np.concatenate(found, axis=1), axis=1)
+    return pairs[0], pairs[1]
+
+
+def _near(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
+    """Pairs of `live` faces whose boxes overlap, the lower number first; a pair may come more than once."""
+    if live.size < 2:
+        return
+    low, high = corners[live].min(axis=1), corners[live].max(axis=1)
+    begin = low.min(axis=0)
+    width = max(_CELL * float((high - low).max(axis=1).mean()), float((high.max(axis=0) - begin).max()) / _MOST_CELLS, 1e-300)
+    keys, names = [], []
+    for cell, which in triangle_cells((corners[live] - begin) / width, exact=False):
+        keys.append((cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2])
+        names.append(which)
+    key, name = np.concatenate(keys), np.concatenate(names)
+    order = np.argsort(key, kind="stable")
+    key, name = key[order], name[order]
+    keep = np.concatenate([[True], (key[1:] != key[:-1]) | (name[1:] != name[:-1])])
+    key, name = key[keep], name[keep]
+    # Each with those after it in its cell; what comes twice there is looked at twice.
+    ends = np.searchsorted(key, key, "right")
+    count = ends - np.arange(key.size) - 1
+    stop = np.cumsum(count)
+    start = 0
+    while start < key.size:
+        end = max(int(np.searchsorted(stop, (stop[start - 1] if start else 0) + _PAIRS, "right")), start + 1)
+        here = count[start:end]
+        one = np.repeat(np.arange(start, end), here)
+        two = one + 1 + np.arange(one.size) - np.repeat(np.cumsum(here) - here, here)
+        one, two = name[one], name[two]
+        beside = ((low[one] <= high[two]) & (low[two] <= high[one])).all(axis=1)
+        one, two = live[one[beside]], live[two[beside]]
+        yield np.minimum(one, two), np.maximum(one, two)
+        start = end
+
+
+def _pierces(start: Floats, end: Floats, triangle: Floats, grain: float) -> NDArray[np.bool_]:
+    """Whether edges go through triangles or touch them, but for `grain` mm (Möller, Trumbore, Fast, Minimum Storage Ray/Triangle
+    Intersection, 1997, p. 22-24). Of an edge in the plane of a triangle only the start is asked about: its end is another's
+    start, and where it goes across an edge of the triangle that one touches it."""
+    a, e1, e2 = triangle[:, 0], triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
+    normal = np.cross(e1, e2)
+    size = np.sqrt((normal * normal).sum(axis=1))
+    above, below = (((v - a) * normal).sum(axis=1) / size for v in (start, end))
+    result = np.zeros(len(start), bool)
+    rows = np.flatnonzero((above * below < 0) | (np.minimum(np.abs(above), np.abs(below)) <= grain))
+    above, below = above[rows], below[rows]
+    level = np.abs(above) <= grain
+    part = np.where(level, 0.0, np.clip(above / np.where(level, 1.0, above - below), 0.0, 1.0))
+    place = start[rows] + part[:, None] * (end[rows] - start[rows]) - a[rows]
+    e1, e2, normal, square = e1[rows], e2[rows], normal[rows], size[rows] ** 2
+    b1 = (np.cross(place, e2) * normal).sum(axis=1) / square
+    b2 = (np.cross(e1, place) * normal).sum(axis=1) / square
+    over = grain * np.sqrt(np.maximum((e1 * e1).sum(axis=1), (e2 * e2).sum(axis=1))) / size[rows]
+    result[rows] = (b1 >= -over) & (b2 >= -over) & (b1 + b2 <= 1 + 2 * over)
+    return result

@@ -1,0 +1,395 @@
+"""Surfaces that agents stand and walk on, any side up: a footing is a point of a triangle; one door, `Ground.move`, moves it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.rays import Mesh, RayScene
+from antdsl.ground.mesh.boxes import Boxes
+from antdsl.ground.mesh.clearances import Clearances, Parts
+from antdsl.ground.mesh.crossings import weights
+from antdsl.ground.mesh.surroundings import LIFT, Around, Scale
+from antdsl.ground.mesh.topology import Topology, build, facing
+from antdsl.ground.mesh.walk import Walkers, dot, inside, laid_down, turned, walk
+from antdsl.numerics import compiled
+
+if TYPE_CHECKING:
+    from antdsl.ground.mesh.walk_events import Walk
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+def _rows(array: NDArray[Any], rows: NDArray[np.integer] | NDArray[np.bool_]) -> NDArray[Any]:
+    """Some rows of an array; `take` is several times faster than an index."""
+    return array[rows] if rows.dtype == bool else array.take(rows, axis=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Footing:
+    """Where agents stand: mesh and face (int32[n], -1 = nowhere) and the weights of the face's second and third corner. Who is
+    stepping over a border is `over` mm off it along the face's normal; 0 for others, and for all where it is not given."""
+
+    mesh: NDArray[np.int32]
+    face: NDArray[np.int32]
+    b1: Floats
+    b2: Floats
+    over: Floats = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.over is None:
+            object.__setattr__(self, "over", np.zeros(len(self.face)))
+
+    def __len__(self) -> int:
+        return len(self.face)
+
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Footing:
+        """The footings of some rows."""
+        return Footing(*(_rows(getattr(self, f.name), rows) for f in fields(self)))
+
+    @staticmethod
+    def chosen(which: NDArray[np.bool_], one: Footing, other: Footing) -> Footing:
+        """The footings of `one` where `which` says so, else those of `other`."""
+        return Footing(*(np.where(which, getattr(one, f.name), getattr(other, f.name)) for f in fields(Footing)))
+
+    @staticmethod
+    def joined(parts: Iterable[Footing]) -> Footing:
+        """Footings one after another."""
+        parts = [Footing.nowhere(0), *parts]
+        return Footing(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Footing)))
+
+    @staticmethod
+    def nowhere(n: int) -> Footing:
+        """Footings of agents that stand on nothing."""
+        return Footing(np.full(n, -1, np.int32), np.full(n, -1, np.int32), np.zeros(n), np.zeros(n))
+
+
+@dataclass(frozen=True, slots=True)
+class MoveResult:
+    """Where a step led. Vectors are float64[n,3], lengths mm.
+
+    Of vectors each component is contiguous. `up` is the smooth normal on the agent's side, `heading` a unit vector at right
+    angles to it. `direction` is the unit direction of travel at the end, in the face: a velocity is carried along by taking
+    its length times this. `travelled` is the way walked. `blocked` says that an open border ended the way, `lost` that there
+    was no footing to walk from.
+    """
+
+    footing: Footing
+    position: Floats
+    up: Floats
+    heading: Floats
+    direction: Floats
+    travelled: Floats
+    blocked: NDArray[np.bool_]
+    lost: NDArray[np.bool_]
+
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> MoveResult:
+        """The results of some rows."""
+        return MoveResult(self.footing.take(rows), *(_rows(getattr(self, f.name), rows) for f in fields(self)[1:]))
+
+
+class Ground:
+    """One or more surfaces, by name, in the order given: (vertices float64[n,3], faces int32[m,3]) in millimetres.
+
+    An obstacle that may be climbed is a surface like any other. Meshes may overlap and need not be closed. With `by_rays` agents
+    do not walk over triangles but are put where rays hit: see `sticking`.
+    """
+
+    def __init__(self, surfaces: Mapping[str, Mesh], by_rays: bool = False) -> None:
+        self.names, self._by_rays = tuple(surfaces), by_rays
+        meshes = [
+            (np.asarray(v, np.float64).reshape(-1, 3), np.asarray(f, np.int32).reshape(-1, 3)) for v, f in surfaces.values()
+        ]
+        counts = [len(f) for _, f in meshes]
+        self._first: Index = np.cumsum([0, *counts])
+        self._mesh = np.repeat(np.arange(len(meshes), dtype=np.int32), counts)
+        shift = np.cumsum([0, *(len(v) for v, _ in meshes)])[:-1]
+        self._vertices = np.concatenate([v for v, _ in meshes]) if meshes else np.empty((0, 3))
+        self._faces = (
+            np.concatenate([f + s for (_, f), s in zip(meshes, shift, strict=True)]) if meshes else np.empty((0, 3), np.int32)
+        )
+        self._faces = self._faces.astype(np.int32)
+        used = self._vertices[self._faces.ravel()]
+        self.low = used.min(axis=0) if used.size else np.zeros(3)
+        self.high = used.max(axis=0) if used.size else np.zeros(3)
+        self.extent = float((self.high - self.low).max())
+        self._table: Topology = build(self._vertices, self._faces, self._mesh, self.extent)
+        self._side = facing(self._table.normal.T)
+        self._scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
+        corners = self._vertices[self._faces]
+        self._scale = Scale.of(self.extent)
+        self._boxes = Boxes.of(self._vertices, self._faces, np.flatnonzero(self._table.live), self._together())
+        self._clearances = Clearances(corners, self._table.piece, self._table.cuts.cut, self.low, self._scale.noise)
+        self._fast: Walk | None = None
+        self.creases: Any = None  # where bodies look out for walls, found when somebody asks (`creases.near_rises`)
+
+    def _together(self) -> NDArray[np.int32]:
+        """Numbers of faces: those of one move together."""
+        return np.zeros(len(self._faces), np.int32)
+
+    # ---- asking
+
+    def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, NDArray[np.bool_]]:
+        """Footings below points [n,3]: the first surface that a ray from far above along -`up` ([3] or [n,3]) meets.
+
+        Where the ray meets nothing, the nearest point of the surfaces, and False in the second array. `on` names the surfaces
+        to stand on, all when None; KeyError for an unknown name. Without any surface all footings are nowhere.
+        """
+        points = np.asarray(points, np.float64).reshape(-1, 3)
+        up = np.broadcast_to(np.asarray(up, np.float64), points.shape)
+        scene, live = self._scene(on)
+        middle = (self.low + self.high) / 2
+        height = ((middle - points) * up).sum(axis=1) + self.extent * 1.8  # more than the half diagonal above the middle
+        hits = scene.cast(points + up * height[:, None], -up)
+        found = hits.hit
+        face = self._face_of(hits.mesh, hits.face, live)
+        place = points + up * (height - np.where(found, hits.t, 0.0))[:, None]
+        missed = np.flatnonzero(~found)
+        if missed.size:
+            mesh, near, nearest, _ = scene.closest(points[missed])
+            face[missed] = self._face_of(mesh, near, live)
+            place[missed] = nearest
+        return self._footing(face, *weights(self._table, np.maximum(face, 0), place.T)), found
+
+    def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
+        """Footings at the nearest point of the surfaces in `on`, all when None, to points [n,3], and the distance float64[n]."""
+        points = np.asarray(points, np.float64).reshape(-1, 3)
+        scene, live = self._scene(on)
+        mesh, local, place, distance = scene.closest(points)
+        face = self._face_of(mesh, local, live)
+        return self._footing(face, *weights(self._table, np.maximum(face, 0), place.T)), distance
+
+    def met(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[NDArray[np.bool_], Floats, Footing]:
+        """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface, after what part of it, and the footing there."""
+        part, face = self._cast(np.asarray(origin, np.float64).T, np.asarray(way, np.float64).T, threads)
+        found = face >= 0
+        place = origin.T + way.T * np.where(found, part, 0.0)
+        return found, np.where(found, part, 1.0), self._footing(face, *weights(self._table, np.maximum(face, 0), place))
+
+    def position(self, footing: Footing) -> Floats:
+        """Places in the world, float64[n,3]; zero for footings nowhere."""
+        face, known = self._faces_of(footing)
+        t = self._table
+        if not self._faces.size:
+            return np.zeros((len(footing), 3))
+        place = t.corner.take(face, axis=1) + footing.b1 * t.edge1.take(face, axis=1) + footing.b2 * t.edge2.take(face, axis=1)
+        place = place + footing.over * t.normal.take(face, axis=1)
+        return np.ascontiguousarray(np.where(known, place, 0.0).T)
+
+    def normal(self, footing: Footing) -> Floats:
+        """Unit normals of the faces, float64[n,3], by how the faces are wound; zero for footings nowhere."""
+        face, known = self._faces_of(footing)
+        if not self._faces.size:
+            return np.zeros((len(footing), 3))
+        return np.ascontiguousarray(np.where(known, self._table.normal.take(face, axis=1), 0.0).T)
+
+    def sides(self, footing: Footing) -> Index:
+        """Which of six ways the faces' normals point most, int64[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
+        face, known = self._faces_of(footing)
+        if not self._faces.size:
+            return np.zeros(len(footing), np.int64)
+        return np.where(known, self._side.take(face), 0)
+
+    def upright(self, footing: Footing, up: Floats) -> Floats:
+        """Smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings nowhere.
+
+        A crease is not smoothed; away from creases the normal changes steadily along the surface, so a body does not jerk.
+        """
+        up = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(footing), 3)).T, order="C")
+        face, known = self._faces_of(footing)
+        if not self._faces.size:
+            return np.ascontiguousarray(up.T)
+        side = np.where(dot(up, self._table.normal.take(face, axis=1)) < 0, -1.0, 1.0)
+        return np.ascontiguousarray(np.where(known, self._smooth(face, footing.b1, footing.b2) * side, up).T)
+
+    @property
+    def triangles(self) -> tuple[Floats, NDArray[np.int32], NDArray[np.int32], Topology]:
+        """All surfaces as one: vertices (n, 3), faces (m, 3), the surface that each is of by number, and their tables."""
+        return self._vertices, self._faces, self._mesh, self._table
+
+    @property
+    def meshes(self) -> Ground:
+        """The part of the ground that is made of meshes."""
+        return self
+
+    def on_faces(self, footing: Any) -> tuple[Index, NDArray[np.bool_]]:
+        """The face of each footing, counted over all surfaces (0 for none), and whether it is on one."""
+        known = (footing.face >= 0) & (footing.mesh >= 0) & (footing.mesh < len(self.names))
+        return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
+
+    def laid_out(self, face: Index, c: Floats, s: Floats) -> Floats:
+        """Vectors (3, n) in the world, from their parts along the two axes of their faces."""
+        return self._table.axis1.take(face, axis=1) * c + self._table.axis2.take(face, axis=1) * s
+
+    # ---- moving
+
+    def move(
+        self, footing: Footing, displacement: Floats, heading: Floats, up: Floats, body: Floats | float, threads: int = 1
+    ) -> MoveResult:
+        """Walk every agent along its surface by a displacement [n,3], on the side its `up` [n,3] points to.
+
+        The displacement is laid into the face and keeps its length, unless it points into the ground or off it by more than
+        60 degrees. The way unfolds across edges, so a slope neither speeds up nor slows down. A surface that stands in the way
+        (seen from a little above the ground, within the way) is climbed; what continues beyond an open border is stepped over to,
+        in as many steps as the way up or down takes, else the agent goes along the border or stops. `heading` [n,3] is turned as
+        the surface turns. `body` (mm) scales how high and far agents look. A displacement that is not finite counts as none.
+
+        Of the two readings of the thesis's surface pass (longer ray, nearest hit) this takes the nearest surface along the way.
+        """
+        n = len(footing)
+        if not self._faces.size or not n:
+            return _unmoved(footing, up, heading)
+        body = np.ascontiguousarray(np.broadcast_to(np.asarray(body, np.float64), (n,)))
+        body.flags.writeable = False  # whether one or many were given: a kernel is compiled for either
+        wish, heading_t, up_t = (np.ascontiguousarray(np.asarray(v, np.float64).T) for v in (displacement, heading, up))
+        if self._by_rays:
+            from antdsl.ground.sticking import move_by_rays
+
+            return move_by_rays(self, footing, wish, heading_t, up_t, body, threads)
+        with np.errstate(all="ignore"):
+            parts = self._clearances.within(self._reach(wish, body))
+            if compiled.wanted(n):
+                return self._moved_fast(footing, wish, heading_t, up_t, body, parts, threads)
+            return self._moved(footing, wish, heading_t, up_t, body, parts, threads)
+
+    def _reach(self, wish: Floats, body: Floats) -> float:
+        """How far (mm) anybody looks out for other surfaces on a way."""
+        square = dot(wish, wish)
+        way = float(np.sqrt(square.max(initial=0.0, where=np.isfinite(square))))
+        return way + LIFT * float(np.fmax.reduce(body)) + 3 * self._scale.noise
+
+    def _moved_fast(
+        self, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, parts: Parts, threads: int
+    ) -> MoveResult:
+        """As `_moved`, to the same bits: most by the compiled walk, and those that it leaves by `_moved`."""
+        from antdsl.ground.mesh.walk_events import Walk
+
+        if self._fast is None:
+            self._fast = Walk(self._table, self._mesh, self._first)
+        n = len(footing)
+        moved = Footing(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
+        place, above, ahead, direction, gone, blocked = *np.empty((4, 3, n)), np.empty(n), np.zeros(n, np.bool_)
+        at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
+        around = Around(self._table, self._boxes, parts, self._scale, body, self._fast.packed)
+        results = (*to, place, above, ahead, direction, gone, blocked)
+        done = self._fast.step(around, parts, self._boxes, self._scale, body, at, (wish, heading, up), results, threads)
+        result = MoveResult(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
+        left = np.flatnonzero(~done)
+        if left.size:
+            wish, heading, up = (v.take(left, axis=1) for v in (wish, heading, up))
+            rest = self._moved(footing.take(left), wish, heading, up, body.take(left), parts, threads)
+            for whole, part in ((result.footing, rest.footing), (result, rest)):
+                for name in (f.name for f in fields(whole) if f.name != "footing"):
+                    getattr(whole, name)[left] = getattr(part, name)
+        return result
+
+    def _moved(
+        self, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, parts: Parts, threads: int
+    ) -> MoveResult:
+        """As `move`, vectors (3, n), one body for each agent."""
+        n = len(footing)
+        face, known = self._faces_of(footing)
+        if not np.isfinite(wish[0] + wish[1] + wish[2]).all():
+            wish = np.where(np.isfinite(wish).all(axis=0), wish, 0.0)
+        t = self._table
+        side = np.where(dot(up, t.normal.take(face, axis=1)) < 0, -1.0, 1.0)
+        b1, b2 = inside(np.where(known, footing.b1, 0.0) + 0.0, np.where(known, footing.b2, 0.0) + 0.0)  # no -0.0
+        axes = t.axis1.take(face, axis=1), t.axis2.take(face, axis=1)
+        c, s, way = laid_down(axes, wish, 1.0, 0.0)
+        way[~known] = 0.0
+        heading_c, heading_s, _ = laid_down(axes, heading, c, s)
+        over = np.where(known, footing.over, 0.0) * side
+        w = Walkers(face, b1, b2, side, c, s, heading_c, heading_s, way, np.zeros(n), np.zeros(n, bool), over)
+        around = Around(t, self._boxes, parts, self._scale, body)
+        walk(t, w, around.near(w, slice(None), way), around)
+        smooth = self._smooth(w.face, w.b1, w.b2) * w.side
+        axis1, axis2 = t.axis1.take(w.face, axis=1), t.axis2.take(w.face, axis=1)
+        ahead = axis1 * w.heading_c + axis2 * w.heading_s
+        ahead = turned(ahead, w.up(t), smooth, ahead)
+        ahead -= dot(ahead, smooth) * smooth
+        ahead /= np.sqrt(dot(ahead, ahead))
+        rows = np.where(known, w.face, -1)
+        moved = self._footing(rows, w.b1, w.b2, w.over * w.side + 0.0)
+        result = [v.T for v in (w.place(t) + w.over * w.up(t), smooth, ahead, axis1 * w.c + axis2 * w.s)]
+        if not known.all():
+            for vectors, kept in zip(result, (np.zeros((n, 3)), up.T, heading.T, heading.T), strict=True):
+                vectors[~known] = kept[~known]
+        position, above, forward, direction = result
+        return MoveResult(moved, position, above, forward, direction, w.gone, w.blocked, ~known)
+
+    # ---- parts
+
+    def _cast(self, origin: Floats, step: Floats, threads: int) -> tuple[Floats, Index]:
+        """Where rays (3, k) hit within their step, as a part of it (inf = nowhere), and the face over all meshes (-1)."""
+        scene, live = self._scene(None)
+        which, t, mesh, local = scene.cast_within(origin.T, step.T, threads)
+        part, face = np.full(origin.shape[1], np.inf), np.full(origin.shape[1], -1, np.int64)
+        part[which] = t
+        face[which] = self._face_of(mesh, local, live)
+        return part, face
+
+    def _scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
+        """Rays against some surfaces, and the face that each face of that scene is."""
+        chosen = tuple(range(len(self.names))) if on is None else tuple(sorted(self.names.index(n) for n in self._known(on)))
+        if chosen not in self._scenes:
+            live = np.flatnonzero(self._table.live & np.isin(self._mesh, chosen))
+            self._scenes[chosen] = (RayScene(self._vertices, self._faces[live]), live)
+        return self._scenes[chosen]
+
+    def _known(self, on: Iterable[str]) -> tuple[str, ...]:
+        names = tuple(on)
+        for name in names:
+            if name not in self.names:
+                raise KeyError(f"no surface `{name}` on this ground, which has {', '.join(self.names) or 'none'}")
+        return names
+
+    @staticmethod
+    def _face_of(mesh: NDArray[np.int32], face: NDArray[np.int32], live: Index) -> Index:
+        result = np.full(len(face), -1, np.int64)
+        hit = mesh >= 0
+        result[hit] = live[face[hit]]
+        return result
+
+    def _faces_of(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
+        """Number over all meshes, 0 where nowhere, and whether it is somewhere."""
+        known = (footing.face >= 0) & (footing.mesh >= 0)
+        if known.all():
+            face: Index = self._first.take(footing.mesh) + footing.face
+            return face, known
+        return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
+
+    def _footing(self, face: Index, b1: Floats, b2: Floats, over: Floats | None = None) -> Footing:
+        known = face >= 0
+        over = np.zeros(face.size) if over is None else over
+        if known.all():
+            mesh = self._mesh.take(face)
+            return Footing(mesh, (face - self._first.take(mesh)).astype(np.int32), b1, b2, over)
+        mesh = np.where(known, self._mesh.take(np.maximum(face, 0)) if self._mesh.size else -1, -1).astype(np.int32)
+        local = np.where(known, face - self._first.take(np.maximum(mesh, 0)), -1).astype(np.int32)
+        return Footing(mesh, local, *(np.where(known, v, 0.0) for v in (b1, b2, over)))
+
+    def _smooth(self, face: Index, b1: Floats, b2: Floats) -> Floats:
+        """Smooth unit normals (3, n) by how the faces are wound."""
+        n = self._table.smooth.take(face, axis=1)
+        v = n[:3] * (1.0 - b1 - b2) + n[3:6] * b1 + n[6:] * b2
+        return v / np.sqrt(np.maximum(dot(v, v), 1e-300))
+
+
+def _unmoved(footing: Footing, up: Floats, heading: Floats) -> MoveResult:
+    n = len(footing)
+    same = np.array(heading, np.float64).reshape(-1, 3)
+    return MoveResult(
+        Footing.nowhere(n),
+        np.zeros((n, 3)),
+        np.array(up, np.float64).reshape(-1, 3),
+        same,
+        same.copy(),
+        np.zeros(n),
+        np.zeros(n, bool),
+        np.ones(n, bool),
+    )

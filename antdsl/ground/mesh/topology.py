@@ -1,0 +1,321 @@
+"""Triangles as a place to walk on: frames of faces, links across edges, pieces that hang together, and normals that are smooth
+where the surface is. Input is vertices float64[n,3] and faces int32[m,3] of one or more meshes, already joined."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.mesh.self_cuts import Cuts, cuts
+from antdsl.numerics import elementary
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Index = NDArray[np.int64]
+
+_WELD = 1e-6  # of the extent: corners nearer than this are one corner
+_THROUGH = 1e-9  # of the extent: what comes nearer to a face touches it
+_NO_WIDTH = 1e12  # weights gained by a mm across a face that has none
+_FLAT = 1e-7  # height over longest edge below which a triangle is a line
+_CREASE = np.sqrt(0.5)  # cosine of 45 degrees: faces meeting more sharply than this are not smoothed into each other
+
+NO_LINK = -1
+_FLOATS = tuple(["corner", "edge1", "edge2", "normal", "axis1", "axis2", "rate1", "rate2", "shear", "edge_c", "edge_s", "smooth"])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Topology:
+    """Tables over all faces. Vectors are (3, m), so that one component is one contiguous array.
+
+    A point of face f is `corner + b1 * edge1 + b2 * edge2`. `axis1 axis2 normal` is the face's frame; a direction (c, s) in it
+    changes b1 by `c * rate1 - s * shear` and b2 by `s * rate2`. Half-edge 3f+k lies opposite corner k; `edge_c edge_s` is its
+    direction in the frame, from corner k+1 to k+2. `link[side, 3f+k]` is what lies beyond for someone on the side of the
+    normal (0) or the other (1): 8 times the face, plus twice the corner that its half-edge lies opposite, plus one when that face
+    is wound the other way; or NO_LINK.
+    """
+
+    live: NDArray[np.bool_]
+    corner: Floats
+    edge1: Floats
+    edge2: Floats
+    normal: Floats
+    axis1: Floats
+    axis2: Floats
+    rate1: Floats
+    rate2: Floats
+    shear: Floats
+    edge_c: Floats
+    edge_s: Floats
+    link: Ints
+    piece: Ints
+    pieces: int
+    cuts: Cuts  # which faces of a piece cut each other
+    way: Ints  # (2, m): which sides of faces, 0 that of the normal, may be come to from each other in their piece
+    forked: bool  # whether any edge leads on differently on its two sides, being of more than two faces
+    smooth: Floats  # (9, m): unit normal at corner 0, 1, 2
+    weld: Ints  # (m, 3): numbers of corners, those of one place being one
+
+    def together(self, face: Index, side: Floats, other: Index, there: Floats) -> NDArray[np.bool_]:
+        """Whether sides (1 that of the normal, -1) of faces are of two pieces, or may be come to from each other in one."""
+        way = (self.way[np.where(s < 0, 1, 0), f] for f, s in ((face, side), (other, there)))
+        found: NDArray[np.bool_] = (self.piece.take(face) != self.piece.take(other)) | np.equal(*way)
+        return found
+
+    def copy(self) -> Topology:
+        """One whose shape may be changed without changing this."""
+        return replace(self, **{name: getattr(self, name).copy() for name in _FLOATS})
+
+
+def build(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
+    """Tables for faces whose `mesh` int32[m] says which mesh each is of; corners are joined within a mesh only."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    weld = _weld(vertices, faces, mesh, extent)
+    live = _live(weld, _length(np.cross(b - a, c - a)), (b - a, c - a, c - b))
+    link = _links(vertices, faces, weld, live)
+    piece, pieces = _pieces(link, live)
+    forked = bool((link[0] != link[1]).any())
+    return Topology(
+        live=live,
+        link=link,
+        piece=piece,
+        pieces=pieces,
+        cuts=cuts(vertices[faces], weld, piece, extent * _THROUGH),
+        way=_ways(link, live, piece),
+        forked=forked,
+        weld=weld,
+        **_shape(vertices, faces, weld, live),
+    )
+
+
+def repose(table: Topology, vertices: Floats, faces: Ints, rows: slice) -> None:
+    """Give the faces of `rows`, all those of a mesh, the shape that they have with other vertices; changes the table's arrays.
+    What hangs together stays as it was. A face that has lost its area keeps its way up and has no more than no width."""
+    live, weld = table.live[rows], table.weld[rows]
+    before = {name: getattr(table, name)[:, rows].copy() for name in ("normal", "axis1", "axis2")}
+    edges = {name: getattr(table, name).reshape(-1, 3)[rows].copy() for name in ("edge_c", "edge_s")}
+    shape = _shape(vertices, faces[rows], weld - weld.min(initial=0), live)
+    flat = live & ~(np.isfinite(shape["rate1"]) & np.isfinite(shape["rate2"]) & (shape["rate2"] > 0))
+    for name in _FLOATS:
+        array = getattr(table, name)
+        if name in ("edge_c", "edge_s"):
+            array.reshape(-1, 3)[rows] = shape[name].reshape(-1, 3)
+        else:
+            array[..., rows] = shape[name]
+    if flat.any():
+        at = np.flatnonzero(flat) + (rows.start or 0)
+        for name, old in before.items():
+            getattr(table, name)[:, at] = old[:, flat]
+        for name, old in edges.items():
+            getattr(table, name).reshape(-1, 3)[at] = old[flat]
+        table.rate1[at], table.rate2[at], table.shear[at] = _NO_WIDTH, _NO_WIDTH, 0.0
+        table.smooth[:, at] = np.tile(table.normal[:, at], (3, 1))
+
+
+def _shape(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> dict[str, Floats]:
+    """All of a table that depends on where the corners are, by the names in _FLOATS."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    edge1, edge2 = b - a, c - a
+    across = np.cross(edge1, edge2)
+    with np.errstate(all="ignore"):  # a face that moves may lose its area
+        normal = across / np.where(live, _length(across), 1.0)[:, None]
+        length1 = np.where(live, _length(edge1), 1.0)
+        axis1 = edge1 / length1[:, None]
+        normal = np.where(np.isfinite(normal), normal, 0.0)
+        axis2 = np.cross(normal, axis1)
+        x2, y2 = (edge2 * axis1).sum(axis=1), np.where(live, (edge2 * axis2).sum(axis=1), 1.0)
+        direction = _edge_directions(length1, x2, y2)
+        frame = [np.ascontiguousarray(v.T) for v in (a, edge1, edge2, normal, axis1, axis2)]
+        smooth = _smooth_normals(vertices, faces, weld, live, normal)
+        rates = (1 / length1, 1 / y2, x2 / (y2 * length1))
+    return dict(zip(_FLOATS, (*frame, *rates, *direction, smooth), strict=True))
+
+
+def _length(v: Floats) -> Floats:
+    return np.sqrt((v * v).sum(axis=1))
+
+
+def _weld(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Ints:
+    """Corner numbers int32[m,3] in which corners at one place of one mesh are one."""
+    grain = max(extent * _WELD, 1e-300)
+    flat = faces.ravel()
+    place = np.round((vertices[flat] - vertices[flat].min(axis=0, initial=np.inf)) / grain).astype(np.int64)
+    owner = np.repeat(mesh, 3)
+    order = np.lexsort((place[:, 2], place[:, 1], place[:, 0], owner))
+    rows = np.column_stack([owner, place])[order]
+    fresh = np.concatenate(([0], np.cumsum((rows[1:] != rows[:-1]).any(axis=1)))) if len(rows) else np.empty(0, np.int64)
+    weld = np.empty(len(flat), np.int32)
+    weld[order] = _touching(vertices[flat[order]], owner[order], fresh, grain)
+    return weld.reshape(-1, 3)
+
+
+def _touching(places: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
+    """Numbers of cells, one for those of an owner that have corners nearer than `grain` on both sides of a border of cells."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    begin = np.unique(cell, return_index=True)[1]
+    near = KDTree(places[begin]).query_pairs(grain, output_type="ndarray") if begin.size else np.empty((0, 2), np.int64)
+    near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]
+    if not near.size:
+        return cell
+    graph = coo_array((np.ones(len(near), np.int8), near.T), shape=(begin.size, begin.size))
+    number = connected_components(graph, directed=False)[1]
+    _, least = np.unique(number, return_index=True)  # its first cell gives each its place, whatever the library's numbers
+    rank = np.empty(least.size, np.int64)
+    rank[np.argsort(least)] = np.arange(least.size)
+    joined: NDArray[np.int64] = rank[number][cell]
+    return joined
+
+
+def _live(weld: Ints, area: Floats, edges: tuple[Floats, Floats, Floats]) -> NDArray[np.bool_]:
+    """Faces that are a triangle, the first of those on the same three corners."""
+    longest = np.maximum.reduce([_length(e) for e in edges])
+    live = (area > _FLAT * longest * longest) & (area > 0)
+    key = np.sort(weld, axis=1)
+    live &= (key[:, 0] != key[:, 1]) & (key[:, 1] != key[:, 2])
+    order = np.lexsort((np.arange(len(key)), ~live, key[:, 2], key[:, 1], key[:, 0]))
+    again = (key[order][1:] == key[order][:-1]).all(axis=1)
+    live[order[1:][again]] = False
+    return live
+
+
+def _edge_directions(length1: Floats, x2: Floats, y2: Floats) -> tuple[Floats, Floats]:
+    """Unit directions of the half-edges in their face's frame, as two arrays of 3m."""
+    c = np.stack([x2 - length1, -x2, length1], axis=1)
+    s = np.stack([y2, -y2, np.zeros_like(y2)], axis=1)
+    size = np.sqrt(c * c + s * s)
+    size[size == 0] = 1.0
+    return (c / size).ravel(), (s / size).ravel()
+
+
+def _links(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> Ints:
+    """What lies beyond each half-edge, for either side: the next face around the edge on that side.
+
+    Where more than two faces meet (a wall on a floor), this keeps an agent in the wedge it walks in.
+    """
+    m = len(faces)
+    link = np.full((2, 3 * m), NO_LINK, np.int32)
+    half = np.flatnonzero(np.repeat(live, 3))
+    if not half.size:
+        return link
+    face, k = half // 3, half % 3
+    one, two = weld[face, (k + 1) % 3], weld[face, (k + 2) % 3]
+    key = (np.minimum(one, two).astype(np.int64) << 32) | np.maximum(one, two)
+    along = np.where(one < two, 1.0, -1.0)
+    start, end = vertices[faces[face, (k + 1) % 3]], vertices[faces[face, (k + 2) % 3]]
+    edge = (end - start) * along[:, None]
+    edge /= _length(edge)[:, None]
+    inward = vertices[faces[face, k]] - start
+    inward -= (inward * edge).sum(axis=1)[:, None] * edge
+    order = np.argsort(key, kind="stable")
+    first = np.concatenate(([True], key[order][1:] != key[order][:-1]))
+    group = np.empty(half.size, np.int64)
+    group[order] = np.cumsum(first) - 1
+    lead = order[first][group]  # one half-edge of each edge gives the direction and the angle's zero for all of it
+    axis, zero = edge[lead], inward[lead]
+    angle = elementary.wide_atan2((np.cross(axis, zero) * inward).sum(axis=1), (zero * inward).sum(axis=1))
+    order = np.lexsort((half, np.round(angle, 9), group))
+    count = np.bincount(group)
+    begin = np.cumsum(count) - count
+    place = np.empty(half.size, np.int64)
+    place[order] = np.arange(half.size)
+    place -= begin[group]
+    # Turning about the axis from a face towards its normal goes up or down in angle, by how the face is wound.
+    upward = along > 0
+    many = count[group] > 1
+    for side in (0, 1):
+        step = np.where(upward == (side == 0), 1, -1)
+        beyond = order[begin[group] + (place + step) % count[group]]
+        flip = (along[beyond] == along).astype(np.int64)  # two faces wound alike run along their edge in opposite ways
+        link[side, half[many]] = (8 * face[beyond] + 2 * k[beyond] + flip)[many]
+    return link
+
+
+def _pieces(link: Ints, live: NDArray[np.bool_]) -> tuple[Ints, int]:
+    """Which faces hang together, as a number per face, and how many such pieces there are."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    m = len(live)
+    half = np.flatnonzero(link[0] != NO_LINK)
+    here, there = half // 3, link[0, half] >> 3
+    graph = coo_array((np.ones(half.size, np.int8), (here, there)), shape=(m, m))
+    _, piece = connected_components(graph, directed=False)
+    named, numbers = np.unique(piece[live], return_inverse=True)
+    result = np.full(m, -1, np.int32)
+    result[live] = numbers
+    return result, int(named.size)
+
+
+def _ways(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
+    """Which sides of faces may be come to from each other, as a number per side and face (2, m): those that hang together across
+    edges. The two of a sheet do not, those of a Möbius strip do. A piece without an open border has an inside and an outside
+    that none can confuse, wherever it cuts itself: its sides have one number."""
+    m = len(live)
+    if not (link[0].reshape(-1, 3)[live] == NO_LINK).any():
+        return np.zeros((2, m), np.int32)
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    here, there = [], []
+    for side in (0, 1):
+        half = np.flatnonzero(link[side] != NO_LINK)
+        beyond = link[side, half].astype(np.int64)
+        here.append(half // 3 + side * m)
+        there.append((beyond >> 3) + (side ^ (beyond & 1)) * m)
+    shut = np.ones(int(piece.max(initial=-1)) + 1, bool)
+    shut[piece[live & (link[0].reshape(-1, 3) == NO_LINK).any(axis=1)]] = False
+    closed = np.flatnonzero(live)[shut[piece[live]]]
+    one, two = np.concatenate([*here, closed]), np.concatenate([*there, closed + m])
+    graph = coo_array((np.ones(one.size, np.int8), (one, two)), shape=(2 * m, 2 * m))
+    number: Ints = connected_components(graph, directed=False)[1].astype(np.int32)
+    return number.reshape(2, m)
+
+
+def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_], normal: Floats) -> Floats:
+    """Normals at the corners of faces, (9, m): the mean of the faces around, weighted by their angle there, without those
+    that meet this face in a crease (Thürmer, Wüthrich, Computing Vertex Normals from Polygonal Facets, 1998, p. 43-46)."""
+    m = len(faces)
+    corners = vertices[faces]
+    weight = np.zeros((m, 3))
+    for k in range(3):
+        u, v = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
+        weight[:, k] = elementary.wide_atan2(_length(np.cross(u, v)), (u * v).sum(axis=1))
+    weight[~live] = 0.0
+    points = int(weld.max(initial=-1)) + 1
+    flat = weld.ravel()
+    each = np.repeat(normal, 3, axis=0)
+    total: Floats = np.stack([np.bincount(flat, weight.ravel() * each[:, axis], points) for axis in range(3)], axis=1)
+    mean = total / np.maximum(_length(total), 1e-300)[:, None]
+    smooth = mean[flat]
+    # Half the crease's angle from the mean leaves any two faces there within the crease.
+    sharp = np.bincount(flat, (smooth * each).sum(axis=1) < np.sqrt((1 + _CREASE) / 2), points) > 0
+    slow = np.flatnonzero(sharp[flat])
+    if slow.size:
+        slow = slow[np.argsort(flat[slow], kind="stable")]
+        smooth[slow] = _creased(slow, flat, weight.ravel(), each)
+    return np.ascontiguousarray(smooth.reshape(m, 9).T)
+
+
+def _creased(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Floats) -> Floats:
+    """Normals of corners that lie sorted by their point, from those other corners there that meet theirs without a crease."""
+    count = np.bincount(point[corner])[point[corner]]
+    begin = np.searchsorted(point[corner], point[corner], side="left")
+    one = np.repeat(np.arange(corner.size), count)
+    step = np.arange(one.size) - np.repeat(np.cumsum(count) - count, count)
+    other = corner[begin[one] + step]
+    cosine = (normal[corner[one]] * normal[other]).sum(axis=1)
+    share = np.where(np.abs(cosine) >= _CREASE, np.sign(cosine) * weight[other], 0.0)
+    total: Floats = np.stack([np.bincount(one, share * normal[other][:, axis], corner.size) for axis in range(3)], axis=1)
+    size = _length(total)
+    return np.where(size[:, None] > 0, total / np.maximum(size, 1e-300)[:, None], normal[corner])
+
+
+def facing(normals: Floats) -> NDArray[np.int64]:
+    """Which of six ways normals [n,3] face most: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; the first of equals."""
+    n = np.asarray(normals)
+    axis = np.abs(n).argmax(axis=1)
+    return 2 * axis + (n[np.arange(len(n)), axis] < 0)

@@ -1,0 +1,379 @@
+"""The walk of `walk` and `ground` as one loop over agents: same operations in the same order and so the same bits. Who may meet
+anything but the next face of its own surface waits for a second loop, and of these who walks on what its own piece cuts for
+`walk_events`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.ground.mesh.around_compiled import beyond, landed, other_ahead
+from antdsl.ground.mesh.packing import (  # fmt: skip
+    AXIS1,
+    AXIS2,
+    CORNER,
+    EDGE1,
+    EDGE2,
+    EDGE_C,
+    EDGE_S,
+    LINK,
+    MESH,
+    NORMAL,
+    RATE1,
+    RATE2,
+    SHEAR,
+    SMOOTH,
+    WIDTH,
+)
+from antdsl.ground.mesh.surroundings import LIFT
+from antdsl.ground.mesh.topology import NO_LINK
+from antdsl.ground.mesh.walk import CROSSINGS, GRAIN, HOPS, INWARD, STUCK
+from antdsl.numerics.kernel_cache import njit
+from antdsl.numerics.vectors_compiled import inside as _inside
+
+# What is kept of agents that wait: rows of an array of floats, and of one of whole numbers.
+B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, GONE, OVER, LENGTH, REALS = range(12)
+AGENT, FACE, TURN, SPENT, BLOCKED, NEAR, LOOKED, EVENT, EDGE, WHOLES = range(10)
+_FETCHED = 16  # agents whose rows are fetched at once
+AHEAD, BORDER, HANG, MET = 1, 2, 3, 4  # something may be in the way, or beyond the border; over one already; decided elsewhere
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the call
+    table, link, forked, first, sub_first, sub_count, clear, reach, noise, mesh, face, b1s, b2s, overs,
+    body, wish, heading, up, reals, wholes, done,
+    to_mesh, to_face, to_b1, to_b2, to_over, place, above, ahead, direction, gone, begin, end,
+):  # fmt: skip
+    """One step of the agents from `begin` to before `end`; sets `done` for those that it moved and returns how many wait, in
+    `reals` and `wholes` (.., end - begin).
+
+    `table` is `packed`, `link` and `forked` of the topology and `first` the first face of each mesh. `sub_first`,
+    `sub_count`, `clear` and `reach` are `first`, `count`, `least` and `reach` of `Parts`; an agent stays away from what is
+    nearer than its way, LIFT of its body and `noise`. Then where agents stand, their body, wish, heading and up (3, n), and
+    where the results go. Agents neither done nor waiting are left as they are.
+    """
+    waiting = 0
+    for i in range(begin, end):
+        if (i - begin) % _FETCHED == 0:
+            gone[i] = _touch(table, mesh, face, first, i, min(i + _FETCHED, end))
+        done[i] = False
+        if mesh[i] < 0 or face[i] < 0:
+            continue
+        f = first[mesh[i]] + face[i]
+        wish_x, wish_y, wish_z = wish[0, i], wish[1, i], wish[2, i]
+        if not np.isfinite(wish_x + wish_y + wish_z):
+            continue
+        row = WIDTH * f
+        along_up = up[0, i] * table[row + NORMAL] + up[1, i] * table[row + NORMAL + 1] + up[2, i] * table[row + NORMAL + 2]
+        side = -1.0 if along_up < 0 else 1.0
+        over = overs[i] * side
+        b1, b2 = _inside(b1s[i] + 0.0, b2s[i] + 0.0)
+        c, s, left = _laid_down(table, row, wish_x, wish_y, wish_z, 1.0, 0.0)
+        heading_c, heading_s, _ = _laid_down(table, row, heading[0, i], heading[1, i], heading[2, i], c, s)
+        high = _margin(noise, body[i])
+        if not _free(sub_first, sub_count, clear, reach, f, b1, b2) <= left + high:
+            high = -np.inf  # has nothing to look out for on the whole way
+        if over != 0 and left > 0:
+            way, turn, event, edge, length = 0.0, 0, HANG, 0, 0.0
+        else:
+            f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = _walk(
+                table, link, forked, sub_first, sub_count, clear, reach, high, False,
+                f, b1, b2, side, c, s, heading_c, heading_s, left, 0.0, 0,
+            )  # fmt: skip
+        if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
+            continue
+        if event:
+            wholes[AGENT, waiting], wholes[SPENT, waiting], wholes[BLOCKED, waiting] = i, 0, 0
+            wholes[NEAR, waiting] = high > 0
+            _keep(reals, wholes, waiting, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length)
+            waiting += 1
+            continue
+        done[i] = True
+        row = WIDTH * f
+        on = int(table[row + MESH])
+        to_mesh[i], to_face[i] = on, f - first[on]
+        to_b1[i], to_b2[i], to_over[i], gone[i] = b1, b2, over * side + 0.0, way
+        _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, over, i, place, above, ahead, direction)
+    return waiting
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def walk_on(  # type: ignore[no-untyped-def]
+    table, link, forked, first, sub_first, sub_count, clear, reach, noise, sides, cuts, boxes, scale,
+    body, reals, wholes, done, to_mesh, to_face, to_b1, to_b2, to_over, place, above, ahead, direction, gone, blocked, begin, end,
+):  # fmt: skip
+    """The same for agents that wait, from `begin` to before `end`: until they are done, or `EVENT` says that they may come to
+    what their own piece cuts.
+
+    `sides` are `piece` and `way` of the topology and `cuts` the first of its cuts, `boxes` the arrays of `Boxes`, `scale` least,
+    fine and under of `Scale`.
+    """
+    found = np.empty(boxes[0].size, np.int64)
+    for k in range(begin, end):
+        event = wholes[EVENT, k]
+        if event == 0:
+            continue
+        r, w = reals[:, k], wholes[:, k]
+        i = w[AGENT]
+        size = body[i]
+        high = _margin(noise, size) if w[NEAR] else -np.inf
+        f, b1, b2, side, c, s, heading_c, heading_s = w[FACE], r[B1], r[B2], r[SIDE], r[C], r[S], r[HEADING_C], r[HEADING_S]
+        left, way, over, turn, looked, edge, length = r[LEFT], r[GONE], r[OVER], w[TURN], w[LOOKED] != 0, w[EDGE], r[LENGTH]
+        w[EVENT], w[LOOKED] = 0, 0
+        while event:
+            to, side2, level, gap = -1, side, 0.0, 0.0
+            if event == AHEAD:
+                if cuts[f + 1] > cuts[f]:
+                    break
+                looked = True
+                if length > 0:
+                    to, one, two, side2, gap = other_ahead(
+                        table, sides, boxes, scale, found, size, f, b1, b2, side, c, s, left, length
+                    )  # fmt: skip
+                if to >= 0:
+                    looked = False
+                    turn += 1
+            elif event == HANG:
+                edge, outward = _hung(table, link, f, b1, b2, side, c, s)
+                if outward:
+                    event = BORDER
+                    turn -= 1  # of a step, the loop counts the stretches
+                else:
+                    over, left, way = _rise(over, 0.0, left, way)
+                    if over != 0:
+                        left = 0.0
+            if event == BORDER:
+                turn += 1
+                to, one, two, side2, gap, level = beyond(table, sides, boxes, scale, found, size, f, edge, b1, b2, side)
+                over, left, way = _rise(over, level, left, way)
+                if to < 0 and over == level:
+                    c, s, left = _along(table[WIDTH * f + EDGE_C + edge], table[WIDTH * f + EDGE_S + edge], c, s, left)
+                    w[BLOCKED] = 1
+                    w[SPENT] += 1
+                    if w[SPENT] >= HOPS:
+                        left = 0.0
+                elif to < 0 or over != level or not left >= gap:
+                    if way == 0:
+                        w[BLOCKED] = 1
+                    to, left = -1, 0.0
+                else:
+                    over = 0.0
+                    w[NEAR] = 1
+                    high = _margin(noise, size)
+            if to >= 0:
+                c, s, heading_c, heading_s = landed(table, f, side, c, s, heading_c, heading_s, to, side2)
+                f, b1, b2, side = to, one, two, side2
+                left = max(left - gap, 0.0)
+                way += gap
+                w[SPENT] += 1
+                if w[SPENT] >= HOPS:
+                    left = 0.0
+                    w[BLOCKED] = 1
+            f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn, event, edge, length = _walk(
+                table, link, forked, sub_first, sub_count, clear, reach, high, looked,
+                f, b1, b2, side, c, s, heading_c, heading_s, left, way, turn,
+            )  # fmt: skip
+            looked = False
+        if not np.isfinite(b1 + b2 + c + s + heading_c + heading_s):
+            continue
+        if event:
+            _keep(reals, wholes, k, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length)
+            continue
+        done[i] = True
+        row = WIDTH * f
+        on = int(table[row + MESH])
+        to_mesh[i], to_face[i] = on, f - first[on]
+        to_b1[i], to_b2[i], to_over[i], gone[i], blocked[i] = b1, b2, over * side + 0.0, way, w[BLOCKED] != 0
+        _finish(table, row, b1, b2, side, c, s, heading_c, heading_s, over, i, place, above, ahead, direction)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _margin(noise, body):  # type: ignore[no-untyped-def]
+    """How near to its way (mm) a piece of surface must be to matter."""
+    high = LIFT * body
+    if not high > noise:
+        high = noise
+    return high + noise
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _keep(  # type: ignore[no-untyped-def]
+    reals, wholes, k, f, b1, b2, side, c, s, heading_c, heading_s, left, way, over, turn, event, edge, length
+):
+    r, w = reals[:, k], wholes[:, k]
+    r[B1], r[B2], r[SIDE], r[C], r[S], r[HEADING_C], r[HEADING_S] = b1, b2, side, c, s, heading_c, heading_s
+    r[LEFT], r[GONE], r[OVER], r[LENGTH] = left, way, over, length
+    w[FACE], w[TURN], w[LOOKED], w[EVENT], w[EDGE] = f, turn, 0, event, edge
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _rise(over, level, left, way):  # type: ignore[no-untyped-def]
+    """As `walk.rise`: where it leads, and the way left and gone."""
+    most = level - over
+    climb = min(abs(most), left)
+    to = level if climb >= abs(most) else over + (-climb if most < 0 else climb)
+    return to, left - climb, way + climb
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _hung(table, link, f, b1, b2, side, c, s):  # type: ignore[no-untyped-def]
+    """As `walk.hung`."""
+    weights, edge, least = (1.0 - b1 - b2, b1, b2), 0, np.inf
+    for k in range(3):
+        if link[1 if side < 0 else 0, 3 * f + k] == NO_LINK and weights[k] < least:
+            edge, least = k, weights[k]
+    row = WIDTH * f + edge
+    return edge, c * table[row + EDGE_S] - s * table[row + EDGE_C] > 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _touch(table, mesh, face, first, start, stop):  # type: ignore[no-untyped-def]
+    """Reads what the next agents will need of the table. These reads wait for memory all at once, and not one after another."""
+    total = 0.0
+    for i in range(start, stop):
+        if mesh[i] >= 0 and face[i] >= 0:
+            row = WIDTH * (first[mesh[i]] + face[i])
+            for k in range(0, WIDTH, 8):
+                total += table[row + k]
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _laid_down(table, row, x, y, z, c0, s0):  # type: ignore[no-untyped-def]
+    c = table[row + AXIS1] * x + table[row + AXIS1 + 1] * y + table[row + AXIS1 + 2] * z
+    s = table[row + AXIS2] * x + table[row + AXIS2 + 1] * y + table[row + AXIS2 + 2] * z
+    flat = np.sqrt(c * c + s * s)
+    if not flat > 1e-150:
+        return c0, s0, 0.0
+    return c / flat, s / flat, min(np.sqrt(x * x + y * y + z * z), 2 * flat)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _free(sub_first, sub_count, clear, reach, f, b1, b2):  # type: ignore[no-untyped-def]
+    """As `Parts.of`."""
+    n = sub_count[f]
+    if n == 0:
+        return reach
+    return clear[sub_first[f] + max(min(int(b1 * n), n - 1), 0) * n + max(min(int(b2 * n), n - 1), 0)]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _walk(  # type: ignore[no-untyped-def]
+    table, link, forked, sub_first, sub_count, clear, reach, high, looked,
+    f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn,
+):  # fmt: skip
+    """Across faces until the way is used up, or until an event: what the agent is then, the event, and the edge and length of
+    its stretch. On stretches within whose length and `high` there may be another piece it stops, but not on the first if
+    `looked`."""
+    event, edge, length = 0, 0, 0.0
+    while turn < CROSSINGS and left > 0:
+        if turn >= STUCK and turn % STUCK == 0 and not looked:
+            b1 = b1 * (1 - GRAIN) + GRAIN / 3
+            b2 = b2 * (1 - GRAIN) + GRAIN / 3
+        row = WIDTH * f
+        rate1 = c * table[row + RATE1] - s * table[row + SHEAR]
+        rate2 = s * table[row + RATE2]
+        rate0 = -(rate1 + rate2)
+        b0 = 1.0 - b1 - b2
+        until, edge = np.inf, 0
+        if rate0 < 0:
+            until = max(b0, 0.0) / -rate0
+        if rate1 < 0:
+            way = max(b1, 0.0) / -rate1
+            if way < until:
+                until, edge = way, 1
+        if rate2 < 0:
+            way = max(b2, 0.0) / -rate2
+            if way < until:
+                until, edge = way, 2
+        length = min(until, left)
+        if high > 0 and not looked and _free(sub_first, sub_count, clear, reach, f, b1, b2) <= length + high:
+            event = AHEAD
+            break
+        looked = False
+        b1, b2 = _inside(b1 + rate1 * length, b2 + rate2 * length)
+        gone += length
+        if until >= left:
+            break
+        left = left - length
+        beyond = link[1, 3 * f + edge] if forked and side < 0 else int(table[row + LINK + edge])
+        if beyond == NO_LINK:
+            event = BORDER
+            break
+        f, b1, b2, side, c, s, heading_c, heading_s = _cross(table, row, beyond, edge, b1, b2, side, c, s, heading_c, heading_s)
+        turn += 1
+    return f, b1, b2, side, c, s, heading_c, heading_s, left, gone, turn, event, edge, length
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _along(edge_c, edge_s, c, s, left):  # type: ignore[no-untyped-def]
+    """Along an open border, and the way that is left there."""
+    along = c * edge_c + s * edge_s
+    turn = -1.0 if along < 0 else 1.0
+    return turn * edge_c - INWARD * edge_s, turn * edge_s + INWARD * edge_c, left * abs(along)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _cross(table, row, beyond, edge, b1, b2, side, c, s, heading_c, heading_s):  # type: ignore[no-untyped-def]
+    """Into the face beyond an edge."""
+    f, k2, flip = np.int64(beyond >> 3), (beyond >> 1) & 3, (beyond & 1) == 1
+    b0 = 1.0 - b1 - b2
+    first = b1 if edge == 0 else (b2 if edge == 1 else b0)
+    second = b2 if edge == 0 else (b0 if edge == 1 else b1)
+    if not flip:
+        first, second = second, first
+    there = WIDTH * f
+    c1, s1 = table[row + EDGE_C + edge], table[row + EDGE_S + edge]
+    c2, s2 = table[there + EDGE_C + k2], table[there + EDGE_S + k2]
+    turn = 1.0 if flip else -1.0
+    along, out = turn * (c * c1 + s * s1), c * s1 - s * c1
+    c, s = along * c2 - out * s2, along * s2 + out * c2
+    along, out = turn * (heading_c * c1 + heading_s * s1), heading_c * s1 - heading_s * c1
+    heading_c, heading_s = along * c2 - out * s2, along * s2 + out * c2
+    b1 = max(first if k2 == 0 else (0.0 if k2 == 1 else second), 0.0)
+    b2 = max(second if k2 == 0 else (first if k2 == 1 else 0.0), 0.0)
+    return f, b1, b2, -side if flip else side, c, s, heading_c, heading_s
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _finish(  # type: ignore[no-untyped-def]
+    table, row, b1, b2, side, c, s, heading_c, heading_s, over, i, place, above, ahead, direction
+):
+    """Place, smooth normal, transported heading and direction of travel in space."""
+    b0 = 1.0 - b1 - b2
+    sx = table[row + SMOOTH] * b0 + table[row + SMOOTH + 3] * b1 + table[row + SMOOTH + 6] * b2
+    sy = table[row + SMOOTH + 1] * b0 + table[row + SMOOTH + 4] * b1 + table[row + SMOOTH + 7] * b2
+    sz = table[row + SMOOTH + 2] * b0 + table[row + SMOOTH + 5] * b1 + table[row + SMOOTH + 8] * b2
+    size = np.sqrt(max(sx * sx + sy * sy + sz * sz, 1e-300))
+    sx, sy, sz = sx / size * side, sy / size * side, sz / size * side
+    nx, ny, nz = table[row + NORMAL] * side, table[row + NORMAL + 1] * side, table[row + NORMAL + 2] * side
+    hx = table[row + AXIS1] * heading_c + table[row + AXIS2] * heading_s
+    hy = table[row + AXIS1 + 1] * heading_c + table[row + AXIS2 + 1] * heading_s
+    hz = table[row + AXIS1 + 2] * heading_c + table[row + AXIS2 + 2] * heading_s
+    hx, hy, hz = _turned(hx, hy, hz, nx, ny, nz, sx, sy, sz)
+    off = hx * sx + hy * sy + hz * sz
+    hx, hy, hz = hx - off * sx, hy - off * sy, hz - off * sz
+    size = np.sqrt(hx * hx + hy * hy + hz * hz)
+    ahead[0, i], ahead[1, i], ahead[2, i] = hx / size, hy / size, hz / size
+    above[0, i], above[1, i], above[2, i] = sx, sy, sz
+    stood = (nx, ny, nz)
+    for k in range(3):
+        there = table[row + CORNER + k] + b1 * table[row + EDGE1 + k] + b2 * table[row + EDGE2 + k]
+        place[k, i] = there + over * stood[k]
+        direction[k, i] = table[row + AXIS1 + k] * c + table[row + AXIS2 + k] * s
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _turned(vx, vy, vz, bx, by, bz, ax, ay, az):  # type: ignore[no-untyped-def]
+    """A vector turned as the unit normal b turns into a; half a turn goes over the vector itself."""
+    cosine = bx * ax + by * ay + bz * az
+    if cosine < -1 + 1e-9:
+        hx, hy, hz = by * vz - bz * vy, bz * vx - bx * vz, bx * vy - by * vx
+        twice = 2 * (hx * vx + hy * vy + hz * vz)
+        return twice * hx - vx, twice * hy - vy, twice * hz - vz
+    x, y, z = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
+    part = (x * vx + y * vy + z * vz) / (1 + cosine)
+    return (
+        cosine * vx + (y * vz - z * vy) + part * x,
+        cosine * vy + (z * vx - x * vz) + part * y,
+        cosine * vz + (x * vy - y * vx) + part * z,
+    )

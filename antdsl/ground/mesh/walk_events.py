@@ -1,0 +1,86 @@
+"""The compiled walk in rounds: loops over all agents until each is done or may come to what its own piece cuts, then the cuts of
+all who wait at once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.mesh import walk_compiled as loop
+from antdsl.ground.mesh.boxes import Boxes
+from antdsl.ground.mesh.clearances import Parts
+from antdsl.ground.mesh.packing import pack, packed
+from antdsl.ground.mesh.surroundings import Around, Scale
+from antdsl.ground.mesh.topology import Topology
+from antdsl.ground.mesh.walk import Walkers, climb
+from antdsl.numerics import compiled
+
+Floats = NDArray[np.float64]
+
+
+class Walk:
+    """Steps of a crowd by the compiled loop: `table` with the mesh int32[m] of each face and the first face of each mesh, which
+    are `packed` for it."""
+
+    def __init__(self, table: Topology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
+        self._table, self._mesh, self._first = table, mesh, first
+        self.packed = packed(table, mesh)
+
+    def changed(self, faces: slice) -> None:
+        """Some faces have another shape in the table."""
+        pack(self.packed, self._table, self._mesh, faces)
+
+    def step(
+        self,
+        around: Around,
+        parts: Parts,
+        boxes: Boxes,
+        scale: Scale,
+        body: Floats,
+        at: tuple[Any, ...],
+        vectors: tuple[Floats, Floats, Floats],
+        to: tuple[Any, ...],
+        threads: int,
+    ) -> NDArray[np.bool_]:
+        """Move agents with wish, heading and up (3, n) from footings `at` to the arrays of a result, `to`; says who was moved.
+        Others are nowhere, or their numbers are not finite."""
+        n = body.size
+        done = np.empty(n, np.bool_)
+        table = (self.packed, self._table.link, self._table.forked, self._first)
+        near = (*table, parts.first, parts.count, parts.least, parts.reach, scale.noise)
+
+        def part(begin: int, end: int) -> tuple[Floats, NDArray[np.int64]]:
+            reals, wholes = np.empty((loop.REALS, end - begin)), np.empty((loop.WHOLES, end - begin), np.int64)
+            waiting = loop.walk_all(*near, *at, body, *vectors, reals, wholes, done, *to[:-1], begin, end)
+            return reals[:, :waiting], wholes[:, :waiting]
+
+        reals, wholes = (np.concatenate(half, axis=1) for half in zip(*compiled.in_parts(part, n, threads), strict=True))
+        topology = self._table
+        known = ((topology.piece, topology.way), topology.cuts.first, (boxes.order, boxes.first, boxes.bounds))
+        known = (*known, (scale.least, scale.fine, scale.under))
+
+        def further(begin: int, end: int) -> None:
+            loop.walk_on(*near, *known, body, reals, wholes, done, *to, begin, end)
+
+        if wholes.size:
+            asking = around.of(wholes[loop.AGENT])
+            compiled.in_parts(further, wholes.shape[1], threads)
+            while wholes[loop.EVENT].any():
+                self._meet(asking, reals, wholes)
+                compiled.in_parts(further, wholes.shape[1], threads)
+        return done
+
+    def _meet(self, around: Around, reals: Floats, wholes: NDArray[np.int64]) -> None:
+        """Look what those who wait come to, and do with them what `walk` does."""
+        columns: Any = (wholes[loop.FACE], *reals[: loop.GONE + 1], wholes[loop.BLOCKED], reals[loop.OVER])
+        w = Walkers(*columns)
+        near: Any = wholes[loop.NEAR]
+        spent: Any = wholes[loop.SPENT]
+        looking = np.flatnonzero(wholes[loop.EVENT] == loop.AHEAD)
+        met = climb(self._table, w, looking, near, reals[loop.LENGTH].take(looking), spent, around)
+        looked = np.ones(looking.size, bool) if met is None else ~met
+        wholes[loop.LOOKED, looking] = looked
+        wholes[loop.TURN, looking[~looked]] += 1
+        wholes[loop.EVENT, looking] = loop.MET

@@ -1,0 +1,210 @@
+"""A ground of which some meshes move between steps: what hangs together stays, where it lies is said anew for each frame.
+
+Only what moved is worked out again, and its rays have scenes of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.rays import Hits, Mesh, RayScene
+from antdsl.ground.mesh.clearances import Clearances, Parts
+from antdsl.ground.mesh.surface import Floats, Footing, Ground, Index
+from antdsl.ground.mesh.surroundings import NOISE
+from antdsl.ground.mesh.topology import repose
+
+Axes = tuple[Floats, Floats, Floats]
+
+
+class MovingGround(Ground):
+    """As `Ground`; the meshes named `moving` may be posed. `rest` is where all lay at first: cells of fields are in it."""
+
+    def __init__(self, surfaces: Mapping[str, Mesh], moving: Iterable[str], by_rays: bool = False) -> None:
+        self._moves = np.isin(list(surfaces), list(moving))
+        super().__init__(surfaces, by_rays)
+        counts = [len(np.reshape(v, (-1, 3))) for v, _ in surfaces.values()]
+        ends = np.cumsum([0, *counts])
+        self._corners = {name: slice(int(ends[k]), int(ends[k + 1])) for k, name in enumerate(self.names)}
+        self._rows = {name: slice(int(self._first[k]), int(self._first[k + 1])) for k, name in enumerate(self.names)}
+        self._rest = self._table.copy()
+        self._still_ones = int((self._table.live & ~self._moves.take(self._mesh)).sum())
+        self._ends = {name: _ends(self._vertices[rows]) for name, rows in self._corners.items()}
+        self._still_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
+        self._clearances = _Clearances(self)  # type: ignore[assignment]
+        # What moves may come over feet by as much as it likes: what shows its back is below an agent, however far above.
+        self._scale = replace(self._scale, under=np.inf)
+
+    def copy(self) -> MovingGround:
+        """One that can be posed apart from this one."""
+        made = copy(self)
+        made._vertices, made._table = self._vertices.copy(), self._table.copy()
+        made._boxes = replace(self._boxes, bounds=self._boxes.bounds.copy())
+        made._scenes, made._fast, made._ends = {}, None, dict(self._ends)
+        made._clearances = _Clearances(made)  # type: ignore[assignment]
+        return made
+
+    def pose(self, places: Mapping[str, Floats]) -> None:
+        """Put the vertices (n, 3) of moving meshes where they are now."""
+        for name, vertices in places.items():
+            rows = self._rows[name]
+            self._vertices[self._corners[name]] = vertices
+            repose(self._table, self._vertices, self._faces, rows)
+            if self._fast is not None:
+                self._fast.changed(rows)
+            self._ends[name] = _ends(vertices)
+        self.low = np.min([low for low, _ in self._ends.values()], axis=0)
+        self.high = np.max([high for _, high in self._ends.values()], axis=0)
+        self.extent = max(self.extent, float((self.high - self.low).max()))
+        self._boxes.fit(self._vertices, self._faces, self._still_ones)
+        self._scenes = {}
+        self._clearances.forget()  # type: ignore[attr-defined]
+
+    def carries(self, mesh: NDArray[np.int32]) -> NDArray[np.intp]:
+        """Which of the numbers of meshes that agents stand on are of one that moves; other numbers are of no mesh."""
+        known = (mesh >= 0) & (mesh < len(self._moves))
+        return np.flatnonzero(known & self._moves.take(np.where(known, mesh, 0)))
+
+    def axes(self, footing: Footing) -> Axes:
+        """The frames (3, n) of the faces where agents stand: along the first edge, across it, and up by the winding."""
+        face, _ = self._faces_of(footing)
+        t = self._table
+        return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
+
+    def rest_axes(self, footing: Footing) -> Axes:
+        """As `axes`, where the faces lay at rest."""
+        face, _ = self._faces_of(footing)
+        t = self._rest
+        return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
+
+    def rest_position(self, footing: Footing) -> Floats:
+        """Places (n, 3) where the points that agents stand on lay at rest."""
+        face, known = self._faces_of(footing)
+        t = self._rest
+        place = t.corner.take(face, axis=1) + footing.b1 * t.edge1.take(face, axis=1) + footing.b2 * t.edge2.take(face, axis=1)
+        return np.ascontiguousarray(np.where(known, place, 0.0).T)
+
+    def boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
+        """The meshes that move, where they are now: which faces are theirs, lowest and highest corner."""
+        return [(self._mesh == k, *self._ends[name]) for k, name in enumerate(self.names) if self._moves[k]]
+
+    def _together(self) -> NDArray[np.int32]:
+        return np.where(self._moves.take(self._mesh), self._mesh + 1, 0).astype(np.int32)
+
+    def _scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
+        """Rays against some surfaces: those that stand still and those that move, each a scene of its own."""
+        chosen = tuple(range(len(self.names))) if on is None else tuple(sorted(self.names.index(n) for n in self._known(on)))
+        if chosen not in self._scenes:
+            still = tuple(k for k in chosen if not self._moves[k])
+            if still not in self._still_scenes:
+                self._still_scenes[still] = self._rays(still)
+            moved, live = self._rays(tuple(k for k in chosen if self._moves[k]))
+            first, first_live = self._still_scenes[still]
+            self._scenes[chosen] = _Both(first, moved, len(first_live)), np.concatenate([first_live, live])  # type: ignore[assignment]
+        return self._scenes[chosen]
+
+    def _rays(self, chosen: tuple[int, ...]) -> tuple[RayScene, Index]:
+        live = np.flatnonzero(self._table.live & np.isin(self._mesh, chosen))
+        return RayScene(self._vertices, self._faces[live]), live
+
+
+def _ends(vertices: Floats) -> tuple[Floats, Floats]:
+    """Lowest and highest corner (3,) of a box around vertices."""
+    empty = not len(vertices)
+    return (np.full(3, np.inf), np.full(3, -np.inf)) if empty else (vertices.min(axis=0), vertices.max(axis=0))
+
+
+def _boxes(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Floats, Floats]:
+    """The same of each face, (n, 3)."""
+    a, b, c = (vertices.take(faces[:, k], axis=0) for k in range(3))
+    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+
+
+class _Both:
+    """Two ray scenes of one mesh each as one; the faces of the second are numbered after those of the first."""
+
+    def __init__(self, one: RayScene, two: RayScene, faces: int) -> None:
+        self._one, self._two, self._faces = one, two, faces
+
+    def cast(self, origin: Floats, direction: Floats, threads: int = 1) -> Hits:
+        a, b = (scene.cast(origin, direction, threads) for scene in (self._one, self._two))
+        second = b.hit & (b.t < a.t)
+        face = np.where(second, b.face + np.int32(self._faces), a.face)
+        u, v = np.where(second, b.u, a.u), np.where(second, b.v, a.v)
+        normal = np.where(second[:, None], b.normal, a.normal)
+        return Hits(np.where(second, b.t, a.t), np.where(second, b.mesh, a.mesh), face, u, v, normal)
+
+    def cast_within(
+        self, origin: Floats, step: Floats, threads: int = 1
+    ) -> tuple[Index, Floats, NDArray[np.int32], NDArray[np.int32]]:
+        n = len(origin)
+        part, mesh, face = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
+        for scene, before in ((self._one, 0), (self._two, self._faces)):
+            which, t, _, local = scene.cast_within(origin, step, threads)
+            nearer = t < part[which]
+            which = which[nearer]
+            part[which], mesh[which], face[which] = t[nearer], 0, local[nearer] + before
+        met = np.flatnonzero(mesh >= 0)
+        return met, part[met], mesh[met], face[met]
+
+    def closest(self, points: Floats, threads: int = 1) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats]:
+        a, b = (scene.closest(points, threads) for scene in (self._one, self._two))
+        second = b[3] < a[3]
+        face = np.where(second, b[1] + np.int32(self._faces), a[1])
+        return np.where(second, b[0], a[0]), face, np.where(second[:, None], b[2], a[2]), np.where(second, b[3], a[3])
+
+
+class _Clearances:
+    """As `Clearances`. Those between meshes that stand still are measured once; who is near a box around a mesh that moves, and
+    who stands on one near anything, always looks out."""
+
+    def __init__(self, ground: MovingGround) -> None:
+        self._ground = ground
+        self.noise = ground.extent * NOISE
+        self._loose = ground._moves.take(ground._mesh)
+        self._fixed = np.flatnonzero(~self._loose)
+        corners = ground._vertices[ground._faces[self._fixed]]
+        low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
+        piece, cut = ground._table.piece, ground._table.cuts.cut
+        self._still = Clearances(corners, piece[self._fixed], cut[self._fixed], low, self.noise)
+        several = {name: cut[rows].any() or (np.unique(piece[rows]) >= 0).sum() > 1 for name, rows in ground._rows.items()}
+        self._low, self._high = _boxes(ground._vertices, ground._faces)
+        self._several = [name for k, name in enumerate(ground.names) if ground._moves[k] and several[name]]
+        self._parts: Parts | None = None
+
+    def forget(self) -> None:
+        self._parts = None
+
+    def within(self, reach: float) -> Parts:
+        """Clearances that tell distances up to `reach` mm apart, where the meshes are now."""
+        if self._parts is None or self._parts.reach < reach:
+            self._parts = self._measured(1.5 * reach)
+        return self._parts
+
+    def _measured(self, reach: float) -> Parts:
+        ground = self._ground
+        still = self._still.within(reach)
+        count, first = np.zeros(len(ground._faces), np.int32), np.zeros(len(ground._faces), np.int64)
+        count[self._fixed], first[self._fixed] = still.count, still.first
+        at = self._touched(reach)
+        count[at], first[at] = 1, len(still.least)
+        return Parts(reach, first, count, np.append(still.least, 0.0))
+
+    def _touched(self, reach: float) -> Index:
+        """Faces that may have a mesh within `reach` where one of the two moves."""
+        ground = self._ground
+        wide = reach + 2 * self.noise
+        for k, rows in enumerate(ground._rows.values()):
+            if ground._moves[k]:
+                self._low[rows], self._high[rows] = _boxes(ground._vertices, ground._faces[rows])
+        found = np.zeros(len(self._low), np.bool_)
+        for k, (name, rows) in enumerate(ground._rows.items()):
+            low, high = ground._ends[name]
+            asked = np.arange(len(found)) if ground._moves[k] else np.flatnonzero(self._loose)
+            near = asked[((self._low[asked] <= high + wide) & (self._high[asked] >= low - wide)).all(axis=1)]
+            own = (near >= rows.start) & (near < rows.stop)
+            found[near if name in self._several else near[~own]] = True
+        return np.flatnonzero(found)

@@ -1,0 +1,196 @@
+"""How far nodes are from the nearest triangle, in a narrow band: exactly beside the triangles, from node to node beyond."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.solid.bricks import CUBE
+from antdsl.ground.solid.lattice import boxes, counted
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+Distances = NDArray[np.float32]
+
+EXACT = 1.75  # voxels up to which a node is measured to all triangles: corners of a cell that the surface crosses are nearer
+FAR = np.float32(1e9)  # of nodes beyond the band
+_PIECE = 1 << 15  # pairs of node and triangle measured together, so that they stay in the processor's cache
+_STEPS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
+
+
+def distances(shape: tuple[int, int, int], near: Index, corners: Floats, band: float) -> Distances:
+    """Distances (voxels) of the nodes of bricks `near`, float32[len(near) * 4096]; `FAR` for those beyond `band`.
+
+    `corners` float64[n,3,3] are the triangles in voxels. Nodes beside a triangle are measured to it; from there outwards, layer
+    by layer, each node to the nearest triangles of the nodes beside it (Bridson, Fluid Simulation for Computer Graphics, 2015,
+    section 4.2).
+    """
+    field = _Field(shape, near, corners)
+    for nodes, triangle in beside(corners):
+        field.measure(nodes, triangle, False)
+    front = field.nearer()
+    while front.size:
+        front = front[field.away[front] < band]
+        around = field.columns(front)
+        nodes = [np.concatenate(parts) for parts in zip(*(_moved(around, step) for step in _STEPS), strict=True)]
+        field.measure(nodes, np.tile(field.nearest[front], len(_STEPS)), True)
+        front = field.nearer()
+    return field.away
+
+
+def _moved(columns: list[Index], step: tuple[int, ...]) -> list[Index]:
+    return [column + by for column, by in zip(columns, step, strict=True)]
+
+
+def beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
+    """Nodes near the plane of each triangle, and about as near to its outline: their columns, and the triangle.
+
+    Seen along the axis that its normal is nearest to, a triangle covers few lines of nodes, and few nodes of a line are near.
+    """
+    edges = corners[:, [1, 2]] - corners[:, :1]
+    normal = np.cross(edges[:, 0], edges[:, 1])
+    axes = np.where(normal.any(axis=1), np.abs(normal).argmax(axis=1), -1)  # no area: the sides are those of others
+    for axis in range(3):
+        which = np.flatnonzero(axes == axis)
+        others = [k for k in range(3) if k != axis]
+        flat = corners[which][:, :, others]
+        low = np.ceil(flat.min(axis=1) - EXACT).astype(np.int64)
+        count = np.floor(flat.max(axis=1) + EXACT).astype(np.int64) - low + 1
+        slope = normal[which]
+        for t, u, v in boxes(low, count, _PIECE):
+            near = _over(flat, t, u, v)
+            t, u, v = t[near], u[near], v[near]
+            first = corners[which[t], 0]
+            level = (
+                first[:, axis]
+                - ((u - first[:, others[0]]) * slope[t, others[0]] + (v - first[:, others[1]]) * slope[t, others[1]])
+                / slope[t, axis]
+            )
+            lean = np.abs(slope[t, axis]) / np.sqrt((slope[t] ** 2).sum(axis=1))
+            reach = EXACT / lean
+            lowest = np.ceil(level - reach).astype(np.int64)
+            count_up = np.maximum(np.floor(level + reach).astype(np.int64) - lowest + 1, 0)
+            which_line = np.repeat(np.arange(t.size), count_up)
+            nodes: list[Index] = [u, u, u]
+            nodes[axis] = lowest[which_line] + counted(count_up)
+            nodes[others[0]], nodes[others[1]] = u[which_line], v[which_line]
+            yield nodes, which[t[which_line]]
+
+
+def _over(flat: Floats, t: Index, u: Index, v: Index) -> Index:
+    """Which places are over their triangle (k, 3, 2) or near the lines through its sides."""
+    inside = np.ones(t.size, bool)
+    turn = np.sign(
+        (flat[:, 1, 0] - flat[:, 0, 0]) * (flat[:, 2, 1] - flat[:, 0, 1])
+        - (flat[:, 1, 1] - flat[:, 0, 1]) * (flat[:, 2, 0] - flat[:, 0, 0])
+    )
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        eu, ev = (flat[:, j, 0] - flat[:, i, 0]) * turn, (flat[:, j, 1] - flat[:, i, 1]) * turn
+        least = (eu * flat[:, i, 1] - ev * flat[:, i, 0]) - EXACT * 1.001 * np.sqrt(eu * eu + ev * ev)
+        inside &= eu.take(t) * v - ev.take(t) * u >= least.take(t)
+    return np.flatnonzero(inside)
+
+
+class _Field:
+    """The nodes of some bricks: how far, and the triangle that was nearest."""
+
+    def __init__(self, shape: tuple[int, int, int], near: Index, corners: Floats) -> None:
+        self._shape = shape
+        self._near = near
+        self._first = np.full(math.prod(shape), -1, np.int32)  # place of each brick's nodes, by 4096
+        self._first[near] = np.arange(near.size)
+        self._triangles = _measures(corners)
+        self._nearer = np.zeros(near.size * CUBE, bool)
+        self.away: Distances = np.full(near.size * CUBE, FAR, np.float32)
+        self.nearest = np.full(near.size * CUBE, -1, np.int32)
+
+    def nearer(self) -> Index:
+        """Places that became nearer since this was asked last."""
+        found = np.flatnonzero(self._nearer)
+        self._nearer[found] = False
+        return found
+
+    def columns(self, at: Index) -> list[Index]:
+        """Which nodes places in the arrays stand for."""
+        local = at & (CUBE - 1)
+        brick = np.unravel_index(self._near[at >> 12], self._shape)
+        within = (local >> 8, (local >> 4) & 15, local & 15)
+        return [(b << 4) + w for b, w in zip(brick, within, strict=True)]
+
+    def measure(self, nodes: list[Index], triangle: NDArray[np.integer], new: bool) -> None:
+        """Measure nodes to a triangle each, only those not known yet if `new`."""
+        parts = [
+            self._measured([n[a : a + _PIECE] for n in nodes], triangle[a : a + _PIECE], new)
+            for a in range(0, len(triangle), _PIECE)
+        ]
+        for at, away, name in parts:
+            nearer = np.flatnonzero(away < self.away.take(at))
+            at, away, name = at[nearer], away[nearer], name[nearer]
+            np.minimum.at(self.away, at, away)
+            best = np.flatnonzero(away == self.away.take(at))
+            self.nearest[at[best]] = name[best]
+            self._nearer[at] = True
+
+    def _measured(
+        self, nodes: list[Index], triangle: NDArray[np.integer], new: bool
+    ) -> tuple[Index, Distances, NDArray[np.integer]]:
+        x, y, z = nodes
+        nx, ny, nz = self._shape
+        inside = (x >= 0) & (x < nx * 16) & (y >= 0) & (y < ny * 16) & (z >= 0) & (z < nz * 16)
+        slot = self._first.take(((x >> 4) * ny + (y >> 4)) * nz + (z >> 4), mode="clip").astype(np.int64)
+        inside &= slot >= 0
+        at = (slot << 12) + (((x & 15) << 8) + ((y & 15) << 4) + (z & 15))
+        if new:
+            here = np.where(inside, at, 0)
+            inside &= (self.away.take(here) > EXACT) & (self.nearest.take(here) != triangle)
+        rows = np.flatnonzero(inside)
+        at, triangle = at[rows], triangle[rows]
+        away = _away(self._triangles, triangle, [x[rows], y[rows], z[rows]])
+        if not new:
+            # Beyond that another triangle, which was not asked, may be nearer.
+            sure = np.flatnonzero(away <= EXACT)
+            at, away, triangle = at[sure], away[sure], triangle[sure]
+        return at, away, triangle
+
+
+def _measures(corners: Floats) -> Floats:
+    """What measuring to a triangle needs, (27, n): corners, edges, edge normals in the plane, and inverse squares."""
+    a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
+    edges = (b - a, c - b, a - c)
+    normal = np.cross(edges[0], edges[1], axis=0)
+    area = (normal * normal).sum(axis=0)
+    flat = area > 0
+    unit = normal / np.sqrt(np.where(flat, area, 1.0))
+    rows = [unit]
+    for corner, edge in zip((a, b, c), edges, strict=True):
+        square = (edge * edge).sum(axis=0)
+        rows += [corner, edge, 1.0 / np.where(square > 0, square, 1.0)[None]]
+    return np.concatenate(rows)
+
+
+def _away(measures: Floats, triangle: NDArray[np.integer], nodes: list[Index]) -> Distances:
+    """Distance of each node to its triangle: to the plane where the node is above the inside, else to the nearest edge."""
+    m = measures.take(triangle, axis=1)
+    nx, ny, nz = m[0], m[1], m[2]
+    inside: NDArray[np.bool_] | bool = True
+    nearest: Floats | float = np.inf
+    height: Floats | float = 0.0
+    for k in range(3):
+        ax, ay, az, ex, ey, ez, inverse = m[3 + 7 * k : 10 + 7 * k]
+        px, py, pz = nodes[0] - ax, nodes[1] - ay, nodes[2] - az
+        s = ((px * ex + py * ey) + pz * ez) * inverse
+        np.clip(s, 0.0, 1.0, out=s)
+        if k == 0:
+            height = (px * nx + py * ny) + pz * nz
+        # Which side of the edge: the normal times the edge points inwards.
+        turn = (px * (ny * ez - nz * ey) + py * (nz * ex - nx * ez)) + pz * (nx * ey - ny * ex)
+        inside = inside & (turn >= 0)
+        px -= s * ex
+        py -= s * ey
+        pz -= s * ez
+        nearest = np.minimum(nearest, (px * px + py * py) + pz * pz)
+    inside = inside & ((nx * nx + ny * ny + nz * nz) > 0.5)
+    return np.where(inside, np.abs(height), np.sqrt(nearest)).astype(np.float32)

@@ -1,0 +1,146 @@
+"""A solid as a sparse signed distance: bricks of 16³ nodes near the surface, one flag elsewhere. Negative inside; the zero of
+the trilinear field is the surface. Places are float64 in mm, distances float32 in mm."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.ground.solid import carving, meshing, projecting, trilinear, voxelising
+from antdsl.ground.solid.bricks import Bricks, Unusable
+
+Floats = NDArray[np.float64]
+Distances = NDArray[np.float32]
+Arrays = dict[str, NDArray[Any]]
+
+__all__ = ["Unusable", "Volume"]
+
+
+@dataclass(slots=True)
+class Volume:
+    """Soft ground that can be dug. Made by `from_mesh`; only `carve` and `restore` change it."""
+
+    bricks: Bricks
+
+    @staticmethod
+    def from_mesh(
+        vertices: Floats, faces: NDArray[np.integer[Any]], voxel: float, *, cap: int = limits.VOXELS
+    ) -> Volume | Unusable:
+        """The solid inside a closed mesh, vertices float64[n,3] mm and faces int[m,3], sampled every `voxel` mm.
+
+        Inside is where the winding number is not 0 (parity, when faces are not wound alike). `cap` is the most voxels that the
+        mesh's bounding box may hold. What cannot be a solid (open mesh, too many voxels) is returned as `Unusable`.
+        """
+        made = voxelising.voxelise(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), float(voxel), cap)
+        return made if isinstance(made, Unusable) else Volume(made)
+
+    @property
+    def voxel(self) -> float:
+        """Distance between neighbouring nodes, mm."""
+        return self.bricks.voxel
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Least and greatest distance that is told, mm: deeper inside and farther outside the field is flat."""
+        return self.bricks.least, self.bricks.most
+
+    @property
+    def low(self) -> Floats:
+        """Lowest corner of the grid, float64[3] mm: all that is solid lies between `low` and `high`."""
+        return self.bricks.origin.copy()
+
+    @property
+    def high(self) -> Floats:
+        return self.bricks.origin + (np.array(self.bricks.nodes) - 1) * self.bricks.voxel
+
+    # ---- asking
+
+    def sample(self, points: Floats) -> Distances:
+        """Signed distance float32[n] at points [n,3], trilinear; the band's ends far from the surface."""
+        return trilinear.distance(self.bricks, *_columns(points)).astype(np.float32)
+
+    def gradient(self, points: Floats) -> Distances:
+        """Gradient float32[n,3] of the trilinear field at points [n,3]: about 1 long near the surface, 0 where it is flat."""
+        return self.sample_and_gradient(points)[1]
+
+    def sample_and_gradient(self, points: Floats) -> tuple[Distances, Distances]:
+        """Both at once, for little more than one of them."""
+        distance, *gradient = trilinear.field(self.bricks, *_columns(points))
+        return distance.astype(np.float32), np.stack(gradient).astype(np.float32).T
+
+    def upright(self, points: Floats, otherwise: Floats) -> Floats:
+        """Unit normals float64[n,3] out of the solid that change steadily along the surface, for bodies to stand by.
+
+        `otherwise` ([3] or [n,3]) where the field is flat."""
+        slope = trilinear.smooth(self.bricks, *_columns(points))
+        size = np.sqrt((slope[0] * slope[0] + slope[1] * slope[1]) + slope[2] * slope[2])
+        clear = size > 1e-3
+        unit = np.stack([s / np.where(clear, size, 1.0) for s in slope], axis=1)
+        return np.where(clear[:, None], unit, np.asarray(otherwise, np.float64))
+
+    def project(self, points: Floats, hints: Floats, reach: float | None = None) -> projecting.Projected:
+        """Places on the surface near points [n,3], with normals out of the solid.
+
+        `hints` [n,3] are unit vectors out of the surface meant (an agent's up): a wall that faces the other way is not taken.
+        A place farther off than `reach` (mm, two voxels when None) is not taken either: see `found`.
+        """
+        return projecting.project(self.bricks, points, hints, reach)
+
+    # ---- digging
+
+    def carve(self, centres: Floats, radii: Floats, owners: NDArray[np.int64]) -> Floats:
+        """Dig balls: centres [k,3] and radii [k] in mm, by owners int64[k]. Gives what each removed, float64[k] mm³.
+
+        Each node becomes max(distance, radius - way to the centre), so order does not matter. What a voxel loses goes to the
+        ball that reaches deepest there, the least owner at a tie. The sum of what is given is `volume()` before less
+        `volume()` after, to the last bit.
+        """
+        return carving.carve(self.bricks, centres, radii, owners)
+
+    def volume(self) -> float:
+        """Solid volume in mm³: each voxel counts in steps of 1/256, by how far its node is in."""
+        return self.bricks.steps * self.bricks.step_volume
+
+    @property
+    def removed(self) -> float:
+        """Volume dug so far, mm³."""
+        return (self.bricks.steps_at_start - self.bricks.steps) * self.bricks.step_volume
+
+    # ---- showing
+
+    def surface(self, changed_only: bool = True) -> Iterator[tuple[int, Floats, NDArray[np.int32]]]:
+        """Triangles of the zero level by brick: (key, vertices float64[n,3] mm, faces int32[m,3] seen from the air).
+
+        With `changed_only`, the bricks changed since the last time they were given (all, the first time); a brick without faces
+        has lost those it had. Vertices on a side that two bricks share have the same coordinates, so the pieces fit.
+        """
+        return meshing.surface(self.bricks, changed_only)
+
+    # ---- keeping
+
+    def state(self) -> Arrays:
+        """What digging changed, as arrays by name: bricks that differ from those `from_mesh` made, and the count of steps."""
+        return self.bricks.state()
+
+    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Back to a state of a volume made from the same mesh. ValueError when the arrays are not of such a one."""
+        self.bricks.restore(arrays)
+
+    def digest(self) -> bytes:
+        """32 bytes that are equal for equal solids; only bricks changed since the last call are read."""
+        return self.bricks.digest()
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays, bytes."""
+        return self.bricks.nbytes
+
+
+def _columns(points: Floats) -> tuple[Floats, Floats, Floats]:
+    x, y, z = np.array(np.asarray(points, np.float64).reshape(-1, 3).T, order="C")
+    return x, y, z

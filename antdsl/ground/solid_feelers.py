@@ -1,0 +1,142 @@
+"""What agents feel of a solid: rays that march through its signed distance, the nearest wall, and how far off it is at least.
+
+The doors are those of `RayScene`, so that a solid is felt like an obstacle. Sphere tracing: J. C. Hart, The Visual Computer
+12(10), 1996, p. 527.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.rays import FeelerHits
+from antdsl.ground.solid import Volume
+from antdsl.ground.solid.bricks import CUBE, SIDE
+
+Floats = NDArray[np.float64]
+
+_MARCHES = 96  # steps of one ray besides those through open air, after which it counts as free
+_LEAST = 0.5  # voxels: a ray goes on at least so far
+_THROUGH = 0.02  # voxels under the surface that a ray along it may dip without having hit it
+_HALVINGS = 8
+_BLOCK = 4  # edge, in nodes, of the blocks of which one place each says where the surface is, for those far from it
+
+
+class SolidFeelers:
+    """Feelers, walls near by and clearances of one solid; each call sees the solid as it is then."""
+
+    def __init__(self, volume: Volume) -> None:
+        self.volume = volume
+        self._far: tuple[float, Any, Floats] | None = None  # of the volume dug so far: a tree of places on the surface
+
+    def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.float32]:
+        """A distance (mm, float32[n]) within which places have no surface; 0 when near."""
+        place = np.stack([x, y, z], axis=1).astype(np.float64)
+        away = np.maximum(np.maximum(self.volume.low - place, place - self.volume.high), 0.0)
+        outside: NDArray[np.float32] = np.sqrt((away * away).sum(axis=1)).astype(np.float32)
+        within = np.flatnonzero(outside == 0)
+        if within.size:
+            near = np.abs(self.volume.sample(place[within])) - np.float32(self.volume.voxel)
+            outside[within] = np.maximum(near, np.float32(0))
+        return outside
+
+    def feelers(
+        self,
+        x: NDArray[Any],
+        y: NDArray[Any],
+        z: NDArray[Any],
+        dx: NDArray[Any],
+        dy: NDArray[Any],
+        dz: NDArray[Any],
+        reach: NDArray[Any] | float,
+        threads: int = 1,
+    ) -> FeelerHits:
+        """What lies within `reach` (mm, one or float[n]) of places along unit directions, all 1-D arrays of one length.
+
+        A ray hits where it goes in. One that starts inside, or along the surface that its agent stands on, starts free."""
+        origin, way = (np.stack(v, axis=1).astype(np.float64) for v in ((x, y, z), (dx, dy, dz)))
+        n = len(origin)
+        far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
+        voxel, through = self.volume.voxel, -_THROUGH * self.volume.voxel
+        free, shut, gone = np.zeros(n), np.full(n, np.inf), np.zeros(n)
+        rows = np.flatnonzero(far > 0)
+        before = self.volume.sample(origin[rows]).astype(np.float64)
+        for _ in range(_MARCHES + int(far.max(initial=0.0) / self.volume.band[1])):
+            step = np.maximum(np.abs(before), _LEAST * voxel)
+            ahead = np.minimum(gone[rows] + step, far[rows])
+            here = self.volume.sample(origin[rows] + ahead[:, None] * way[rows]).astype(np.float64)
+            met = (here < through) & (before >= through)
+            free[rows[met]], shut[rows[met]] = gone[rows[met]], ahead[met]
+            on = ~met & (ahead < far[rows])
+            gone[rows] = ahead
+            rows, before = rows[on], here[on]
+            if not rows.size:
+                break
+        hit = np.flatnonzero(np.isfinite(shut))
+        t, normal = np.full(n, np.inf), np.zeros((3, n), np.float32)
+        t[hit] = self._entry(origin[hit], way[hit], free[hit], shut[hit])
+        normal[:, hit] = self._normals(origin[hit] + t[hit, None] * way[hit])
+        return FeelerHits(np.isfinite(t), t.astype(np.float32), *normal)
+
+    def near(
+        self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
+    ) -> FeelerHits:
+        """The surface within `reach` (mm, one or float[n]) of places, 1-D arrays: distance, 0 inside, and unit way off it."""
+        place = np.stack([x, y, z], axis=1).astype(np.float64)
+        reach = np.broadcast_to(np.asarray(reach, np.float32), (len(place),))
+        distance, slope = self.volume.sample_and_gradient(place)
+        size = np.sqrt((slope * slope).sum(axis=1))
+        normal = np.where(size[:, None] > 0, slope / np.where(size > 0, size, 1)[:, None], 0).astype(np.float32)
+        t = np.maximum(distance, np.float32(0))
+        beyond = np.flatnonzero((distance > self.volume.band[1] - self.volume.voxel) & (reach >= self.volume.band[1]))
+        if beyond.size:
+            t[beyond], normal[beyond] = self._nearest(place[beyond])
+        hit = t <= reach
+        t[~hit], normal[~hit] = np.inf, 0
+        return FeelerHits(hit, t, *np.ascontiguousarray(normal.T))
+
+    def _entry(self, origin: Floats, way: Floats, free: Floats, inside: Floats) -> Floats:
+        """Where between two lengths rays go in, to a 256th of the step."""
+        for _ in range(_HALVINGS):
+            middle = (free + inside) / 2
+            solid = self.volume.sample(origin + middle[:, None] * way) < -_THROUGH * self.volume.voxel
+            free, inside = np.where(solid, free, middle), np.where(solid, middle, inside)
+        return free
+
+    def _normals(self, place: Floats) -> NDArray[np.float32]:
+        """Unit normals (3, n) out of the solid."""
+        slope = self.volume.gradient(place)
+        size = np.sqrt((slope * slope).sum(axis=1))
+        return np.ascontiguousarray((slope / np.maximum(size, np.float32(1e-12))[:, None]).T)
+
+    def _nearest(self, place: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Distance to and unit way off the surface for places beyond the band, true to some voxels."""
+        from scipy.spatial import cKDTree
+
+        removed = self.volume.removed
+        if self._far is None or self._far[0] != removed:
+            found = self._on_surface()
+            self._far = (removed, cKDTree(found) if len(found) else None, found)
+        _, tree, surface = self._far
+        if tree is None:
+            return np.full(len(place), np.inf, np.float32), np.zeros((len(place), 3), np.float32)
+        away = place - surface[tree.query(place)[1]]
+        distance = np.sqrt((away * away).sum(axis=1))
+        return distance.astype(np.float32), (away / np.maximum(distance, 1e-12)[:, None]).astype(np.float32)
+
+    def _on_surface(self) -> Floats:
+        """Places float64[n,3] on the surface, one for each small block of nodes that it passes."""
+        bricks, parts = self.volume.bricks, SIDE // _BLOCK
+        stored = np.flatnonzero(bricks.table >= 2)
+        pool = bricks.values[: bricks.used * CUBE].reshape((-1,) + (parts, _BLOCK) * 3)[bricks.table[stored]]
+        blocks = np.abs(pool.transpose(0, 1, 3, 5, 2, 4, 6).reshape(len(stored), parts**3, _BLOCK**3))
+        least = blocks.argmin(axis=2)
+        brick, block = np.nonzero(np.take_along_axis(blocks, least[:, :, None], axis=2)[:, :, 0] < bricks.voxel)
+        corner = np.stack(np.unravel_index(stored[brick], bricks.shape), axis=1) * SIDE
+        corner += np.stack(np.unravel_index(block, (parts,) * 3), axis=1) * _BLOCK
+        corner += np.stack(np.unravel_index(least[brick, block], (_BLOCK,) * 3), axis=1)
+        place: Floats = bricks.origin + corner * bricks.voxel
+        distance, slope = self.volume.sample_and_gradient(place)
+        return place - slope.astype(np.float64) * distance.astype(np.float64)[:, None]

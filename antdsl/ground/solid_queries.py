@@ -1,0 +1,53 @@
+"""What walking over ground with solids asks of one solid: where a way leads into it, what lies below, which way is out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.solid import Volume
+from antdsl.numerics.vector_rows import length
+
+Floats = NDArray[np.float64]
+
+_PARTS = 8  # of a step at which it is looked whether it leads into a solid
+_LOOKS = 5  # after each the part where it does is cut into as many again
+
+
+def entered(volume: Volume, start: Floats, end: Floats) -> Floats:
+    """After what part of their ways from `start` to `end`, which lies in a solid, points first come into it: the last that is
+    still in air, 0 where the start is not."""
+    free, long = np.zeros(len(start)), 1.0
+    for _ in range(_LOOKS):
+        parts = free + long * (np.arange(_PARTS) / _PARTS)[:, None]
+        places = start + parts[:, :, None] * (end - start)
+        solid = (volume.sample(places.reshape(-1, 3)) < 0).reshape(parts.shape)
+        first = np.where(solid.any(axis=0), solid.argmax(axis=0), _PARTS)
+        long /= _PARTS
+        free += np.maximum(first - 1, 0) * long
+    return free
+
+
+def normals(volume: Volume, place: Floats) -> Floats:
+    """Unit normals float64[n,3] out of a solid; zero where its field is flat."""
+    slope = volume.gradient(place).astype(np.float64)
+    normal: Floats = slope / np.maximum(length(slope), 1e-12)[:, None]
+    return normal
+
+
+def dropped(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """The first place of a solid that a ray from far above along -`up` meets, and whether there is one."""
+    height = float(length((volume.high - volume.low)[None, :])[0])
+    middle = (volume.low + volume.high) / 2
+    start = points + up * (((middle - points) * up).sum(axis=1) + height)[:, None]
+    return below(volume, start, up, 2 * height)
+
+
+def below(volume: Volume, start: Floats, up: Floats, reach: Floats | float) -> tuple[Floats, NDArray[np.bool_]]:
+    """The first place of a solid that a ray along -`up` meets within `reach`, and whether there is one."""
+    from antdsl.ground.solid_feelers import SolidFeelers
+
+    hits = SolidFeelers(volume).feelers(*start.T, -up[:, 0], -up[:, 1], -up[:, 2], reach)  # type: ignore[call-arg]
+    place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
+    landed = volume.project(place, up, 2 * volume.voxel)
+    return landed.points, hits.hit & landed.found

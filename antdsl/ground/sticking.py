@@ -1,0 +1,61 @@
+"""Sticking to surfaces by two rays a step: what a scene with `stick: rays` gets in place of walking over triangles.
+
+The agent goes straight on and is put where a ray down or a ray ahead and up meets a surface first; who meets none stays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.mesh.surface import Footing, Ground, MoveResult
+from antdsl.ground.mesh.walk import cross, dot
+
+Floats = NDArray[np.float64]
+
+RISE = 0.5  # of a body: how far above its feet an agent looks from
+REACH = 1.5  # bodies: how long both rays are
+FORWARD, UPWARD = np.sqrt(0.75), 0.5  # of the second ray, which goes ahead and 30 degrees up
+_LEVEL = 1e-9  # below it a vector has no direction
+
+
+def move_by_rays(
+    ground: Ground, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, threads: int
+) -> MoveResult:
+    """As `Ground.move`, from footings of n agents by `wish`; vectors (3, n), mm, `body` (n,).
+
+    Ray 1 goes down, along minus the agent's own up, from above where it wants to be. Ray 2 goes ahead and, turned about side =
+    heading x up, 30 degrees upward. The nearer hit is the new place and the heading is normal x side (T. Kewlani, Art Directed
+    Ant Crowd Simulation in Houdini, section 4.3.8). The text there has the longer ray win, the pseudo-code the nearest hit: the
+    longer one would pass through every wall that ray 2 sees. `position` is what the ray gave, in float32 and so off its face
+    by a hair. Who meets nothing stays and is `blocked`.
+    """
+    known = footing.face >= 0
+    wish = np.where(np.isfinite(wish).all(axis=0) & known, wish, 0.0)
+    place, length = ground.position(footing).T, np.sqrt(dot(wish, wish))
+    going = length > _LEVEL
+    ahead = np.where(going, wish / np.where(going, length, 1.0), heading)
+    eye, reach = place + up * (RISE * body), REACH * body
+    down, slant = -up * reach, (ahead * FORWARD + up * UPWARD) * reach
+    found1, part1, footing1 = ground.met((eye + wish).T, down.T, threads)
+    found2, part2, footing2 = ground.met(eye.T, slant.T, threads)
+    second = found2 & ~(found1 & (part1 <= part2))
+    met = known & going & (found1 | found2)
+    towards = np.where(second, slant, down)
+    hit = np.where(second, eye, eye + wish) + towards * np.where(second, part2, part1)
+    onto = Footing.chosen(met, Footing.chosen(second, footing2, footing1), footing)
+    normal = ground.upright(onto, np.where(met, -towards, up).T).T
+    turned, way = (np.where(met, _laid(vector, up, normal), vector) for vector in (heading, ahead))
+    hit = np.where(met, hit, place)
+    gone = np.sqrt(dot(hit - place, hit - place))
+    vectors = [np.ascontiguousarray(v).T for v in (hit, np.where(met, normal, up), turned, way)]
+    return MoveResult(onto, *vectors, gone, going & ~met, ~known)
+
+
+def _laid(vector: Floats, up: Floats, normal: Floats) -> Floats:
+    """normal x side, where side = vector x up: a unit vector at right angles to the normal. Where that is nothing, for a wall at
+    the agent's side or before it, what the wall leaves of the vector, or of up."""
+    flat = cross(normal, cross(vector, up))
+    for other in (vector, up):
+        flat = np.where(dot(flat, flat) > _LEVEL, flat, other - dot(other, normal) * normal)
+    flat = flat - dot(flat, normal) * normal
+    return flat / np.sqrt(np.maximum(dot(flat, flat), 1e-300))

@@ -1,0 +1,170 @@
+"""sin, cos, exp, log, pow and atan2 of float32, made of basic float64 operations alone.
+
+Add, multiply, divide and round are exact to the last bit on every machine and the same for scalars and arrays; the libraries'
+own transcendentals are not. Errors stay below one unit in the last place of float32 (tests/numerics/test_runtime_kernels.py).
+Reductions and series: W. J. Cody and W. Waite, Software Manual for the Elementary Functions, 1980, chapters 5 to 8 and 11.
+"""
+
+from __future__ import annotations
+
+from math import factorial
+from typing import Any
+
+import numpy as np
+
+from antdsl.numerics import compiled
+
+Value = Any  # a float32 array, or one np.float32
+
+_PI = 3.141592653589793
+_TWO_OVER_PI = 0.6366197723675814
+_HALF_PI_HIGH = 1.5707963267341256  # the first 33 bits of pi/2: its product with a whole number below 2**20 is exact
+_HALF_PI_LOW = 6.077100506506192e-11
+_FAR = 1e6  # beyond it the angle is first reduced by the exact remainder to 2 pi
+_LOG2_E = 1.4426950408889634
+_LN2 = 0.6931471805599453
+_LN2_HIGH = 0.693147180369123816490
+_LN2_LOW = 1.90821492927058770002e-10
+_ROOT_HALF = 0.7071067811865476
+_TAN_EIGHTH = 0.41421356237309503
+
+_SIN = tuple((-1.0) ** k / factorial(2 * k + 1) for k in range(7))
+_COS = tuple((-1.0) ** k / factorial(2 * k) for k in range(8))
+_EXP = tuple(1.0 / factorial(k) for k in range(12))
+_LOG = tuple(2.0 / (2 * k + 1) for k in range(10))
+_ATAN = tuple((-1.0) ** k / (2 * k + 1) for k in range(15))
+
+
+def _series(x: Value, coefficients: tuple[float, ...]) -> Value:
+    value = x * 0.0 + coefficients[-1]
+    for c in coefficients[-2::-1]:  # in place for arrays
+        value *= x
+        value += c
+    return value
+
+
+def _quarter_turns(x: Value) -> tuple[Value, Value]:
+    """The angle as (remainder within an eighth of a turn, number of quarter turns 0 .. 3)."""
+    whole = _widen(x)
+    usual = np.abs(whole) < _FAR
+    wide: Value = whole if np.all(usual) else np.where(usual, whole, np.fmod(whole, 2.0 * _PI))
+    turns = np.rint(wide * _TWO_OVER_PI)
+    rest = (wide - turns * _HALF_PI_HIGH) - turns * _HALF_PI_LOW
+    return rest, turns - np.floor(turns * 0.25) * 4.0
+
+
+def _waves(x: Value) -> tuple[Value, Value, Value]:
+    """Sine and cosine of what is left of the angle, and its quarter turns."""
+    rest, quarter = _quarter_turns(x)
+    square = rest * rest
+    return rest * _series(square, _SIN), _series(square, _COS), quarter
+
+
+def sin(x: Value) -> Value:
+    """Sine; NaN where the angle is not finite. Angles above 1e6 are reduced by 2 pi as float64 holds it."""
+    found = _compiled("sines", x)
+    return _narrow(wide_sin(x)) if found is None else found
+
+
+def cos(x: Value) -> Value:
+    """Cosine; as `sin`."""
+    found = _compiled("cosines", x)
+    return _narrow(wide_cos(x)) if found is None else found
+
+
+def wide_sin(x: Value) -> Value:
+    """Sine as float64, to about 1e-13."""
+    sine, cosine, quarter = _waves(x)
+    value: Value = np.where((quarter == 1.0) | (quarter == 3.0), cosine, sine)
+    return np.where(quarter >= 2.0, -value, value)
+
+
+def wide_cos(x: Value) -> Value:
+    """Cosine as float64, to about 1e-13."""
+    sine, cosine, quarter = _waves(x)
+    value: Value = np.where((quarter == 1.0) | (quarter == 3.0), sine, cosine)
+    return np.where((quarter == 1.0) | (quarter == 2.0), -value, value)
+
+
+def _exp_wide(wide: Value) -> Value:
+    wide = np.minimum(np.maximum(wide, -200.0), 200.0)  # both hand NaN on; beyond them float32 is 0 or infinite anyway
+    power = np.rint(wide * _LOG2_E)
+    rest = (wide - power * _LN2_HIGH) - power * _LN2_LOW
+    whole = np.where(power == power, power, 0.0).astype(np.int32)
+    return np.ldexp(_series(rest, _EXP), whole)
+
+
+def _log_wide(wide: Value) -> Value:
+    """Natural logarithm of float64 above 0; -inf at 0, NaN below."""
+    usual = (wide > 0.0) & (wide < np.inf)
+    mantissa, power = np.frexp(np.where(usual, wide, 1.0))
+    low = mantissa < _ROOT_HALF
+    mantissa = np.where(low, mantissa + mantissa, mantissa)
+    power = power - low * 1.0
+    s = (mantissa - 1.0) / (mantissa + 1.0)
+    value = (s * _series(s * s, _LOG) + power * _LN2_LOW) + power * _LN2_HIGH
+    odd = np.where(wide == 0.0, -np.inf, np.where(wide == np.inf, np.inf, np.nan))
+    return np.where(usual, value, odd)
+
+
+def exp(x: Value) -> Value:
+    """e to the x."""
+    found = _compiled("exponentials", x)
+    return _narrow(_exp_wide(_widen(x))) if found is None else found
+
+
+def log(x: Value) -> Value:
+    """Natural logarithm; -inf at 0, NaN below."""
+    found = _compiled("logarithms", x)
+    return _narrow(_log_wide(_widen(x))) if found is None else found
+
+
+def power(a: Value, b: Value) -> Value:
+    """a to the b. A negative a has whole-number powers only (else NaN); anything to the 0 is 1, and 1 to anything."""
+    wide_a, wide_b = _widen(a), _widen(b)
+    value = _exp_wide(wide_b * _log_wide(np.abs(wide_a)))
+    whole = np.floor(wide_b) == wide_b
+    odd = whole & (np.floor(wide_b * 0.5) * 2.0 != wide_b)
+    value = np.where(wide_a < 0.0, np.where(whole, np.where(odd, -value, value), np.nan), value)
+    return _narrow(np.where((wide_b == 0.0) | (wide_a == 1.0), 1.0, value))
+
+
+def atan2(y: Value, x: Value) -> Value:
+    """Angle of (x, y) from the x axis, -pi .. pi; 0 for (0, 0)."""
+    found = _compiled("angles", y, x)
+    return _narrow(wide_atan2(y, x)) if found is None else found
+
+
+def wide_atan2(y: Value, x: Value) -> Value:
+    """The same as float64, to about 1e-13."""
+    wide_y, wide_x = _widen(y), _widen(x)
+    high, low = np.maximum(np.abs(wide_y), np.abs(wide_x)), np.minimum(np.abs(wide_y), np.abs(wide_x))
+    ratio = low / np.where(high == 0.0, 1.0, high)
+    ratio = np.where((low == np.inf) & (high == np.inf), 1.0, ratio)
+    steep = ratio > _TAN_EIGHTH
+    t = np.where(steep, (ratio - 1.0) / (ratio + 1.0), ratio)
+    angle = t * _series(t * t, _ATAN) + np.where(steep, _PI / 4, 0.0)
+    angle = np.where(np.abs(wide_y) > np.abs(wide_x), _PI / 2 - angle, angle)
+    angle = np.where(wide_x < 0.0, _PI - angle, angle)
+    return np.where(wide_y < 0.0, -angle, angle)
+
+
+def _widen(x: Value) -> Value:
+    return np.float64(x) if np.ndim(x) == 0 else x.astype(np.float64)
+
+
+def _narrow(x: Value) -> Value:
+    return np.float32(x) if np.ndim(x) == 0 else x.astype(np.float32)
+
+
+def _compiled(loop: str, *values: Value) -> Value | None:
+    """The same for arrays by a compiled loop; None where there is none for such values, or one is no usual number."""
+    one = values[0]
+    if not all(isinstance(v, np.ndarray) and v.dtype == np.float32 and v.ndim == 1 and v.size == one.size for v in values):
+        return None
+    if not compiled.wanted(one.size):
+        return None
+    from antdsl.numerics import elementary_compiled
+
+    found = np.empty(one.size, np.float32)
+    return found if getattr(elementary_compiled, loop)(*compiled.plain(*values), found) else None

@@ -1,0 +1,78 @@
+"""The elementwise operations of the plan for float32 arrays and for single float32 alike: one table, both backends.
+
+Only operations whose result IEEE 754 fixes to the last bit, and our own kernels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from antdsl.numerics import elementary
+
+Value = Any  # an array, or one NumPy scalar
+ZERO = np.float32(0)
+
+
+def least(a: Value, b: Value) -> Value:
+    """The lesser; the other one where one is NaN. -0 becomes 0, since `fmin` may give either of the two zeros."""
+    return np.fmin(a, b) + ZERO
+
+
+def greatest(a: Value, b: Value) -> Value:
+    """The greater; as `least`."""
+    return np.fmax(a, b) + ZERO
+
+
+def where(condition: Value, then: Value, other: Value) -> Value:
+    if np.ndim(condition) == 0 and np.ndim(then) == 0 and np.ndim(other) == 0:
+        return then if condition else other
+    return np.where(condition, then, other)
+
+
+def number(a: Value) -> Value:
+    """bool, state or row as float32."""
+    return np.float32(a) if np.ndim(a) == 0 else a.astype(np.float32)
+
+
+def finite(a: Value) -> Value:
+    return where(np.isfinite(a), a, ZERO)
+
+
+# Those that take `out=`: a value's array may be used again when it is done with.
+UFUNCS: Mapping[str, np.ufunc] = {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": np.divide,
+    "neg": np.negative,
+    "abs": np.absolute,
+    "floor": np.floor,
+    "sqrt": np.sqrt,
+    "lt": np.less,
+    "le": np.less_equal,
+    "gt": np.greater,
+    "ge": np.greater_equal,
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "and": np.logical_and,
+    "or": np.logical_or,
+    "not": np.logical_not,
+}
+
+ELEMENTWISE: Mapping[str, Callable[..., Value]] = {
+    **UFUNCS,
+    "min": least,
+    "max": greatest,
+    "sin": elementary.sin,
+    "cos": elementary.cos,
+    "exp": elementary.exp,
+    "log": elementary.log,
+    "pow": elementary.power,
+    "atan2": elementary.atan2,
+    "where": where,
+    "number": number,
+    "finite": finite,
+}

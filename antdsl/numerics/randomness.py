@@ -1,0 +1,84 @@
+"""Random numbers that are a function of (seed, frame, species, site, id): the counter-based generator Philox4x32-10.
+
+Nothing is drawn from a stream, so agents that come, go or are watched change no other agent's numbers.
+Method: J. K. Salmon et al., Parallel random numbers: as easy as 1, 2, 3, SC 2011, p. 6 (rounds, constants) and table 2.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from hashlib import blake2b
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics import compiled
+
+_M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
+_W0, _W1 = 0x9E3779B9, 0xBB67AE85
+_LOW = np.uint64(0xFFFFFFFF)
+_32 = np.uint64(32)
+_ROUNDS = 10
+_UNIT = np.float32(2.0**-24)
+_SPREAD = np.uint64(0x9E3779B1)  # moves the high half of an id to other counters; odd, so no two ids of one half meet
+
+Words = tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]
+
+
+def philox(counter: Words, key: tuple[int, int]) -> Words:
+    """Four random 32-bit words (in uint64 arrays) of four 32-bit counter words and a key of two."""
+    c0, c1, c2, c3 = counter
+    k0, k1 = key
+    for _ in range(_ROUNDS):
+        p0, p1 = c0 * _M0, c2 * _M1
+        c0, c2 = p1 >> _32, p0 >> _32
+        c0 ^= c1
+        c0 ^= np.uint64(k0)
+        c2 ^= c3
+        c2 ^= np.uint64(k1)
+        p1 &= _LOW
+        p0 &= _LOW
+        c1, c3 = p1, p0
+        k0, k1 = (k0 + _W0) & 0xFFFFFFFF, (k1 + _W1) & 0xFFFFFFFF
+    return c0, c1, c2, c3
+
+
+@lru_cache(maxsize=4096)
+def site_words(species: str, site: str) -> tuple[int, int]:
+    """Two 32-bit words that name a place in the text of a species."""
+    digest = blake2b(f"{species}\0{site}".encode(), digest_size=8).digest()
+    return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")
+
+
+def words(seed: int, frame: int, species: str, site: str, block: int, ids: NDArray[np.int64]) -> Words:
+    """Four random words for each id. `frame` may be negative (preroll)."""
+    (c0, low, c3), key = _counters(seed, frame, species, site, block)
+    wide = ids.astype(np.uint64)
+    c2 = (((wide >> _32) * _SPREAD) & _LOW) ^ np.uint64(low)
+    whole = (np.full(wide.shape, c, np.uint64) for c in (c0, c3))
+    return philox((next(whole), wide & _LOW, c2, next(whole)), key)
+
+
+def _counters(seed: int, frame: int, species: str, site: str, block: int) -> tuple[tuple[int, int, int], tuple[int, int]]:
+    """The counter words that all ids share (the third but for the high half of an id), and the key."""
+    low, high = site_words(species, site)
+    return (frame & 0xFFFFFFFF, low, (high + block) & 0xFFFFFFFF), (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF)
+
+
+def unit_floats(word: NDArray[np.uint64]) -> NDArray[np.float32]:
+    """float32 in [0, 1): the top 24 bits of a 32-bit word."""
+    return (word >> np.uint64(8)).astype(np.float32) * _UNIT
+
+
+def uniform(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
+    """The draw number `index` of a site for each id: float32 in [0, 1). Four draws of a site share one run of the generator."""
+    if compiled.wanted(ids.size) and ids.ndim == 1:
+        from antdsl.numerics.randomness_compiled import uniforms
+
+        counters, key = _counters(seed, frame, species, site, index >> 2)
+        found = np.empty(ids.size, np.float32)
+        uniforms(
+            *compiled.plain(ids.astype(np.int64, copy=False)), *(np.uint64(word) for word in (*counters, *key)), index & 3, found
+        )
+        return found
+    return unit_floats(words(seed, frame, species, site, index >> 2, ids)[index & 3])

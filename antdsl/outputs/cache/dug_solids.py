@@ -1,0 +1,86 @@
+"""Solids of a cache as they are at a frame, to be drawn: dug again from the last checkpoint on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.solid import Volume
+from antdsl.outputs.cache.reading import Cache, CacheError
+from antdsl.outputs.cache.solid_pieces import Piece, joined, started
+from antdsl.outputs.cutting import Cut
+from antdsl.outputs.pictures.model import Solid
+
+
+@dataclass(slots=True)
+class _Kept:
+    """One solid: its volume at the frame looked at last, the surface by brick, and what is drawn of it."""
+
+    volume: Volume
+    pieces: dict[int, Piece] = field(default_factory=dict)
+    drawn: Solid | None = None
+
+    def surface(self, name: str, offset: NDArray[np.float64], scale: float, cut: Cut | None) -> Solid:
+        if cut is not None:
+            opened = cut.opened(self.volume, offset, scale)
+            vertices, faces = joined([(v, f) for _, v, f in opened.surface(changed_only=False)])
+            return Solid(name, (vertices + offset) * scale, faces, "hill")
+        changed = {brick: (vertices, faces) for brick, vertices, faces in self.volume.surface()}
+        if changed or self.drawn is None:
+            self.pieces |= changed
+            vertices, faces = joined(list(self.pieces.values()))
+            self.drawn = Solid(name, (vertices + offset) * scale, faces, "hill")
+        return self.drawn
+
+
+class DugSolids:
+    """Solids frame by frame. Frames asked for in order are quickest; any other is dug again from the checkpoint before it."""
+
+    def __init__(self, cache: Cache, static: Mapping[str, NDArray[Any]], cut: Cut | None = None) -> None:
+        self.cache, self._static, self._cut = cache, static, cut
+        self._kept = {m.name: _Kept(started(m.name, static)) for m in cache.manifest.meshes if m.kind == "solid"}
+        self._at: int | None = None
+        self._scale = 1.0 / {"mm": 1.0, "cm": 10.0, "m": 1000.0}[cache.manifest.units]
+
+    def at(self, frame: int) -> tuple[Solid, ...]:
+        """All solids; the same objects as long as nothing was dug."""
+        if not self._kept:
+            return ()
+        if self._at is None or not self._at <= frame < self._at + self.cache.manifest.checkpoint:
+            self._at = self._begin(frame)
+        for number in range(self._at + 1, frame + 1):
+            self._dig(number)
+        self._at = frame
+        return tuple(
+            kept.surface(name, np.asarray(self._static[f"solid.{name}.offset"]), self._scale, self._cut)
+            for name, kept in self._kept.items()
+        )
+
+    def _dig(self, frame: int) -> None:
+        try:
+            arrays = self.cache.frame(frame)
+        except CacheError:  # a frame that is missing keeps no other from being drawn
+            return
+        for name, kept in self._kept.items():
+            balls = arrays.get(f"solid.{name}.balls")
+            if balls is not None:
+                kept.volume.carve(balls[:, :3], balls[:, 3], np.zeros(len(balls), np.int64))
+
+    def _begin(self, frame: int) -> int:
+        """Put the volumes where the last whole checkpoint left them, or at the start; gives the last frame that is dug."""
+        for number in sorted((n for n in self.cache.checkpoints() if n <= frame), reverse=True):
+            try:
+                arrays = self.cache.checkpoint(number)
+                for name, kept in self._kept.items():
+                    prefix = f"world.solid.{name}."
+                    kept.volume.restore({k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)})
+                return number
+            except (CacheError, ValueError, KeyError):
+                continue
+        for name in self._kept:
+            self._kept[name] = _Kept(started(name, self._static))
+        return self.cache.manifest.first - 1

@@ -1,0 +1,256 @@
+"""A world at one frame to the arrays of a cache: one row an agent, species after species by name, by id within each; scene
+units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.fields.growing import GrowingCells
+from antdsl.fields.pheromone import PheromoneField
+from antdsl.outputs.cache.manifest import (
+    CameraEntry,
+    FeelersEntry,
+    FieldEntry,
+    ItemsEntry,
+    MachineEntry,
+    Manifest,
+    MeshEntry,
+    SpeciesEntry,
+    StateEntry,
+)
+from antdsl.outputs.cache.solid_pieces import PieceMaker, start_pieces
+from antdsl.outputs.flow_arrows import arrows
+from antdsl.program.model import Dim, Kind, Program
+from antdsl.runtime.moving.moving_geometry import ground_velocity, vertices_at
+from antdsl.runtime.world import Population, World
+from antdsl.scene.setting import Setting
+
+Arrays = dict[str, NDArray[Any]]
+_PLAIN = {"P", "v", "orient", "id", "pscale", "Cd", "state", "species", "age", "group"}
+
+
+class FrameMaker:
+    """Turns a world into the arrays of a frame. `attributes` are names of the scene's `output`; others than the usual are
+    registers."""
+
+    def __init__(self, world: World, program: Program, attributes: tuple[str, ...], pieces: PieceMaker | None = None) -> None:
+        self.pieces = pieces
+        self.scale = 1.0 / world.setting.unit_mm
+        self.attributes = attributes if len(world.populations) == 1 or "species" in attributes else (*attributes, "species")
+        self.colours = {name: _colours(p) for name, p in world.populations.items()}
+        self.factors = {
+            (species.name, a.name): self.scale ** _length_power(a.type.dim)
+            for species in program.species.values()
+            for a in species.attributes
+            if a.type.kind is Kind.NUMBER
+        }
+
+    def frame(self, world: World) -> Arrays:
+        """All arrays of the frame that the world stands at."""
+        arrays: Arrays = {"frame": np.array(world.frame, np.int64)}
+        rows = {name: world.populations[name].in_id_order() for name in sorted(world.populations)}
+        for attribute in self.attributes:
+            parts = [self._attribute(world, attribute, number, name, rows[name]) for number, name in enumerate(rows)]
+            arrays[attribute] = np.concatenate(parts)
+        for name, field in world.fields.items():
+            values = np.asarray(field.values)
+            cells = np.flatnonzero(values)
+            arrays[f"field.{name}.cells"] = cells.astype(np.int32)
+            arrays[f"field.{name}.values"] = values[cells].astype(np.float32)
+            if "places" in field.added:
+                places = field.added["places"][:, :3] + world.origin
+                arrays[f"field.{name}.added"] = (places * self.scale).astype(np.float32)
+        for name, items in world.items.items():
+            for attribute, amount in items.amounts.items():
+                arrays[f"items.{name}.{attribute}"] = amount.copy()
+        arrays |= self._moved(world, rows)
+        return arrays if self.pieces is None else arrays | self.pieces.frame(world)
+
+    def _moved(self, world: World, rows: Mapping[str, NDArray[np.intp]]) -> Arrays:
+        """Where what moves is in this frame, and how fast the ground went that agents stand on."""
+        moves = world.setting.moves
+        arrays: Arrays = {}
+        for name in moves.meshes:
+            arrays[f"mesh.{name}.vertices"] = ((vertices_at(world, name, world.frame) + world.origin) * self.scale).astype(
+                np.float32
+            )
+        for name, places in moves.items.items():
+            arrays[f"items.{name}.P"] = (moves.points(places, world.frame) * self.scale).astype(np.float32)
+        speeds = [ground_velocity(world, world.populations[name]) for name in rows]
+        if speeds and all(speed is not None for speed in speeds):
+            parts = [speed[rows[name]] for name, speed in zip(rows, speeds, strict=True) if speed is not None]
+            arrays["v_ground"] = (np.concatenate(parts) * self.scale).astype(np.float32)
+        return arrays
+
+    def _attribute(self, world: World, attribute: str, number: int, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
+        population = world.populations[name]
+        if attribute == "P":
+            return ((population.position[rows] + world.origin) * self.scale).astype(np.float32)
+        if attribute == "v":
+            return _vector(population, "velocity", rows) * np.float32(self.scale)
+        if attribute == "orient":
+            return orientation(_vector(population, "heading", rows), _vector(population, "up", rows))
+        if attribute == "id":
+            return population.ids[rows]
+        if attribute == "pscale":
+            return _register(population, "size", rows) * np.float32(self.scale)
+        if attribute == "Cd":
+            return (
+                self.colours[name][_states(population, rows)] if population.plan.machines else np.ones((len(rows), 3), np.float32)
+            )
+        if attribute == "state":
+            return _states(population, rows).astype(np.int16)
+        if attribute == "species":
+            return np.full(len(rows), number, np.int16)
+        if attribute == "age":
+            return ((world.frame - population.born[rows]) * world.dt).astype(np.float32)
+        if attribute not in population.plan.registers:
+            return np.full(len(rows), np.nan, np.float32)
+        return _register(population, attribute, rows) * np.float32(self.factors.get((name, attribute), 1.0))
+
+
+def orientation(heading: NDArray[np.float32], up: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Quaternions (n, 4) x, y, z, w that turn +x to the heading and +y to the part of `up` across it. (n, 3) float32 each.
+
+    A turn of +x to the heading by the shortest way, then one about the heading. A heading of nothing counts as +x, an `up` along
+    the heading as some direction across it."""
+    hx, hy, hz = heading.astype(np.float64).T
+    length = np.sqrt(hx * hx + hy * hy + hz * hz)
+    still = length < 1e-12
+    inverse = 1 / np.where(still, 1.0, length)
+    hx, hy, hz = np.where(still, 1.0, hx * inverse), hy * inverse, hz * inverse
+    # the shortest way: half way between +x and the heading; straight back is half a turn about z
+    back = hx < -1 + 1e-12
+    half = 1 / np.sqrt(np.where(back, 1.0, 2 * (1 + hx)))
+    aw, ay, az = np.where(back, 0.0, (1 + hx) * half), np.where(back, 0.0, -hz * half), np.where(back, 1.0, hy * half)
+    # where that turn brings +y and +z, and how `up` lies between them
+    ux, uy, uz = up.astype(np.float64).T
+    above = 2 * -az * aw * ux + (1 - 2 * az * az) * uy + 2 * ay * az * uz
+    beside = 2 * ay * aw * ux + 2 * ay * az * uy + (1 - 2 * ay * ay) * uz
+    size = np.sqrt(above * above + beside * beside)
+    cosine = np.where(size > 1e-12, above / np.maximum(size, 1e-30), 1.0)
+    bw = np.sqrt(np.maximum(0.5 + 0.5 * cosine, 0.0))
+    bx = np.copysign(np.sqrt(np.maximum(0.5 - 0.5 * cosine, 0.0)), beside)
+    return np.stack([aw * bx, ay * bw + az * bx, az * bw - ay * bx, aw * bw], axis=1).astype(np.float32)
+
+
+def static_arrays(world: World, setting: Setting) -> Arrays:
+    """What stands still: meshes, the places of field cells, flows as arrows, in scene units."""
+    scale = 1.0 / setting.unit_mm
+    arrays: Arrays = {}
+    for name, mesh in {**setting.surfaces, **setting.obstacles}.items():
+        arrays[f"mesh.{name}.vertices"] = mesh.vertices * scale
+        arrays[f"mesh.{name}.faces"] = mesh.faces
+    arrays |= start_pieces(world, scale)
+    if setting.camera is not None and len(setting.camera.at) > 1:
+        for name in ("at", "look_at"):
+            arrays[f"camera.{name}"] = getattr(setting.camera, name) * scale
+        arrays |= {"camera.up": setting.camera.up, "camera.focal": setting.camera.focal}
+    for name, field in world.fields.items():
+        arrays[f"field.{name}.P"] = ((_places_at_start(field) + world.origin) * scale).astype(np.float32)
+    return arrays | arrows(world, scale)
+
+
+def _places_at_start(field: PheromoneField) -> NDArray[np.float64]:
+    cells = field.cells
+    return cells.position[: cells.at_start] if isinstance(cells, GrowingCells) else cells.position
+
+
+def describe(
+    world: World,
+    setting: Setting,
+    *,
+    version: str,
+    scene: str,
+    scene_path: str | None,
+    inputs: Mapping[str, str],
+    units: str,
+    up: str,
+    first: int,
+    last: int,
+    preroll: int,
+    checkpoint: int,
+    attributes: tuple[str, ...],
+    bodies: Mapping[str, str],
+    feelers: Mapping[str, tuple[FeelersEntry, ...]],
+    camera: CameraEntry | Literal["fit"] | None,
+) -> Manifest:
+    """The manifest of a run that begins with this world."""
+    scale = 1.0 / setting.unit_mm
+    return Manifest(
+        antdsl=version,
+        scene=scene,
+        scene_path=scene_path,
+        inputs=dict(inputs),
+        units=units,  # type: ignore[arg-type]
+        up=up,  # type: ignore[arg-type]
+        fps=f"{setting.fps.numerator}/{setting.fps.denominator}",
+        first=first,
+        last=last,
+        preroll=preroll,
+        substeps=setting.substeps,
+        seed=setting.seed,
+        checkpoint=checkpoint,
+        attributes=attributes,
+        species=tuple(
+            _species(world.populations[name], bodies.get(name), feelers.get(name, ())) for name in sorted(world.populations)
+        ),
+        meshes=(
+            *(MeshEntry(name=name, kind="surface", moves=name in setting.moves.meshes) for name in setting.surfaces),
+            *(MeshEntry(name=name, kind="obstacle", moves=name in setting.moves.meshes) for name in setting.obstacles),
+            *(MeshEntry(name=name, kind="solid") for name in setting.solids),
+        ),
+        fields=tuple(FieldEntry(name=name, cell=float(field.cells.cell) * scale) for name, field in world.fields.items()),
+        items=tuple(
+            ItemsEntry(
+                name=name,
+                names=tuple(item.name for item in items),
+                position=tuple((x * scale, y * scale, z * scale) for x, y, z in (item.position for item in items)),
+                radius=tuple(item.radius * scale for item in items),
+                attributes=tuple(world.items[name].amounts) if name in world.items else (),
+                moves=name in setting.moves.items,
+            )
+            for name, items in setting.items.items()
+        ),
+        camera=camera,
+    )
+
+
+def _species(population: Population, body: str | None, feelers: tuple[FeelersEntry, ...]) -> SpeciesEntry:
+    machines = tuple(
+        MachineEntry(
+            name=machine.name,
+            states=tuple(
+                StateEntry(name=name, label=label, colour=colour)
+                for name, label, colour in zip(machine.states, machine.labels, machine.colours, strict=True)
+            ),
+        )
+        for machine in population.plan.machines
+    )
+    return SpeciesEntry(name=population.name, body=body, feelers=feelers, machines=machines)
+
+
+def _colours(population: Population) -> NDArray[np.float32]:
+    machines = population.plan.machines
+    return np.array(machines[0].colours if machines else ((1.0, 1.0, 1.0),), np.float32)
+
+
+def _states(population: Population, rows: NDArray[np.intp]) -> NDArray[np.int32]:
+    machines = population.plan.machines
+    return population.now[f"{machines[0].name}.state"][rows] if machines else np.zeros(len(rows), np.int32)
+
+
+def _register(population: Population, name: str, rows: NDArray[np.intp]) -> NDArray[np.float32]:
+    return population.now[name][rows].astype(np.float32)
+
+
+def _vector(population: Population, name: str, rows: NDArray[np.intp]) -> NDArray[np.float32]:
+    return np.stack([population.now[f"{name}.{axis}"][rows] for axis in "xyz"], axis=1).astype(np.float32)
+
+
+def _length_power(dim: Dim) -> float:
+    return float(dim.length)

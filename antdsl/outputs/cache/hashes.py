@@ -1,0 +1,123 @@
+"""Hashes by which damage to a cache is found. The file `hashes.jsonl` has, for each frame, one of the whole state, one of the
+frame's file, and one of its checkpoint's file; the manifest has that of `static.npz`."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+
+from antdsl import limits
+from antdsl.bounded import blocks, open_regular, read_bounded
+from antdsl.outputs.cache.npz import FILE_BYTES
+
+HASHES = "hashes.jsonl"
+_BYTES = 400 * limits.FRAMES
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """`hash`: of the state; `file`: of the frame's number, that hash and the bytes of its file, so that neither a damaged file
+    nor a damaged line passes; `checkpoint`: the same of its checkpoint. Empty in a cache from before that was written, or where
+    there is no checkpoint."""
+
+    hash: str
+    file: str
+    checkpoint: str = ""
+
+    def text(self, frame: int) -> bytes:
+        """The line for a frame."""
+        words = {"frame": frame, "hash": self.hash, "file": self.file}
+        return json.dumps(words | ({"checkpoint": self.checkpoint} if self.checkpoint else {})).encode() + b"\n"
+
+
+def line_of(frame: int, state: str, data: bytes) -> Line:
+    """The line for a frame with the state of a hash, whose file has these bytes."""
+    return Line(state, _hashed(_of_frame(frame, state), data))
+
+
+def with_checkpoint(frame: int, line: Line, data: bytes) -> Line:
+    """The line for a frame whose checkpoint's file has these bytes. It follows the one that the frame has already, and counts in
+    its stead."""
+    return replace(line, checkpoint=_hashed(_of_checkpoint(frame, line.hash), data))
+
+
+def hash_of_static(data: bytes) -> str:
+    """The hash of `static.npz` with these bytes."""
+    return _hashed(_STATIC, data)
+
+
+def read_lines(path: Path) -> dict[int, Line]:
+    """The lines by frame, as far as they are whole. Empty where there are none to be read."""
+    found: dict[int, Line] = {}
+    try:
+        text = read_bounded(path, _BYTES, follow=False).decode("utf-8", "replace")
+    except OSError:
+        return found
+    for line in text.split("\n")[:-1]:
+        try:
+            entry = json.loads(line)
+            frame, state, file, point = entry["frame"], entry["hash"], entry.get("file", ""), entry.get("checkpoint", "")
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            break
+        if not isinstance(frame, int) or not all(isinstance(word, str) for word in (state, file, point)):
+            break
+        found[frame] = Line(state, file, point)
+    return found
+
+
+def damage(path: Path, frame: int, line: Line | None) -> str | None:
+    """What is wrong with the file of a frame, in words that stand alone; None where it has the bytes that were written."""
+    return _differs(path, *((b"", "") if line is None else (_of_frame(frame, line.hash), line.file)))
+
+
+def checkpoint_damage(path: Path, frame: int, line: Line | None) -> str | None:
+    """The same for a checkpoint; one of which no hash was kept has nothing wrong that could be known here."""
+    if line is not None and not line.checkpoint:
+        return None
+    return _differs(path, *((b"", "") if line is None else (_of_checkpoint(frame, line.hash), line.checkpoint)))
+
+
+def static_damage(path: Path, wanted: str) -> str | None:
+    """The same for `static.npz`, of which the manifest has the hash."""
+    return _differs(path, _STATIC, wanted)
+
+
+def _differs(path: Path, begin: bytes, wanted: str) -> str | None:
+    """`wanted`: the hash of `begin` and the bytes of the file; empty where there is none."""
+    try:
+        handle = open_regular(path, follow=False)
+    except FileNotFoundError:
+        return f"`{path}` is not there"
+    except OSError as why:
+        return f"`{path}` cannot be read: {(why.strerror or str(why)).lower()}"
+    try:
+        if not wanted:
+            return f"`{path}` has no hash in `{HASHES}`"
+        hashed = sha256(begin)
+        for block in blocks(handle, FILE_BYTES):
+            hashed.update(block)
+    except OSError as why:
+        return f"`{path}` cannot be read: {(why.strerror or str(why)).lower()}"
+    finally:
+        os.close(handle)
+    return None if hashed.hexdigest()[:32] == wanted else f"`{path}` is not what was written there"
+
+
+_STATIC = b"static "
+
+
+def _of_frame(frame: int, state: str) -> bytes:
+    return f"{frame} {state} ".encode()
+
+
+def _of_checkpoint(frame: int, state: str) -> bytes:
+    return f"checkpoint {frame} {state} ".encode()
+
+
+def _hashed(begin: bytes, data: bytes) -> str:
+    hashed = sha256(begin)
+    hashed.update(data)
+    return hashed.hexdigest()[:32]

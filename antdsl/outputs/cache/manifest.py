@@ -1,0 +1,166 @@
+"""What a cache says about itself: what it was made from, how its numbers are to be read. JSON, typed and held to bounds when
+read."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from antdsl import limits
+from antdsl.bounded import TooLarge, read_bounded
+from antdsl.outputs.cache.npz import write_whole
+
+FORMAT = 1
+MANIFEST = "manifest.json"
+_BYTES = 16 * limits.MIB
+
+Word = Annotated[str, Field(max_length=500)]
+Way = Annotated[str, Field(max_length=500, pattern=r"^([^:/\\\x00-\x1f]+/)*[^:/\\\x00-\x1f]+\.ya?ml$")]
+Triple = tuple[float, float, float]
+
+
+class Part(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False, hide_input_in_errors=True)
+
+
+class StateEntry(Part):
+    """A state's name, label, and display (sRGB) colour from 0 to 1."""
+
+    name: Word
+    label: Word
+    colour: Triple
+
+
+class MachineEntry(Part):
+    name: Word
+    states: tuple[StateEntry, ...]
+
+
+class FeelersEntry(Part):
+    """Rays ahead, out to `spread` radians on either side, `reach` scene units and `per_length` body lengths long."""
+
+    count: Annotated[int, Field(ge=1, le=64)]
+    spread: float
+    reach: float
+    per_length: float
+
+
+class SpeciesEntry(Part):
+    """`body`: what pictures draw for it; None goes by its name."""
+
+    name: Word
+    body: Word | None = None
+    feelers: tuple[FeelersEntry, ...] = ()
+    machines: tuple[MachineEntry, ...]
+
+
+class MeshEntry(Part):
+    """`moves`: each frame has its vertices."""
+
+    name: Word
+    kind: Literal["surface", "obstacle", "solid"]
+    moves: bool = False
+
+
+class FieldEntry(Part):
+    """`cell` in scene units."""
+
+    name: Word
+    cell: float
+
+
+class ItemsEntry(Part):
+    """Items of one name: their own names, and the attributes that each frame has an array for. Positions and radii in scene
+    units, at the first simulated frame; `moves`: each frame has its own."""
+
+    name: Word
+    names: tuple[Word, ...]
+    position: tuple[Triple, ...]
+    radius: tuple[float, ...]
+    attributes: tuple[Word, ...]
+    moves: bool = False
+
+
+class CameraEntry(Part):
+    """Points in scene units, focal length in mm for a sensor 36 mm wide. `moves`: `static.npz` has it for each frame."""
+
+    at: Triple
+    look_at: Triple
+    focal: float | None
+    up: Triple | None = None
+    moves: bool = False
+
+
+class Manifest(Part):
+    """`inputs` has a hash for all that the frames depend on; `fps` is a fraction, `24/1`; `first` and `last` are the frames
+    asked for. `static` is the hash of `static.npz`, None where none was kept. `scene_path` leads from the cache's folder to the
+    scene's file, where `way_to` knows one."""
+
+    format: Literal[1] = 1
+    antdsl: Word
+    scene: Word
+    scene_path: Way | None = None
+    inputs: dict[Word, Word]
+    static: Word | None = None
+    units: Literal["mm", "cm", "m"]
+    up: Literal["y", "z"]
+    fps: Annotated[str, Field(pattern=r"^[0-9]{1,9}/[0-9]{1,9}$")]
+    first: int
+    last: int
+    preroll: int
+    substeps: int
+    seed: int
+    checkpoint: Annotated[int, Field(ge=1)]
+    attributes: tuple[Word, ...]
+    species: tuple[SpeciesEntry, ...]
+    meshes: tuple[MeshEntry, ...]
+    fields: tuple[FieldEntry, ...]
+    items: tuple[ItemsEntry, ...]
+    camera: CameraEntry | Literal["fit"] | None = None  # `fit`: one that holds the crowd in the frames that are drawn
+
+
+class ManifestError(Exception):
+    """Why a folder is no cache, in words that stand alone."""
+
+
+def way_to(file: Path, folder: Path) -> str | None:
+    """The path from a folder to a file, with `/` and `..`; None where it would lead through the root of the file system and so
+    name the machine's own folders, or is longer than a manifest takes."""
+    start = folder.resolve()
+    for end in (Path(os.path.abspath(file)), file.resolve()):  # the way through links first: it stays below what both share
+        if end.anchor == start.anchor and os.path.commonpath((start, end)) != start.anchor:
+            way = Path(os.path.relpath(end, start)).as_posix()
+            try:
+                return TypeAdapter(Way).validate_python(way)
+            except ValidationError:
+                continue
+    return None
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Put the manifest into a cache's folder, durably."""
+    text = json.dumps(manifest.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n"
+    write_whole(folder / MANIFEST, text.encode(), sync=True)
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """The manifest of a cache's folder; ManifestError says why there is none."""
+    path = folder / MANIFEST
+    try:
+        text = read_bounded(path, _BYTES, follow=False).decode()
+    except TooLarge:
+        raise ManifestError(f"`{path}` is larger than a manifest can be") from None
+    except (OSError, UnicodeDecodeError):
+        raise ManifestError(f"`{folder}` is no cache: it has no readable `{MANIFEST}`") from None
+    newer = re.search(r'"format"\s*:\s*([0-9]{1,6})', text[:200])
+    if newer and int(newer[1]) > FORMAT:
+        raise ManifestError(f"`{folder}` was written by a newer antdsl (format {newer[1]}, this one reads {FORMAT})")
+    try:
+        return Manifest.model_validate_json(text)
+    except (ValidationError, RecursionError):
+        raise ManifestError(f"`{path}` is damaged") from None

@@ -1,0 +1,87 @@
+"""NPZ files of plain arrays, written whole and read with suspicion: no pickle, no compression, sizes held against the file.
+
+The layout is NumPy's own (NEP 1 inside an uncompressed zip), so that `numpy.load` of any other program reads what is written
+here."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from collections.abc import Container, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.bounded import TooLarge, open_bounded
+from antdsl.scene.geometry.arrays import DTYPES, MAGIC, ArrayFileError, parse_npy, read_archive
+from antdsl.whole import whole
+
+__all__ = ["ArrayFileError", "parse_npy", "read_npz", "sync_file", "sync_folder", "to_bytes", "write_whole"]
+
+FILE_BYTES = 64 * limits.GIB
+_STAMP = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever they are written
+
+
+def to_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """The bytes of an NPZ file with these arrays, in order."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED, allowZip64=True) as file:
+        for name, array in arrays.items():
+            file.writestr(zipfile.ZipInfo(f"{name}.npy", _STAMP), _npy(name, array))
+    return buffer.getvalue()
+
+
+def _npy(name: str, array: NDArray[Any]) -> bytes:
+    array = np.asarray(array, order="C")
+    kind = array.dtype.newbyteorder("<").str
+    if kind not in DTYPES:
+        raise ValueError(f"array `{name}` of type {array.dtype} cannot be kept")
+    header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {array.shape!r}, }}".encode("ascii")
+    padding = -(len(MAGIC) + 2 + len(header) + 1) % 64
+    header += b" " * padding + b"\n"
+    return b"".join((MAGIC, len(header).to_bytes(2, "little"), header, array.astype(kind, copy=False).tobytes()))
+
+
+def write_whole(path: Path, data: bytes, *, sync: bool) -> None:
+    """Put a file in place in one go: a reader, or a later run after a crash, sees all of it or nothing."""
+    with whole(path) as part, open(part, "wb") as file:
+        file.write(data)
+        if sync:
+            file.flush()
+            os.fsync(file.fileno())
+    if sync:
+        sync_folder(path.parent)
+
+
+def sync_file(path: Path) -> None:
+    """Make sure that a file written before is on the disk."""
+    handle = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder durable, where the system can."""
+    if os.name == "nt":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def read_npz(path: Path, only: Container[str] | None = None) -> dict[str, NDArray[Any]]:
+    """All arrays of a file that `to_bytes` wrote, or `only` those of some names, checksums compared; ArrayFileError says what is
+    wrong with any other, OSError why it cannot be opened: a link is not followed."""
+    try:
+        with open_bounded(path, FILE_BYTES, follow=False) as file:
+            return read_archive(file, os.fstat(file.fileno()).st_size, only)
+    except TooLarge as why:
+        raise ArrayFileError(f"has {why.size:,} bytes, more than {why.cap:,}") from None

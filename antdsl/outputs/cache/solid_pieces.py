@@ -1,0 +1,98 @@
+"""Solids in a cache: what they were at the start, in each frame the balls that were dug, and now and then the surface.
+
+static.npz  mesh.NAME.vertices, .faces, .bricks: the surface, and the brick that each face is in
+            solid.NAME.values, .table, .shape, .origin, .voxel, .band, .offset: the distances, for those who dig it again
+a frame     solid.NAME.balls float64 (k, 4): middle and radius of what was dug since the frame before, in mm
+            mesh.NAME.changed int32, and .vertices, .faces, .bricks as above: every so many frames (the manifest's
+            `checkpoint`) all bricks that were ever dug, as they are
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.solid import Volume
+from antdsl.ground.solid.bricks import CUBE, Bricks
+from antdsl.runtime.world import World
+
+Arrays = dict[str, NDArray[Any]]
+Piece = tuple[NDArray[np.float64], NDArray[np.int32]]
+
+
+class PieceMaker:
+    """Makes what frames hold of solids. Asks each volume for what changed since it asked last."""
+
+    def __init__(self, first: int, every: int, scale: float) -> None:
+        self.first, self.every, self.scale = first, every, scale
+        self._dug: dict[str, dict[int, Piece]] = {}
+
+    def frame(self, world: World) -> Arrays:
+        """Arrays of the frame that the world stands at."""
+        arrays: Arrays = {}
+        for name, volume in world.solids.items():
+            for balls in (world.carved or {}).get(name, []):
+                if len(balls):
+                    arrays[f"solid.{name}.balls"] = balls
+            if (world.frame - self.first) % self.every:
+                continue
+            dug = self._dug.setdefault(name, {})
+            dug |= {brick: (vertices, faces) for brick, vertices, faces in volume.surface()}
+            if dug:
+                arrays[f"mesh.{name}.changed"] = np.array(sorted(dug), np.int32)
+                arrays |= _joined(name, dug, world.origin, self.scale)
+        return arrays
+
+
+def start_pieces(world: World, scale: float) -> Arrays:
+    """What stands in static.npz of all solids, which nobody has dug yet."""
+    arrays: Arrays = {}
+    for name, volume in world.solids.items():
+        bricks = volume.bricks
+        arrays |= {
+            f"solid.{name}.{key}": np.array(value)
+            for key, value in {
+                "values": bricks.values[: bricks.used * CUBE], "table": bricks.table, "shape": bricks.shape,
+                "origin": bricks.origin, "voxel": bricks.voxel, "band": (bricks.least, bricks.most), "offset": world.origin,
+            }.items()
+        }  # fmt: skip
+        pieces = {brick: (vertices, faces) for brick, vertices, faces in volume.surface(changed_only=False)}
+        arrays |= _joined(name, pieces, world.origin, scale)
+    return arrays
+
+
+def started(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
+    """A solid as it was before anybody dug it."""
+
+    def kept(key: str) -> NDArray[Any]:
+        return np.array(static[f"solid.{name}.{key}"])
+
+    values = kept("values")
+    least, most = (float(end) for end in kept("band"))
+    a, b, c = (int(side) for side in kept("shape"))
+    bricks = Bricks(kept("origin"), float(kept("voxel")), (a, b, c), least, most, kept("table"), values, len(values) // CUBE)
+    bricks.begin()
+    return Volume(bricks)
+
+
+def _joined(name: str, pieces: Mapping[int, Piece], origin: NDArray[np.float64], scale: float) -> Arrays:
+    order = sorted(pieces)
+    vertices, faces = joined([pieces[brick] for brick in order])
+    return {
+        f"mesh.{name}.vertices": (vertices + origin) * scale,
+        f"mesh.{name}.faces": faces,
+        f"mesh.{name}.bricks": np.repeat(np.array(order, np.int32), [len(pieces[brick][1]) for brick in order]),
+    }
+
+
+def joined(pieces: list[Piece]) -> Piece:
+    """One mesh of several."""
+    shift = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
+    faces = [faces + np.int32(start) for (_, faces), start in zip(pieces, shift, strict=False)]
+    return (
+        np.concatenate([np.empty((0, 3)), *(vertices for vertices, _ in pieces)]),
+        np.concatenate([np.empty((0, 3), np.int32), *faces]).astype(np.int32),
+    )

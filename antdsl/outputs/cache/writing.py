@@ -1,0 +1,203 @@
+"""Writes a cache so that a crash at any instant leaves one that can be continued: frames are put in place whole behind the
+simulation, checkpoints only after all frames before them are on the disk, hashes line by line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Container, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from numpy.typing import NDArray
+
+from antdsl.outputs.cache.frames import FrameMaker
+from antdsl.outputs.cache.hashes import HASHES, hash_of_static, read_lines
+from antdsl.outputs.cache.lock import LOCK, FolderLock
+from antdsl.outputs.cache.manifest import MANIFEST, Manifest, ManifestError, write_manifest
+from antdsl.outputs.cache.npz import to_bytes, write_whole
+from antdsl.outputs.cache.reading import MARKER, STATIC, SURFACE_ERROR, Cache, checkpoint_path, frame_path, numbered, open_cache
+from antdsl.outputs.writer.background import Behind
+from antdsl.outputs.writer.frame_writer import Scribe
+from antdsl.runtime import World, handed_over, snapshot, state
+from antdsl.whole import PART
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+class ForeignFolder(Exception):
+    """The folder has files that antdsl did not write; the message names one."""
+
+
+class InTheWay(Exception):
+    """Something in a cache's folder stands where a file of the cache goes; the message names it."""
+
+
+class DifferentInputs(Exception):
+    """The cache was made from other inputs; `names` says which differ."""
+
+    def __init__(self, names: list[str]) -> None:
+        super().__init__("the cache belongs to different inputs: " + ", ".join(f"`{name}`" for name in names))
+        self.names = names
+
+
+def prepare_folder(folder: Path, *, force: bool) -> None:
+    """Make the folder, or see that it is ours to write to; ForeignFolder when it holds somebody else's files, InTheWay
+    when something stands where a file of the cache goes: nothing has been changed then."""
+    if folder.exists() and not folder.is_dir():
+        raise ForeignFolder(f"`{folder}` is a file")
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("frames", "checkpoints"):
+        if (folder / name).is_symlink():
+            raise ForeignFolder(f"`{folder / name}` is a link")
+        if (folder / name).exists() and not (folder / name).is_dir():
+            raise InTheWay(f"`{folder / name}` is a file, and a folder is wanted there")
+    for path in _files(folder):
+        if path.is_dir() and not path.is_symlink():
+            raise InTheWay(f"`{path}` is a folder, and a file of the cache is wanted there")
+    marker = folder / MARKER
+    if not marker.exists():
+        # a lock or a half-written marker is what a run leaves that was killed as it began
+        others = sorted(name.name for name in folder.iterdir() if name.name != LOCK and not name.match(f".{MARKER}.*{PART}"))
+        if others and not force:
+            raise ForeignFolder(f"`{folder}` has files that are not a cache's, such as `{others[0]}`")
+        write_whole(marker, b"This folder is written by antdsl; what is in it may be replaced by the next run.\n", sync=True)
+    for name in ("frames", "checkpoints"):
+        (folder / name).mkdir(exist_ok=True)
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """What a run removes or writes in a cache's folder, as far as it can be there before."""
+    yield from (folder / name for name in (MARKER, LOCK, STATIC, MANIFEST, HASHES))
+    for path in (frame_path, checkpoint_path):
+        yield from (path(folder, number) for number in numbered(folder, path)[0])
+    yield from _parts(folder)
+
+
+def _parts(folder: Path) -> list[Path]:
+    """Files that were not finished when a run was killed."""
+    return [part for place in (folder, folder / "frames", folder / "checkpoints") for part in place.glob(f".*{PART}")]
+
+
+def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) -> None:
+    """Remove the frames and checkpoints (above a frame, if given, and those checkpoints that are `damaged`) of an earlier run,
+    and its hashes of them; nothing else."""
+    for number in numbered(folder, frame_path)[0]:
+        if above is None or number > above:
+            frame_path(folder, number).unlink(missing_ok=True)
+    for number in numbered(folder, checkpoint_path)[0]:
+        if above is None or number > above or number in damaged:
+            checkpoint_path(folder, number).unlink(missing_ok=True)
+    for part in _parts(folder):
+        part.unlink(missing_ok=True)
+    kept = {} if above is None else {f: line for f, line in read_lines(folder / HASHES).items() if f <= above}
+    write_whole(folder / HASHES, b"".join(line.text(frame) for frame, line in kept.items()), sync=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """What can be kept of a cache: `points` are the checkpoints one may go on from, the latest first. `there`: the last frame
+    that it has, `broken` why the first one that is not whole is not, None where nothing is wrong."""
+
+    cache: Cache
+    points: list[int]
+    there: int | None = None
+    broken: str | None = None
+
+
+def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -> Whole | None:
+    """What can be kept of the cache to continue; None where there is nothing to continue.
+
+    A checkpoint counts only when the file of every frame up to it has the bytes that were written. DifferentInputs when the cache
+    is of other inputs."""
+    try:
+        cache = open_cache(folder)
+    except ManifestError:
+        return None
+    then = cache.manifest.inputs
+    different = [name for name in {**then, **inputs} if then.get(name) != inputs.get(name)]
+    if different:
+        raise DifferentInputs(sorted(different))
+    lines, there = cache.lines(), max(cache.frames(), default=None)
+    unbroken, broken = first - 1, None
+    while unbroken < last and (broken := cache.damage(unbroken + 1, lines.get(unbroken + 1))) is None:
+        unbroken += 1
+    if there is None or there <= unbroken or (there == unbroken + 1 and there not in lines):
+        broken = None  # there is no more, or the run was killed between a frame and its line
+    points = [number for number in reversed(cache.checkpoints()) if first <= number <= unbroken]
+    return Whole(cache, points, there, broken)
+
+
+def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None]:
+    """A checkpoint's arrays less the bookkeeping, and the greatest surface error of all frames up to it, None where it was not
+    kept; CacheError when it is damaged."""
+    arrays = cache.checkpoint(frame)
+    kept = arrays.get(SURFACE_ERROR)
+    known = kept is not None and kept.shape == () and kept.dtype.kind == "f" and 0 <= float(kept) < math.inf
+    worst = float(kept) if kept is not None and known else None
+    return {name.removeprefix("world."): array for name, array in arrays.items() if name.startswith("world.")}, worst
+
+
+class CacheWriter:
+    """Between `__enter__` and `__exit__` the folder is locked and frames can be put in. After an error nothing more is
+    written.
+
+    `told` gets what a `Scribe` found out about each frame, some frames later, all when `__exit__` is through."""
+
+    def __init__(self, folder: Path, manifest: Manifest, told: Callable[[dict[str, Any]], None]) -> None:
+        self.folder, self.manifest = folder, manifest
+        self.memory = 0  # the most that a process that writes used besides what it shares, in bytes; known at the end
+        self._told = told
+        self._lock = FolderLock(folder)
+        self._behind: Behind | None = None
+
+    def __enter__(self) -> CacheWriter:
+        self._lock.__enter__()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        try:
+            if self._behind is not None:
+                self._end(self._behind, whole=kind is None)
+        except Exception:
+            self._lock.__exit__(kind, value, trace)
+            raise
+        # Where a second Ctrl-C broke off the waiting the folder stays locked: somebody still writes to it.
+        self._lock.__exit__(kind, value, trace)
+
+    def _end(self, behind: Behind, *, whole: bool) -> None:
+        try:
+            if whole:
+                behind.hand_over(["sync"], {})
+        finally:
+            behind.finish()
+            self.memory = behind.memory
+        if whole:
+            behind.check()
+
+    def begin(
+        self,
+        world: World,
+        static: Arrays,
+        maker: FrameMaker,
+        kept_up_to: int | None,
+        damaged: Container[int] = (),
+        worst: float | None = 0.0,
+    ) -> None:
+        """Write what stands for the whole run. Frames above `kept_up_to` (all if None) of an earlier run are removed first, and
+        those checkpoints that are `damaged`. `worst`: the greatest surface error of the frames that are kept, as a `Scribe`
+        takes it."""
+        clear(self.folder, kept_up_to, damaged)
+        data = to_bytes(static)
+        write_whole(self.folder / STATIC, data, sync=True)
+        write_manifest(self.folder, self.manifest.model_copy(update={"static": hash_of_static(data)}))
+        world.carved = {}
+        self._behind = Behind(Scribe(self.folder, snapshot(world), maker, worst).work, self._told)
+
+    def put(self, world: World, *jobs: str) -> None:
+        """Hand over the state between two steps; behind the caller's back the jobs (of `scribe.JOBS`) are done with it.
+
+        An error there or of the disk is raised by what is called next."""
+        assert self._behind is not None, "begin comes first"
+        self._behind.hand_over(jobs, state(world, history="checkpoint" in jobs) | handed_over(world))

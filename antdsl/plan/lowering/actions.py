@@ -1,0 +1,119 @@
+"""Statements of the language into statements of the plan, for a state's body and for action blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from antdsl.plan import ir
+from antdsl.plan.ir import Kind, Node
+from antdsl.plan.lowering import values
+from antdsl.plan.lowering.builder import PlanError
+from antdsl.plan.lowering.expressions import lower, own, scalar, vector
+from antdsl.plan.lowering.values import Named, Own, Ref, Vec
+from antdsl.plan.lowering.writing import AXES, NotYet, Writer
+from antdsl.program import model
+
+STEER = "~steer"  # temps begin with a sign that no name of an author has
+
+
+def write(w: Writer, statements: Sequence[model.Statement], site: str) -> None:
+    """Write statements in text order; what cannot run yet is complained about and left out."""
+    for number, statement in enumerate(statements, 1):
+        w.b.span = statement.span
+        try:
+            _WRITE[type(statement)](w, statement, f"{site}#{number}")
+        except NotYet as missing:
+            complain(w, missing)
+
+
+def complain(w: Writer, missing: NotYet) -> None:
+    w.report.error("not-yet", f"{missing.what} cannot run yet", missing.span, missing.help)
+
+
+def _rate(w: Writer, amount: Node, per_second: bool) -> Node:
+    """What is added in one step."""
+    return w.b("mul", amount, w.run("dt")) if per_second else amount
+
+
+def _steer(w: Writer, s: model.Steer, site: str) -> None:
+    for axis in AXES:
+        w.declare(f"{STEER}.{axis}", Kind.F32, "temp")
+    push = vector(w, s.push)
+    w.steered(s, site, push)
+    w.store_vector(STEER, values.add(w.b, w.read_vector(STEER), push), s.span)
+
+
+def _assign(w: Writer, s: model.Assign, site: str) -> None:
+    if s.of is not None and not isinstance(lower(w, s.of), Own):
+        raise NotYet("a value per pair of agents", s.span, "leave the line out")
+    if any(d.name == s.attribute and d.each for d in w.species.attributes):
+        raise NotYet("a value per pair of agents", s.span, "leave the line out")
+    b = w.b
+    value = lower(w, s.value)
+    if s.op != "=":
+        old = own(w, s.attribute, s.value.type)
+        if isinstance(value, Vec) and isinstance(old, Vec):
+            change = values.scale(b, value, w.run("dt")) if s.per_second else value
+            value = values.add(b, old, change) if s.op == "+=" else values.sub(b, old, change)
+        else:
+            if not isinstance(value, Node) or not isinstance(old, Node):
+                raise PlanError(f"`{s.op}` on something that is no number: {s.span.text!r}")
+            value = b("add" if s.op == "+=" else "sub", old, _rate(w, value, s.per_second))
+    if s.attribute == "heading" and isinstance(value, Vec):
+        size = values.length(b, value)
+        value = values.choose(b, b("gt", size, b.number(values.TINY)), values.along(b, value, size), w.read_vector("heading"))
+    w.store_value(s.attribute, value, s.span, infinite=s.attribute == "max_turn")
+
+
+def _deposit(w: Writer, s: model.Deposit, site: str) -> None:
+    w.add(ir.Deposit(s.field, _rate(w, scalar(w, s.amount), s.per_second), s.span))
+
+
+def _give(w: Writer, s: model.Give, site: str) -> None:
+    to = lower(w, s.to)
+    if isinstance(to, Named):
+        every = w.b("set.items", w.b.number(float("inf")), attrs=(to.name,))
+        to = Ref(model.Kind.ITEM, to.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
+    if not isinstance(to, Ref) or to.what is not model.Kind.ITEM:
+        raise PlanError(f"a gift to a {type(to).__name__}")
+    amount = None if s.amount is None else _rate(w, scalar(w, s.amount), s.per_second)
+    w.add(ir.Give(to.of, s.attribute, to.node, amount, s.attribute, s.span))
+    w.wrote(s.attribute)
+
+
+def _emit(w: Writer, s: model.Emit, site: str) -> None:
+    w.add(ir.Emit(s.event, None if s.within is None else scalar(w, s.within), s.span))
+
+
+def _spawn(w: Writer, s: model.SpawnAgent, site: str) -> None:
+    w.add(ir.Spawn(s.species, s.key or f"{site}.spawn", s.span))
+
+
+def _die(w: Writer, s: model.Die, site: str) -> None:
+    w.add(ir.Die(s.span))
+
+
+def _carve(w: Writer, s: model.Carve, site: str) -> None:
+    """A ball half a body and half its radius ahead, its underside level with the feet: who goes on stays on that level."""
+    b = w.b
+    radius = scalar(w, s.radius)
+    heading = w.read_vector("heading")
+    ahead = heading if s.toward is None else values.unit(b, vector(w, s.toward))
+    if s.toward is not None:
+        size = values.length(b, ahead)
+        ahead = values.choose(b, b("gt", size, b.number(0.5)), ahead, heading)
+    reach = b("mul", b("add", w.read("size"), radius), b.number(0.5))
+    middle = values.add(b, w.read_vector("position"), values.scale(b, w.read_vector("up"), radius))
+    middle = values.add(b, middle, values.scale(b, ahead, reach))
+    w.add(ir.Carve(s.solid, radius, middle.x, middle.y, middle.z, s.into, s.span))
+
+
+def _play(w: Writer, s: model.Play, site: str) -> None:
+    raise NotYet("`play`", s.span, "leave the line out")
+
+
+_WRITE: dict[type, Callable[[Writer, Any, str], None]] = {
+    model.Steer: _steer, model.Assign: _assign, model.Deposit: _deposit, model.Give: _give, model.Emit: _emit,
+    model.SpawnAgent: _spawn, model.Die: _die, model.Carve: _carve, model.Play: _play,
+}  # fmt: skip

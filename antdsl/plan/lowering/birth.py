@@ -1,0 +1,110 @@
+"""What happens to an agent at birth: its attributes in the order they need each other, `on spawn`, entering its start states."""
+
+from __future__ import annotations
+
+from graphlib import TopologicalSorter
+from math import inf
+
+from antdsl.plan.ir import Kind, Node
+from antdsl.plan.lowering.actions import complain, write
+from antdsl.plan.lowering.builder import Builder
+from antdsl.plan.lowering.expressions import as_truth, lower
+from antdsl.plan.lowering.machines import MachineWriter
+from antdsl.plan.lowering.traversal import inside
+from antdsl.plan.lowering.values import Value
+from antdsl.plan.lowering.writing import NotYet, Writer
+from antdsl.program import model
+
+VECTORS = ("position", "velocity", "heading", "up")
+# The given ones in an order in which each can be made from those before it; `group` is set by the runtime, by the scene's line.
+GIVEN = ("size", "mass", "radius", "clearance", "max_speed", "response", "max_turn", "max_force")
+
+
+def declare(w: Writer) -> None:
+    """Registers of every agent, then the author's."""
+    for name in VECTORS:
+        for axis in "xyz":
+            w.declare(f"{name}.{axis}", Kind.F32, "attribute")
+    for name in (*GIVEN, "group"):
+        w.declare(name, Kind.F32, "attribute")
+    for attribute in w.species.attributes:
+        if attribute.each:
+            complain(w, NotYet("a value per pair of agents", attribute.span, f"write `{attribute.name} = …` without `for each`"))
+            continue
+        if attribute.name == "push":
+            w.report.error("reserved-name", "`push` is the plan's own name", attribute.span, "call the attribute something else")
+            continue
+        if not attribute.given and attribute.name not in GIVEN:
+            w.declare_typed(attribute.name, attribute.type, "attribute")
+
+
+def given_default(w: Writer, name: str) -> Node:
+    """What a given property is where the author does not say (the card's `given`)."""
+    b: Builder = w.b
+    if name in _PLAIN:
+        return b.number(_PLAIN[name])
+    if name == "radius":
+        return b("mul", w.read("size"), b.number(0.5))
+    # From standing to full speed within `response`. A kinematic animal (response of a step or less) may turn right round at once,
+    # which takes twice the change.
+    dt = w.run("dt")
+    time = b("max", w.read("response"), dt)
+    strength = b("div", b("mul", w.read("mass"), w.read("max_speed")), time)
+    once = b("le", w.read("response"), b("mul", dt, b.number(1.0001)))
+    return b("mul", strength, b("where", once, b.number(2), b.number(1)))
+
+
+_PLAIN = {"size": 4.0, "mass": 1.0, "clearance": 0.0, "max_speed": 30.0, "response": 0.15, "max_turn": inf}
+
+
+def born(w: Writer, machines: list[MachineWriter]) -> None:
+    """Write the block `born`."""
+    for machine in machines:
+        machine.begin()
+    for name in _order(w):
+        _attribute(w, name)
+    for number, handler in enumerate(h for h in w.species.handlers if h.event == "spawn"):
+        write(w, handler.actions, f"{w.species.name}.on.spawn#{number + 1}")
+    for machine in machines:
+        machine.enter_start()
+
+
+def _written(w: Writer) -> dict[str, model.AttributeDecl]:
+    """Attributes that the author wrote. A given one that stands at the species' own name comes from the card and is made here:
+    only here is it known what a step is."""
+    mine = [a for a in w.species.attributes if not a.each and a.name != "push"]
+    return {a.name: a for a in mine if not (a.given and a.span == w.species.span)}
+
+
+def _attribute(w: Writer, name: str) -> None:
+    declared = _written(w)
+    if name not in declared:
+        w.store(name, given_default(w, name), None, infinite=name == "max_turn")
+        return
+    attribute = declared[name]
+    w.b.span = attribute.span
+    try:
+        value: Value = lower(w, attribute.default)
+        if attribute.type.kind is model.Kind.BOOL:
+            value = as_truth(w, value, attribute.default)
+        w.store_value(name, value, attribute.span, infinite=name == "max_turn")
+    except NotYet as missing:
+        complain(w, missing)
+
+
+def _order(w: Writer) -> list[str]:
+    """Names of all attributes, each after those that its default reads; the checker has refused circles."""
+    declared = _written(w)
+    needs: dict[str, list[str]] = {name: [] for name in (*GIVEN, *declared)}
+    for name in needs:
+        if name in declared:
+            needs[name] = [n for n in attributes_read(declared[name].default) if n in needs]
+        else:
+            needs[name] = {"radius": ["size"], "max_force": ["mass", "max_speed", "response"]}.get(name, [])
+    return list(TopologicalSorter(needs).static_order())
+
+
+def attributes_read(expr: model.Expr) -> list[str]:
+    """Names of the agent's own attributes that an expression reads, also through lets."""
+    own = [e.name for e in inside(expr) if isinstance(e, model.Attribute) and e.of is None]
+    return ["velocity" if name == "speed" else name for name in own]

@@ -1,0 +1,121 @@
+"""Layers into one push of at most 1: a budget spent from the top line down, a sum, or the first that is any. Decision 14."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from antdsl.plan.ir import Kind, LayerPlan
+from antdsl.plan.lowering import values
+from antdsl.plan.lowering.actions import STEER, complain
+from antdsl.plan.lowering.expressions import truth, vector
+from antdsl.plan.lowering.values import Vec
+from antdsl.plan.lowering.writing import AXES, NotYet, Writer
+from antdsl.program import model
+
+PUSH, LEFT = "push", "~left"
+
+
+def blend(w: Writer, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
+    """Write the layers in order; the result is the register `push`."""
+    mode = w.species.layers.mode
+    layers = ordered(w, order)
+    w.declare(LEFT, Kind.F32, "temp", 1.0)
+    if not layers:
+        _spend(w, _states(w), w.species.span, last=True)
+    for number, layer in enumerate(layers):
+        w.b.span = layer.span
+        try:
+            _layer(w, layer, mode, last=number == len(layers) - 1)
+        except NotYet as missing:
+            complain(w, missing)
+    if mode == "sum":
+        w.store_vector(PUSH, values.limit(w.b, w.read_vector(PUSH), w.b.number(1)), w.species.layers.span)
+    return tuple(LayerPlan(layer.text, layer.span) for layer in layers)
+
+
+def _layer(w: Writer, layer: model.Layer, mode: str, last: bool) -> None:
+    b = w.b
+    strength = w.read(LEFT)
+    left = b.true if mode == "sum" else b("gt", strength, b.number(0))
+    with w.region(left, layer.span):
+        condition = b.true if layer.condition is None else truth(w, layer.condition)
+        with w.region(condition, layer.span):
+            push = _states(w) if layer.push is None else vector(w, layer.push)
+            w.layered(layer, strength, left, condition, push)
+            if mode == "sum":
+                w.store_vector(PUSH, values.add(b, w.read_vector(PUSH), push), layer.span)
+            elif mode == "first":
+                _take(w, push, layer, last)
+            else:
+                _spend(w, push, layer.span, last)
+
+
+def _states(w: Writer) -> Vec:
+    """What the machines' states steer, all machines together."""
+    if f"{STEER}.x" not in w.registers:
+        return values.zero(w.b)
+    return w.read_vector(STEER)
+
+
+def _spend(w: Writer, push: Vec, span: object, last: bool) -> None:
+    """Cut a push to the strength that is left, and spend that."""
+    b = w.b
+    left, size = w.read(LEFT), values.length(b, push)
+    too_much = b("gt", size, left)
+    cut = values.scale(b, push, b("where", too_much, b("div", left, size), b.number(1)))
+    place = b.span
+    w.store_vector(PUSH, values.add(b, w.read_vector(PUSH), cut), place)
+    if not last:
+        w.store(LEFT, b("where", too_much, b.number(0), b("sub", left, size)), place)
+
+
+def _take(w: Writer, push: Vec, layer: model.Layer, last: bool) -> None:
+    """The first push that is any takes all."""
+    b = w.b
+    some = b("gt", values.length(b, push), b.number(0))
+    with w.region(some, layer.span):
+        w.store_vector(PUSH, values.limit(b, push, b.number(1)), layer.span)
+        if not last:
+            w.store(LEFT, b.number(0), layer.span)
+
+
+# --- an order from the scene -----------------------------------------------------------------------------------------
+
+
+def ordered(w: Writer, order: Sequence[str] | None) -> tuple[model.Layer, ...]:
+    """The layers as written, or in the order that a scene asks for: each named by its text or by the word before its bracket."""
+    layers = list(w.species.layers.layers)
+    if order is None:
+        return tuple(layers)
+    span = w.species.layers.span
+    result: list[model.Layer] = []
+    for name in order:
+        fitting = [layer for layer in layers if layer not in result and _named(layer, name)]
+        exact = [layer for layer in fitting if _plain(layer.text) == _plain(name)]
+        if not exact and len(fitting) != 1:
+            known = ", ".join(f"`{layer.text}`" for layer in layers)
+            what = "no layer" if not fitting else "more than one layer"
+            w.report.error("layer-order", f"{what} of `{w.species.name}` is `{name}`", span, f"the layers are {known}")
+            return tuple(layers)
+        result.append((exact or fitting)[0])
+    missing = [layer for layer in layers if layer not in result]
+    if missing:
+        names = ", ".join(f"`{layer.text}`" for layer in missing)
+        message = f"the order of the layers of `{w.species.name}` leaves out {names}"
+        w.report.error("layer-order", message, span, "name every layer once")
+        return tuple(layers)
+    return tuple(result)
+
+
+def _plain(text: str) -> str:
+    return "".join(text.split())
+
+
+def _named(layer: model.Layer, name: str) -> bool:
+    text = _plain(layer.text)
+    return text == _plain(name) or text.split("(")[0] == _plain(name)
+
+
+def declare(w: Writer) -> None:
+    for axis in AXES:
+        w.declare(f"{PUSH}.{axis}", Kind.F32, "temp")

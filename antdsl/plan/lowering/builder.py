@@ -1,0 +1,131 @@
+"""Makes nodes of the plan: checks them against the table, folds what is known, gives the same object for the same operation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from antdsl.plan.ir import OPS, TUPLES, Kind, Node, Rate
+from antdsl.plan.lowering import simplify
+from antdsl.plan.lowering.floats import f32
+from antdsl.source import Span
+
+_LETTERS = {"f": Kind.F32, "b": Kind.BOOL, "i": Kind.I32, "l": Kind.I64, "t": Kind.TUPLE, "s": Kind.SET}
+_OF_REGISTER = frozenset(("snap", "load", "other", "agent.get", "item.get"))
+
+
+class PlanError(AssertionError):
+    """A plan that breaks its own rules: our mistake, never the author's."""
+
+
+def fitting(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | None:
+    """What is wrong with operands and attributes of an operation, or None."""
+    shape = (op, len(attrs), *[arg.kind for arg in args])
+    if shape in _FIT:
+        return None
+    wrong = _misfit(op, args, attrs)
+    if wrong is None:
+        _FIT.add(shape)
+    return wrong
+
+
+_FIT: set[tuple[Any, ...]] = set()  # operations with numbers of attributes and kinds of operands that were found fitting
+
+
+def _misfit(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | None:
+    row = OPS.get(op)
+    if row is None:
+        return f"no operation {op}"
+    if len(args) != len(row.args):
+        return f"{op} takes {len(row.args)} operands, not {len(args)}"
+    if len(attrs) != len(row.attrs):
+        return f"{op} takes attributes {row.attrs}, not {attrs!r}"
+    for position, (letter, arg) in enumerate(zip(row.args, args, strict=True)):
+        if letter == "x":
+            if arg.kind in (Kind.TUPLE, Kind.SET):
+                return f"operand {position} of {op} is a {arg.kind.value}"
+        elif arg.kind is not _LETTERS[letter]:
+            return f"operand {position} of {op} is a {arg.kind.value}, not a {_LETTERS[letter].value}"
+    if op in ("eq", "ne") and args[0].kind is not args[1].kind:
+        return f"{op} compares a {args[0].kind.value} with a {args[1].kind.value}"
+    if op == "where" and args[1].kind is not args[2].kind:
+        return f"where chooses between a {args[1].kind.value} and a {args[2].kind.value}"
+    return None
+
+
+def result_kind(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...], kind: Kind | None) -> Kind:
+    """Kind of a result; `kind` says it for those operations that read a register."""
+    if op in _OF_REGISTER:
+        return kind or Kind.F32
+    if op == "where":
+        return args[1].kind
+    if op == "get":
+        index: int = attrs[0]
+        return TUPLES[args[0].op][index]
+    return OPS[op].kind
+
+
+def result_rate(op: str, args: tuple[Node, ...]) -> Rate:
+    """The greatest rate of the parts; a reduction is back at the agent's."""
+    if op.startswith("reduce."):
+        return Rate.AGENT
+    rate = OPS[op].rate
+    for arg in args:
+        if arg.rate > rate:
+            rate = arg.rate
+    return rate
+
+
+class Builder:
+    """One list of nodes. `span` is the place in the text that the next nodes belong to."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Node] = []
+        self.span: Span | None = None
+        self._known: dict[tuple[Any, ...], Node] = {}
+        self.true = self("const.bool", attrs=(True,))
+        self.false = self("const.bool", attrs=(False,))
+
+    def __call__(self, op: str, *args: Node, attrs: tuple[Any, ...] = (), kind: Kind | None = None) -> Node:
+        """The node of an operation, simplified where its operands allow it."""
+        wrong = fitting(op, args, attrs)
+        if wrong:
+            raise PlanError(wrong)
+        simple = simplify.simplify(self, op, args, attrs)
+        return simple if simple is not None else self.intern(op, args, attrs, result_kind(op, args, attrs, kind))
+
+    def intern(self, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...], kind: Kind, span: Span | None = None) -> Node:
+        """The node as asked for, made only if there is none like it."""
+        key = (op, tuple([a.number for a in args]), repr(attrs) if attrs else "", kind)
+        node = self._known.get(key)
+        if node is None:
+            node = Node(op, args, attrs, kind, result_rate(op, args), span or self.span, len(self.nodes))
+            self.nodes.append(node)
+            self._known[key] = node
+        return node
+
+    def number(self, x: float) -> Node:
+        return self("const", attrs=(f32(float(x)),))
+
+    def truth(self, x: bool) -> Node:
+        return self.true if x else self.false
+
+    def row(self, x: int) -> Node:
+        return self("const.i32", attrs=(int(x),))
+
+    def agent(self, x: int) -> Node:
+        return self("const.i64", attrs=(int(x),))
+
+    def zero(self, kind: Kind, value: float | int | bool = 0) -> Node:
+        """A constant of a kind."""
+        if kind is Kind.F32:
+            return self.number(float(value))
+        if kind is Kind.BOOL:
+            return self.truth(bool(value))
+        return self.row(int(value)) if kind is Kind.I32 else self.agent(int(value))
+
+    def all(self, *conditions: Node) -> Node:
+        """Conjunction, in the order given."""
+        result = self.true
+        for condition in conditions:
+            result = self("and", result, condition)
+        return result

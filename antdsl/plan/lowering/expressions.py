@@ -1,0 +1,350 @@
+"""Typed expressions into nodes: names, attributes, memories, behaviours in place; operations have their rule in `plan.rules`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container
+from typing import Any
+
+from antdsl.plan.ir import Kind, Node
+from antdsl.plan.lowering import values
+from antdsl.plan.lowering.builder import PlanError
+from antdsl.plan.lowering.traversal import inside
+from antdsl.plan.lowering.values import Element, Group, Hit, Hits, Named, Own, Ref, Value, Vec
+from antdsl.plan.lowering.writing import AXES, KINDS, NONE, NotYet, Writer
+from antdsl.program import expectations, model
+
+
+def lower(w: Writer, expr: model.Expr) -> Value:
+    """What an expression is at this place of the writer's text."""
+    outer, w.b.span = w.b.span, expr.span
+    try:
+        return _LOWER[type(expr)](w, expr)
+    finally:
+        w.b.span = outer
+
+
+def scalar(w: Writer, expr: model.Expr) -> Node:
+    """An expression that is one node: a number, a truth, a state, or a reference's row or id."""
+    value = lower(w, expr)
+    if isinstance(value, Ref):
+        return value.node
+    if isinstance(value, Element):
+        return w.b("other.row") if value.what is model.Kind.ITEM else w.b("other.id")
+    if not isinstance(value, Node):
+        raise PlanError(f"a {type(value).__name__} where one value was due: {expr.span.text!r}")
+    return value
+
+
+def vector(w: Writer, expr: model.Expr) -> Vec:
+    value = lower(w, expr)
+    if not isinstance(value, Vec):
+        raise PlanError(f"a {type(value).__name__} where a vector was due: {expr.span.text!r}")
+    return value
+
+
+def truth(w: Writer, expr: model.Expr) -> Node:
+    """An expression as a condition: what may be none counts as whether it is there."""
+    return as_truth(w, lower(w, expr), expr)
+
+
+def as_truth(w: Writer, value: Value, expr: model.Expr) -> Node:
+    if isinstance(value, Node) and value.kind is Kind.BOOL:
+        return value
+    if isinstance(value, Node) and value.kind is Kind.F32:
+        return w.b("gt", value, w.b.number(0))
+    return present(w, value, expr)
+
+
+def present(w: Writer, value: Value, expr: model.Expr) -> Node:
+    """Whether a reference, a hit or a set is not none."""
+    if isinstance(value, Ref):
+        if value.what is model.Kind.ITEM:
+            return w.b("item.alive", value.node, attrs=(value.of,))
+        return w.b("agent.alive", value.node, attrs=(value.of,))
+    if isinstance(value, Hit):
+        return value.hit
+    if isinstance(value, Group):
+        return w.b("reduce.any", value.nodes, value.condition)
+    if isinstance(value, Hits):
+        found = w.b.false
+        for hit in value.hits:
+            found = w.b("or", found, hit.hit)
+        return found
+    if isinstance(value, Element | Own | Vec):
+        return w.b.true
+    raise PlanError(f"a {type(value).__name__} is never none: {expr.span.text!r}")
+
+
+# --- leaves ----------------------------------------------------------------------------------------------------------
+
+
+def _const(w: Writer, e: model.Const) -> Value:
+    if e.type.kind is model.Kind.BOOL:
+        return w.b.truth(bool(e.number))
+    node = w.b.number(e.number)
+    for name, exponent in (("u", e.u), ("dt", e.step)):
+        if exponent:
+            node = w.b("mul" if exponent > 0 else "div", node, _power(w, w.run(name), abs(exponent)))
+    return node
+
+
+def _power(w: Writer, base: Node, exponent: float) -> Node:
+    if exponent == int(exponent) and exponent <= 8:
+        node = base
+        for _ in range(int(exponent) - 1):
+            node = w.b("mul", node, base)
+        return node
+    return w.b("sqrt", base) if exponent == 0.5 else w.b("pow", base, w.b.number(exponent))
+
+
+def _none(w: Writer, e: model.NoneRef) -> Value:
+    if e.type.kind is model.Kind.ITEM:
+        return Ref(e.type.kind, e.type.of or "", w.b.row(-1))
+    if e.type.kind is model.Kind.AGENT:
+        return Ref(e.type.kind, e.type.of or "", w.b.agent(-1))
+    if e.type.kind is model.Kind.HIT:
+        nothing = values.zero(w.b)
+        return Hit(w.b.false, w.b.number(float("inf")), nothing, nothing)
+    raise PlanError(f"none of a {e.type.kind.value}")
+
+
+def _state(w: Writer, e: model.StateConst) -> Value:
+    return w.b.row(e.index)
+
+
+def _param(w: Writer, e: model.ParamRef) -> Value:
+    node = w.b("param", attrs=(e.name,))
+    return w.b("ne", node, w.b.number(0)) if e.type.kind is model.Kind.BOOL else node
+
+
+def _thing(w: Writer, e: model.Thing) -> Value:
+    if e.name == "self":
+        return Own()
+    return Named(e.type.kind, e.name)
+
+
+# --- names with a value ----------------------------------------------------------------------------------------------
+
+
+def _local(w: Writer, e: model.Local) -> Value:
+    binding = e.binding
+    if binding in w.environment:
+        value = w.environment[binding]
+        if isinstance(value, Element) and binding is not w.elements[-1]:
+            raise NotYet(f"`{binding.name}` inside a second set", e.span, "let each set look at its own elements only")
+        return value
+    if binding.role == "latch":
+        return w.read_now(binding.key or binding.name)
+    if binding.role == "let":
+        return _let(w, binding)
+    raise PlanError(f"{binding.role} `{binding.name}` is used outside of its place")
+
+
+def _let(w: Writer, binding: model.Binding) -> Value:
+    """A `let`, lowered once and not at each use; what it remembers advances wherever it is used.
+
+    One that is a snapshot is the same all step long; one that is not, and all at birth, hold until the next store."""
+    lasting = binding.snapshot and not w.born
+    known = w.lets if lasting else w.fleeting
+    for each in _needed(w, binding, known):
+        assert each.value is not None
+        outer_met, w.met = w.met, []
+        outer_snapshot, w.snapshot = w.snapshot, lasting
+        try:
+            value = lower(w, each.value)
+            known[each] = value, tuple(w.met)
+        finally:
+            w.met, w.snapshot = outer_met, outer_snapshot
+    value, memories = known[binding]
+    for memory in memories:
+        w.remember(memory)
+    return value
+
+
+def _needed(w: Writer, binding: model.Binding, known: Container[model.Binding]) -> list[model.Binding]:
+    """The lets to lower first, innermost first: a long chain of lets must not become a deep recursion."""
+    order: list[model.Binding] = []
+    stack: list[tuple[model.Binding, bool]] = [(binding, False)]
+    done: set[model.Binding] = set()
+    while stack:
+        each, ready = stack.pop()
+        if each in done or each in known:
+            continue
+        if ready:
+            done.add(each)
+            order.append(each)
+            continue
+        stack.append((each, True))
+        assert each.value is not None
+        for used in (e.binding for e in inside(each.value) if isinstance(e, model.Local)):
+            if used.role == "let" and used not in w.environment and used.snapshot == binding.snapshot:
+                stack.append((used, False))
+    return order
+
+
+def _inline(w: Writer, e: model.Inline) -> Value:
+    for argument in e.arguments:
+        assert argument.value is not None
+        w.environment[argument] = lower(w, argument.value)
+    for binding in e.body:
+        w.environment[binding] = _keep(w, binding) if binding.role == "keep" else _plain(w, binding)
+    return lower(w, e.result)
+
+
+def _plain(w: Writer, binding: model.Binding) -> Value:
+    assert binding.value is not None
+    return lower(w, binding.value)
+
+
+def _keep(w: Writer, binding: model.Binding) -> Value:
+    """`keep x = first then next`: `first` the first time, then `next` of the value before. Memory is written once a step."""
+    assert binding.value is not None and binding.then is not None
+    on = f"{binding.key}.on"
+    w.declare_typed(binding.key, binding.type, "memory")
+    w.declare(on, Kind.BOOL, "memory")
+    first = lower(w, binding.value)
+    w.environment[binding] = _before(w, binding)
+    following = lower(w, binding.then)
+    now = select(w, w.before(on), following, first)
+    stores = (
+        [(f"{binding.key}.{a}", n, binding.span) for a, n in zip(AXES, now, strict=True)]
+        if isinstance(now, Vec)
+        else [(binding.key, now.node if isinstance(now, Ref) else now, binding.span)]
+    )
+    w.memories[binding] = (*stores, (on, w.b.true, binding.span))
+    w.remember(binding)
+    return now
+
+
+def _before(w: Writer, binding: model.Binding) -> Value:
+    if binding.type.kind is model.Kind.VECTOR:
+        return Vec(*(w.before(f"{binding.key}.{axis}") for axis in AXES))
+    node = w.before(binding.key)
+    return Ref(binding.type.kind, binding.type.of or "", node) if binding.type.kind in NONE else node
+
+
+def select(w: Writer, condition: Node, then: Value, other: Value) -> Value:
+    """`then` where the condition holds, else `other`: for every value that can be stored, and for hits."""
+    b = w.b
+    if isinstance(then, Vec) and isinstance(other, Vec):
+        return values.choose(b, condition, then, other)
+    if isinstance(then, Hit) and isinstance(other, Hit):
+        return Hit(
+            b("where", condition, then.hit, other.hit), b("where", condition, then.distance, other.distance),
+            values.choose(b, condition, then.normal, other.normal), values.choose(b, condition, then.direction, other.direction),
+        )  # fmt: skip
+    then, other = _referable(w, then), _referable(w, other)
+    if isinstance(then, Ref) and isinstance(other, Ref):
+        return Ref(then.what, then.of or other.of, b("where", condition, then.node, other.node))
+    if isinstance(then, Node) and isinstance(other, Node):
+        return b("where", condition, then, other)
+    raise PlanError(f"cannot choose between a {type(then).__name__} and a {type(other).__name__}")
+
+
+def _referable(w: Writer, value: Value) -> Value:
+    if isinstance(value, Element):
+        return Ref(value.what, value.of, w.b("other.row") if value.what is model.Kind.ITEM else w.b("other.id"))
+    return value
+
+
+# --- attributes ------------------------------------------------------------------------------------------------------
+
+
+def _attribute(w: Writer, e: model.Attribute) -> Value:
+    if any(a.name == e.name and a.each for a in w.species.attributes):
+        raise NotYet("a value per pair of agents", e.span, "leave the line out")
+    owner = None if e.of is None else lower(w, e.of)
+    if owner is None or isinstance(owner, Own):
+        return own(w, e.name, e.type)
+    if isinstance(owner, Hit):
+        return _of_hit(w, owner, e)
+    if not isinstance(owner, Element | Ref):
+        raise PlanError(f"`{e.name}` of a {type(owner).__name__}")
+    if e.name == "speed":
+        return values.length(w.b, Vec(*(_others(w, owner, f"velocity.{axis}", Kind.F32) for axis in AXES)))
+    if e.name == "id" and owner.what is model.Kind.AGENT:
+        return w.b("number", w.b("other.id") if isinstance(owner, Element) else owner.node)
+    if e.name == "age":
+        raise NotYet("the age of another agent", e.span, "give the species an attribute of its own for it")
+    if e.type.kind is model.Kind.VECTOR:
+        prefix = "" if owner.what is model.Kind.ITEM and e.name == "position" else f"{e.name}."
+        return Vec(*(_others(w, owner, f"{prefix}{axis}", Kind.F32) for axis in AXES))
+    return typed(w, _others(w, owner, e.name, KINDS[e.type.kind], NONE.get(e.type.kind)), e.type)
+
+
+def typed(w: Writer, node: Node, type: model.Type) -> Value:
+    """A register's node as a value of the language; a number that stands for a truth becomes one."""
+    if type.kind in NONE:
+        return Ref(type.kind, type.of or "", node)
+    return w.b("ne", node, w.b.number(0)) if type.kind is model.Kind.BOOL and node.kind is Kind.F32 else node
+
+
+def own(w: Writer, name: str, type: model.Type) -> Value:
+    """An attribute of the agent itself."""
+    if name == "id":
+        return w.b("number", w.b("id"))
+    if name == "age":
+        return w.b("age")
+    if name == "speed":
+        return values.length(w.b, w.read_vector("velocity"))
+    if f"{name}.x" in w.registers:
+        return w.read_vector(name)
+    return typed(w, w.read(name), type)
+
+
+def _others(w: Writer, owner: Element | Ref, register: str, kind: Kind, none: int | None = None) -> Node:
+    if owner.what is model.Kind.ITEM:
+        kind = Kind.F32  # items have numbers only
+    if isinstance(owner, Element):
+        return w.b("other", attrs=(register,), kind=kind)
+    if owner.what is model.Kind.ITEM:
+        return w.b("item.get", owner.node, attrs=(owner.of, register), kind=kind)
+    node = w.b("agent.get", owner.node, attrs=(owner.of, register), kind=kind)
+    if none is None:
+        return node
+    return w.b("where", w.b("agent.alive", owner.node, attrs=(owner.of,)), node, w.b.zero(kind, none))
+
+
+def _of_hit(w: Writer, hit: Hit, e: model.Attribute) -> Value:
+    if e.name == "distance":
+        return w.b("where", hit.hit, hit.distance, w.b.number(float("inf")))
+    if e.name == "normal":
+        return values.keep_if(w.b, hit.hit, hit.normal)
+    reach = values.keep_if(w.b, hit.hit, values.scale(w.b, hit.direction, hit.distance))
+    return values.add(w.b, w.read_vector("position"), reach)
+
+
+# --- operations ------------------------------------------------------------------------------------------------------
+
+
+def _op(w: Writer, e: model.Op) -> Value:
+    from antdsl.plan.lowering.rules import RULES
+
+    rule = RULES.get(e.name)
+    if rule is None:
+        raise NotYet(f"`{e.name}`", e.span, "leave the line out")
+    return rule(w, e)
+
+
+def _set(w: Writer, e: model.SetOf) -> Value:
+    from antdsl.plan.lowering.sets import gather
+
+    return gather(w, e)
+
+
+def _reduce(w: Writer, e: model.Reduce) -> Value:
+    from antdsl.plan.lowering.sets import reduce
+
+    return reduce(w, e)
+
+
+def _told(w: Writer, e: model.Expr) -> Value:
+    return w.tell(e)
+
+
+_LOWER: dict[type, Callable[[Writer, Any], Value]] = {
+    model.Const: _const, model.NoneRef: _none, model.StateConst: _state, model.ParamRef: _param, model.Thing: _thing,
+    model.Local: _local, model.Inline: _inline, model.Attribute: _attribute, model.Op: _op,
+    model.SetOf: _set, model.Reduce: _reduce, expectations.Whole: _told, expectations.AtStart: _told, expectations.Measured: _told,
+    expectations.Other: _told, expectations.Bodily: _told, expectations.CellValue: _told,
+}  # fmt: skip

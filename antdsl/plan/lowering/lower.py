@@ -1,0 +1,197 @@
+"""The checked program into a plan: species by species, then fields, items and params."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from math import log
+
+from antdsl.diagnostics import Report
+from antdsl.plan import ir
+from antdsl.plan.ir import Block, Kind, Node
+from antdsl.plan.lowering import birth, blending
+from antdsl.plan.lowering.actions import complain, write
+from antdsl.plan.lowering.builder import Builder
+from antdsl.plan.lowering.expressions import own, scalar, truth, vector
+from antdsl.plan.lowering.lazy import lazy
+from antdsl.plan.lowering.machines import MachineWriter
+from antdsl.plan.lowering.resting import stand_still
+from antdsl.plan.lowering.source_map import Notes, NotingWriter
+from antdsl.plan.lowering.values import Vec, scale, sub
+from antdsl.plan.lowering.values import add as add_vectors
+from antdsl.plan.lowering.writing import NotYet, Writer
+from antdsl.plan.traverse import needed, operands, statements
+from antdsl.program import model
+
+DEEP = 20_000  # frames of our own recursion over expressions; their nesting is capped by the parser and the checker
+
+
+def lower(
+    program: model.Program, *, orders: Mapping[str, Sequence[str]] | None = None, notes: dict[str, Notes] | None = None
+) -> tuple[ir.Plan, Report]:
+    """The plan of a program, and complaints about what checks but cannot run yet.
+
+    `orders`: for a species the order of its layers, each by its text or its word before the bracket. `notes` gets, for each
+    species, which nodes stand for which part of its text."""
+    report = Report()
+    builder = Builder()
+
+    def species_plan(s: model.Species) -> ir.SpeciesPlan:
+        if notes is None:
+            return _species(Writer(builder, program, s, report), (orders or {}).get(s.name))
+        notes[s.name] = Notes()
+        return _species(NotingWriter(builder, program, s, report, notes[s.name]), (orders or {}).get(s.name))
+
+    with _deep():
+        species = {s.name: species_plan(s) for s in program.species.values()}
+        fields = {f.name: _field(builder, program, f, report) for f in program.fields.values()}
+        params = {p.name: ir.ParamPlan(p.name, _outside(builder, program, p.default, report)) for p in program.params.values()}
+    world = program.world.values()
+    items = {t.name: ir.ItemsPlan(t.name, {a.name: a.default.number for a in t.attributes}) for t in world if t.kind == "items"}
+    kinds = ("surface", "obstacle", "curve", "solid", "flow", "map")
+    names = {kind: tuple(t.name for t in world if t.kind == kind) for kind in kinds}
+    plan = ir.Plan(
+        species, fields, items, params, names["surface"], names["obstacle"], names["curve"], tuple(builder.nodes),
+        solids=names["solid"], flows=names["flow"], maps=names["map"],
+    )  # fmt: skip
+    return plan, report
+
+
+@contextmanager
+def _deep() -> Iterator[None]:
+    before = sys.getrecursionlimit()
+    sys.setrecursionlimit(max(before, DEEP))
+    try:
+        yield
+    finally:
+        sys.setrecursionlimit(before)
+
+
+# --- species ---------------------------------------------------------------------------------------------------------
+
+
+def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
+    species = w.species
+    birth.declare(w)
+    blending.declare(w)
+    for latch in species.latches:
+        w.declare(latch.key or latch.name, Kind.BOOL, "memory")
+    machines = [MachineWriter(w, machine) for machine in species.machines]
+    born = _born(w, machines)
+    with w.block() as done:
+        _decide(w, machines)
+        decide = done()
+    with w.block() as done:
+        for machine in machines:
+            machine.act()
+        stand_still(w, machines)
+        act = done()
+    with w.block() as done:
+        layers = blending.blend(w, order)
+        for machine in machines:
+            machine.advance()
+        blend = done()
+    nodes = needed(node for phase in (decide, act, blend) for _, s in statements(phase) for node in operands(s))
+    events = tuple(sorted({node.attrs[0] for node in nodes if node.op == "event"}))
+    return ir.SpeciesPlan(
+        species.name, w.registers, tuple(m.plan() for m in machines), born, decide, act, blend, events, layers,
+        lazy(decide, act, blend),
+    )  # fmt: skip
+
+
+def _born(w: Writer, machines: list[MachineWriter]) -> Block:
+    """Birth is a step of its own: what it has stored, the first real step sees as it was at its start."""
+    w.born = True
+    with w.block() as done:
+        birth.born(w, machines)
+        block = done()
+    w.born = False
+    w.begin_step()
+    return block
+
+
+def _decide(w: Writer, machines: list[MachineWriter]) -> None:
+    for attribute in w.species.attributes:
+        if attribute.relax_to is not None and not attribute.each:
+            _relax(w, attribute)
+    for latch in w.species.latches:
+        _latch(w, latch)
+    for number, handler in enumerate(w.species.handlers, 1):
+        _handler(w, handler, number)
+    for machine in machines:
+        machine.decide()
+
+
+def _relax(w: Writer, attribute: model.AttributeDecl) -> None:
+    """x moves toward its rest by the share 1 - exp(-dt / over): the same in a second however many steps that has."""
+    b = w.b
+    assert attribute.relax_to is not None and attribute.relax_over is not None
+    b.span = attribute.span
+    share = b("sub", b.number(1), b("exp", b("neg", b("div", w.run("dt"), scalar(w, attribute.relax_over)))))
+    now = own(w, attribute.name, attribute.type)
+    if isinstance(now, Vec):
+        rest = vector(w, attribute.relax_to)
+        w.store_vector(attribute.name, add_vectors(b, now, scale(b, sub(b, rest, now), share)), attribute.span)
+        return
+    assert isinstance(now, Node)
+    change = b("mul", b("sub", scalar(w, attribute.relax_to), now), share)
+    w.store(attribute.name, b("add", now, change), attribute.span)
+
+
+def _latch(w: Writer, latch: model.Binding) -> None:
+    """On from when the first condition holds until the second does."""
+    assert latch.value is not None and latch.then is not None
+    b, name = w.b, latch.key or latch.name
+    b.span = latch.span
+    try:
+        on = b("where", w.before(name), b("not", truth(w, latch.then)), truth(w, latch.value))
+        w.store(name, on, latch.span)
+    except NotYet as missing:
+        complain(w, missing)
+
+
+def _handler(w: Writer, handler: model.Handler, number: int) -> None:
+    if handler.event == "spawn":
+        return
+    if handler.event == "collision":
+        complain(w, NotYet("`on collision`", handler.span, "leave the block out"))
+        return
+    with w.region(w.b("event", attrs=(handler.event,)), handler.span):
+        write(w, handler.actions, f"{w.species.name}.on.{handler.event}#{number}")
+
+
+# --- the rest --------------------------------------------------------------------------------------------------------
+
+
+def _outside(builder: Builder, program: model.Program, e: model.Expr, report: Report) -> Node:
+    """An expression that no agent is needed for."""
+    nobody = model.Species("", "", (), (), (), (), (), (), model.Layers("budget", (), e.span), e.span)
+    return scalar(Writer(builder, program, nobody, report), e)
+
+
+def _field(builder: Builder, program: model.Program, f: model.Field, report: Report) -> ir.FieldPlan:
+    def node(e: model.Expr | None) -> Node | None:
+        return None if e is None else _outside(builder, program, e, report)
+
+    for surface in f.surfaces:
+        thing = program.world.get(surface)
+        if thing is not None and thing.kind not in ("surface", "solid"):
+            report.error("not-yet", f"a field on the {thing.kind} `{surface}` cannot run yet", f.span, "name surfaces or solids")
+    cell = node(f.cell)
+    assert cell is not None
+    return ir.FieldPlan(f.name, f.surfaces, cell, _keep(builder, f, node), node(f.diffuse), f.combine, node(f.limit), f.span)
+
+
+def _keep(b: Builder, f: model.Field, node: object) -> Node | None:
+    """The factor per step: 2^(-dt / half_life), exp(-rate dt), or as said."""
+    assert callable(node)
+    dt = b("run", attrs=("dt",))
+    if f.half_life is not None:
+        return b("exp", b("div", b("mul", b.number(-log(2)), dt), node(f.half_life)))
+    if f.evaporate is not None:
+        return b("exp", b("neg", b("mul", node(f.evaporate), dt)))
+    if f.keeps is None:
+        return None
+    factor: Node = node(f.keeps)
+    return b("mul", factor, dt) if f.keeps.type.dim.time < 0 else factor

@@ -1,0 +1,229 @@
+"""A state machine: which transition wins (decide), and what it does to the agent (act). Decisions 8 to 11.
+
+`decide` only notes the number of the winning transition, counted from 1 over the whole machine, in the temp `~MACHINE.pending`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+
+from antdsl.plan import ir
+from antdsl.plan.ir import Kind, Node
+from antdsl.plan.lowering.actions import complain, write
+from antdsl.plan.lowering.durations import advance, passed, steps
+from antdsl.plan.lowering.expressions import lower, present, scalar, truth
+from antdsl.plan.lowering.values import Ref
+from antdsl.plan.lowering.writing import NotYet, Writer
+from antdsl.program import model
+
+
+@dataclass(frozen=True, slots=True)
+class _Change:
+    """A transition with its number and the state it leaves."""
+
+    number: int
+    state: model.State
+    transition: model.Transition
+
+
+class MachineWriter:
+    def __init__(self, w: Writer, machine: model.Machine) -> None:
+        self.w, self.machine, self.name = w, machine, machine.name
+        self.site = f"{w.species.name}.{machine.name}"
+        pairs = [(s, t) for s in machine.states for t in s.transitions]
+        self.changes = [_Change(n, s, t) for n, (s, t) in enumerate(pairs, 1)]
+        self.shared = Counter(t.key for _, t in pairs)
+        for part in ("state", "previous", "next"):
+            w.declare(f"{self.name}.{part}", Kind.I32, "memory")
+        w.declare(f"{self.name}.time_in_state", Kind.F32, "memory")
+        w.declare(self.pending, Kind.I32, "temp")
+        w.declare(self.won, Kind.BOOL, "temp")
+        for change in self.changes:
+            if change.transition.held is not None:
+                w.declare(_counter(change.transition), Kind.F32, "memory")
+
+    @property
+    def pending(self) -> str:
+        return f"~{self.name}.pending"
+
+    @property
+    def won(self) -> str:
+        return f"~{self.name}.won"
+
+    def plan(self) -> ir.MachinePlan:
+        states = self.machine.states
+        return ir.MachinePlan(
+            self.name,
+            tuple(s.name for s in states),
+            tuple(s.label for s in states),
+            tuple(s.colour for s in states),
+            self.machine.start,
+        )
+
+    def _in(self, state: model.State) -> Node:
+        if len(self.machine.states) == 1:
+            return self.w.b.true
+        return self.w.b("eq", self.w.read(f"{self.name}.state"), self.w.b.row(state.index))
+
+    def among(self, states: Iterable[int]) -> Node:
+        """Whether it is in one of these states by now."""
+        here = self.w.read(f"{self.name}.state")
+        found = self.w.b.false
+        for index in states:
+            found = self.w.b("or", found, self.w.b("eq", here, self.w.b.row(index)))
+        return found
+
+    # --- birth -------------------------------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """The start state, before anything else happens at birth."""
+        for part in ("state", "previous", "next"):
+            self.w.store(f"{self.name}.{part}", self.w.b.row(self.machine.start), self.machine.span)
+
+    def enter_start(self) -> None:
+        start = self.machine.states[self.machine.start]
+        write(self.w, start.enter, f"{self.site}.{start.name}.enter")
+
+    # --- decide ------------------------------------------------------------------------------------------------------
+
+    def decide(self) -> None:
+        """In each state its transitions in order; the first that is true wins. Claims ask for what the winners take."""
+        by_state = [(s, [c for c in self.changes if c.state is s]) for s in self.machine.states]
+        self.w.alternatives([(self._in(s), s.span, partial(self._weigh, cs)) for s, cs in by_state if cs])
+        self._per_change([c for c in self.changes if c.transition.take], self._claim)
+
+    def _per_state(self, states: Iterable[model.State], write: Callable[[model.State], None]) -> None:
+        self.w.alternatives([(self._in(s), s.span, partial(write, s)) for s in states])
+
+    def _per_change(self, changes: Iterable[_Change], write: Callable[[_Change], None]) -> None:
+        self.w.alternatives([(self._is(c), c.transition.span, partial(write, c)) for c in changes])
+
+    def _is(self, change: _Change) -> Node:
+        return self.w.b("eq", self.w.read(self.pending), self.w.b.row(change.number))
+
+    def _weigh(self, changes: list[_Change]) -> None:
+        winner = self.w.b.row(0)
+        weighed = [(c, self._fires(c)) for c in changes]
+        for change, fires in weighed:
+            self.w.weighed(self.name, change.number, change.state, change.transition, fires)
+        for change, fires in reversed(weighed):
+            winner = self.w.b("where", fires, self.w.b.row(change.number), winner)
+        self.w.store(self.pending, winner, changes[0].state.span)
+
+    def _fires(self, change: _Change) -> Node:
+        w, t = self.w, change.transition
+        w.b.span = t.span
+        try:
+            holds = w.b.true if t.condition is None else truth(w, t.condition)
+            if t.held is not None:
+                holds = self._held(t, holds, t.held)
+            if t.after is not None:
+                holds = w.b("and", passed(w, self.name, t.after), holds)
+            if change.state.at_least is not None and not t.interrupt:
+                holds = w.b("and", passed(w, self.name, change.state.at_least), holds)
+            if self._anywhere(t) and t.target is None:
+                holds = w.b("and", holds, w.b("ne", self._target(change), w.read(f"{self.name}.state")))
+            if t.take is not None:
+                holds = w.b("and", holds, present(w, lower(w, t.take.source), t.take.source))
+            return holds
+        except NotYet as missing:
+            complain(w, missing)
+            return w.b.false
+
+    def _anywhere(self, t: model.Transition) -> bool:
+        """It was written `from any`: it never leads into the state one is in, also where only the run shows which that is."""
+        return t.key.startswith(f"{self.site}.{model.ANYWHERE}->")
+
+    def _held(self, t: model.Transition, holds: Node, duration: model.Expr) -> Node:
+        """The condition holds and has held for so many steps before this one, without a break."""
+        b, counter = self.w.b, _counter(t)
+        before = self.w.before(counter)
+        count = b("where", holds, b("add", before, b.number(1)), b.number(0))
+        self.w.store(counter, count, t.span)
+        return b("and", holds, b("ge", before, steps(self.w, scalar(self.w, duration))))
+
+    def _claim(self, change: _Change) -> None:
+        w, take = self.w, change.transition.take
+        assert take is not None
+        source = lower(w, take.source)
+        assert isinstance(source, Ref)
+        own = take.attribute if take.attribute in w.registers else None
+        amount, site = scalar(w, take.amount), change.transition.key
+        w.add(ir.Claim(source.of, take.attribute, source.node, amount, self.won, own, site, take.span))
+        w.wrote(self.won)
+        if own:
+            w.wrote(own)
+
+    # --- act ---------------------------------------------------------------------------------------------------------
+
+    def act(self) -> None:
+        """Exit, the transition's actions, the change itself, enter; then the body of the state one is in now."""
+        w = self.w
+        if self.changes:
+            with w.region(self._changing(), self.machine.span):
+                self._change()
+        self._per_state(self.machine.states, lambda s: write(w, s.body, f"{self.site}.{s.name}"))
+
+    def _changing(self) -> Node:
+        b = self.w.b
+        chosen = b("ne", self.w.read(self.pending), b.row(0))
+        taking = [c for c in self.changes if c.transition.take]
+        if not taking:
+            return chosen
+        asked = b.false
+        for change in taking:
+            asked = b("or", asked, self._is(change))
+        return b("and", chosen, b("or", b("not", asked), self.w.read(self.won)))
+
+    def _change(self) -> None:
+        w, name, b = self.w, self.name, self.w.b
+        old = w.read(f"{name}.state")
+        target = old
+        for change in reversed(self.changes):
+            target = b("where", self._is(change), self._target(change), target)
+        w.store(f"{name}.next", target, self.machine.span)
+        self._per_state((s for s in self.machine.states if s.exit), lambda s: write(w, s.exit, f"{self.site}.{s.name}.exit"))
+        acting = (c for c in self.changes if c.transition.actions)
+        self._per_change(acting, lambda c: write(w, c.transition.actions, c.transition.key))
+        w.store(f"{name}.previous", old, self.machine.span)
+        w.store(f"{name}.state", w.read(f"{name}.next"), self.machine.span)
+        w.store(f"{name}.time_in_state", b.number(0), self.machine.span)
+        self._per_state(self.machine.states, self._enter)
+
+    def _target(self, change: _Change) -> Node:
+        w, t, b = self.w, change.transition, self.w.b
+        if t.previous:
+            return w.read(f"{self.name}.previous")
+        if not t.choices:
+            return b.row(t.target if t.target is not None else change.state.index)
+        weights = [(index, b("max", scalar(w, weight), b.number(0))) for index, weight in t.choices]
+        bounds, total = [], b.number(0)
+        for index, weight in weights:
+            total = b("add", total, weight)
+            bounds.append((index, total))
+        draw = b("draw", attrs=(f"{t.key}.choose", 0))
+        w.chosen(t.key, draw, weights)
+        place = b("mul", draw, total)
+        target = b.row(t.choices[-1][0])
+        for index, bound in reversed(bounds[:-1]):
+            target = b("where", b("lt", place, bound), b.row(index), target)
+        return target
+
+    def _enter(self, state: model.State) -> None:
+        """Counters of `held` begin anew: a state's own where it is entered, a shared one where a state without it is entered."""
+        here = {t.key for t in state.transitions}
+        for key in dict.fromkeys(c.transition.key for c in self.changes if c.transition.held is not None):
+            counter = f"{key}.held"
+            if (self.shared[key] == 1) == (key in here):
+                self.w.store(counter, self.w.b.number(0), state.span)
+        write(self.w, state.enter, f"{self.site}.{state.name}.enter")
+
+    def advance(self) -> None:
+        advance(self.w, self.name)
+
+
+def _counter(t: model.Transition) -> str:
+    return f"{t.key}.held"

@@ -1,0 +1,21 @@
+"""One rule for each operation of the vocabulary: from the typed tree's `Op` to nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from antdsl.plan.lowering.rules import chance, logic, numbers, places, senses, vectors
+from antdsl.plan.lowering.values import Value
+from antdsl.plan.lowering.writing import Writer
+from antdsl.program import model
+
+Rule = Callable[[Writer, model.Op], Value]
+
+RULES: dict[str, Rule] = {
+    **numbers.RULES,
+    **vectors.RULES,
+    **logic.RULES,
+    **chance.RULES,
+    **places.RULES,
+    **senses.RULES,
+}

@@ -1,0 +1,64 @@
+"""Rules for draws. Each has a site: with the seed, the frame and the agent's id it says which number comes (decision 22)."""
+
+from __future__ import annotations
+
+from math import pi
+
+from antdsl.plan.ir import Node
+from antdsl.plan.lowering.builder import PlanError
+from antdsl.plan.lowering.expressions import lower, scalar, select
+from antdsl.plan.lowering.values import Named, Ref, Value
+from antdsl.plan.lowering.writing import Writer
+from antdsl.program import model
+
+
+def draw(w: Writer, e: model.Op, index: int = 0) -> Node:
+    """Uniform in [0, 1)."""
+    if not e.site:
+        raise PlanError(f"a draw without a site: {e.span.text!r}")
+    return w.b("draw", attrs=(e.site, index))
+
+
+def _uniform(w: Writer, e: model.Op) -> Value:
+    low, high = (scalar(w, a) for a in e.args if a is not None)
+    return w.b("add", low, w.b("mul", w.b("sub", high, low), draw(w, e)))
+
+
+def _normal(w: Writer, e: model.Op) -> Value:
+    """Box and Muller 1958; 1 - u lies in (0, 1], so the logarithm is finite."""
+    mean, deviation = (scalar(w, a) for a in e.args if a is not None)
+    b = w.b
+    radius = b("sqrt", b("mul", b.number(-2), b("log", b("sub", b.number(1), draw(w, e)))))
+    wave = b("cos", b("mul", b.number(2 * pi), draw(w, e, 1)))
+    return b("add", mean, b("mul", deviation, b("mul", radius, wave)))
+
+
+def _pick(w: Writer, e: model.Op) -> Value:
+    choices = [lower(w, a) for a in e.args if a is not None]
+    place = w.b("mul", draw(w, e), w.b.number(len(choices)))
+    result = choices[-1]
+    for k in range(len(choices) - 2, -1, -1):
+        result = select(w, w.b("lt", place, w.b.number(k + 1)), choices[k], result)
+    return result
+
+
+def _random_agent(w: Writer, e: model.Op) -> Value:
+    assert e.args[0] is not None
+    of = lower(w, e.args[0])
+    if not isinstance(of, Named) or not e.site:
+        raise PlanError(f"random of no species: {e.span.text!r}")
+    return Ref(model.Kind.AGENT, of.name, w.b("draw.agent", attrs=(e.site, of.name)))
+
+
+def _chance(w: Writer, e: model.Op) -> Value:
+    """A rate per time holds within a step with 1 - exp(-rate dt), whatever the step's length; a share holds as it is."""
+    argument = e.args[0]
+    assert argument is not None
+    share = scalar(w, argument)
+    b = w.b
+    if argument.type.dim.time < 0:
+        share = b("sub", b.number(1), b("exp", b("neg", b("mul", share, w.run("dt")))))
+    return b("lt", draw(w, e), share)
+
+
+RULES = {"uniform": _uniform, "normal": _normal, "pick": _pick, "random_agent": _random_agent, "chance": _chance}

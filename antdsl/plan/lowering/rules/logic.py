@@ -1,0 +1,82 @@
+"""Rules for truths, shades of truth, choices and what may be none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from antdsl.plan.ir import Kind, Node
+from antdsl.plan.lowering.expressions import as_truth, lower, present, scalar, select, truth
+from antdsl.plan.lowering.values import Value
+from antdsl.plan.lowering.writing import Writer
+from antdsl.program import model
+
+Rule = Callable[[Writer, model.Op], Value]
+
+
+def _joined(sharp: str, shaded: str) -> Rule:
+    """`and`, `or`: of truths, or of shades from 0 to 1 as their least or greatest (Zadeh 1965, section 2)."""
+
+    def rule(w: Writer, e: model.Op) -> Value:
+        if e.type.kind is model.Kind.NUMBER:
+            return w.b(shaded, *(_shade(w, a) for a in e.args if a is not None))
+        first, second = (truth(w, a) for a in e.args if a is not None)
+        return w.b(sharp, first, second)
+
+    return rule
+
+
+def _shade(w: Writer, e: model.Expr) -> Node:
+    value = lower(w, e)
+    if isinstance(value, Node) and value.kind is Kind.F32:
+        return value
+    return w.b("number", as_truth(w, value, e))
+
+
+def _fuzzy(w: Writer, e: model.Op) -> Value:
+    """What the rules say, weighted by how true each is; 0 when none is. A degree counts from 0 to 1; one that is NaN as 0."""
+    b = w.b
+    above = below = b.number(0)
+    for degree, said in zip(e.args[::2], e.args[1::2], strict=True):
+        assert degree is not None and said is not None
+        weight = b("min", b("max", _shade(w, degree), b.number(0)), b.number(1))
+        above, below = b("add", above, b("mul", weight, scalar(w, said))), b("add", below, weight)
+    return b("where", b("gt", below, b.number(0)), b("div", above, below), b.number(0))
+
+
+def _not(w: Writer, e: model.Op) -> Value:
+    argument = e.args[0]
+    assert argument is not None
+    if e.type.kind is model.Kind.NUMBER:
+        return w.b("sub", w.b.number(1), _shade(w, argument))
+    return w.b("not", truth(w, argument))
+
+
+def _if(w: Writer, e: model.Op) -> Value:
+    condition, then, other = (a for a in e.args if a is not None)
+    return select(w, truth(w, condition), lower(w, then), lower(w, other))
+
+
+def _is_some(w: Writer, e: model.Op) -> Value:
+    argument = e.args[0]
+    assert argument is not None
+    return present(w, lower(w, argument), argument)
+
+
+def _is_none(w: Writer, e: model.Op) -> Value:
+    argument = e.args[0]
+    assert argument is not None
+    return w.b("not", present(w, lower(w, argument), argument))
+
+
+def _first(w: Writer, e: model.Op) -> Value:
+    choices = [(a, lower(w, a)) for a in e.args if a is not None]
+    result = choices[-1][1]
+    for expr, value in reversed(choices[:-1]):
+        result = select(w, present(w, value, expr), value, result)
+    return result
+
+
+RULES = {
+    "and": _joined("and", "min"), "or": _joined("or", "max"), "not": _not, "if": _if, "is_some": _is_some, "is_none": _is_none,
+    "first": _first, "fuzzy": _fuzzy,
+}  # fmt: skip

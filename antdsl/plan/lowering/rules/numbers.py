@@ -1,0 +1,148 @@
+"""Rules for numbers, and for the signs that numbers share with vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from antdsl.plan.ir import Kind, Node
+from antdsl.plan.lowering import values
+from antdsl.plan.lowering.builder import PlanError
+from antdsl.plan.lowering.expressions import lower, scalar
+from antdsl.plan.lowering.simplify import value
+from antdsl.plan.lowering.values import Value, Vec
+from antdsl.plan.lowering.writing import Writer
+from antdsl.program import model
+
+Rule = Callable[[Writer, model.Op], Value]
+
+
+def args(w: Writer, e: model.Op) -> list[Node]:
+    """All operands as scalars; none may be absent."""
+    return [scalar(w, a) for a in e.args if a is not None]
+
+
+def _both(op: str) -> Rule:
+    def rule(w: Writer, e: model.Op) -> Value:
+        left, right = (lower(w, a) for a in e.args if a is not None)
+        if isinstance(left, Vec) and isinstance(right, Vec):
+            return values.zip_with(lambda p, q: w.b(op, p, q), left, right)
+        return w.b(op, *args(w, e))
+
+    return rule
+
+
+def _mul(w: Writer, e: model.Op) -> Value:
+    left, right = (lower(w, a) for a in e.args if a is not None)
+    if isinstance(left, Vec) and isinstance(right, Node):
+        return values.scale(w.b, left, right)
+    if isinstance(right, Vec) and isinstance(left, Node):
+        return values.scale(w.b, right, left)
+    return w.b("mul", *args(w, e))
+
+
+def _div(w: Writer, e: model.Op) -> Value:
+    left = lower(w, e.args[0])  # type: ignore[arg-type]
+    right = scalar(w, e.args[1])  # type: ignore[arg-type]
+    if isinstance(left, Vec):
+        return values.zip_with(lambda p: w.b("div", p, right), left)
+    return w.b("div", *args(w, e))
+
+
+def _neg(w: Writer, e: model.Op) -> Value:
+    inner = lower(w, e.args[0])  # type: ignore[arg-type]
+    if isinstance(inner, Vec):
+        return values.neg(w.b, inner)
+    return w.b("neg", *args(w, e))
+
+
+def _pow(w: Writer, e: model.Op) -> Value:
+    base, exponent = args(w, e)
+    known = value(exponent)
+    if known is None:
+        return w.b("pow", base, exponent)
+    if known == 0.5:
+        return w.b("sqrt", base)
+    if known != int(known) or abs(known) > 8:
+        return w.b("pow", base, exponent)
+    result = w.b.number(1)
+    for _ in range(abs(int(known))):
+        result = w.b("mul", result, base)
+    return w.b("div", w.b.number(1), result) if known < 0 else result
+
+
+def _plain(op: str) -> Rule:
+    return lambda w, e: w.b(op, *args(w, e))
+
+
+def _clamp(w: Writer, e: model.Op) -> Value:
+    x, low, high = args(w, e)
+    return w.b("min", w.b("max", x, low), high)
+
+
+def share(w: Writer, x: Node, low: Node, high: Node) -> Node:
+    """Where x lies between low and high, from 0 to 1; a range of no length is a step at its place."""
+    b = w.b
+    wide = b("sub", high, low)
+    between = b("min", b("max", b("div", b("sub", x, low), wide), b.number(0)), b.number(1))
+    step = b("where", b("ge", x, high), b.number(1), b.number(0))
+    return b("where", b("ne", wide, b.number(0)), between, step)
+
+
+def _ramp(w: Writer, e: model.Op) -> Value:
+    x, from_low, from_high, to_low, to_high = args(w, e)
+    return _mixed(w, to_low, to_high, share(w, x, from_low, from_high))
+
+
+def _mixed(w: Writer, a: Node, z: Node, t: Node) -> Node:
+    if value(a) == 0:
+        return w.b("mul", z, t)
+    return w.b("add", w.b("mul", a, w.b("sub", w.b.number(1), t)), w.b("mul", z, t))
+
+
+def _mix(w: Writer, e: model.Op) -> Value:
+    first, second = (lower(w, a) for a in e.args[:2] if a is not None)
+    t = scalar(w, e.args[2])  # type: ignore[arg-type]
+    if isinstance(first, Vec) and isinstance(second, Vec):
+        return values.zip_with(lambda p, q: _mixed(w, p, q, t), first, second)
+    if isinstance(first, Node) and isinstance(second, Node):
+        return _mixed(w, first, second, t)
+    raise PlanError("mix of two unlike values")
+
+
+def _rising(w: Writer, e: model.Op) -> Value:
+    return share(w, *args(w, e))
+
+
+def _falling(w: Writer, e: model.Op) -> Value:
+    return w.b("sub", w.b.number(1), share(w, *args(w, e)))
+
+
+def _around(w: Writer, e: model.Op) -> Value:
+    x, low, high = args(w, e)
+    b = w.b
+    half = b("mul", b("sub", high, low), b.number(0.5))
+    middle = b("add", low, half)
+    return b("max", b("sub", b.number(1), b("div", b("abs", b("sub", x, middle)), half)), b.number(0))
+
+
+def _compared(op: str) -> Rule:
+    def rule(w: Writer, e: model.Op) -> Value:
+        left, right = (lower(w, a) for a in e.args if a is not None)
+        if isinstance(left, Vec) and isinstance(right, Vec):
+            same = w.b.all(*(w.b("eq", p, q) for p, q in zip(left, right, strict=True)))
+            return same if op == "eq" else w.b("not", same)
+        first, second = args(w, e)
+        if first.kind is not second.kind:  # a truth beside a number: both as numbers
+            first, second = (n if n.kind is Kind.F32 else w.b("number", n) for n in (first, second))
+        return w.b(op, first, second)
+
+    return rule
+
+
+RULES = {
+    "add": _both("add"), "sub": _both("sub"), "mul": _mul, "div": _div, "neg": _neg, "pow": _pow,
+    "lt": _plain("lt"), "le": _plain("le"), "gt": _plain("gt"), "ge": _plain("ge"), "eq": _compared("eq"), "ne": _compared("ne"),
+    "abs": _plain("abs"), "floor": _plain("floor"), "sqrt": _plain("sqrt"), "sin": _plain("sin"), "cos": _plain("cos"),
+    "exp": _plain("exp"), "log": _plain("log"), "min": _plain("min"), "max": _plain("max"),
+    "clamp": _clamp, "ramp": _ramp, "mix": _mix, "rising": _rising, "falling": _falling, "around": _around,
+}  # fmt: skip

@@ -1,0 +1,201 @@
+"""Rules for places: how far, which way, touching. A place is an item, agent, element, hit, curve, thing or position."""
+
+from __future__ import annotations
+
+from math import inf
+
+from antdsl.plan.ir import Kind, Node
+from antdsl.plan.lowering import values
+from antdsl.plan.lowering.builder import PlanError
+from antdsl.plan.lowering.expressions import lower, scalar
+from antdsl.plan.lowering.values import Element, Hit, Named, Own, Ref, Value, Vec
+from antdsl.plan.lowering.writing import AXES, NotYet, Writer
+from antdsl.program import model
+
+_SOLID = (model.Kind.OBSTACLE, model.Kind.SURFACE, model.Kind.SOLID)
+
+
+def where(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
+    """Whether the place is there, and where it is."""
+    b = w.b
+    if isinstance(value, Vec):
+        return b.true, value
+    if isinstance(value, Own):
+        return b.true, w.read_vector("position")
+    value = _single(w, value)
+    if isinstance(value, Ref):
+        return _of_ref(w, value)
+    if isinstance(value, Element):
+        prefix = "" if value.what is model.Kind.ITEM else "position."
+        return b.true, Vec(*(b("other", attrs=(prefix + axis,), kind=Kind.F32) for axis in AXES))
+    there, offset = away(w, value, e)
+    return there, values.add(b, w.read_vector("position"), offset)
+
+
+def away(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
+    """Whether the place is there, and the way from the agent to it (mm)."""
+    b = w.b
+    value = _single(w, value)
+    if isinstance(value, Element):
+        return b.true, Vec(b("pair.x"), b("pair.y"), b("pair.z"))
+    if isinstance(value, Hit):
+        return value.hit, values.scale(b, value.direction, value.distance)
+    if isinstance(value, Named) and value.kind in _SOLID:
+        near = b("obstacle.near", b.number(inf), attrs=(value.name,))
+        within, distance, x, y, z = (b("get", near, attrs=(i,)) for i in range(5))
+        return within, values.scale(b, Vec(x, y, z), b("neg", distance))
+    if isinstance(value, Named) and value.kind is model.Kind.CURVE:
+        there: Node = b.true
+        point = _curve(w, value.name, 1)
+    elif isinstance(value, Vec | Own | Ref):
+        there, point = where(w, value, e)
+    else:
+        raise PlanError(f"a {type(value).__name__} has no place: {e.span.text!r}")
+    return there, values.sub(b, point, w.read_vector("position"))
+
+
+def far(w: Writer, value: Value, e: model.Expr) -> Node:
+    """Distance in mm; infinite to none."""
+    b = w.b
+    value = _single(w, value)
+    if isinstance(value, Element):
+        return b("pair.distance")
+    if isinstance(value, Hit):
+        return b("where", value.hit, value.distance, b.number(inf))
+    if isinstance(value, Named) and value.kind is model.Kind.CURVE:
+        return b("get", b("curve.closest", attrs=(value.name,)), attrs=(0,))
+    if isinstance(value, Named) and value.kind in _SOLID:
+        near = b("obstacle.near", b.number(inf), attrs=(value.name,))
+        return b("where", b("get", near, attrs=(0,)), b("get", near, attrs=(1,)), b.number(inf))
+    there, offset = away(w, value, e)
+    return b("where", there, values.length(b, offset), b.number(inf))
+
+
+def _single(w: Writer, value: Value) -> Value:
+    """Of several items or agents, the nearest."""
+    if isinstance(value, Named) and value.kind is model.Kind.ITEMS:
+        every = w.b("set.items", w.b.number(inf), attrs=(value.name,))
+        return Ref(model.Kind.ITEM, value.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
+    if isinstance(value, Named) and value.kind is model.Kind.SPECIES:
+        every = w.b("set.every", attrs=(value.name,))
+        return Ref(model.Kind.AGENT, value.name, w.b("reduce.agent", every, w.b.true, w.b("pair.distance")))
+    return value
+
+
+def _of_ref(w: Writer, ref: Ref) -> tuple[Node, Vec]:
+    b = w.b
+    if ref.what is model.Kind.ITEM:
+        there = b("item.alive", ref.node, attrs=(ref.of,))
+        return there, Vec(*(b("item.get", ref.node, attrs=(ref.of, axis), kind=Kind.F32) for axis in AXES))
+    there = b("agent.alive", ref.node, attrs=(ref.of,))
+    return there, Vec(*(b("agent.get", ref.node, attrs=(ref.of, f"position.{axis}"), kind=Kind.F32) for axis in AXES))
+
+
+def _curve(w: Writer, name: str, first: int) -> Vec:
+    closest = w.b("curve.closest", attrs=(name,))
+    return Vec(*(w.b("get", closest, attrs=(first + i,)) for i in range(3)))
+
+
+def _place(w: Writer, e: model.Op, index: int = 0) -> tuple[Value, model.Expr]:
+    expr = e.args[index]
+    assert expr is not None
+    return lower(w, expr), expr
+
+
+# --- the rules -------------------------------------------------------------------------------------------------------
+
+
+def _distance(w: Writer, e: model.Op) -> Value:
+    return far(w, *_place(w, e))
+
+
+def _direction(w: Writer, e: model.Op) -> Value:
+    b = w.b
+    start, start_expr = _place(w, e)
+    if len(e.args) < 2 or e.args[1] is None:
+        return _toward(w, start, start_expr)
+    end, end_expr = _place(w, e, 1)
+    if isinstance(end, Own):
+        return values.neg(b, _toward(w, start, start_expr))
+    if isinstance(start, Own):
+        return _toward(w, end, end_expr)
+    here, from_point = where(w, start, start_expr)
+    there, to_point = where(w, end, end_expr)
+    return values.keep_if(b, b("and", here, there), values.unit(b, values.sub(b, to_point, from_point)))
+
+
+def _toward(w: Writer, value: Value, e: model.Expr) -> Vec:
+    b = w.b
+    if isinstance(value, Hit):
+        return values.keep_if(b, value.hit, value.direction)
+    there, offset = away(w, value, e)
+    size = b("pair.distance") if isinstance(value, Element) else values.length(b, offset)
+    return values.keep_if(b, there, values.along(b, offset, size))
+
+
+def _position(w: Writer, e: model.Op) -> Value:
+    there, point = where(w, *_place(w, e))
+    return values.choose(w.b, there, point, w.read_vector("position"))
+
+
+def _velocity(w: Writer, e: model.Op) -> Value:
+    value = _place(w, e)[0]
+    if isinstance(value, Own):
+        return w.read_vector("velocity")
+    value = _single(w, value)
+    if isinstance(value, Ref) and value.what is model.Kind.AGENT:
+        return Vec(*(w.b("agent.get", value.node, attrs=(value.of, f"velocity.{axis}"), kind=Kind.F32) for axis in AXES))
+    if isinstance(value, Element) and value.what is model.Kind.AGENT:
+        return Vec(*(w.b("other", attrs=(f"velocity.{axis}",), kind=Kind.F32) for axis in AXES))
+    return values.zero(w.b)
+
+
+def _touching(w: Writer, e: model.Op) -> Value:
+    value, expr = _place(w, e)
+    b = w.b
+    radius = w.read("radius")
+    if isinstance(value, Named):
+        if value.kind is model.Kind.SURFACE:
+            return b("surface.touching", attrs=(value.name,))
+        if value.kind in (model.Kind.OBSTACLE, model.Kind.SOLID):
+            return b("get", b("obstacle.near", radius, attrs=(value.name,)), attrs=(0,))
+        if value.kind is model.Kind.ITEMS:
+            every = b("set.items", b.number(inf), attrs=(value.name,))
+            room = b("add", b("other", attrs=("radius",), kind=Kind.F32), radius)
+            return b("reduce.any", every, b("le", b("pair.distance"), room))
+        if value.kind is model.Kind.SPECIES:
+            raise NotYet("touching any agent of a species", e.span, f"any(n in neighbours(size, of: {value.name}): touching(n))")
+    if isinstance(value, Element):
+        radius = b("add", b("other", attrs=("radius",), kind=Kind.F32), radius)
+    if isinstance(value, Ref):
+        op = "item.get" if value.what is model.Kind.ITEM else "agent.get"
+        radius = b("add", b(op, value.node, attrs=(value.of, "radius"), kind=Kind.F32), radius)
+    return b("le", far(w, value, expr), radius)
+
+
+def _falloff(w: Writer, e: model.Op) -> Value:
+    """floor / max(distance, floor) (decision 19): 1 up close, 0 to none."""
+    distance = far(w, *_place(w, e))
+    assert e.args[1] is not None
+    floor = scalar(w, e.args[1])
+    return w.b("div", floor, w.b("max", distance, floor))
+
+
+def _closest(w: Writer, e: model.Op) -> Value:
+    return _curve(w, _name(_place(w, e)[0]), 1)
+
+
+def _tangent(w: Writer, e: model.Op) -> Value:
+    return _curve(w, _name(_place(w, e)[0]), 4)
+
+
+def _name(value: Value) -> str:
+    if not isinstance(value, Named):
+        raise PlanError(f"a {type(value).__name__} where a thing of the world was due")
+    return value.name
+
+
+RULES = {
+    "distance": _distance, "direction": _direction, "position": _position, "velocity": _velocity, "touching": _touching,
+    "falloff": _falloff, "closest": _closest, "tangent": _tangent,
+}  # fmt: skip

@@ -1,0 +1,234 @@
+"""Lowering that also notes which nodes stand for which part of the text: conditions with their parts, layers, choices, steering.
+
+The plan is the same as without: a note asks for nodes that are there already, and writes no statement."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from antdsl.diagnostics import Report
+from antdsl.plan.ir import Node
+from antdsl.plan.lowering import values
+from antdsl.plan.lowering.builder import Builder, PlanError
+from antdsl.plan.lowering.durations import passed, steps
+from antdsl.plan.lowering.expressions import lower, present, scalar, truth
+from antdsl.plan.lowering.writing import Writer
+from antdsl.program import model
+from antdsl.program.tables.units import measure, unit_of
+from antdsl.source import Span
+
+_JOINED = frozenset(("and", "or", "not", "is_some", "is_none", "lt", "le", "gt", "ge", "eq", "ne"))
+_UNIT = re.compile(r"(?<![\w.])[0-9][0-9.]*(?:e[+-]?[0-9]+)?[ ]?((?:%|/?[A-Za-z]+(?:\^[0-9])?)(?:[*/][A-Za-z]+(?:\^[0-9])?)*)")
+_DEEP = 6  # parts of parts of a condition that are noted
+_BOOL = model.Type(model.Kind.BOOL)
+_NUMBER = model.Type(model.Kind.NUMBER)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartNote:
+    """A part of an expression: `nodes` is one, or three for a vector; `unit` is one that the author wrote beside it, or a usual
+    one. `role`: draw or bar, of a `chance`; joined, where it is no more than its parts with `and`, `<` and the like between."""
+
+    text: str
+    type: model.Type
+    unit: str
+    nodes: tuple[Node, ...]
+    parts: tuple[PartNote, ...] = ()
+    role: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TimerNote:
+    """`what`: held, after or at least. `has` and `needs` are steps for held, seconds otherwise."""
+
+    what: str
+    has: Node
+    needs: Node
+    holds: Node
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChangeNote:
+    """A transition of a state: `number` counts over the machine, from 1; `condition` None is always true."""
+
+    machine: str
+    number: int
+    state: model.State
+    transition: model.Transition
+    fires: Node
+    condition: PartNote | None
+    holds: Node | None
+    timers: tuple[TimerNote, ...]
+    take: PartNote | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChoiceNote:
+    """Of a transition to one of several states: the draw, and the weight of each state's index."""
+
+    key: str
+    draw: Node
+    weights: tuple[tuple[int, Node], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LayerNote:
+    """`left` is the strength that earlier layers have left; `looked` whether that is any."""
+
+    layer: model.Layer
+    left: Node
+    looked: Node
+    condition: PartNote | None
+    holds: Node
+    push: tuple[Node, Node, Node]
+
+
+RESTS = "no line steers, so it stands still: halt()"
+
+
+def resting_site(species: str) -> str:
+    """The place of the push of those who stand still since no state steers."""
+    return f"{species}.rest#1"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SteerNote:
+    """A `steer` line; `site` is its place: `SPECIES.MACHINE.STATE#1`, or `resting_site`."""
+
+    site: str
+    text: str
+    push: tuple[Node, Node, Node]
+
+
+@dataclass(slots=True, eq=False)
+class Notes:
+    """What was noted of one species."""
+
+    changes: list[ChangeNote] = field(default_factory=list)
+    choices: dict[str, ChoiceNote] = field(default_factory=dict)
+    layers: list[LayerNote] = field(default_factory=list)
+    steers: list[SteerNote] = field(default_factory=list)
+
+
+class NotingWriter(Writer):
+    """Writes the same and keeps notes."""
+
+    def __init__(self, builder: Builder, program: model.Program, species: model.Species, report: Report, notes: Notes) -> None:
+        super().__init__(builder, program, species, report)
+        self.notes = notes
+
+    def weighed(self, machine: str, number: int, state: model.State, t: model.Transition, fires: Node) -> None:
+        there = len(self.statements)
+        condition = None if t.condition is None else self._part(t.condition, _units(t.span))
+        holds = None if t.condition is None else truth(self, t.condition)
+        take = None if t.take is None else self._part(t.take.source, [])
+        timers = tuple(self._timers(machine, state, t))
+        if len(self.statements) != there:
+            raise PlanError(f"a note wrote a statement: {t.span.text!r}")
+        self.notes.changes.append(ChangeNote(machine, number, state, t, fires, condition, holds, timers, take))
+
+    def _timers(self, machine: str, state: model.State, t: model.Transition) -> Iterator[TimerNote]:
+        if t.held is not None:
+            before, needs = self.before(f"{t.key}.held"), steps(self, scalar(self, t.held))
+            yield TimerNote("held", before, needs, self.b("ge", before, needs))
+        here = self.read(f"{machine}.time_in_state")
+        if t.after is not None:
+            yield TimerNote("after", here, scalar(self, t.after), passed(self, machine, t.after))
+        if state.at_least is not None and not t.interrupt:
+            yield TimerNote("at least", here, scalar(self, state.at_least), passed(self, machine, state.at_least))
+
+    def chosen(self, key: str, draw: Node, weights: list[tuple[int, Node]]) -> None:
+        self.notes.choices[key] = ChoiceNote(key, draw, tuple(weights))
+
+    def layered(self, layer: model.Layer, left: Node, looked: Node, holds: Node, push: values.Vec) -> None:
+        there = len(self.statements)
+        condition = None if layer.condition is None else self._part(layer.condition, _units(layer.condition.span))
+        if len(self.statements) != there:
+            raise PlanError(f"a note wrote a statement: {layer.text!r}")
+        self.notes.layers.append(LayerNote(layer, left, looked, condition, holds, (push.x, push.y, push.z)))
+
+    def steered(self, s: model.Steer, site: str, push: values.Vec) -> None:
+        self.notes.steers.append(SteerNote(site, _line(s.span.text), (push.x, push.y, push.z)))
+
+    def rested(self, rest: model.Rest, push: values.Vec) -> None:
+        self.notes.steers.append(SteerNote(resting_site(self.species.name), RESTS, (push.x, push.y, push.z)))
+
+    # --- parts -------------------------------------------------------------------------------------------------------
+
+    def _part(self, e: model.Expr, units: list[str], deep: int = 0) -> PartNote | None:
+        """An expression with the parts that decide it; None for what has no value of its own (a species, a field)."""
+        value = lower(self, e)
+        text, type = _line(e.span.text), e.type
+        parts: tuple[PartNote, ...] = ()
+        if isinstance(value, values.Named | values.Own | values.Element):
+            return None
+        if isinstance(value, values.Vec):
+            return PartNote(text, type, _unit(e, units, self.program), tuple(value))
+        if isinstance(value, values.Ref):
+            return PartNote(text, model.Type(value.what, of=value.of), "", (value.node,))
+        if isinstance(value, values.Hit):
+            nearness = PartNote("distance", model.Type(model.Kind.NUMBER, model.Dim(length=1)), "mm", (value.distance,))
+            return PartNote(text, _BOOL, "", (value.hit,), (nearness,))
+        if not isinstance(value, Node):
+            return PartNote(text, _BOOL, "", (present(self, value, e),))
+        if deep < _DEEP:
+            parts = tuple(self._inner(e, value, units, deep + 1))
+        joined = isinstance(e, model.Op) and e.name in _JOINED and bool(parts)
+        return PartNote(text, type, _unit(e, units, self.program), (value,), parts, "joined" if joined else "")
+
+    def _inner(self, e: model.Expr, node: Node, units: list[str], deep: int) -> Iterator[PartNote]:
+        if isinstance(e, model.Op) and e.name == "chance" and node.op == "lt":
+            yield PartNote("draw", _NUMBER, "", node.args[:1], role="draw")
+            yield PartNote("bar", _NUMBER, "", node.args[1:], role="bar")
+        named: set[str] = set()
+        for inner, written in _inner_parts(e, units):
+            outer = self.snapshot
+            self.snapshot = outer or (isinstance(e, model.Local) and e.binding.snapshot and not self.born)
+            try:
+                part = self._part(inner, written, deep)
+            finally:
+                self.snapshot = outer
+            if part is not None and part.text not in named:
+                named.add(part.text)
+                yield part
+
+
+def _inner_parts(e: model.Expr, units: list[str]) -> Iterator[tuple[model.Expr, list[str]]]:
+    """What an expression is worth telling by: sides of a comparison, names in a sum, what a `let` says."""
+    if isinstance(e, model.Local) and e.binding.role == "let" and e.binding.value is not None:
+        if isinstance(e.binding.value, model.Op):
+            yield from _inner_parts(e.binding.value, _units(e.binding.value.span))
+        return
+    if not isinstance(e, model.Op):
+        return
+    for arg in e.args:
+        if arg is None or arg.rate is model.Rate.ELEMENT or isinstance(arg, model.Const | model.StateConst | model.NoneRef):
+            continue
+        if e.name in _JOINED or isinstance(arg, model.Local | model.Attribute | model.ParamRef | model.Reduce):
+            yield arg, units
+        else:
+            yield from _inner_parts(arg, units)
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _units(span: Span) -> list[str]:
+    """The units that stand behind numbers in a stretch of text."""
+    return [unit for unit in _UNIT.findall(span.text) if measure(unit) is not None]
+
+
+def _unit(e: model.Expr, units: list[str], program: model.Program) -> str:
+    """A unit for a number: that of the param itself, the first of its dimension that is written there, or a usual one."""
+    if e.type.kind not in (model.Kind.NUMBER, model.Kind.VECTOR):
+        return ""
+    if isinstance(e, model.ParamRef) and e.name in program.params:
+        units = [program.params[e.name].unit, *units]
+    for unit in units:
+        known = measure(unit) if unit else None
+        if known is not None and known.dim == e.type.dim:
+            return unit
+    return unit_of(e.type.dim)

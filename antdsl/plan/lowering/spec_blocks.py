@@ -1,0 +1,312 @@
+"""A spec to a plan of what to look at: blocks that ask each agent and item, numbers about wholes, conditions over them.
+
+The blocks of a judged species store into registers of their own and change nothing else. `decide` asks for the wholes, `act`
+judges each agent, `blend` reads the values that a failure tells.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from antdsl.diagnostics import Report
+from antdsl.plan import ir
+from antdsl.plan.ir import OPS, Block, Kind, Node, Rate, Register, SpeciesPlan, Store
+from antdsl.plan.lowering.actions import complain
+from antdsl.plan.lowering.builder import Builder
+from antdsl.plan.lowering.expressions import lower, scalar, truth
+from antdsl.plan.lowering.lazy import lazy
+from antdsl.plan.lowering.lower import DEEP
+from antdsl.plan.lowering.values import Own, Ref, Value, Vec, length
+from antdsl.plan.lowering.writing import NotYet, Writer
+from antdsl.plan.traverse import needed
+from antdsl.program import expectations, model
+from antdsl.source import Span
+
+_TRUTHS = ("share", "count", "any", "every")
+_OF_ITEMS = "items have a position, a radius and their own values"
+_KINDS = {model.Kind.SPECIES: "species", model.Kind.ITEMS: "items", model.Kind.FIELD: "field", model.Kind.SOLID: "solid"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WholePlan:
+    """A number about all agents of a species, items of a name, cells of a field or a solid, told to the nodes `told NAME`.
+
+    `where` and `body` are registers that `decide` has filled; `amount` is an item's attribute that is taken as it is kept."""
+
+    name: str
+    how: str
+    kind: str
+    of: str
+    where: str | None = None
+    body: str | None = None
+    amount: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StartPlan:
+    """What a number was at first. Of the whole: `value`, told as `name`; of each agent: register `asked`, kept in `name`."""
+
+    name: str
+    value: Node | None = None
+    species: str | None = None
+    asked: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OtherPlan:
+    """What a number of the whole is in the run that is compared with, told as `name`: there it is the node's value."""
+
+    name: str
+    value: Node
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadingPlan:
+    """A value to tell: a node, or a register that `blend` fills for one agent."""
+
+    span: Span
+    type: model.Type
+    unit: str
+    node: Node | None = None
+    register: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgementPlan:
+    """One line. `condition`, and `since` of a `when`, are nodes of the whole, or registers that `act` fills for each agent of
+    `species`; `time` and `held` nodes of the run."""
+
+    kind: str
+    block: int
+    species: str | None
+    condition: Node | str
+    time: Node | None
+    readings: tuple[ReadingPlan, ...]
+    at_end: bool
+    span: Span
+    held: Node | None = None
+    since: Node | str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpecPlan:
+    """`plan` has the judged species, and items under their names as species of their own. `bodily`: by species the registers
+    that whoever judges fills before it asks, by their names in GEOMETRY."""
+
+    spec: expectations.Spec
+    plan: ir.Plan
+    duration: Node | None
+    wholes: tuple[WholePlan, ...]
+    starts: tuple[StartPlan, ...]
+    judgements: tuple[JudgementPlan, ...]
+    others: tuple[OtherPlan, ...] = ()
+    bodily: Mapping[str, frozenset[str]] = field(default_factory=dict)
+
+
+class _Writer(Writer):
+    """A writer that knows what only a spec can ask."""
+
+    def __init__(self, work: _Work, species: model.Species, registers: dict[str, Register]) -> None:
+        super().__init__(work.b, work.program, species, work.report)
+        self.work = work
+        self.registers = dict(registers)
+        self.blocks: dict[str, list[Store]] = {"decide": [], "act": [], "blend": []}
+
+    def _read(self, name: str, snapshot: bool) -> Node:
+        if name not in self.registers:
+            raise NotYet("a sense of an item", self.b.span or self.species.span, _OF_ITEMS)
+        return super()._read(name, snapshot)
+
+    def tell(self, e: model.Expr) -> Value:
+        if isinstance(e, expectations.Whole):
+            return self.work.whole(e)
+        if isinstance(e, expectations.Measured):
+            return self.b("told", attrs=(f"motion.{e.name}",))
+        if isinstance(e, expectations.Other):
+            return self.work.other(e)
+        if isinstance(e, expectations.Bodily):
+            return self.bodily(e)
+        if isinstance(e, expectations.CellValue):
+            return self.b("snap", attrs=("value",), kind=Kind.F32)
+        assert isinstance(e, expectations.AtStart)
+        return self.work.start(self, e)
+
+    def bodily(self, e: expectations.Bodily) -> Node:
+        """A register that is filled before anybody is asked."""
+        name = f"geometry.{e.name}"
+        self.registers[name] = Register(name, Kind.F32, "attribute")
+        self.work.bodily.setdefault(self.species.name, set()).add(e.name)
+        return self.b("snap", attrs=(name,), kind=Kind.F32)
+
+    def result(self, block: str, name: str, node: Node, span: Span) -> str:
+        """A register of the spec's own that a block fills."""
+        self.registers[name] = Register(name, node.kind, "memory")
+        self.blocks[block].append(Store(name, node, span, infinite=True))
+        return name
+
+    def plan(self) -> SpeciesPlan:
+        decide, act, blend = (Block(tuple(self.blocks[name])) for name in ("decide", "act", "blend"))
+        kept = lazy(decide, act, blend)
+        return SpeciesPlan(self.species.name, self.registers, (), Block(()), decide, act, blend, (), (), kept)
+
+
+class _Work:
+    """The lowering of one spec."""
+
+    def __init__(self, program: model.Program, plan: ir.Plan, report: Report) -> None:
+        self.program, self.lowered, self.report = program, plan, report
+        self.b = Builder()
+        self.wholes: list[WholePlan] = []
+        self.starts: list[StartPlan] = []
+        self.others: list[OtherPlan] = []
+        self.bodily: dict[str, set[str]] = {}
+        self.known: dict[model.Expr, Node] = {}
+        self.writers: dict[str, _Writer] = {}
+        nobody = model.Layers("budget", (), next(iter(program.species.values())).span)
+        self._nobody = nobody
+        self.above = _Writer(self, self._named(""), {})
+
+    def _named(self, name: str) -> model.Species:
+        return model.Species(name, "", (), (), (), (), (), (), self._nobody, self._nobody.span)
+
+    def of_agents(self, species: str, span: Span | None = None) -> _Writer:
+        if species not in self.lowered.species:
+            assert span is not None
+            raise NotYet(f"a spec on `{species}`, of which the scene has none,", span, f"add `{species}` to the scene's `crowd`")
+        if species not in self.writers:
+            self.writers[species] = _Writer(self, self.program.species[species], self.lowered.species[species].registers)
+        return self.writers[species]
+
+    def of_items(self, items: str) -> _Writer:
+        if items not in self.writers:
+            names = ("position.x", "position.y", "position.z", "radius", *self.lowered.items[items].attributes)
+            self.writers[items] = _Writer(self, self._named(items), {n: Register(n, Kind.F32, "attribute") for n in names})
+        return self.writers[items]
+
+    def of_cells(self, field: str) -> _Writer:
+        if field not in self.writers:
+            self.writers[field] = _Writer(self, self._named(field), {"value": Register("value", Kind.F32, "attribute")})
+        return self.writers[field]
+
+    # --- wholes and starts -------------------------------------------------------------------------------------------
+
+    def whole(self, e: expectations.Whole) -> Node:
+        """What is told about a whole, asked once however often the rules look at the expression."""
+        if e not in self.known:
+            self.known[e] = self._whole(e)
+        return self.known[e]
+
+    def _whole(self, e: expectations.Whole) -> Node:
+        name, of = f"whole#{len(self.wholes) + 1}", e.over.of or ""
+        kind = _KINDS[e.over.kind]
+        where = body = amount = None
+        if kind in ("species", "items") or e.body is not None:
+            w = self.of_cells(of) if kind == "field" else self.of_items(of) if kind == "items" else self.of_agents(of, e.span)
+            for element in e.elements:
+                w.environment[element] = Own()
+            if e.where is not None:
+                where = w.result("decide", f"{name}.where", self._sound(w, truth(w, e.where), e.where), e.where.span)
+            if e.body is not None:
+                node = truth(w, e.body) if e.how in _TRUTHS else scalar(w, e.body)
+                body = w.result("decide", f"{name}.body", self._sound(w, node, e.body), e.body.span)
+                if kind == "items" and node.op == "snap" and node.attrs[0] in self.lowered.items[of].attributes:
+                    amount = node.attrs[0]
+        self.wholes.append(WholePlan(name, e.how, kind, of, where, body, amount))
+        told = self.b("told", attrs=(name,))
+        return self.b("ne", told, self.b.number(0)) if e.type.kind is model.Kind.BOOL else told
+
+    def start(self, w: _Writer, e: expectations.AtStart) -> Node:
+        """What is told about the start, or kept of it for each agent."""
+        if e not in self.known:
+            self.known[e] = self._start(w, e)
+        return self.known[e]
+
+    def _start(self, w: _Writer, e: expectations.AtStart) -> Node:
+        node = scalar(w, e.value)
+        name = f"start#{len(self.starts) + 1}"
+        if node.rate <= Rate.STEP:
+            self.starts.append(StartPlan(name, value=node))
+            return self.b("told", attrs=(name,))
+        asked = w.result("decide", f"{name}.asked", self._sound(w, node, e), e.span)
+        w.registers[name] = Register(name, Kind.F32, "attribute")
+        self.starts.append(StartPlan(name, species=w.species.name, asked=asked))
+        return self.b("snap", attrs=(name,), kind=Kind.F32)
+
+    def other(self, e: expectations.Other) -> Node:
+        """What is told of the other run."""
+        if e not in self.known:
+            self.others.append(OtherPlan(f"other#{len(self.others) + 1}", scalar(self.above, e.value)))
+            self.known[e] = self.b("told", attrs=(self.others[-1].name,))
+        return self.known[e]
+
+    def _sound(self, w: _Writer, node: Node, e: model.Expr) -> Node:
+        """The node, if looking at it changes nothing and items have what it asks."""
+        if w.statements:
+            w.statements.clear()
+            raise NotYet("something that remembers, in a spec,", e.span, "ask for what it does: an attribute, a state, a speed")
+        name = w.species.name
+        if name in (*self.lowered.items, *self.program.fields) and any(_of_an_agent(n) for n in needed([node])):
+            if name in self.lowered.items:
+                raise NotYet("a sense of an item", e.span, _OF_ITEMS)
+            raise NotYet("a sense of a cell", e.span, "a cell of a field has a `value` and nothing else")
+        return node
+
+    # --- lines -------------------------------------------------------------------------------------------------------
+
+    def judgement(self, e: expectations.Expectation, number: int) -> JudgementPlan | None:
+        try:
+            w = self.above if e.species is None else self.of_agents(e.species, e.span)
+            node = self._sound(w, truth(w, e.condition), e.condition)
+            condition = node if e.species is None else w.result("act", f"line#{number}", node, e.span)
+            time, held = (None if each is None else scalar(self.above, each) for each in (e.time, e.held))
+            since: Node | str | None = None
+            if e.since is not None:
+                asked = self._sound(w, truth(w, e.since), e.since)
+                since = asked if e.species is None else w.result("act", f"line#{number}.since", asked, e.span)
+            readings = [self._reading(w, r, f"line#{number}.{k}") for k, r in enumerate(e.readings)]
+        except NotYet as missing:
+            complain(w, missing)
+            return None
+        return JudgementPlan(e.kind, e.block, e.species, condition, time, tuple(readings), e.at_end, e.span, held, since)
+
+    def _reading(self, w: _Writer, reading: expectations.Reading, name: str) -> ReadingPlan:
+        e, value = reading.expr, lower(w, reading.expr)
+        type = e.type
+        if isinstance(value, Ref):
+            value = value.node
+        elif isinstance(value, Vec):
+            value, type = length(w.b, value), model.Type(model.Kind.NUMBER, type.dim)
+        elif not isinstance(value, Node):
+            value, type = truth(w, e), model.Type(model.Kind.BOOL)
+        if value.rate <= Rate.STEP:
+            return ReadingPlan(e.span, type, reading.unit, node=value)
+        return ReadingPlan(e.span, type, reading.unit, register=w.result("blend", name, value, e.span))
+
+
+def _of_an_agent(node: Node) -> bool:
+    """Whether only an agent has such a value: a sense, its age; an item has registers alone."""
+    return node.op != "snap" and (OPS[node.op].rate is Rate.AGENT or node.kind is Kind.SET)
+
+
+def lower_spec(spec: expectations.Spec, program: model.Program, plan: ir.Plan) -> tuple[SpecPlan | None, Report]:
+    """What to look at for a spec, given the lowered program that it judges; None with a report of what cannot be asked yet."""
+    report = Report()
+    before = sys.getrecursionlimit()
+    sys.setrecursionlimit(max(before, DEEP))
+    try:
+        work = _Work(program, plan, report)
+        duration = None if spec.duration is None else scalar(work.above, spec.duration)
+        judgements = [work.judgement(e, n) for n, e in enumerate(spec.expectations, 1)]
+    finally:
+        sys.setrecursionlimit(before)
+    if not report.ok:
+        return None, report
+    species = {name: work.of_agents(name).plan() for name in plan.species}
+    species |= {name: w.plan() for name, w in work.writers.items() if name not in species}
+    judged = replace(plan, species=species, nodes=tuple(work.b.nodes))
+    kept = tuple(j for j in judgements if j is not None)
+    bodily = {name: frozenset(names) for name, names in work.bodily.items()}
+    wholes, starts, others = tuple(work.wholes), tuple(work.starts), tuple(work.others)
+    return SpecPlan(spec, judged, duration, wholes, starts, kept, others, bodily), report

@@ -1,0 +1,252 @@
+"""Where lowering writes: the current block of one species, what has been written on the way there, and what reads see.
+
+An own attribute reads as `snap` while nothing on the way to this place can have written it, so that what depends on it is shared
+with every other place; after a possible write it reads as `load`, counted by the stores before it in the text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from antdsl.diagnostics import Report
+from antdsl.plan.ir import Block, If, Kind, Node, Register, Statement, Store
+from antdsl.plan.lowering import values
+from antdsl.plan.lowering.builder import Builder, PlanError
+from antdsl.plan.lowering.values import Vec
+from antdsl.plan.traverse import needed
+from antdsl.program import model
+from antdsl.source import Span
+
+AXES = ("x", "y", "z")
+HELD = "~held"  # a vector on its way into its registers
+KINDS = {
+    model.Kind.NUMBER: Kind.F32, model.Kind.BOOL: Kind.BOOL, model.Kind.STATE: Kind.I32, model.Kind.ITEM: Kind.I32,
+    model.Kind.AGENT: Kind.I64,
+}  # fmt: skip
+NONE = {model.Kind.ITEM: -1, model.Kind.AGENT: -1}
+
+
+class NotYet(Exception):
+    """A construct that checks but cannot run: becomes a placed complaint."""
+
+    def __init__(self, what: str, span: Span, help: str) -> None:
+        super().__init__(what)
+        self.what, self.span, self.help = what, span, help
+
+
+class Writer:
+    """The place where the statements of one species go. `born`: nothing is a snapshot yet, every read is a `load`."""
+
+    def __init__(self, builder: Builder, program: model.Program, species: model.Species, report: Report) -> None:
+        self.b = builder
+        self.program = program
+        self.species = species
+        self.report = report
+        self.registers: dict[str, Register] = {}
+        self.born = False
+        self.snapshot = False
+        self.elements: list[model.Binding] = []
+        self.environment: dict[model.Binding, values.Value] = {}
+        self.lets: dict[model.Binding, tuple[values.Value, tuple[model.Binding, ...]]] = {}
+        self.fleeting: dict[model.Binding, tuple[values.Value, tuple[model.Binding, ...]]] = {}
+        self.memories: dict[model.Binding, tuple[tuple[str, Node, Span], ...]] = {}
+        self.met: list[model.Binding] = []  # memories met since a `let` was begun
+        self.statements: list[Statement] = []
+        self._written: set[str] = set()
+        self._remembered: set[model.Binding] = set()
+        self._stores: dict[str, int] = {}
+
+    # --- registers ---------------------------------------------------------------------------------------------------
+
+    def declare(
+        self,
+        name: str,
+        kind: Kind,
+        role: str,
+        zero: float | int | bool = 0,
+        of: str | None = None,
+        holds: tuple[Any, ...] = (),
+    ) -> None:
+        """A register of this species; the same one twice is a mistake of ours."""
+        known = self.registers.get(name)
+        if known is None:
+            self.registers[name] = Register(name, kind, role, zero, of, holds)
+        elif known.kind is not kind or known.role != role:
+            raise PlanError(f"register {name} is a {known.kind.value} {known.role} and a {kind.value} {role}")
+
+    def declare_typed(self, name: str, type: model.Type, role: str) -> None:
+        """Registers for a value of the language: three for a vector."""
+        holds = (type.kind.value, *type.dim, type.of)
+        if type.kind is model.Kind.VECTOR:
+            for axis in AXES:
+                self.declare(f"{name}.{axis}", Kind.F32, role, holds=holds)
+        elif type.kind in KINDS:
+            of = type.of if type.kind is model.Kind.AGENT else None
+            self.declare(name, KINDS[type.kind], role, NONE.get(type.kind, 0), of, holds)
+        else:
+            raise PlanError(f"{name} cannot be stored: it is a {type.kind.value}")
+
+    def read(self, name: str) -> Node:
+        """The register as this place sees it."""
+        return self._read(name, self.snapshot)
+
+    def read_now(self, name: str) -> Node:
+        """The register as it is by now, also for a snapshot: latches, which are all set before anything asks."""
+        return self._read(name, False)
+
+    def _read(self, name: str, snapshot: bool) -> Node:
+        register = self.registers[name]
+        seen = self._stores.get(name, 0)
+        if self.born:
+            return self.b("load", attrs=(name, seen), kind=register.kind)
+        if snapshot or name not in self._written:
+            if register.role == "temp":
+                return self.b.zero(register.kind, register.zero)
+            return self.b("snap", attrs=(name,), kind=register.kind)
+        return self.b("load", attrs=(name, seen), kind=register.kind)
+
+    def before(self, name: str) -> Node:
+        """The register as it was before this step, wherever one asks."""
+        if self.born:
+            return self.b.zero(self.registers[name].kind, self.registers[name].zero)
+        return self.b("snap", attrs=(name,), kind=self.registers[name].kind)
+
+    def read_vector(self, name: str) -> Vec:
+        return Vec(*(self.read(f"{name}.{axis}") for axis in AXES))
+
+    def wrote(self, name: str) -> None:
+        """Something else than a Store (a claim, a gift) changed the register."""
+        self._written.add(name)
+        self._stores[name] = self._stores.get(name, 0) + 1
+        self.fleeting.clear()
+
+    def begin_step(self) -> None:
+        """Forget what has been written: a step begins."""
+        self._written.clear()
+        self._remembered.clear()
+        self._stores.clear()
+        self.fleeting.clear()
+        self.memories.clear()
+
+    def tell(self, e: model.Expr) -> values.Value:
+        """What a spec asks about a whole; programs themselves cannot."""
+        raise PlanError(f"only a spec asks that: {e.span.text!r}")
+
+    # --- notes -------------------------------------------------------------------------------------------------------
+
+    # Told as the parts of the text are lowered; `NotingWriter` keeps what explains a step.
+
+    def weighed(self, machine: str, number: int, state: model.State, t: model.Transition, fires: Node) -> None:
+        """A transition of a state, and whether it fires."""
+
+    def chosen(self, key: str, draw: Node, weights: list[tuple[int, Node]]) -> None:
+        """A transition's choice among states: its draw and the weight of each."""
+
+    def layered(self, layer: model.Layer, left: Node, looked: Node, holds: Node, push: Vec) -> None:
+        """A layer: the strength left for it, whether there is any, whether its condition holds, its push."""
+
+    def steered(self, s: model.Steer, site: str, push: Vec) -> None:
+        """A `steer` line."""
+
+    def rested(self, rest: model.Rest, push: Vec) -> None:
+        """What stands in for the `steer` line of those who have none."""
+
+    # --- statements --------------------------------------------------------------------------------------------------
+
+    def add(self, statement: Statement) -> None:
+        self.statements.append(statement)
+
+    def store(self, name: str, value: Node, span: Span | None, infinite: bool = False) -> None:
+        """Set a register from here on. Storing what it holds already is left out."""
+        kind = self.registers[name].kind
+        if value.kind is not kind:
+            raise PlanError(f"register {name} is a {kind.value} and cannot take a {value.kind.value}")
+        if value is self.read(name):
+            return
+        self.add(Store(name, value, span, infinite))
+        self.wrote(name)
+
+    def store_vector(self, name: str, value: Vec, span: Span | None) -> None:
+        """Set three registers as one: a component that needs the old value of another must not see the new one."""
+        names = [f"{name}.{axis}" for axis in AXES]
+        parts = list(value)
+        if any(self._loads(part, set(names[:place])) for place, part in enumerate(parts)):
+            for axis, part in zip(AXES, parts, strict=True):
+                self.declare(f"{HELD}.{axis}", Kind.F32, "temp")
+                self.store(f"{HELD}.{axis}", part, span)
+            parts = list(self.read_vector(HELD))
+        for register, part in zip(names, parts, strict=True):
+            self.store(register, part, span)
+
+    @staticmethod
+    def _loads(node: Node, names: set[str]) -> bool:
+        return any(n.op == "load" and n.attrs[0] in names for n in needed([node]))
+
+    def store_value(self, name: str, value: values.Value, span: Span | None, infinite: bool = False) -> None:
+        """Set the registers of a value of the language."""
+        if isinstance(value, Vec):
+            self.store_vector(name, value, span)
+        elif isinstance(value, values.Ref):
+            self.store(name, value.node, span)
+        elif isinstance(value, Node):
+            self.store(name, value, span, infinite)
+        else:
+            raise PlanError(f"{name} cannot hold a {type(value).__name__}")
+
+    def remember(self, memory: model.Binding) -> None:
+        """Advance a memory on this way through the step, once, and note that a `let` met it."""
+        self.met.append(memory)
+        if memory in self._remembered:
+            return
+        self._remembered.add(memory)
+        for register, node, span in self.memories[memory]:
+            self.store(register, node, span)
+
+    # --- regions -----------------------------------------------------------------------------------------------------
+
+    @contextmanager
+    def block(self) -> Iterator[Callable[[], Block]]:
+        """Collect statements apart; call what is given to have them as a Block."""
+        outer, self.statements = self.statements, []
+        mine = self.statements
+        try:
+            yield lambda: Block(tuple(mine))
+        finally:
+            self.statements = outer
+
+    @contextmanager
+    def region(self, condition: Node, span: Span | None) -> Iterator[None]:
+        """What is written inside holds only where the condition does."""
+        outer = self.statements
+        written, remembered = set(self._written), set(self._remembered)
+        if condition is self.b.true:
+            yield
+            return
+        self.statements = []
+        try:
+            yield
+        finally:
+            inner, self.statements = self.statements, outer
+            self._remembered = remembered
+            self.fleeting.clear()
+            if condition is self.b.false:
+                self._written = written
+            elif inner:
+                self.add(If(condition, Block(tuple(inner)), span))
+
+    def alternatives(self, cases: Sequence[tuple[Node, Span | None, Callable[[], None]]]) -> None:
+        """Regions of which an agent is in one at most: what one writes, another has not seen written."""
+        entered = set(self._written)
+        after = set(entered)
+        for condition, span, write in cases:
+            self._written = set(entered)
+            with self.region(condition, span):
+                write()
+            after |= self._written
+        self._written = after
+
+    def run(self, name: str) -> Node:
+        """A value of the run."""
+        return self.b("run", attrs=(name,))

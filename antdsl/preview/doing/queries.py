@@ -1,0 +1,27 @@
+"""Why an agent did what it did, and where to stop."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from antdsl.preview import requests
+from antdsl.preview.breaking import Breakpoints
+from antdsl.preview.breaking.model import Misfit
+from antdsl.preview.explaining import Explainer
+from antdsl.preview.live import Refusal
+
+if TYPE_CHECKING:
+    from antdsl.preview.live import Client, Live
+
+
+def explain(live: Live, ask: requests.Explain, client: Client) -> None:
+    if live.explainer is None or live.explainer.session is not live.session:
+        live.explainer = Explainer(live.session)
+    client.tell(live.explainer.message(ask.species, ask.agent, ask.frame, live.screen.names.of))
+
+
+def breaks(live: Live, ask: requests.Breaks, client: Client) -> None:
+    try:
+        live.observer(Breakpoints).set(live.session, ask.breaks, ask.tried)
+    except Misfit as why:
+        raise Refusal(why.message, why.help) from None

@@ -1,0 +1,27 @@
+"""All who look on while a session goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from antdsl.preview.breaking import Breakpoints
+from antdsl.preview.costs import Costs
+from antdsl.preview.observing import Observer
+from antdsl.preview.spec_judgement import Specs
+
+if TYPE_CHECKING:
+    from antdsl.preview.live import Live
+
+
+def _specs(live: Live) -> Observer:
+    return Specs(live.tell_all)
+
+
+def _breakpoints(live: Live) -> Observer:
+    return Breakpoints(live.observer(Specs), live.tell_all)
+
+
+# What each Live makes one of, in this order; a handler gets at its own by `live.observer(Kind)`. A spec is judged before one asks
+# whether it failed.
+OBSERVERS: tuple[Callable[[Live], Observer], ...] = (Costs, _specs, _breakpoints)

@@ -1,0 +1,190 @@
+"""Specs of the scene judged while it runs, as curves: each frame once, as it is first simulated. After an edit what is expected
+counts anew from that frame on, as nobody can say what a run that was two programs had to show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from os.path import realpath
+from pathlib import Path
+from time import perf_counter, thread_time
+from typing import Any
+
+from antdsl.pipeline import Shot
+from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
+from antdsl.preview.observing import Stop
+from antdsl.preview.session import Session
+from antdsl.preview.timeline import Stretch
+from antdsl.program.expectations import Spec
+from antdsl.runtime import World
+from antdsl.scene.paths import PathRefused, Roots
+from antdsl.specs.cases import Failure
+from antdsl.specs.judge import Judge
+
+_SHARE, _LITTLE = 0.1, 0.004  # of the time that a step takes, and seconds: what judging a spec may take unless it is wanted
+_WARM, _TRIED = 3, 24  # frames that are not counted, and those after which it is known
+CURVE = "spec: "
+
+
+@dataclass(slots=True, eq=False)
+class Judged:
+    """One spec: with a judge, or with `why` there is none; `plan` is None where there can be none here."""
+
+    name: str
+    plan: SpecPlan | None = None
+    why: str = ""
+    judge: Judge | None = None
+    seconds: float = 0.0
+    frames: int = 0
+
+    @property
+    def failure(self) -> Failure | None:
+        return self.judge.failures[0] if self.judge is not None and self.judge.failures else None
+
+    def as_json(self) -> dict[str, Any]:
+        failed = self.failure
+        return {
+            "name": self.name,
+            "holds": None if self.judge is None else failed is None,
+            "since": None if self.judge is None else self.judge.first,
+            "frame": None if failed is None else failed.frame,
+            "message": self.why if failed is None else told(failed),
+            "species": failed.agent[0] if failed is not None and failed.agent is not None else "",
+            "agents": [] if failed is None else list(failed.agents),
+        }
+
+
+class Specs:
+    """All specs of a session's program. `wanted` are those that are judged whatever it costs; `tell` gets a message whenever
+    one of them stands otherwise than before."""
+
+    def __init__(self, tell: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
+        self.tell, self.wanted = tell, frozenset[str]()
+        self.judged: list[Judged] = []
+        self._plans: tuple[Shot, list[tuple[str, SpecPlan | str]]] | None = None
+        self._stretch: Stretch | None = None
+        self._last = 0  # the frame that was judged last
+        self._told: dict[str, Any] = {}
+        self._began = 0.0
+
+    def message(self) -> dict[str, Any]:
+        return {"op": "specs", "specs": [each.as_json() for each in self.judged]}
+
+    def want(self, names: Collection[str]) -> None:
+        """Judge these whatever it costs; one that was let go of is judged from the next step on."""
+        self.wanted = frozenset(names)
+
+    def known(self, shot: Shot, scene: Path) -> list[tuple[str, SpecPlan | str]]:
+        """The specs of a program by name, planned, or with why they are not judged here."""
+        if self._plans is None or self._plans[0] is not shot:
+            self._plans = shot, list(_planned(shot, scene))
+        return self._plans[1]
+
+    def entered(self, session: Session) -> None:
+        """Another world is noticed by its stretch, when it goes on."""
+
+    def stepping(self, session: Session) -> None:
+        self._follow(session)
+        self._began = perf_counter()
+
+    def stepped(self, session: Session) -> Stop | None:
+        took = perf_counter() - self._began
+        self._follow(session)
+        for each in self.judged:
+            self._let_go(each, took)
+        message = self.message()
+        if message != self._told:
+            self._told = message
+            self.tell(message)
+        return None
+
+    def _follow(self, session: Session) -> None:
+        """Judge the frame where the session is, if it is the first time that it is there."""
+        frame, shot = session.frame, session.shot
+        if frame != session.head or frame < shot.frames.first:
+            return
+        stretch = session.timeline.at(frame)
+        if stretch is not self._stretch or frame not in (self._last, self._last + 1):
+            self._stretch = stretch
+            self.judged = [_judged(*each) for each in self.known(shot, session.compiler.scene)]
+            fresh = self._begin(session, lambda each: True)
+        else:
+            again = self._begin(session, lambda each: each.name in self.wanted)
+            fresh = self.judged if frame != self._last else again
+        self._last = frame
+        for each in fresh:
+            self._look(each, session.world)
+            if each.judge is not None:
+                curve = 0.0 if each.failure is not None else 1.0
+                session.timeline.curves[frame].setdefault(CURVE + each.name, curve)
+
+    def _begin(self, session: Session, which: Callable[[Judged], bool]) -> list[Judged]:
+        """Judge those that are not judged, and can be, from this frame on."""
+        begun = [each for each in self.judged if each.judge is None and each.plan is not None and which(each)]
+        for each in begun:
+            assert each.plan is not None
+            each.judge = Judge(each.plan, session.world, session.shot.frames.last)
+            each.why, each.seconds, each.frames = "", 0.0, 0
+        return begun
+
+    def _look(self, each: Judged, world: World) -> None:
+        if each.judge is not None and not each.judge.over:
+            began = thread_time()  # of the processor: what others do on this machine is not its fault
+            each.judge.look(world)
+            each.frames += 1
+            if each.frames > _WARM:
+                each.seconds += thread_time() - began
+
+    def _let_go(self, each: Judged, step: float) -> None:
+        """Leave a spec unjudged that takes too long, while it has not failed and nobody waits for it to."""
+        if each.judge is None or each.frames < _TRIED or each.name in self.wanted or each.failure is not None:
+            return
+        takes = each.seconds / (each.frames - _WARM)
+        if not each.judge.over and takes > max(_SHARE * step, _LITTLE):
+            each.judge = None
+            each.why = f"judging it takes {1000 * takes:.1f} ms a frame: with a breakpoint on it, it is judged all the same"
+
+
+def _judged(name: str, plan: SpecPlan | str) -> Judged:
+    return Judged(name, None, plan) if isinstance(plan, str) else Judged(name, plan)
+
+
+def _planned(shot: Shot, scene: Path) -> Iterator[tuple[str, SpecPlan | str]]:
+    names: list[str] = []
+    for spec in shot.program.specs:
+        names.append(spec.name)
+        name = spec.name if names.count(spec.name) == 1 else f"{spec.name} ({names.count(spec.name)})"
+        yield name, _why_not(spec, shot, scene) or _plan(spec, shot)
+
+
+def _plan(spec: Spec, shot: Shot) -> SpecPlan | str:
+    plan, report = lower_spec(spec, shot.program, shot.plan)
+    return plan if plan is not None else next(each.message for each in report.errors)
+
+
+def _why_not(spec: Spec, shot: Shot, scene: Path) -> str:
+    """Why a spec is not about this run; empty where it is."""
+    if spec.scene is not None:
+        try:
+            place = Roots(Path(spec.span.source.path).resolve().parent, shot.scene.roots.granted).path(spec.scene.text)
+        except PathRefused as why:
+            return str(why)
+        if realpath(place) != realpath(scene):
+            return f"it is about `{spec.scene.text}`"
+    if spec.against is not None:
+        return "it compares with another run, as `antdsl test` does"
+    if spec.changes:
+        return f"it sets `{spec.changes[0].name}`, as `antdsl test` does"
+    if shot.scene.model.preroll and any(each.at_end for each in spec.expectations):
+        return "it asks for the motion, which has the preroll in it here: `antdsl test` leaves that out"
+    return ""
+
+
+def told(failure: Failure) -> str:
+    """A failure in one line: what was not so, of whom, with the values."""
+    whom = ""
+    if failure.agent is not None:
+        more = f" and {failure.others} more" if failure.others else ""
+        whom = f", {failure.agent[0]} {failure.agent[1]}{more}"
+    values = ", ".join(f"{text} is {value}" for text, value in failure.values)
+    return f"{failure.message}{whom}" + (f" ({values})" if values else "")

@@ -1,0 +1,19 @@
+"""What a check looks at: the program, and what its names turned out to be used for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from antdsl.program.model import Program
+from antdsl.program.names.scope import Declared, FileNames
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    program: Program
+    declared: Declared
+    files: Sequence[FileNames]
+
+    def uses(self, kind: str, name: str) -> bool:
+        return (kind, name) in self.declared.used

@@ -1,0 +1,202 @@
+"""Conditions as lists of cases, so that two can be held against each other: can one ever hold, does it whenever another does?
+Only comparisons with constants, and the same text twice, are understood; all else may be or not be."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+
+from antdsl.program.checks.analysis.ranges import Interval, range_of
+from antdsl.program.model import Binding, Const, Expr, Kind, Local, Op, Param
+
+_MOST = 48  # cases; a condition with more is left alone
+_SWAPPED = {"lt": "gt", "le": "ge", "gt": "lt", "ge": "le", "eq": "eq", "ne": "ne"}
+_OPPOSITE = {"lt": "ge", "le": "gt", "gt": "le", "ge": "lt", "eq": "ne", "ne": "eq"}
+
+
+@dataclass(slots=True)
+class Case:
+    """All of this holds: each number (by the key of what it is) lies in its interval, each other test is true or false."""
+
+    numbers: dict[str, Interval] = field(default_factory=dict)
+    tests: dict[str, bool] = field(default_factory=dict)
+
+    def meet(self, other: Case) -> Case | None:
+        """Both, or None where they exclude each other."""
+        numbers, tests = dict(self.numbers), dict(self.tests)
+        for key, interval in other.numbers.items():
+            numbers[key] = numbers[key].meet(interval) if key in numbers else interval
+            if numbers[key].empty:
+                return None
+        for key, holds in other.tests.items():
+            if tests.setdefault(key, holds) != holds:
+                return None
+        return Case(numbers, tests)
+
+
+Cases = list[Case]
+
+
+class TooMany(Exception):
+    """A condition has more cases than are looked at."""
+
+
+# Such a condition is left alone; so is one that goes through more lets, each in the other, than can be followed.
+NOT_FOLLOWED = (TooMany, RecursionError)
+
+
+@dataclass(slots=True)
+class Reader:
+    """Reads conditions of one species. `known` has the range in which a number lies anyway, by its key."""
+
+    params: Mapping[str, Param]
+    known: dict[str, Interval] = field(default_factory=dict)
+    keys: dict[int, str] = field(default_factory=dict)
+    kept: list[object] = field(default_factory=list)  # what the ids of `keys` belong to stays alive
+    # A let may stand in many places, and what it names be made of lets again: each is looked at once.
+    ranges: dict[int, Interval] = field(default_factory=dict)
+    behind: dict[tuple[int, bool], Cases] = field(default_factory=dict)
+
+    def cases(self, test: Expr | None, holds: bool = True) -> Cases:
+        """When a condition is true, or when it is not. Raises TooMany."""
+        if test is None:
+            return [Case()] if holds else []
+        if isinstance(test, Local) and test.binding.role in ("let", "argument") and test.binding.value is not None:
+            found = self.behind.get((id(test.binding), holds))
+            if found is None:
+                found = self.behind[id(test.binding), holds] = self.cases(test.binding.value, holds)
+            return found
+        if isinstance(test, Const):
+            return [Case()] if (test.number != 0) == holds else []
+        if isinstance(test, Op) and test.type.kind is Kind.BOOL:
+            if test.name == "not":
+                return self.cases(test.args[0], not holds)
+            if test.name in ("and", "or"):
+                left, right = (self.cases(arg, holds) for arg in test.args)
+                return _both(left, right) if (test.name == "and") == holds else _few(left + right)
+            if test.name in _SWAPPED:
+                return self._comparison(test, test.name if holds else _OPPOSITE[test.name])
+            if test.name == "is_some":
+                return [Case(tests={f"is_none({self.key(test.args[0])})": not holds})]
+        return [Case(tests={self.key(test): holds})]
+
+    def _comparison(self, test: Op, name: str) -> Cases:
+        left, right = test.args
+        assert left is not None and right is not None
+        if left.type.kind is not Kind.NUMBER:
+            same = f"eq({','.join(sorted((self.key(left), self.key(right))))})"
+            return [Case(tests={same: name == "eq"})]
+        if _plain(left) is not None:
+            left, right, name = right, left, _SWAPPED[name]
+        edge = _plain(right)
+        if edge is None:  # two that change: their difference against 0
+            if self.key(left) > self.key(right):
+                left, right, name = right, left, _SWAPPED[name]
+            key = f"{self.key(left)} - {self.key(right)}"
+            a, b = range_of(left, self.params, self.ranges), range_of(right, self.params, self.ranges)
+            return self._against(key, Interval(a.low - b.high, a.high - b.low), 0.0, name)
+        subject, edge, name = _alone(left, edge, name)
+        return self._against(self.key(subject), range_of(subject, self.params, self.ranges), edge, name)
+
+    def _against(self, key: str, known: Interval, edge: float, name: str) -> Cases:
+        if not (math.isnan(known.low) or math.isnan(known.high)):
+            self.known[key] = known
+        below, above = Interval(high=edge, high_open=True), Interval(low=edge, low_open=True)
+        ways = {
+            "lt": (below,), "gt": (above,), "eq": (Interval(edge, edge),), "ne": (below, above),
+            "le": (Interval(high=edge),), "ge": (Interval(low=edge),),
+        }[name]  # fmt: skip
+        found = [interval.meet(self.known.get(key, Interval())) for interval in ways]
+        return [Case(numbers={key: interval}) for interval in found if not interval.empty]
+
+    def key(self, part: object) -> str:
+        """The same for expressions that mean the same; two draws never do, nor two memories. Long ones are hashed: lets that
+        are made of each other twice would double it with each."""
+        if isinstance(part, Local) and part.binding.role in ("let", "argument") and part.binding.value is not None:
+            return self.key(part.binding.value)
+        known = self.keys.get(id(part))
+        if known is None:
+            self.kept.append(part)
+            known = self._key(part)
+            if len(known) > 200:
+                known = hashlib.blake2b(known.encode(), digest_size=16).hexdigest()
+            self.keys[id(part)] = known
+        return known
+
+    def _key(self, part: object) -> str:
+        if isinstance(part, tuple):
+            return f"({','.join(self.key(each) for each in part)})"
+        if isinstance(part, Binding):
+            return f"{part.role} {part.name} {part.span.start}"
+        if not is_dataclass(part):
+            return str(part)
+        names = (f.name for f in fields(part) if f.name not in ("span", "type", "rate"))
+        return f"{type(part).__name__}{tuple(self.key(getattr(part, name)) for name in names)}"
+
+
+def _plain(expr: Expr) -> float | None:
+    """The number that an expression is, also behind a name."""
+    while isinstance(expr, Local) and expr.binding.role in ("let", "argument") and expr.binding.value is not None:
+        expr = expr.binding.value
+    return expr.number if isinstance(expr, Const) and not (expr.u or expr.step) else None
+
+
+def _alone(subject: Expr, edge: float, name: str) -> tuple[Expr, float, str]:
+    """`2 * x + 1 > 5` as `x > 2`."""
+    while isinstance(subject, Op) and subject.name in ("neg", "add", "sub", "mul", "div"):
+        if subject.name == "neg":
+            assert subject.args[0] is not None
+            subject, edge, name = subject.args[0], -edge, _SWAPPED[name]
+            continue
+        left, right = subject.args
+        assert left is not None and right is not None
+        a, b = _plain(left), _plain(right)
+        if subject.name == "add" and (a is not None or b is not None):
+            subject, edge = (left, edge - b) if b is not None else (right, edge - (a or 0.0))
+        elif subject.name == "sub" and b is not None:
+            subject, edge = left, edge + b
+        elif subject.name == "mul" and (factor := b if b is not None else a):
+            subject, edge, name = (left if b is not None else right), edge / factor, _SWAPPED[name] if factor < 0 else name
+        elif subject.name == "div" and b:
+            subject, edge, name = left, edge * b, _SWAPPED[name] if b < 0 else name
+        else:
+            break
+    return subject, edge, name
+
+
+def _both(left: Cases, right: Cases) -> Cases:
+    if len(left) * len(right) > _MOST:
+        raise TooMany
+    return [case for a in left for b in right if (case := a.meet(b)) is not None]
+
+
+def _few(cases: Cases) -> Cases:
+    if len(cases) > _MOST:
+        raise TooMany
+    return cases
+
+
+def never(reader: Reader, test: Expr | None) -> bool:
+    """Whether a condition cannot hold."""
+    try:
+        return not reader.cases(test)
+    except NOT_FOLLOWED:
+        return False
+
+
+def always(reader: Reader, test: Expr | None) -> bool:
+    """Whether a condition cannot but hold. Beside numbers that are none, for which no comparison holds."""
+    try:
+        return not reader.cases(test, False)
+    except NOT_FOLLOWED:
+        return False
+
+
+def implies(reader: Reader, narrow: Expr | None, wide: Expr | None) -> bool:
+    """Whether `wide` holds whenever `narrow` does."""
+    try:
+        return not _both(reader.cases(narrow), reader.cases(wide, False))
+    except NOT_FOLLOWED:
+        return False

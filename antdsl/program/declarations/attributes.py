@@ -1,0 +1,131 @@
+"""Attributes of a species: their starting values and types, those first that others start from."""
+
+from __future__ import annotations
+
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program import model
+from antdsl.program.declarations.behaviours import declared_type
+from antdsl.program.model import Expr, Kind
+from antdsl.program.names.ordering import ordered
+from antdsl.program.names.scope import BAD, Keys, Scope, bad, did_you_mean, duplicate, told_before, type_from_words
+from antdsl.program.tables.defaults import node_of
+from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, OTHER_SENSES, REDUCERS
+from antdsl.program.types.descriptions import quoted, type_words
+from antdsl.program.types.folding import constant_behind
+from antdsl.program.types.operators import value, wanted
+from antdsl.source import Span
+from antdsl.syntax import nodes
+from antdsl.syntax.words import WORDS
+
+_STORED = (Kind.NUMBER, Kind.VECTOR, Kind.BOOL, Kind.ITEM, Kind.AGENT, Kind.BAD)
+_EARLY = "starting values are worked out before the animal has sensed anything"
+
+
+# --- attributes ------------------------------------------------------------------------------------------------------
+
+
+def attributes(scope: Scope, node: nodes.Species) -> list[model.AttributeDecl]:
+    """Given and own attributes, those first that others start from."""
+    declared: dict[str, nodes.Declaration | nodes.Given] = {}
+    for name, row in GIVEN.items():
+        if row.settable and row.default is not None:
+            declared[name] = nodes.Given(
+                nodes.Name(name, node.name.span), node_of(row.default, node.name.span), None, node.name.span
+            )
+    written: dict[str, Span] = {}
+    for member in node.members:
+        if isinstance(member, nodes.Given):
+            if member.name.text in written:
+                duplicate(scope.report, "property", member.name, written[member.name.text])
+            if _settable(scope, member):
+                declared[member.name.text] = member
+            written.setdefault(member.name.text, member.name.span)
+        elif isinstance(member, nodes.Declaration) and member.name.text not in GIVEN:
+            declared.setdefault(member.name.text, member)
+    order, circular = ordered(scope.report, "starting values", declared, lambda d: [d.value], lambda d: d.name)
+    return [_attribute(scope, each, each.name.text in circular) for each in order]
+
+
+def _settable(scope: Scope, member: nodes.Given) -> bool:
+    row, name = GIVEN.get(member.name.text), member.name
+    if row is not None and row.settable:
+        return True
+    known = [n for n, g in GIVEN.items() if g.settable]
+    if row is None and scope.species and isinstance(member.value, nodes.NameRef) and names_state(scope, member.value.name.text):
+        known = ["start"]  # `strat search`: only that word is followed by a state
+        if nearest_name(name.text, known):
+            scope.report.error("unknown-property", f"an animal has no property `{name.text}`", name.span, "did you mean `start`?")
+            return False
+    text = " ".join(member.value.span.text.split())
+    if row is not None:
+        better = f"`max_speed {text}` is the fastest it goes" if name.text == "speed" else "it follows from how the animal moves"
+        scope.report.error("not-settable", f"`{name.text}` cannot be set", name.span, better)
+    else:
+        scope.report.error(
+            "unknown-property",
+            f"an animal has no property `{name.text}`",
+            name.span,
+            _belongs(name.text) or did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"),
+        )
+        told_before(scope, "name", name)  # it was to be declared here
+    value(scope.inside(once=True), member.value)
+    return False
+
+
+def _belongs(word: str) -> str | None:
+    """Where a line that begins with a sense or a word of the language belongs, which no attribute can be called."""
+    if word in OTHER_SENSES:
+        return f"what it senses is asked where it is wanted: {OTHER_SENSES[word].replace('X', 'food')}"
+    if word in BUILTINS or word in REDUCERS:
+        return f"`{word}` is asked where its value is wanted: `let x = {word}(…)`"
+    return f"`{word}` is a word of the language and begins no line here" if word in WORDS else None
+
+
+def names_state(scope: Scope, word: str) -> bool:
+    return scope.species is not None and any(word in machine.states for machine in scope.species.machines.values())
+
+
+def _attribute(scope: Scope, node: nodes.Declaration | nodes.Given, circular: bool) -> model.AttributeDecl:
+    names, name = scope.species, node.name.text
+    assert names is not None
+    inner = scope.inside(keys=Keys(f"{names.name}.{name}"), no_let=_EARLY, once=True)
+    help = node.help.text if node.help else ""
+    if isinstance(node, nodes.Given):
+        type = type_from_words(GIVEN[name].type) or BAD
+        default = bad(node.value.span) if circular else wanted(inner, node.value, type, f"`{name}`")
+        _positive(scope, node, default)
+        return model.AttributeDecl(name, type, default, True, help, node.name.span)
+    stated = declared_type(scope, node.type) if node.type is not None else None
+    stated = None if stated == BAD else stated
+    if circular:
+        default = bad(node.value.span)
+    else:
+        default = value(inner, node.value) if stated is None else wanted(inner, node.value, stated, f"`{name}`")
+    type = stated or default.type
+    if type.kind not in _STORED:
+        scope.report.error(
+            "wrong-kind",
+            f"{type_words(type)} cannot be an attribute",
+            node.value.span,
+            "an attribute is a number, a vector, a yes or no, an item or an agent",
+        )
+        type = BAD
+    names.attributes[name] = type
+    if node.each is not None:
+        names.each[name] = node.each.species.text
+    if node.range is not None:
+        scope.report.error(
+            "wrong-kind",
+            f"only a param has a range, and `{name}` is an attribute",
+            node.range.span,
+            f"write `param {name} = …`, or leave the range out",
+        )
+    return model.AttributeDecl(name, type, default, False, help, node.name.span)
+
+
+def _positive(scope: Scope, node: nodes.Given, default: Expr) -> None:
+    constant = constant_behind(default)
+    if constant is not None and (constant.number < 0 or (constant.number == 0 and node.name.text not in ("radius", "clearance"))):
+        scope.report.error(
+            "out-of-range", f"`{node.name.text}` cannot be {quoted(node.value.span)}", node.value.span, "write more than 0"
+        )

@@ -1,0 +1,382 @@
+"""Behaviours: each is checked once by itself, and put in place of every call with the types of that call."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from antdsl import limits
+from antdsl.diagnostics import Label, Report
+from antdsl.program.model import Binding, Expr, Inline, Kind, Op, Rate, Type
+from antdsl.program.names.scope import (
+    BAD,
+    BehaviourInfo,
+    Declared,
+    Keys,
+    Scope,
+    bad,
+    did_you_mean,
+    duplicate,
+    rate_of,
+    type_from_words,
+)
+from antdsl.program.tables.vocabulary import BUILTINS, TYPE_WORDS
+from antdsl.program.traverse import written
+from antdsl.program.types.arguments import Slot, arranged, type_all
+from antdsl.program.types.descriptions import fits, mismatch, quoted, type_words
+from antdsl.program.types.expressions import THINGS
+from antdsl.program.types.operators import value, wanted
+from antdsl.program.types.places import place
+from antdsl.syntax import nodes
+
+_STORED = frozenset({Kind.NUMBER, Kind.VECTOR, Kind.BOOL, Kind.ITEM, Kind.AGENT, Kind.BAD})
+_DRAWING = frozenset({"uniform", "normal", "pick", "random"})
+_DEEPEST = 100  # of behaviours inside behaviours, counted in operations
+
+
+# --- what a behaviour costs ------------------------------------------------------------------------------------------
+
+
+def prepare(report: Report, info: BehaviourInfo) -> None:
+    """Sizes of a behaviour and of all that it calls, from the bottom up; a circle of calls is told once, with its names."""
+    stack: list[tuple[BehaviourInfo, int]] = [(info, 0)]
+    path: list[BehaviourInfo] = []
+    while stack:
+        each, step = stack.pop()
+        if step == 0:
+            if each.state != "new":
+                continue
+            each.state = "sizing"
+            path.append(each)
+            _measure(each)
+        if step < len(each.calls):
+            stack.append((each, step + 1))
+            called = each.calls[step]
+            if called.state == "sizing":
+                _circle(report, path[path.index(called) :])
+            elif called.state == "new":
+                stack.append((called, 0))
+            continue
+        path.pop()
+        _add_up(report, each)
+
+
+def _measure(info: BehaviourInfo) -> None:
+    for part, depth in written(info.node):
+        info.size += 1
+        info.depth = max(info.depth, depth)
+        if isinstance(part, nodes.Keep):
+            info.keeps = True
+        elif isinstance(part, nodes.Unary) and part.op == "chance":
+            info.draws = True
+        elif isinstance(part, nodes.Call):
+            if isinstance(part.function, nodes.NameRef) and part.function.name.text in _DRAWING:
+                info.draws = True
+            called = _resolve(info, part)
+            if called is not None:
+                info.calls.append(called)
+
+
+def _resolve(info: BehaviourInfo, call: nodes.Call) -> BehaviourInfo | None:
+    function = call.function
+    if isinstance(function, nodes.NameRef):
+        return None if function.name.text in BUILTINS else info.file.behaviour(function.name.text)
+    if isinstance(function, nodes.Member) and isinstance(function.owner, nodes.NameRef):
+        module = info.file.aliases.get(function.owner.name.text)
+        return module.own.get(function.name.text) if module else None
+    return None
+
+
+def _add_up(report: Report, info: BehaviourInfo) -> None:
+    if info.state == "circular":
+        return
+    info.size = min(limits.NODES * 2, info.size + sum(called.size for called in info.calls))
+    info.depth += max((called.depth for called in info.calls), default=0)
+    info.keeps = info.keeps or any(called.keeps for called in info.calls)
+    info.draws = info.draws or any(called.draws for called in info.calls)
+    info.state = "circular" if any(called.state == "circular" for called in info.calls) else "sized"
+    if info.state == "sized" and info.depth > _DEEPEST + limits.EXPRESSION_DEPTH:
+        report.error(
+            "too-deep",
+            f"behaviour `{info.node.name.text}` calls others too many levels deep",
+            info.node.name.span,
+            "put some of them together",
+        )
+        info.state = "circular"
+
+
+def _circle(report: Report, circle: list[BehaviourInfo]) -> None:
+    names = " → ".join(f"`{each.node.name.text}`" for each in [*circle, circle[0]])
+    report.error(
+        "circle",
+        f"behaviours call each other in a circle: {names}",
+        circle[0].node.name.span,
+        "a behaviour cannot call itself; take one of the calls out",
+    )
+    for each in circle:
+        each.state = "circular"
+
+
+# --- a behaviour by itself -------------------------------------------------------------------------------------------
+
+
+def check_behaviour(declared: Declared, info: BehaviourInfo, complain: bool = True) -> bool:
+    """Check a behaviour once, with the types that its arguments declare; True when it is sound."""
+    if info.state in ("ok", "broken"):
+        return info.state == "ok"
+    report = Report()
+    prepare(report, info)
+    for called in info.calls:
+        if called.state == "sized" and called is not info:
+            check_behaviour(declared, called)
+    sound = info.state == "sized"
+    if sound:
+        info.state = "ok"  # a circle was found before, so it cannot come back here
+        _check_parts(declared, info, report)
+        sound = report.ok
+    info.state = "ok" if sound else "broken"
+    if complain:
+        declared.report.extend(report)
+    return sound
+
+
+def _check_parts(declared: Declared, info: BehaviourInfo, report: Report) -> None:
+    node, name = info.node, info.node.name.text
+    scope = Scope(declared, info.file, Keys(name), report, behaviour=name, generic=True)
+    local: dict[str, Binding | Expr] = {}
+    for argument in node.arguments:
+        if argument.name.text in local:
+            duplicate(
+                report, "argument", argument.name, next(a for a in node.arguments if a.name.text == argument.name.text).name.span
+            )
+        type = argument_type(scope, argument)
+        if argument.default is not None:
+            _argument_value(scope.inside(locals=dict(local)), name, argument, argument.default, type)
+        local[argument.name.text] = Binding(argument.name.text, "argument", type, Rate.AGENT, argument.name.span)
+    body, result = _body(scope.inside(locals=local), info)
+    returns = returned_type(scope, node)
+    if not fits(result.type, returns):
+        mismatch(report, node.result, result.type, returns, f"`{name}`")
+    if not report.ok or info.file.node.broken:
+        return  # what is wrong may have been their use
+    for argument in node.arguments:
+        if ("local", f"{argument.name.span}:{argument.name.text}") not in declared.used:
+            report.warning(
+                "unused-argument",
+                f"`{name}` never uses its argument `{argument.name.text}`",
+                argument.name.span,
+                "use it, or delete it",
+            )
+    for binding in body:
+        if ("local", f"{binding.span}:{binding.name}") not in declared.used:
+            report.warning("unused-let", f"`{binding.name}` is never used", binding.span, "use it, or delete it")
+
+
+def argument_type(scope: Scope, argument: nodes.BehaviourArgument) -> Type:
+    return declared_type(scope, argument.type)
+
+
+def returned_type(scope: Scope, node: nodes.Behaviour) -> Type:
+    return declared_type(scope, node.returns)
+
+
+def declared_type(scope: Scope, written_type: nodes.TypeName) -> Type:
+    name = written_type.name
+    type = type_from_words(name.text, written_type.of.text if written_type.of else None)
+    if type is None:
+        scope.report.error(
+            "unknown-type",
+            f"no type `{name.text}`",
+            name.span,
+            did_you_mean(name.text, TYPE_WORDS, f"types are {', '.join(f'`{w}`' for w in TYPE_WORDS)}"),
+        )
+        return BAD
+    return type
+
+
+def _body(scope: Scope, info: BehaviourInfo) -> tuple[list[Binding], Expr]:
+    """The lets and keeps of a behaviour in text order, then its result."""
+    bindings: list[Binding] = []
+    local = dict(scope.locals)
+    for line in info.node.body:
+        here = scope.inside(locals=dict(local))
+        if line.name.text in local:
+            first = next((b.span for b in bindings if b.name == line.name.text), info.node.name.span)
+            duplicate(scope.report, "name", line.name, first)
+        binding = _keep(here, line) if isinstance(line, nodes.Keep) else _let(here, line)
+        local[line.name.text] = binding
+        bindings.append(binding)
+    return bindings, value(scope.inside(locals=local), info.node.result, returned_type(scope, info.node))
+
+
+def _let(scope: Scope, line: nodes.Let) -> Binding:
+    found = scope.typed(line.value)
+    return Binding(line.name.text, "let", found.type, found.rate, line.name.span, found)
+
+
+def _keep(scope: Scope, line: nodes.Keep) -> Binding:
+    wanted_type = declared_type(scope, line.type) if line.type else None
+    who = f"`keep {line.name.text}`"
+    first = value(scope, line.first) if wanted_type is None else wanted(scope, line.first, wanted_type, who)
+    type = wanted_type or first.type
+    if type.kind not in _STORED:
+        scope.report.error(
+            "wrong-kind",
+            f"{type_words(type)} cannot be kept",
+            line.first.span,
+            "keep a number, a vector, a yes or no, an item or an agent",
+        )
+    key = f"{scope.keys.path}.{line.name.text}"
+    binding = Binding(line.name.text, "keep", type, Rate.AGENT, line.name.span, first, None, key)
+    inner = scope.inside(locals={**scope.locals, line.name.text: binding})
+    # the next value may read the one before, so the binding is there first and is closed here, still inside this function
+    object.__setattr__(binding, "then", wanted(inner, line.then, type, who))
+    return binding
+
+
+# --- a call ----------------------------------------------------------------------------------------------------------
+
+
+def call_behaviour(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
+    """The behaviour put in place of its call."""
+    info = _called(scope, node.function)
+    if info is None:
+        type_all(scope, node)
+        return bad(node.span)
+    name = info.node.name.text
+    scope.use("behaviour", f"{info.node.name.span}")
+    if not check_behaviour(scope.declared, info):
+        type_all(scope, node)
+        return bad(node.span)
+    slots = [Slot(a.name.text, a.default is None) for a in info.node.arguments]
+    found = arranged(scope, name, slots, node)
+    if found is None:
+        type_all(scope, node)
+        return bad(node.span)
+    if not _allowed(scope, info, node):
+        return bad(node.span)
+    if scope.generic:
+        return _by_itself(scope, info, node, {slot: arguments[0].value for slot, arguments in found.items()})
+    return _in_place(scope, info, node, {slot: arguments[0].value for slot, arguments in found.items()})
+
+
+def call_unwritten(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> Expr:
+    """A behaviour without arguments in place of a call that the language makes itself; `node` says where."""
+    if not check_behaviour(scope.declared, info) or not _allowed(scope, info, node):
+        return bad(node.span)
+    return _in_place(scope, info, node, {})
+
+
+def _called(scope: Scope, function: nodes.Expr) -> BehaviourInfo | None:
+    if isinstance(function, nodes.NameRef):
+        return scope.file.behaviour(function.name.text)
+    assert isinstance(function, nodes.Member)
+    alias = function.owner.name.text if isinstance(function.owner, nodes.NameRef) else None
+    module = scope.file.aliases.get(alias) if alias else None
+    if module is None:
+        advice = f'bring it: `use "./{alias}.ant" as {alias}`' if alias else "only the behaviours of a used file are called so"
+        scope.report.error(
+            "unknown-module",
+            f"no file is used as {quoted(function.owner.span)}",
+            function.owner.span,
+            did_you_mean(alias or "", scope.file.aliases, advice),
+        )
+        return None
+    info = module.own.get(function.name.text)
+    if info is None and not module.missing:
+        scope.report.error(
+            "unknown-behaviour",
+            f"no behaviour `{function.name.text}` in `{alias}`",
+            function.name.span,
+            did_you_mean(function.name.text, module.own),
+        )
+    return info
+
+
+def _allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
+    """Whether the call may stand where it stands: memory and draws have places where they make no sense, and size is bounded."""
+    name, declared = info.node.name.text, scope.declared
+    if info.keeps and scope.no_keep:
+        scope.report.error(
+            "keep-inside",
+            f"`{name}` remembers something, and {scope.no_keep}",
+            node.span,
+            "call it in a line of its own: `steer …`, or a line of `layers`",
+        )
+        return False
+    if info.draws and scope.sets:
+        scope.report.error(
+            "draw-in-set", f"`{name}` draws random numbers, and this is inside a set", node.span, "call it outside of the set"
+        )
+        return False
+    if scope.behaviour is not None:
+        return True  # its size was counted with the behaviour that calls it
+    before, declared.expanded = declared.expanded, declared.expanded + info.size
+    if declared.expanded > limits.NODES:
+        if before <= limits.NODES:
+            scope.report.error(
+                "too-large",
+                f"with `{name}` put in place this is more than {limits.NODES:,} operations",
+                node.span,
+                "call fewer or smaller behaviours",
+            )
+        return False
+    return True
+
+
+def _by_itself(scope: Scope, info: BehaviourInfo, node: nodes.Call, given: Mapping[str, nodes.Expr]) -> Expr:
+    """A call inside a behaviour that is checked by itself: the arguments count, what is behind it was checked on its own."""
+    quiet = scope.inside(report=Report())
+    for argument in info.node.arguments:
+        if argument.name.text in given:
+            _argument_value(scope, info.node.name.text, argument, given[argument.name.text], argument_type(quiet, argument))
+    return Op(returned_type(quiet, info.node), Rate.ELEMENT if scope.sets else Rate.AGENT, node.span, "call", ())
+
+
+def _in_place(scope: Scope, info: BehaviourInfo, node: nodes.Call, given: Mapping[str, nodes.Expr]) -> Expr:
+    name = info.node.name.text
+    key = scope.keys.next(name)
+    report = Report()
+    inner = scope.inside(file=info.file, keys=Keys(key), report=report, behaviour=name, locals={}, element=None)
+    arguments: list[Binding] = []
+    local: dict[str, Binding | Expr] = {}
+    for argument in info.node.arguments:
+        type = argument_type(inner, argument)
+        node_given = given.get(argument.name.text)
+        if node_given is not None:
+            found = _argument_value(scope, name, argument, node_given, type)
+        else:
+            assert argument.default is not None
+            found = _argument_value(inner.inside(locals=dict(local)), name, argument, argument.default, type)
+        if found.type.kind is Kind.BAD:
+            type_all(scope, node)
+            return bad(node.span)
+        if found.type.kind in THINGS:
+            local[argument.name.text] = found
+            continue
+        binding = Binding(argument.name.text, "argument", found.type, found.rate, argument.name.span, found)
+        local[argument.name.text] = binding
+        arguments.append(binding)
+    body, result = _body(inner.inside(locals=local), info)
+    if not report.ok:
+        first = report.errors[0]
+        labels = (Label(first.span, "here"),) if first.span is not None else ()
+        scope.report.error(first.code, f"`{name}` cannot be used so: {first.message}", node.span, first.help, labels=labels)
+        return bad(node.span)
+    return Inline(
+        result.type, max(result.rate, rate_of(b.value for b in body)), node.span, name, key, tuple(arguments), tuple(body), result
+    )
+
+
+def _argument_value(scope: Scope, called: str, argument: nodes.BehaviourArgument, node: nodes.Expr, type: Type) -> Expr:
+    who = f"`{argument.name.text}` of `{called}`"
+    if type.kind is Kind.PLACE:
+        return place(scope, node, who)
+    if type.kind is Kind.BAD:
+        return value(scope, node)
+    if type.kind in THINGS:
+        found = scope.typed(node, type)
+        if fits(found.type, type) or (type.kind is Kind.OBSTACLE and found.type.kind in (Kind.SURFACE, Kind.SOLID)):
+            return found
+        mismatch(scope.report, node, found.type, type, who)
+        return bad(node.span)
+    return wanted(scope, node, type, who)

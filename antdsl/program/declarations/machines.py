@@ -1,0 +1,267 @@
+"""States and changes of a species, checked and put in the order in which they are looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+from antdsl import limits
+from antdsl.diagnostics import Fix, Label
+from antdsl.program import model
+from antdsl.program.declarations.statements import ACTION, BODY, statements, take
+from antdsl.program.memo import part
+from antdsl.program.model import Binding, Expr
+from antdsl.program.names.scope import NUMBER, TIME, Keys, MachineNames, Scope, bad, did_you_mean, duplicate, listed
+from antdsl.program.tables.colours import COLOURS, default_rgb, rgb
+from antdsl.program.types.descriptions import quoted
+from antdsl.program.types.folding import constant_behind
+from antdsl.program.types.operators import condition, wanted
+from antdsl.program.types.states import unknown_state
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+Member = nodes.State | nodes.Start | nodes.Change | nodes.Let | nodes.Latch
+
+
+def machine(scope: Scope, names: MachineNames, members: Sequence[object], span: Span) -> model.Machine:
+    """A machine with its states; `span` is where it is named."""
+    scope = scope.inside(machine=names)
+    states = [m for m in members if isinstance(m, nodes.State)]
+    known = (names.key, *(scope.species.bindings.values() if scope.species is not None else ()))
+    changes = tuple(node for node in members if isinstance(node, nodes.Change))
+    anywhere = part(scope.declared, ("anywhere", changes, known), lambda: _anywhere(scope, names, changes))
+    made: list[model.State] = []
+    for index, state in enumerate(_once(states)):
+        general = [change for node, change in anywhere if change is not None and _applies(node, change, state.name.text, index)]
+        key = ("state", state, index, *general, *known)
+        made.append(part(scope.declared, key, partial(_state, scope, names, state, index, general)))
+    return model.Machine(names.name, _start(scope, names, members, span), tuple(made), span)
+
+
+def _anywhere(
+    scope: Scope, names: MachineNames, changes: Sequence[nodes.Change]
+) -> list[tuple[nodes.Change, model.Transition | None]]:
+    """The changes `from any`."""
+    scope = scope.inside(keys=Keys(f"{names.key}.{model.ANYWHERE}"))
+    return [(node, _from_any(scope, names, node)) for node in changes]
+
+
+def _once(states: Sequence[nodes.State]) -> list[nodes.State]:
+    return list({state.name.text: state for state in reversed(states)}.values())[::-1]
+
+
+def _start(scope: Scope, names: MachineNames, members: Sequence[object], span: Span) -> int:
+    starts = [m for m in members if isinstance(m, nodes.Start)]
+    for extra in starts[1:]:
+        scope.report.error(
+            "duplicate-name",
+            "a second `start`",
+            extra.span,
+            "an animal starts in one state",
+            labels=(Label(starts[0].span, "first here"),),
+        )
+    if starts:
+        index = names.states.get(starts[0].state.text)
+        if index is None:
+            index = names.states.get(unknown_state(scope, starts[0].state, names.key.partition(".")[0], list(names.states)) or "")
+        return index or 0
+    if len(names.states) > 1:
+        scope.report.error(
+            "missing-start",
+            f"nothing says which of the states {listed(names.states)} comes first",
+            span,
+            f"write `start {next(iter(names.states))}`",
+        )
+    return 0
+
+
+# --- one state -------------------------------------------------------------------------------------------------------
+
+
+def _state(scope: Scope, names: MachineNames, node: nodes.State, index: int, general: list[model.Transition]) -> model.State:
+    path = f"{names.key}.{node.name.text}"
+    scope = scope.inside(keys=Keys(path))
+    scope = scope.inside(locals=_lets(scope, node))
+    own = [_change(scope, names, line, path) for line in node.body if isinstance(line, nodes.Change)]
+    changes = [c for c in own if c is not None]
+    order = [c for c in changes if c.interrupt] + general + [c for c in changes if not c.interrupt]
+    return model.State(
+        node.name.text, index, node.label.text if node.label else "", _colour(scope, node, index),
+        _duration(scope, node.at_least, "`for at least`"), tuple(order),
+        statements(scope.inside(keys=Keys(f"{path}.enter")), node.enter, ACTION),
+        statements(scope.inside(keys=Keys(f"{path}.exit")), node.exit, ACTION),
+        statements(scope, [line for line in node.body if not isinstance(line, (nodes.Change, nodes.Let))], BODY), node.name.span,
+    )  # fmt: skip
+
+
+def _lets(scope: Scope, node: nodes.State) -> dict[str, Binding | Expr]:
+    """Lets of a state, in text order: snapshots of the start of the step like those of the species."""
+    local: dict[str, Binding | Expr] = dict(scope.locals)
+    assert scope.species is not None
+    for line in node.body:
+        if not isinstance(line, nodes.Let):
+            continue
+        name = line.name
+        if name.text in scope.species.attributes or name.text in scope.species.bindings or name.text in local:
+            duplicate(scope.report, "name", name, _first(node, scope, name))
+        keys = Keys(f"{scope.keys.path}.{name.text}")
+        found = scope.inside(locals=local, keys=keys, no_keep="a `let` only names a value").typed(line.value)
+        local[name.text] = Binding(name.text, "let", found.type, found.rate, name.span, found, snapshot=True)
+    return local
+
+
+def _first(node: nodes.State, scope: Scope, name: nodes.Name) -> Span:
+    assert scope.species is not None
+    own = scope.species.bindings.get(name.text)
+    earlier = [
+        line.name.span
+        for line in node.body
+        if isinstance(line, nodes.Let) and line.name.text == name.text and line.name is not name
+    ]
+    return own.span if own else earlier[0] if earlier else node.name.span
+
+
+def _colour(scope: Scope, node: nodes.State, index: int) -> tuple[float, float, float]:
+    found = rgb(node.colour.text) if node.colour else default_rgb(index)
+    if found is None and node.colour is not None:
+        some = ("red", "orange", "yellow", "green", "blue", "violet", "brown", "grey")
+        scope.report.error(
+            "unknown-colour",
+            f"no colour `{node.colour.text}`",
+            node.colour.span,
+            did_you_mean(node.colour.text, COLOURS, f"there is {listed(some)} and more"),
+        )
+    red, green, blue = found or default_rgb(index)
+    return red / 255, green / 255, blue / 255
+
+
+def _duration(scope: Scope, node: nodes.Expr | None, who: str) -> Expr | None:
+    if node is None:
+        return None
+    found = wanted(scope, node, TIME, who)
+    constant = constant_behind(found)
+    if constant is not None and constant.number < 0:
+        scope.report.error(
+            "out-of-range",
+            f"{who} wants a time, and {quoted(node.span)} is before now",
+            node.span,
+            "write a time of `0 s` or more",
+        )
+    elif constant is not None and not constant.u and constant.number > limits.FRAMES:
+        scope.report.warning(
+            "never-fires",
+            f"{quoted(node.span)} is longer than any run",
+            node.span,
+            f"write a shorter time: a run has {limits.FRAMES:,} frames at most",
+        )
+    return found
+
+
+# --- one change ------------------------------------------------------------------------------------------------------
+
+
+def _from_any(scope: Scope, names: MachineNames, node: nodes.Change) -> model.Transition | None:
+    for name in node.any_except or ():
+        if name.text not in names.states:
+            unknown_state(scope, name, names.key.partition(".")[0], list(names.states))
+    return _change(scope, names, node, scope.keys.path)
+
+
+def _applies(node: nodes.Change, change: model.Transition, state: str, index: int) -> bool:
+    """`from any` leaves out its exceptions and never leads into the state one is in."""
+    return change.target != index and all(name.text != state for name in node.any_except or ())
+
+
+def _change(scope: Scope, names: MachineNames, node: nodes.Change, path: str) -> model.Transition | None:
+    key = scope.keys.next(_target_word(node.target), "->")
+    scope = scope.inside(keys=Keys(key))
+    after = _after(scope, node.after)
+    test = condition(scope, node.condition, "`when`") if node.condition is not None else None
+    held = _held(scope, node.held)
+    claim = take(scope, node.take) if node.take is not None else None
+    choices = _choices(scope, names, node.target)
+    target = _target(scope, names, node.target)
+    actions = statements(scope, node.actions, ACTION)
+    if target is None and not choices and not node.target.previous:
+        return None
+    return model.Transition(
+        key, node.interrupt, test, after, held, claim, target, node.target.previous, choices, actions, node.span
+    )
+
+
+def _after(scope: Scope, node: nodes.Expr | None) -> Expr | None:
+    """`after T` stands alone. In `after 1 s and meal` the time is taken for a part of the condition."""
+    time = _leftmost(node)
+    if node is None or time is None or time is node:
+        return _duration(scope, node, "`after`")
+    source, text = time.span.source, f"time_in_state >= {time.span.text}"
+    span = Span(source, source.text.rindex("after", 0, time.span.start), time.span.end)
+    message = f"`{' '.join(span.text.split())}` cannot be joined with a condition"
+    scope.report.error("wrong-kind", message, span, f"write `{text}` for it", fix=Fix(span, text))
+    return bad(node.span)
+
+
+def _held(scope: Scope, node: nodes.Expr | None) -> Expr | None:
+    """`held T` ends a condition. In `meal held 1 s and scent > 1` it stands in the middle."""
+    time = _leftmost(node)
+    if node is None or time is None or time is node:
+        return _duration(scope, node, "`held`")
+    message = f"`held {' '.join(time.span.text.split())}` stands in the middle of a condition"
+    scope.report.error("wrong-kind", message, time.span, "write it at the end: the whole condition is held that long")
+    return bad(node.span)
+
+
+def _leftmost(node: nodes.Expr | None) -> nodes.Expr | None:
+    """What comes first in a chain of `and` and `or`."""
+    while isinstance(node, nodes.Binary) and node.op in ("and", "or"):
+        node = node.left
+    return node
+
+
+def _target_word(target: nodes.Target) -> str:
+    if target.previous:
+        return "previous"
+    return target.name.text if target.name is not None else "choose"
+
+
+def _target(scope: Scope, names: MachineNames, target: nodes.Target) -> int | None:
+    if target.name is None or target.previous:
+        return None
+    index = names.states.get(target.name.text)
+    if index is None:
+        meant = unknown_state(scope, target.name, names.key.partition(".")[0], list(names.states))
+        index = names.states.get(meant or "")
+    return index
+
+
+def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[tuple[int, Expr], ...]:
+    made: list[tuple[int, Expr]] = []
+    for choice in target.choices:
+        weight = wanted(scope.inside(once=True), choice.weight, NUMBER, f"the weight of `{choice.target.text}`")
+        constant = constant_behind(weight)
+        if constant is not None and constant.number < 0:
+            scope.report.error(
+                "out-of-range",
+                f"a weight below 0: {quoted(choice.weight.span)}",
+                choice.weight.span,
+                "write a weight of 0 or more",
+            )
+        index = names.states.get(choice.target.text)
+        if index is None:
+            meant = unknown_state(scope, choice.target, names.key.partition(".")[0], list(names.states))
+            index = names.states.get(meant or "")
+        if index is not None:
+            made.append((index, weight))
+    weights = [constant_behind(weight) for _, weight in made]
+    if made and all(w is not None and w.number == 0 for w in weights):
+        scope.report.error(
+            "out-of-range", "all weights of `choose` are 0", target.span, "give at least one state a weight above 0"
+        )
+    if target.name is None and not target.previous and not target.choices:
+        scope.report.error(
+            "missing-target",
+            "`choose` has nothing to choose from",
+            target.span,
+            "write `choose { rest: 2; roam: 1 }` with states of this machine",
+        )
+    return tuple(made)

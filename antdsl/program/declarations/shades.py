@@ -1,0 +1,62 @@
+"""`fuzzy NAME { A and B -> 0.8; C -> 0.1 }`: rules with shades of truth, put together into one number."""
+
+from __future__ import annotations
+
+from antdsl import limits
+from antdsl.program.model import Expr, Kind
+from antdsl.program.names.scope import BAD, BOOL, NUMBER, Scope, bad
+from antdsl.program.types.descriptions import fits, mismatch, quoted, type_words
+from antdsl.program.types.folding import constant_behind
+from antdsl.program.types.operators import op, truth, value, wanted
+from antdsl.syntax import nodes
+
+
+def rules(scope: Scope, node: nodes.Fuzzy) -> Expr:
+    """The mean of what the rules say, each weighted by how true it is; 0 when none is true at all.
+
+    Weighted mean of singletons: zero-order Sugeno (Takagi and Sugeno, Fuzzy identification of systems, IEEE Trans. SMC 15(1),
+    1985, section II; the outputs there are linear, and may be here, since any number can stand behind the arrow). The
+    arguments of the operation are degree, output, degree, output, …"""
+    if not node.rules:
+        scope.report.error(
+            "empty-fuzzy", f"`fuzzy {node.name.text}` has no rules", node.span, "write rules such as `near and fast -> 0.8`"
+        )
+        return bad(node.span)
+    if len(node.rules) > limits.RULES:
+        over = node.rules[limits.RULES].span
+        scope.report.error("too-many", f"more than {limits.RULES} rules in one `fuzzy`", over, "put some together")
+        return bad(node.span)
+    inner = scope.inside(shades=True)
+    parts: list[Expr] = []
+    first: Expr | None = None
+    for rule in node.rules:
+        parts.append(_degree(inner, rule.condition))
+        said = value(scope, rule.value) if first is None else wanted(scope, rule.value, first.type, f"`fuzzy {node.name.text}`")
+        if said.type.kind not in (Kind.NUMBER, Kind.BAD):
+            mismatch(scope.report, rule.value, said.type, NUMBER, "a rule")
+            said = bad(rule.value.span)
+        first = said if first is None or first.type.kind is Kind.BAD else first
+        parts.append(said)
+    assert first is not None
+    known = all(part.type.kind is not Kind.BAD for part in parts)
+    return op("fuzzy", first.type if known else BAD, node.span, *parts)
+
+
+def _degree(scope: Scope, node: nodes.Expr) -> Expr:
+    """How true a rule is: a shade from 0 to 1, or a yes or no, which is 1 or 0."""
+    found = value(scope, node, BOOL)
+    if found.type.kind is not Kind.NUMBER:
+        return truth(scope, node, found, "a rule")
+    if not fits(found.type, NUMBER):
+        text = " ".join(node.span.text.split())
+        scope.report.error(
+            "wrong-unit", f"{quoted(node.span)} is {type_words(found.type)}, and a rule wants a share from 0 to 1", node.span,
+            f"say where it begins and where it is full: `rising({text if len(text) <= 30 else '…'}, a .. b)`",
+        )  # fmt: skip
+        return bad(node.span)
+    known = constant_behind(found)
+    if known is not None and not 0 <= known.number <= 1:
+        scope.report.error(
+            "out-of-range", f"{quoted(node.span)} is no share of truth", node.span, "a rule is true from 0 to 1, such as `0.5`"
+        )
+    return found

@@ -1,0 +1,328 @@
+"""A species: params, attributes, lets and latches with their types, then handlers, machines and layers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from antdsl import limits
+from antdsl.diagnostics import Label
+from antdsl.program import model
+from antdsl.program.declarations.attributes import attributes as attributes_in
+from antdsl.program.declarations.attributes import names_state
+from antdsl.program.declarations.machines import machine
+from antdsl.program.declarations.params import param
+from antdsl.program.declarations.resting import rest
+from antdsl.program.declarations.shades import rules
+from antdsl.program.declarations.statements import ACTION, HANDLER, statements
+from antdsl.program.memo import part
+from antdsl.program.model import Binding, Dim, Kind, Rate, Type
+from antdsl.program.names.collect import EVENTS, free_in_species
+from antdsl.program.names.ordering import ordered
+from antdsl.program.names.scope import (
+    BAD,
+    BOOL,
+    PUSH,
+    TIME,
+    Declared,
+    FileNames,
+    Keys,
+    Scope,
+    SpeciesNames,
+    bad,
+    did_you_mean,
+    duplicate,
+)
+from antdsl.program.tables.vocabulary import GIVEN
+from antdsl.program.types.descriptions import quoted, type_words
+from antdsl.program.types.expressions import referable
+from antdsl.program.types.folding import constant_behind
+from antdsl.program.types.operators import condition, wanted
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+_PURE = "a `let` only names a value"
+
+
+@dataclass(slots=True)
+class Draft:
+    """A species on its way: its own names first, so that others may refer to them, the rest in `complete`."""
+
+    names: SpeciesNames
+    node: nodes.Species
+    scope: Scope
+    params: list[model.Param]
+    attributes: list[model.AttributeDecl]
+
+
+def draft(declared: Declared, file: FileNames, node: nodes.Species) -> Draft:
+    """Params and attributes of a species."""
+    names = declared.species[node.name.text]
+    scope = Scope(declared, file, Keys(names.name), declared.report, species=names, no_keep=_PURE)
+    _check_names(scope, node)
+    names.pending = {m.name.text for m in _members(node, nodes.Let, nodes.Latch, nodes.Fuzzy)} - GIVEN.keys()
+    head = tuple(m for m in node.members if isinstance(m, (nodes.ParamDecl, nodes.Declaration, nodes.Given)))
+    params, attributes, known = part(declared, ("draft", names.name, head, node.name), lambda: _drafted(scope, node))
+    names.attributes, names.each, names.params = (dict(each) for each in known)
+    return Draft(names, node, scope, params, attributes)
+
+
+def _drafted(
+    scope: Scope, node: nodes.Species
+) -> tuple[list[model.Param], list[model.AttributeDecl], tuple[dict[str, Any], ...]]:
+    names = scope.species
+    assert names is not None
+    params = [p for m in node.members if isinstance(m, nodes.ParamDecl) and (p := param(scope, m.declaration)) is not None]
+    attributes = attributes_in(scope, node)
+    return params, attributes, (dict(names.attributes), dict(names.each), dict(names.params))
+
+
+def _members(node: nodes.Species, *kinds: type) -> list[Any]:
+    """Members of a species and of its machines, in text order."""
+    found: list[object] = []
+    for member in node.members:
+        found.append(member)
+        if isinstance(member, nodes.Machine):
+            found += member.members
+    return [m for m in found if isinstance(m, kinds)]
+
+
+def _check_names(scope: Scope, node: nodes.Species) -> None:
+    """One name, one thing; and none that the language has itself."""
+    seen: dict[str, Span] = {}
+    for member in _members(node, nodes.Declaration, nodes.ParamDecl, nodes.Let, nodes.Latch, nodes.Fuzzy):
+        each = member.declaration if isinstance(member, nodes.ParamDecl) else member
+        if isinstance(each, nodes.Fuzzy):
+            value_span = each.rules[0].value.span if each.rules else each.name.span
+        else:
+            value_span = each.on.span if isinstance(each, nodes.Latch) else each.value.span
+        if each.name.text in seen:
+            duplicate(scope.report, "name", each.name, seen[each.name.text])
+        else:
+            free_in_species(scope.report, each.name, value_span)
+        seen.setdefault(each.name.text, each.name.span)
+    if len(seen) > limits.ATTRIBUTES:
+        scope.report.error(
+            "too-many", f"species `{node.name.text}` declares more than {limits.ATTRIBUTES} names", node.name.span, "split it"
+        )
+
+
+# --- the rest --------------------------------------------------------------------------------------------------------
+
+
+def complete(work: Draft) -> model.Species:
+    """Lets, latches, handlers, machines and layers, now that the attributes of all species are known."""
+    names, key = work.names, ("species", work.node.name, work.node.help, work.node.members, *work.attributes, *work.params)
+    made, names.bindings = part(work.scope.declared, key, lambda: (_completed(work), names.bindings))
+    names.pending.clear()
+    return made
+
+
+def _completed(work: Draft) -> model.Species:
+    scope, node, names = work.scope, work.node, work.names
+    declarations: dict[str, nodes.Declaration] = {}
+    for member in node.members:
+        if isinstance(member, nodes.Declaration):
+            declarations.setdefault(member.name.text, member)
+    attributes = [_relaxing(scope, a, declarations.get(a.name)) for a in work.attributes]
+    named = tuple(_members(node, nodes.Let, nodes.Latch, nodes.Fuzzy))
+    bindings = part(scope.declared, ("bindings", names.name, named), lambda: _bindings(scope, node))
+    names.bindings = {binding.name: binding for binding in bindings}
+    names.pending.clear()
+    machines = _machines(scope.inside(no_keep=None), node)
+    known = (names.name, *bindings)
+    handling = tuple(m for m in node.members if isinstance(m, nodes.On))
+    handlers = part(scope.declared, ("handlers", handling, known), lambda: _handlers(scope.inside(no_keep=None), handling))
+    blocks = tuple(m for m in node.members if isinstance(m, nodes.Layers))
+    layers = part(scope.declared, ("layers", node.name, blocks, known), lambda: _layers(scope.inside(no_keep=None), node))
+    return model.Species(
+        names.name, node.help.text if node.help else "", tuple(attributes), tuple(work.params),
+        tuple(b for b in bindings if b.role == "let"), tuple(b for b in bindings if b.role == "latch"),
+        tuple(handlers), tuple(machines), layers, node.name.span,
+        rest(scope.inside(keys=Keys(f"{names.name}.rest")), machines, node.name),
+    )  # fmt: skip
+
+
+def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declaration | None) -> model.AttributeDecl:
+    """The attribute with what it returns to of itself, and with whom it is kept about."""
+    if node is None or (node.relax is None and node.each is None):
+        return attribute
+    to = over = None
+    if node.relax is not None:
+        if attribute.type.kind not in (Kind.NUMBER, Kind.VECTOR, Kind.BAD):
+            scope.report.error(
+                "wrong-kind",
+                f"`{attribute.name}` is {type_words(attribute.type)} and cannot relax",
+                node.relax.span,
+                "only numbers and vectors change little by little",
+            )
+        to = wanted(scope, node.relax.to, attribute.type, "`relax to`")
+        over = wanted(scope, node.relax.over, TIME, "`over`")
+    each, strongest = None, 0
+    if node.each is not None:
+        type = referable(scope, node.each.species)
+        if type is not None and type.kind is not Kind.AGENT:
+            scope.report.error(
+                "wrong-kind",
+                f"`{node.each.species.text}` is no species",
+                node.each.species.span,
+                "`for each` keeps a value about other agents",
+            )
+        each = node.each.species.text
+        if node.each.strongest is None:
+            scope.report.error(
+                "missing-bound",
+                f"`{attribute.name}` does not say about how many it is kept",
+                node.each.span,
+                f"write `for each {each}, strongest 8`",
+            )
+        else:
+            count = constant_behind(wanted(scope, node.each.strongest, Type(Kind.NUMBER), "`strongest`"))
+            strongest = int(count.number) if count is not None else 0
+            if not 1 <= strongest <= 64:
+                scope.report.error(
+                    "wrong-count",
+                    f"`strongest` wants a whole number from 1 to 64, not {quoted(node.each.strongest.span)}",
+                    node.each.strongest.span,
+                    "write `strongest 8`",
+                )
+    return model.AttributeDecl(
+        attribute.name, attribute.type, attribute.default, False, attribute.help, attribute.span, to, over, each, strongest
+    )  # fmt: skip
+
+
+def _parts(member: nodes.Let | nodes.Latch | nodes.Fuzzy) -> list[nodes.Expr]:
+    if isinstance(member, nodes.Fuzzy):
+        return [part for rule in member.rules for part in (rule.condition, rule.value)]
+    return [member.value] if isinstance(member, nodes.Let) else [member.on, member.until]
+
+
+def _bindings(scope: Scope, node: nodes.Species) -> list[Binding]:
+    """Lets, latches and rules, those used first before those that use them."""
+    names = scope.species
+    assert names is not None
+    declared: dict[str, nodes.Let | nodes.Latch | nodes.Fuzzy] = {}
+    for member in _members(node, nodes.Let, nodes.Latch, nodes.Fuzzy):
+        declared.setdefault(member.name.text, member)
+    order, circular = ordered(scope.report, "lets", declared, _parts, lambda m: m.name)
+    made: list[Binding] = []
+    for each in order:
+        name = each.name.text
+        inner = scope.inside(keys=Keys(f"{names.name}.{name}"))
+        if name in circular:
+            binding = Binding(name, "let", BAD, Rate.CONST, each.name.span, bad(each.name.span), snapshot=True)
+        elif isinstance(each, (nodes.Let, nodes.Fuzzy)):
+            found = rules(inner, each) if isinstance(each, nodes.Fuzzy) else inner.typed(each.value)
+            binding = Binding(name, "let", found.type, found.rate, each.name.span, found, snapshot=True)
+        else:
+            on, until = condition(inner, each.on, "`latch`"), condition(inner, each.until, "`until`")
+            binding = Binding(name, "latch", BOOL, Rate.AGENT, each.name.span, on, until, f"{names.name}.{name}")
+        names.bindings[name] = binding
+        names.pending.discard(name)
+        made.append(binding)
+    return made
+
+
+def _machines(scope: Scope, node: nodes.Species) -> list[model.Machine]:
+    names = scope.species
+    assert names is not None
+    made: list[model.Machine] = []
+    loose = [m for m in node.members if isinstance(m, (nodes.State, nodes.Start, nodes.Change))]
+    if "main" in names.machines and any(isinstance(m, nodes.State) for m in loose):
+        made.append(machine(scope, names.machines["main"], loose, node.name.span))
+    elif loose:
+        scope.report.error(
+            "unknown-state", "there are no states here", loose[0].span, "move this line into the `machine` that it belongs to"
+        )
+    seen = {m.name for m in made}
+    for member in node.members:
+        if isinstance(member, nodes.Machine) and member.name.text not in seen:
+            seen.add(member.name.text)
+            made.append(machine(scope, names.machines[member.name.text], member.members, member.name.span))
+    return made
+
+
+def _handlers(scope: Scope, written: tuple[nodes.On, ...]) -> list[model.Handler]:
+    events: dict[str, Keys] = {}
+    return [_handler(scope, each, events) for each in written]
+
+
+def _handler(scope: Scope, node: nodes.On, events: dict[str, Keys]) -> model.Handler:
+    """`events`: keys of the handlers so far, by event; two of one event must not share their draws."""
+    names, event = scope.species, node.event.text
+    assert names is not None
+    keys = events.setdefault(event, Keys(f"{names.name}.on.{event}"))
+    scope = scope.inside(keys=keys, no_keep="an event happens now and then")
+    other = None
+    if event == "collision" and node.variable is not None:
+        other = Binding(node.variable.text, "element", Type(Kind.AGENT, Dim(), names.name), Rate.AGENT, node.variable.span)
+        scope = scope.inside(locals={node.variable.text: other})
+    elif node.variable is not None:
+        scope.report.error("wrong-argument", f"`on {event}` does not say who", node.variable.span, f"write `on {event} {{ … }}`")
+        scope = scope.inside(locals={node.variable.text: bad(node.variable.span)})
+    if event not in EVENTS:
+        scope.use("on", event)
+    return model.Handler(event, other, statements(scope, node.actions, ACTION if event == "spawn" else HANDLER), node.span)
+
+
+# --- layers ----------------------------------------------------------------------------------------------------------
+
+
+def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
+    names = scope.species
+    assert names is not None
+    written = [m for m in node.members if isinstance(m, nodes.Layers)]
+    for extra in written[1:]:
+        scope.report.error(
+            "duplicate-name",
+            "a second `layers`",
+            extra.span,
+            "put all lines into one",
+            labels=(Label(written[0].span, "first here"),),
+        )
+    if not written:
+        return model.Layers("budget", (model.Layer(None, None, "state", node.name.span, "state"),), node.name.span)
+    block = written[0]
+    mode = block.mode.text if block.mode else "budget"
+    if mode not in ("budget", "sum", "first"):
+        assert block.mode is not None
+        scope.report.error(
+            "unknown-setting",
+            f"no way `{mode}` to put layers together",
+            block.mode.span,
+            did_you_mean(mode, ("sum", "first"), "write `layers`, `layers sum` or `layers first`"),
+        )
+    if len(block.layers) > limits.LAYERS:
+        scope.report.error(
+            "too-many", f"more than {limits.LAYERS} layers", block.layers[limits.LAYERS].span, "put some together in a behaviour"
+        )
+    scope = scope.inside(keys=Keys(f"{names.name}.layers"))
+    counts: dict[str, int] = {}
+    return model.Layers(mode, tuple(_layer(scope, each, counts) for each in block.layers), block.span)
+
+
+def _layer(scope: Scope, node: nodes.Layer, counts: dict[str, int]) -> model.Layer:
+    """A layer is known by the word it begins with: `separate`, and `separate#2` for a second one."""
+    text = " ".join(node.push.span.text.split())
+    steered = isinstance(node.push, nodes.NameRef) and node.push.name.text == "state"
+    word = _word(node.push)
+    counts[word] = counts.get(word, 0) + 1
+    key = word if counts[word] == 1 else f"{word}#{counts[word]}"
+    push = None
+    own = scope.species
+    if isinstance(node.push, nodes.NameRef) and names_state(scope, word) and own and word not in {*own.attributes, *own.bindings}:
+        message = f"`{word}` is a state, and a layer is a wish"
+        scope.report.error("state-as-value", message, node.push.span, "did you mean `state`?")  # whatever the state steers
+        push = bad(node.push.span)
+    elif not steered:
+        push = wanted(scope, node.push, PUSH, "a layer")
+    test = condition(scope, node.condition, "`when`") if node.condition is not None else None
+    return model.Layer(push, test, text, node.span, key)
+
+
+def _word(push: nodes.Expr) -> str:
+    while isinstance(push, (nodes.Binary, nodes.Unary, nodes.Call)):
+        push = push.left if isinstance(push, nodes.Binary) else push.operand if isinstance(push, nodes.Unary) else push.function
+    if isinstance(push, nodes.Member):
+        return push.name.text
+    return push.name.text if isinstance(push, nodes.NameRef) else "push"

@@ -1,0 +1,325 @@
+"""Specs: on which scene, how long, with which seeds and params, and what is expected of the whole and of each agent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from antdsl.program.declarations.world import SETTINGS, of_the_run, outside
+from antdsl.program.expectations import Against, AtStart, Bodily, Changed, Expectation, Measured, Other, Reading, Spec, Whole
+from antdsl.program.model import Expr, Field, Kind, Op, Param, Rate
+from antdsl.program.names.scope import NUMBER, TIME, Declared, FileNames, Keys, Scope, did_you_mean, listed
+from antdsl.program.tables.units import measure, unit_of
+from antdsl.program.traverse import parts, written
+from antdsl.program.types.aggregates import SpecRules
+from antdsl.program.types.descriptions import quoted
+from antdsl.program.types.folding import constant_behind
+from antdsl.program.types.operators import condition, wanted
+from antdsl.syntax import nodes
+
+MOST_SEEDS = 1000
+_COMPARED = ("lt", "le", "gt", "ge", "eq", "ne")
+_REFERENCES = (Kind.ITEM, Kind.AGENT)
+_HOW = ("seeds", "pass", "set", "until")  # what is expected is another matter
+_DRAWS = ("uniform", "normal", "pick", "random_agent", "chance")
+_FIXED = ("cell", "combine")  # what a field is made of: another value is another field
+
+
+@dataclass(slots=True)
+class _Work:
+    """One spec on its way."""
+
+    declared: Declared
+    names: FileNames
+    params: Mapping[str, Param]
+    fields: Mapping[str, Field]
+    duration: Expr | None = None
+    seeds: list[int] = field(default_factory=list)
+    changes: list[Changed] = field(default_factory=list)
+    expectations: list[Expectation] = field(default_factory=list)
+    share: float | None = None
+    compares: bool = False  # with another run
+    against: Against | None = None
+    blocks: int = 0
+
+
+def check_spec(
+    declared: Declared, names: FileNames, spec: nodes.Spec, params: Mapping[str, Param], fields: Mapping[str, Field]
+) -> Spec:
+    """A spec with the types of all that it asks. Complains about what cannot be there."""
+    if spec.scene is not None and not spec.scene.text.endswith((".yaml", ".yml")):
+        declared.report.error(
+            "not-a-scene", f"`{spec.scene.text}` is not the name of a scene", spec.scene.span, 'write `on "scene.yaml"`'
+        )
+    work = _Work(declared, names, params, fields, compares=any(line.kind == "against" for line in spec.lines))
+    for line in spec.lines:
+        _line(work, line)
+    if not any((line.condition is not None and line.kind not in _HOW) or line.kind == "each" for line in spec.lines):
+        declared.report.warning(
+            "empty-spec",
+            f"the spec {quoted(spec.name.span)} expects nothing",
+            spec.name.span,
+            "write `always: …` or `within 20 s: …`",
+        )
+    return Spec(
+        spec.name.text, spec.scene, work.duration, tuple(dict.fromkeys(work.seeds)), tuple(work.changes),
+        tuple(work.expectations), spec.span, 1.0 if work.share is None else work.share, work.against,
+    )  # fmt: skip
+
+
+def _line(work: _Work, line: nodes.SpecLine) -> None:
+    if line.kind == "for" and line.condition is None:
+        _once(work, line, work.duration is not None)
+        work.duration = _time(work, line, outside(work.declared, work.names, "spec"))
+    elif line.kind == "seeds":
+        _seeds(work, line)
+    elif line.kind == "pass":
+        _once(work, line, work.share is not None)
+        work.share = _share(work, line)
+    elif line.kind == "against":
+        _once(work, line, work.against is not None)
+        work.against = _against(work, line)
+    elif line.kind == "set":
+        _set(work, line)
+    elif line.kind == "each":
+        _each(work, line)
+    else:
+        _expect(work, line, None)
+
+
+def _once(work: _Work, line: nodes.SpecLine, again: bool) -> None:
+    if again:
+        words = f"`{line.kind}` stands twice in one spec"
+        work.declared.report.error("duplicate-name", words, line.span, "keep one of them")
+
+
+def _time(work: _Work, line: nodes.SpecLine, scope: Scope, node: nodes.Expr | None = None, word: str = "") -> Expr | None:
+    node, word = node or line.time, word or line.kind
+    assert node is not None
+    found = wanted(scope, node, TIME, f"`{word}`")
+    if found.type.kind is Kind.BAD or not of_the_run(work.declared.report, found, f"`{word}`"):
+        return None
+    known = constant_behind(found)
+    if known is not None and known.number <= 0:
+        work.declared.report.error(
+            "out-of-range", f"`{word}` wants more than no time", node.span, "write a time above 0, such as `20 s`"
+        )
+        return None
+    return found
+
+
+def _share(work: _Work, line: nodes.SpecLine) -> float | None:
+    """The share of the seeds that must pass."""
+    assert line.condition is not None
+    found = wanted(outside(work.declared, work.names, "spec"), line.condition, NUMBER, "`pass`")
+    known = constant_behind(found)
+    if known is not None and 0 < known.number <= 1:
+        return known.number
+    if found.type.kind is not Kind.BAD:
+        words = f"`pass` wants a share of the seeds, not {quoted(line.condition.span)}"
+        work.declared.report.error("out-of-range", words, line.condition.span, "write a share up to `100 %`, such as `pass 80 %`")
+    return None
+
+
+def _against(work: _Work, line: nodes.SpecLine) -> Against:
+    """The run that is compared with; its `set` lines stand in a list of their own."""
+    report, scene = work.declared.report, line.target
+    if isinstance(scene, nodes.Text) and not scene.text.endswith((".yaml", ".yml")):
+        report.error(
+            "not-a-scene", f"`{scene.text}` is not the name of a scene", scene.span, 'write `against "without_fields.yaml"`'
+        )
+    own, work.changes = work.changes, []
+    for inner in line.lines:
+        if inner.kind == "set":
+            _set(work, inner)
+        else:
+            words = f"`{inner.kind}` belongs to the spec, not to the run that it compares with"
+            report.error("misplaced-line", words, inner.span, "write it outside of `against { … }`")
+    own, work.changes = work.changes, own
+    if not own and scene is None and not line.lines:
+        words = "`against` says nothing that is different in the other run"
+        report.error("wrong-argument", words, line.span, "write `against { set forager.reward = 0 /s }`")
+    return Against(scene if isinstance(scene, nodes.Text) else None, tuple(own), line.span)
+
+
+def _seeds(work: _Work, line: nodes.SpecLine) -> None:
+    node = line.condition
+    assert node is not None
+    ends = (node.low, node.high) if isinstance(node, nodes.RangeExpr) else (node,)
+    found = [_whole_number(work, end) for end in ends]
+    numbers = [number for number in found if number is not None]
+    if len(numbers) < len(found):
+        return
+    low, high = numbers[0], numbers[-1]
+    if high < low:
+        work.declared.report.error("empty-range", "the seeds end before they begin", node.span, "write the lesser one first")
+    elif high - low >= MOST_SEEDS:
+        work.declared.report.error(
+            "too-many", f"more than {MOST_SEEDS:,} seeds", node.span, "a spec that holds for ten will likely hold for a thousand"
+        )
+    else:
+        work.seeds += range(low, high + 1)
+
+
+def _whole_number(work: _Work, node: nodes.Expr) -> int | None:
+    found = wanted(outside(work.declared, work.names, "spec"), node, NUMBER, "`seeds`")
+    known = constant_behind(found)
+    if known is not None and known.number == int(known.number) and 0 <= known.number < 2**53:
+        return int(known.number)
+    if found.type.kind is not Kind.BAD:
+        work.declared.report.error(
+            "wrong-count", f"a seed is a whole number, not {quoted(node.span)}", node.span, "write `seeds 1 .. 5`"
+        )
+    return None
+
+
+def _set(work: _Work, line: nodes.SpecLine) -> None:
+    declared, scope = work.declared, outside(work.declared, work.names, "spec")
+    assert line.target is not None and line.condition is not None
+    text = "".join(line.target.span.text.split())
+    thing, _, word = text.partition(".")
+    if text in work.params:
+        param = work.params[text]
+        declared.used.add(("param", text))
+        found = wanted(scope, line.condition, param.type, f"`{text}`")
+        if found.type.kind is Kind.BAD:
+            return
+        if constant_behind(found) is None:
+            of_the_run(declared.report, found, f"`{text}`")
+            return
+        _in_range(work, line.condition, param, found)
+        work.changes.append(Changed(text, found, line.span))
+    elif thing in work.fields and word in SETTINGS and word not in _FIXED:
+        declared.used.add(("field", thing))
+        value = SETTINGS[word](scope, nodes.Setting(nodes.Name(word, line.target.span), line.condition, line.span))
+        if value is not None:
+            work.changes.append(Changed(text, value, line.span))
+    else:
+        known = [*work.params, *(f"{name}.{word}" for name in work.fields for word in SETTINGS if word not in _FIXED)]
+        advice = did_you_mean(text, known, f"there is {listed(work.params)}" if work.params else None)
+        declared.report.error("unknown-name", f"no param `{text}` to set", line.target.span, advice)
+
+
+def _in_range(work: _Work, node: nodes.Expr, param: Param, found: Expr) -> None:
+    constant = constant_behind(found)
+    for bound, sign in ((param.low, 1), (param.high, -1)):
+        alike = constant is not None and bound is not None and (bound.u, bound.step) == (constant.u, constant.step)
+        if constant is not None and bound is not None and alike and sign * (constant.number - bound.number) < 0:
+            low, high = (end.span.text if end is not None else "" for end in (param.low, param.high))
+            work.declared.report.error(
+                "out-of-range",
+                f"`{param.name}` = {constant.span.text} is outside {low} .. {high}",
+                node.span,
+                "write a value inside the range",
+            )
+
+
+# --- what is expected ------------------------------------------------------------------------------------------------
+
+
+def _each(work: _Work, line: nodes.SpecLine) -> None:
+    declared = work.declared
+    assert isinstance(line.target, nodes.NameRef)
+    species = line.target.name.text
+    if species not in declared.species:
+        declared.report.error(
+            "unknown-species", f"no species `{species}`", line.target.span, did_you_mean(species, declared.species)
+        )
+        return
+    declared.used.add(("species", species))
+    work.blocks += 1
+    for inner in line.lines:
+        if inner.kind in ("seeds", "pass", "set", "against", "sooner", "each") or (inner.kind == "for" and not inner.condition):
+            declared.report.error(
+                "misplaced-line", f"`{inner.kind}` belongs to the whole spec", inner.span, f"write it outside of `each {species}`"
+            )
+        else:
+            _expect(work, inner, species)
+
+
+def _expect(work: _Work, line: nodes.SpecLine, species: str | None) -> None:
+    assert line.condition is not None
+    rules = SpecRules(work.declared, work.compares)
+    scope = outside(rules.declared, work.names, f"{species or ''}.spec")
+    if species is not None:
+        scope = scope.inside(species=work.declared.species[species], keys=Keys(f"{species}.spec"))
+    time = _time(work, line, scope) if line.time is not None else None
+    held = None if line.held is None else _time(work, line, scope, line.held, "held")
+    since = None if line.since is None else condition(scope, line.since, "`when`")
+    found = condition(scope, line.condition, f"`{line.kind}`")
+    asked = [each for each in (since, found) if each is not None]
+    if any(isinstance(p, Expr) and p.type.kind is Kind.BAD for each in asked for p in parts(each)):
+        return
+    at_end = any(isinstance(part, Measured) for each in asked for part in parts(each))
+    if all(_fits(work, line, species, each, at_end) for each in asked) and _in_time(work, line):
+        readings, block = tuple(_readings(found, line.condition)), work.blocks if species else 0
+        work.expectations.append(Expectation(line.kind, block, species, found, time, readings, at_end, line.span, held, since))
+
+
+def _in_time(work: _Work, line: nodes.SpecLine) -> bool:
+    """Whether `held` and `sooner` can be judged here; complains otherwise."""
+    report = work.declared.report
+    if line.held is not None and line.kind in ("always", "for"):
+        words = f"`{line.kind}` with `held` is not so in the first frame, where nothing has held yet"
+        report.error("wrong-argument", words, line.held.span, "leave `held` out: what is always so has held all the time")
+        return False
+    if line.kind == "sooner" and not work.compares:
+        words = "`sooner` compares with another run, and there is none"
+        report.error("misplaced-line", words, line.span, "add a line such as `against { set forager.reward = 0 /s }`")
+        return False
+    return True
+
+
+def _fits(work: _Work, line: nodes.SpecLine, species: str | None, found: Expr, at_end: bool) -> bool:
+    """Whether the line can be judged; complains otherwise."""
+    report, text = work.declared.report, quoted(found.span)
+    if species is None and found.rate > Rate.STEP:
+        names = [name for name, each in work.declared.species.items() if each.node is not None] or ["walker"]
+        report.error(
+            "wrong-rate",
+            f"{text} differs from agent to agent, and nobody in particular is asked",
+            found.span,
+            f"write it in `each {names[0]} {{ … }}`, or ask for the `share`, `mean`, `min` or `max` of all",
+        )
+        return False
+    held = line.held is not None or line.since is not None
+    if at_end and (species is not None or held or line.kind not in ("always", "never", "finally")):
+        report.error(
+            "wrong-argument",
+            "`motion` is measured over the whole run, and known when that is over",
+            found.span,
+            "bound it in a line of the spec itself: `always: motion.circling < 5 %`",
+        )
+        return False
+    draw = next((p for p in parts(found) if isinstance(p, Op) and p.name in _DRAWS), None)
+    if draw is not None:
+        report.error(
+            "draw-in-spec", f"{quoted(draw.span)} draws a random number, and a spec only looks", draw.span, "leave it out"
+        )
+        return False
+    return True
+
+
+def _readings(found: Expr, node: nodes.Expr) -> Iterator[Reading]:
+    """The sides of all comparisons of a condition, and what else it asks, in the order of the text."""
+    units = [part.unit for part, _ in written(node) if isinstance(part, nodes.Quantity)]
+    stack: list[Expr] = [found]
+    while stack:
+        part = stack.pop()
+        if isinstance(part, Op) and part.name == "is_none" and part.args[0] is not None and part.args[0].type.kind in _REFERENCES:
+            yield Reading(part.args[0], "")  # who it is, or none
+        elif isinstance(part, Op) and part.name in ("and", "or", "not", *_COMPARED):
+            stack += [arg for arg in reversed(part.args) if arg is not None]
+        elif part.rate > Rate.RUN or isinstance(part, Whole | AtStart | Measured | Other | Bodily):
+            yield Reading(part, _unit(part, units))
+
+
+def _unit(part: Expr, units: list[str]) -> str:
+    """A unit for a number: the first that the author wrote of its dimension, or a usual one."""
+    if part.type.kind is not Kind.NUMBER:
+        return ""
+    for unit in units:
+        known = measure(unit)
+        if known is not None and known.dim == part.type.dim:
+            return unit
+    return unit_of(part.type.dim)

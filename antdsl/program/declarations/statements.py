@@ -1,0 +1,368 @@
+"""What a state or an action does, checked: rates where a line runs every step, amounts where it happens once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from antdsl.diagnostics import Fix, Label
+from antdsl.program import model
+from antdsl.program.declarations.carving import carve
+from antdsl.program.model import Dim, Expr, Kind, Type
+from antdsl.program.names.scope import LENGTH, NUMBER, PUSH, Scope, did_you_mean, listed, told_before, type_from_words
+from antdsl.program.tables.units import product
+from antdsl.program.tables.vocabulary import GIVEN
+from antdsl.program.types.arguments import Slot, arranged, type_all
+from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
+from antdsl.program.types.operators import value, wanted
+from antdsl.program.types.places import place
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Where statements stand. `body`: each step. `commuting`: in a handler, where several events may come at once."""
+
+    body: bool
+    commuting: bool = False
+
+
+BODY = Block(body=True)
+ACTION = Block(body=False)
+HANDLER = Block(body=False, commuting=True)
+
+
+def statements(scope: Scope, lines: Iterable[object], block: Block) -> tuple[model.Statement, ...]:
+    """The statements of a block in text order; those that make no sense are left out after their complaint."""
+    scope = scope.inside(once=not block.body)
+    made: list[model.Statement] = []
+    assigned: dict[str, Span] = {}
+    for line in lines:
+        rule = _RULES.get(type(line))
+        found = rule(scope, line, block) if rule is not None else None
+        if found is not None:
+            made.append(found)
+        if isinstance(line, nodes.Assign) and line.op == "=" and isinstance(line.target, nodes.NameRef):
+            _twice(scope, line.target.name, assigned)
+    return tuple(made)
+
+
+def _twice(scope: Scope, name: nodes.Name, assigned: dict[str, Span]) -> None:
+    if name.text in assigned:
+        scope.report.error(
+            "two-writers", f"`{name.text}` is set twice in one block, and only the second counts", name.span,
+            f"keep one of them, or add: `{name.text} += …`", labels=(Label(assigned[name.text], "first here"),),
+        )  # fmt: skip
+    assigned.setdefault(name.text, name.span)
+
+
+# --- amounts and rates -----------------------------------------------------------------------------------------------
+
+
+def _added(
+    scope: Scope, node: nodes.Expr, type: Type, block: Block, before: str, after: str = "", level: bool = False
+) -> Expr | None:
+    """What is added: so much a second in a state's body, an amount elsewhere, and with `level` an amount anywhere. `before`,
+    `after`: the author's words around it."""
+    per_second = Type(type.kind, product(type.dim, Dim(time=1), -1))
+    want = per_second if block.body else type
+    found = value(scope, node, want)
+    if found.type.kind is Kind.BAD:
+        return None
+    if level and found.type == type:
+        return found
+    if fits(found.type, want):
+        return found
+    text = " ".join(node.span.text.split())
+    if block.body and fits(found.type, type):
+        better = _as_rate(node, text)
+        scope.report.error(
+            "not-a-rate", f"{quoted(node.span)} is an amount, and this line runs in every step", node.span,
+            f"say per what time: `{before}{better}{after}`", fix=Fix(node.span, better),
+        )  # fmt: skip
+    elif not block.body and fits(found.type, per_second):
+        better = text[: -len("/s")].rstrip() if text.endswith("/s") else f"{_bracketed(node, text)} * 1 s"
+        scope.report.error(
+            "not-an-amount", f"{quoted(node.span)} is a rate, and this happens once", node.span,
+            f"say how much: `{before}{better}{after}`", fix=Fix(node.span, better),
+        )  # fmt: skip
+    else:
+        mismatch(scope.report, node, found.type, want, f"`{before.strip()}`")
+    return None
+
+
+def _as_rate(node: nodes.Expr, text: str) -> str:
+    if isinstance(node, nodes.Number):
+        return f"{text} /s"
+    if isinstance(node, nodes.Quantity):
+        return f"{text}/s"
+    if (
+        isinstance(node, nodes.Binary)
+        and node.op == "*"
+        and isinstance(node.right, nodes.NameRef)
+        and node.right.name.text == "dt"
+    ):
+        return " ".join(node.left.span.text.split())  # a rate is taken times dt as it is
+    return f"{_bracketed(node, text)} * 1 /s"
+
+
+def _bracketed(node: nodes.Expr, text: str) -> str:
+    return f"({text})" if isinstance(node, nodes.Binary) and node.op in ("+", "-") else text
+
+
+# --- one line each ---------------------------------------------------------------------------------------------------
+
+
+def _steer(scope: Scope, line: nodes.Steer, block: Block) -> model.Statement | None:
+    push = value(scope, line.push, PUSH)
+    if push.type.kind is Kind.BAD:
+        return None
+    if not fits(push.type, PUSH):
+        mismatch(scope.report, line.push, push.type, PUSH, "`steer`", push)
+        return None
+    return model.Steer(push, line.span)
+
+
+def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement | None:
+    species = scope.species
+    assert species is not None
+    target, of = line.target, None
+    if isinstance(target, nodes.Index) and isinstance(target.owner, nodes.NameRef):
+        checked = scope.typed(target)
+        if not isinstance(checked, model.Attribute):
+            value(scope, line.value)
+            return None
+        name, type, of = checked.name, checked.type, checked.of
+    elif isinstance(target, nodes.NameRef):
+        found = _target(scope, target.name, block, line)
+        if found is None:
+            value(scope, line.value)
+            return None
+        name, type = found
+    else:
+        value(scope, line.value)
+        scope.report.error(
+            "not-own",
+            f"{quoted(target.span)} belongs to another; an agent sets only its own values",
+            target.span,
+            "raise an event with `emit`, and let the other set it in `on`",
+        )
+        return None
+    scope.declared.written.add(f"{species.name}.{name}")
+    if line.op != "=":
+        if type.kind is Kind.BAD:
+            value(scope, line.value)
+            return None
+        if type.kind not in (Kind.NUMBER, Kind.VECTOR):
+            scope.report.error(
+                "wrong-kind",
+                f"`{name}` is {type_words(type)}, and only numbers and vectors can be added to",
+                line.span,
+                f"set it: `{name} = …`",
+            )
+            return None
+        added = _added(scope, line.value, type, block, f"{name} {line.op} ")
+        return None if added is None else model.Assign(name, line.op, added, block.body, line.span, of)
+    if block.commuting and name not in ("heading", "velocity"):
+        text = " ".join(line.value.span.text.split())
+        scope.report.error(
+            "not-commuting", f"`{name}` is set in a handler, where several events may come at once", line.span,
+            f"add to it: `{name} += {text}`, or ask for the event in a change: `when EVENT -> … {{ {name} = {text} }}`",
+        )  # fmt: skip
+        return None
+    new = wanted(scope, line.value, type, f"`{name}`")
+    return None if new.type.kind is Kind.BAD else model.Assign(name, "=", new, False, line.span, of)
+
+
+def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) -> tuple[str, Type] | None:
+    """The attribute that a bare name on the left stands for."""
+    species, report, text = scope.species, scope.report, name.text
+    assert species is not None
+    if text in species.each:
+        report.error("wrong-kind", f"`{text}` is a value per pair: say about whom", name.span, f"write `{text}[other]`")
+        return None
+    if text in species.attributes:
+        return text, species.attributes[text]
+    given = GIVEN.get(text)
+    if given is not None and (given.settable or text in ("velocity", "heading")):
+        if not given.settable and block.body:
+            once = f"`enter {{ {' '.join(line.span.text.split())} }}`"
+            advice = f"steer instead, or set it once: {once}"
+            report.error("set-in-body", f"`{text}` cannot be set in every step", line.span, advice)
+            return None
+        return text, type_from_words(given.type) or Type(Kind.BAD)
+    if text in species.params:
+        report.error(
+            "not-settable",
+            f"`{text}` is a param, the same for all agents",
+            name.span,
+            f"make it an attribute: `{text} = …` without `param`",
+        )
+    elif text in species.bindings:
+        report.error(
+            "not-settable",
+            f"`{text}` is a `let` or `latch`, and follows from other values",
+            name.span,
+            "set what it follows from, or make it an attribute",
+        )
+    elif given is not None or text in ("state", "previous", "next", "time_in_state"):
+        advice = (
+            "a change moves it: `when … -> …`"
+            if given is None
+            else "it moves by `steer`"
+            if text in ("position", "speed")
+            else "it follows from the rest"
+        )
+        report.error("not-settable", f"`{text}` cannot be set", name.span, advice)
+    else:
+        known = [a for a in species.attributes if a not in species.each] + [n for n, g in GIVEN.items() if g.settable]
+        report.error(
+            "unknown-name",
+            f"`{species.name}` has no attribute `{text}`",
+            name.span,
+            did_you_mean(text, known, f"declare it: `{text} = …` in `species {species.name}`"),
+        )
+    return None
+
+
+def _deposit(scope: Scope, line: nodes.Deposit, block: Block) -> model.Statement | None:
+    name = line.field.text
+    amount = _added(scope, line.amount, NUMBER, block, f"deposit {name} ", level=_keeps_greatest(scope, name))
+    if name not in scope.declared.fields:
+        fields = scope.declared.fields
+        advice = did_you_mean(name, fields, f"declare it: `field {name} on … {{ cell 4 mm; half_life 8 s }}`")
+        if not told_before(scope, "name", line.field):
+            scope.report.error("unknown-field", f"no field `{name}`", line.field.span, advice)
+        return None
+    scope.use("field", name)
+    scope.use("deposit", name)
+    return None if amount is None else model.Deposit(name, amount, block.body and amount.type != NUMBER, line.span)
+
+
+def _keeps_greatest(scope: Scope, name: str) -> bool:
+    """Whether a field has `combine max`: nothing is added up there, so a line of a state may say what its cell holds at least."""
+    field = scope.declared.fields.get(name)
+    said = [s.value for s in field.settings if s.name.text == "combine"] if field is not None else []
+    return any(isinstance(each, nodes.NameRef) and each.name.text == "max" for each in said)
+
+
+def _emit(scope: Scope, line: nodes.Emit, block: Block) -> model.Statement | None:
+    scope.use("emit", line.event.text)
+    found = arranged(scope, "emit", (Slot("within", required=False),), line, f"emit {line.event.text}")
+    if found is None:
+        type_all(scope, line)
+        return None
+    within = wanted(scope, found["within"][0].value, LENGTH, "`within` of `emit`") if found else None
+    return model.Emit(line.event.text, within, line.span)
+
+
+def _spawn(scope: Scope, line: nodes.Spawn, block: Block) -> model.Statement | None:
+    name = line.species.text
+    if name not in scope.declared.species:
+        scope.report.error(
+            "unknown-species", f"no species `{name}`", line.species.span, did_you_mean(name, scope.declared.species)
+        )
+        return None
+    scope.use("species", name)
+    if block.body:
+        scope.report.error(
+            "not-a-rate",
+            f"`spawn {name}` here would make a new one in every step",
+            line.span,
+            "do it once: `enter { spawn … }`, or in a change: `when chance 10 %/s -> … { spawn … }`",
+        )
+        return None
+    return model.SpawnAgent(name, line.span, scope.keys.next("spawn"))
+
+
+def _die(scope: Scope, line: nodes.Die, block: Block) -> model.Statement | None:
+    return model.Die(line.span)
+
+
+def _play(scope: Scope, line: nodes.Play, block: Block) -> model.Statement | None:
+    scope.report.error("not-yet", "`play` is a word of the language that does not work yet", line.span, "leave it out for now")
+    return None
+
+
+def _give(scope: Scope, line: nodes.Give, block: Block) -> model.Statement | None:
+    species = scope.species
+    assert species is not None
+    to = place(scope, line.to, "`to`")
+    own = _own_amount(scope, line.attribute, "to give from")
+    amount = None
+    if line.amount is not None:
+        amount = _added(
+            scope, line.amount, own or NUMBER, block, "give ", f" {line.attribute.text} to {' '.join(line.to.span.text.split())}"
+        )
+    if own is None or not _holds(scope, line.to, to, line.attribute, own) or (line.amount is not None and amount is None):
+        return None
+    scope.declared.written.add(f"{species.name}.{line.attribute.text}")
+    return model.Give(line.attribute.text, amount, to, block.body, line.span)
+
+
+def take(scope: Scope, line: nodes.Take) -> model.Take | None:
+    """`take 1 load from meal`, the part of a change that is settled between all who ask."""
+    source = place(scope, line.source, "`from`")
+    own = _own_amount(scope, line.attribute, "to take it into")
+    amount = wanted(scope.inside(once=True), line.amount, own or NUMBER, f"`take … {line.attribute.text}`")
+    if own is None or not _holds(scope, line.source, source, line.attribute, own) or amount.type.kind is Kind.BAD:
+        return None
+    assert scope.species is not None
+    scope.declared.written.add(f"{scope.species.name}.{line.attribute.text}")
+    return model.Take(line.attribute.text, amount, source, line.span)
+
+
+def _own_amount(scope: Scope, name: nodes.Name, why: str) -> Type | None:
+    species = scope.species
+    assert species is not None
+    type = species.attributes.get(name.text)
+    if type is None or name.text in species.each:
+        known = [a for a in species.attributes if a not in species.each]
+        scope.report.error(
+            "unknown-name",
+            f"`{species.name}` has no attribute `{name.text}` {why}",
+            name.span,
+            did_you_mean(name.text, known, f"declare it: `{name.text} = 0` in `species {species.name}`"),
+        )
+        return None
+    scope.use("attribute", f"{species.name}.{name.text}")
+    if type.kind not in (Kind.NUMBER, Kind.BAD):
+        mismatch(scope.report, nodes.NameRef(name, name.span), type, NUMBER, "what is taken or given")
+        return None
+    return type
+
+
+def _holds(scope: Scope, node: nodes.Expr, found: Expr, attribute: nodes.Name, own: Type) -> bool:
+    """Whether the item has the attribute, of the same dimension."""
+    if found.type.kind is Kind.BAD:
+        return False
+    if found.type.kind is not Kind.ITEM:
+        mismatch(scope.report, node, found.type, Type(Kind.ITEM), "`take` and `give`")
+        return False
+    thing = scope.declared.things.get(found.type.of or "")
+    held = {a.name: a.type for a in thing.attributes} if thing else {}
+    if attribute.text not in held:
+        scope.report.error(
+            "unknown-name",
+            f"items `{found.type.of}` have no `{attribute.text}`",
+            attribute.span,
+            did_you_mean(
+                attribute.text,
+                held,
+                f"declare it: `items {found.type.of} {{ {attribute.text} = 0 }}`" if not held else f"they have {listed(held)}",
+            ),
+        )
+        return False
+    if not fits(held[attribute.text], own):
+        a = model.Attribute(own, model.Rate.AGENT, attribute.span, None, attribute.text)
+        b = model.Attribute(held[attribute.text], model.Rate.AGENT, node.span, found, attribute.text)
+        disagree(scope.report, "take and give", attribute.span, (nodes.NameRef(attribute, attribute.span), a), (node, b))
+        return False
+    return True
+
+
+_RULES: dict[type, Callable[..., model.Statement | None]] = {
+    nodes.Steer: _steer, nodes.Assign: _assign, nodes.Deposit: _deposit, nodes.Carve: carve, nodes.Emit: _emit,
+    nodes.Spawn: _spawn, nodes.Die: _die, nodes.Play: _play, nodes.Give: _give,
+}  # fmt: skip

@@ -1,0 +1,317 @@
+"""The world's things and the fields on them: what a program needs from a scene, checked without one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from antdsl import limits
+from antdsl.diagnostics import Label, Report
+from antdsl.program import model
+from antdsl.program.model import Const, Dim, Expr, Kind, Rate, Type
+from antdsl.program.names.collect import free
+from antdsl.program.names.scope import (
+    LENGTH,
+    NUMBER,
+    PER_SECOND,
+    TIME,
+    Declared,
+    FileNames,
+    Keys,
+    Scope,
+    SpeciesNames,
+    did_you_mean,
+    duplicate,
+    listed,
+)
+from antdsl.program.tables.units import number
+from antdsl.program.tables.vocabulary import GIVEN, ITEM_GIVEN
+from antdsl.program.types.descriptions import fits, mismatch, quoted
+from antdsl.program.types.folding import constant_behind
+from antdsl.program.types.operators import value, wanted
+from antdsl.syntax import nodes
+
+KINDS = ("surface", "obstacle", "solid", "items", "curve", "flow", "map", "species")
+
+
+def outside(declared: Declared, names: FileNames, path: str) -> Scope:
+    """A place outside of every species."""
+    return Scope(declared, names, Keys(path), declared.report, no_keep="outside of a species nothing is remembered")
+
+
+# --- things ----------------------------------------------------------------------------------------------------------
+
+
+def declare_world(declared: Declared, names: FileNames) -> None:
+    """Add a file's `world` to what is declared. Two files may name the same thing if they mean the same."""
+    for item in names.node.items:
+        if isinstance(item, nodes.World):
+            for thing in item.items:
+                _thing(declared, names, thing)
+
+
+def _thing(declared: Declared, names: FileNames, item: nodes.WorldItem) -> None:
+    report, kind, name = declared.report, item.kind.text, item.name.text
+    if kind not in KINDS:
+        report.error(
+            "unknown-kind", f"no kind of thing `{kind}`", item.kind.span, did_you_mean(kind, KINDS, f"kinds are {listed(KINDS)}")
+        )
+        declared.unclear.add(name)
+        return
+    known = declared.things.get(name)
+    if known is not None and (known.kind != kind or known.span.source.path == item.span.source.path):
+        duplicate(report, kind, item.name, known.span)
+        return
+    if kind not in ("items", "species") and item.attributes:
+        report.error(
+            "wrong-kind",
+            f"{kind} `{name}` has no values of its own",
+            item.attributes[0].span,
+            "only `items` and `species` have attributes",
+        )
+    if known is None and not free(report, item.name):
+        return
+    attributes = tuple(_attribute(declared, names, item, each) for each in item.attributes)
+    if known is not None:
+        have = {a.name for a in known.attributes}
+        attributes = known.attributes + tuple(a for a in attributes if a.name not in have)
+    declared.things[name] = model.WorldThing(name, kind, attributes, item.help.text if item.help else "", item.name.span)
+    if kind == "species":
+        species = declared.species.setdefault(name, SpeciesNames(name, None))
+        if species.node is None:
+            species.attributes.update({a.name: a.type for a in attributes})
+
+
+def _attribute(declared: Declared, names: FileNames, item: nodes.WorldItem, node: nodes.Declaration) -> model.ItemAttribute:
+    report, name = declared.report, node.name.text
+    twice = [d for d in item.attributes if d.name.text == name]
+    if twice[0] is not node:
+        duplicate(report, "attribute", node.name, twice[0].name.span)
+    taken = ITEM_GIVEN if item.kind.text == "items" else GIVEN
+    if name in taken:
+        report.error(
+            "reserved-name",
+            f"every one of `{item.name.text}` has a `{name}` already",
+            node.name.span,
+            f"call it otherwise, such as `my_{name}`",
+        )
+    found = value(outside(declared, names, f"world.{item.name.text}"), node.value)
+    constant = constant_behind(found)
+    if constant is None or constant.type.kind is not Kind.NUMBER:
+        if found.type.kind is not Kind.BAD:
+            report.error(
+                "wrong-rate",
+                f"{quoted(node.value.span)} is not a plain number, which an attribute of `{item.name.text}` starts with",
+                node.value.span,
+                f"write a number: `{name} = 0`",
+            )
+        constant = number(0, node.value.span)
+    return model.ItemAttribute(name, constant.type, constant, node.help.text if node.help else "", node.name.span)
+
+
+def check_brought(declared: Declared) -> None:
+    """`world { species rabbit { … } }` against the species itself, where both are checked together."""
+    for thing in declared.things.values():
+        species = declared.species.get(thing.name)
+        if thing.kind != "species" or species is None or species.node is None:
+            continue
+        for attribute in thing.attributes:
+            own = species.attributes.get(attribute.name)
+            labels = (Label(species.node.name.span, f"`{thing.name}` is declared here"),)
+            if own is None:
+                declared.report.error(
+                    "unknown-name",
+                    f"species `{thing.name}` has no attribute `{attribute.name}`",
+                    attribute.span,
+                    did_you_mean(attribute.name, species.attributes),
+                    labels=labels,
+                )
+            elif not fits(own, attribute.type):
+                mismatch(
+                    declared.report,
+                    nodes.NameRef(nodes.Name(attribute.name, attribute.span), attribute.span),
+                    attribute.type,
+                    own,
+                    f"species `{thing.name}`",
+                )
+
+
+# --- fields ----------------------------------------------------------------------------------------------------------
+
+
+def declare_fields(declared: Declared, names: FileNames) -> list[nodes.FieldDecl]:
+    """Add a file's fields; a field of two files must be written alike in both."""
+    added: list[nodes.FieldDecl] = []
+    for item in names.node.items:
+        if not isinstance(item, nodes.FieldDecl):
+            continue
+        known = declared.fields.get(item.name.text)
+        if known is None:
+            if item.name.text in declared.things or item.name.text in declared.species:
+                clash = declared.things.get(item.name.text)
+                duplicate(declared.report, "name", item.name, clash.span if clash else item.name.span)
+            elif free(declared.report, item.name):
+                declared.fields[item.name.text] = item
+                added.append(item)
+        elif known.span.source.path == item.span.source.path or known.span.text.split() != item.span.text.split():
+            duplicate(declared.report, "field", item.name, known.name.span)
+    if len(declared.fields) > limits.FIELDS:
+        declared.report.error(
+            "too-many", f"more than {limits.FIELDS} fields", added[-1].name.span if added else None, "leave some out"
+        )
+    return added
+
+
+def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> model.Field | None:
+    """A field with its settings; None when it has no cell size to speak of."""
+    report = declared.report
+    scope = outside(declared, names, f"field.{node.name.text}")
+    surfaces = tuple(name.text for name in node.surfaces if _is_ground(declared, name))
+    settings: dict[str, nodes.Setting] = {}
+    for setting in node.settings:
+        word = setting.name.text
+        if word not in SETTINGS:
+            report.error(
+                "unknown-setting",
+                f"a field has no setting `{word}`",
+                setting.name.span,
+                did_you_mean(word, SETTINGS, f"settings are {listed(SETTINGS)}"),
+            )
+            if not isinstance(setting.value, nodes.NameRef):
+                scope.typed(setting.value)
+        elif word in settings:
+            duplicate(report, "setting", setting.name, settings[word].name.span)
+        else:
+            settings[word] = setting
+    _one_decay(report, settings)
+    found = {word: SETTINGS[word](scope, setting) for word, setting in settings.items()}
+    if "cell" not in settings:
+        report.error(
+            "missing-setting",
+            f"field `{node.name.text}` does not say how large its cells are",
+            node.name.span,
+            "write `cell 4 mm` between its braces",
+        )
+    combine = found.get("combine")
+    cell = found.get("cell") or number(1, node.span)
+    return model.Field(
+        node.name.text, surfaces, cell, found.get("half_life"), found.get("evaporate"), found.get("keeps"), found.get("diffuse"),
+        "max" if isinstance(combine, Const) and combine.number else "add", found.get("limit"), node.name.span,
+    )  # fmt: skip
+
+
+def _is_ground(declared: Declared, name: nodes.Name) -> bool:
+    thing = declared.things.get(name.text)
+    if thing is not None and thing.kind in ("surface", "solid", "obstacle"):
+        declared.used.add(("thing", name.text))
+        return True
+    if thing is None and name.text in declared.unclear:
+        return False
+    grounds = [t.name for t in declared.things.values() if t.kind in ("surface", "solid")]
+    if thing is None:
+        declared.report.error(
+            "unknown-name",
+            f"no surface `{name.text}`",
+            name.span,
+            did_you_mean(name.text, grounds, f"declare it: `world {{ surface {name.text} }}`"),
+        )
+    else:
+        declared.report.error(
+            "wrong-kind",
+            f"`{name.text}` is {thing.kind}, and a field lies on a surface",
+            name.span,
+            f"surfaces are {listed(grounds)}" if grounds else None,
+        )
+    return False
+
+
+def _one_decay(report: Report, settings: dict[str, nodes.Setting]) -> None:
+    given = [settings[word] for word in ("half_life", "evaporate", "keeps") if word in settings]
+    for extra in given[1:]:
+        report.error(
+            "two-decays", f"`{given[0].name.text}` and `{extra.name.text}` both say how fast it fades", extra.span,
+            "keep one of them",
+            labels=(Label(given[0].span, "the other one"),),
+        )  # fmt: skip
+
+
+def _setting(type: Type, least: float | None = None, above: bool = False) -> Callable[[Scope, nodes.Setting], Expr | None]:
+    def check(scope: Scope, node: nodes.Setting) -> Expr | None:
+        found = wanted(scope, node.value, type, f"`{node.name.text}`")
+        if found.type.kind is Kind.BAD:
+            return None
+        if not of_the_run(scope.report, found, f"`{node.name.text}` of a field"):
+            return None
+        constant = constant_behind(found)
+        if constant is not None and least is not None and (constant.number < least or (above and constant.number == least)):
+            scope.report.error(
+                "out-of-range",
+                f"`{node.name.text}` cannot be {quoted(node.value.span)}",
+                node.value.span,
+                f"write {'more than' if above else 'at least'} {least:g}",
+            )
+            return None
+        return found
+
+    return check
+
+
+def of_the_run(report: Report, found: Expr, who: str) -> bool:
+    """Whether a value is the same for all agents and all steps; complains otherwise."""
+    if found.rate <= Rate.RUN:
+        return True
+    differs = "changes from step to step" if found.rate is Rate.STEP else "differs from agent to agent"
+    report.error(
+        "wrong-rate", f"{quoted(found.span)} {differs}, and {who} is one value for the whole run", found.span, "write a number"
+    )
+    return False
+
+
+def _keeps(scope: Scope, node: nodes.Setting) -> Expr | None:
+    """`keeps 90 %/step` is the factor 0.9 for each step."""
+    found = value(scope, node.value)
+    if found.type.kind is Kind.BAD:
+        return None
+    constant = constant_behind(found)
+    text = " ".join(node.value.span.text.split())
+    if constant is None or found.type != PER_SECOND or constant.step != -1 or constant.u:
+        better = f"`keeps {text}/step`" if found.type == NUMBER else "`keeps 90 %/step`"
+        scope.report.error(
+            "wrong-unit",
+            f"`keeps` is a share for each step, and {quoted(node.value.span)} is not",
+            node.value.span,
+            f"write {better}, or `half_life 8 s`",
+        )
+        return None
+    if not 0 <= constant.number <= 1:
+        scope.report.error(
+            "out-of-range",
+            f"`keeps` cannot be {quoted(node.value.span)}",
+            node.value.span,
+            "write a share from `0 %/step` to `100 %/step`",
+        )
+        return None
+    return number(constant.number, node.value.span)
+
+
+def _combine(scope: Scope, node: nodes.Setting) -> Expr | None:
+    word = node.value.name.text if isinstance(node.value, nodes.NameRef) else ""
+    if word not in ("add", "max"):
+        scope.report.error(
+            "wrong-kind",
+            f"`combine` is `add` or `max`, not {quoted(node.value.span)}",
+            node.value.span,
+            "write `combine add` or `combine max`",
+        )
+        return None
+    return number(float(word == "max"), node.value.span)
+
+
+SETTINGS: dict[str, Callable[[Scope, nodes.Setting], Expr | None]] = {
+    "cell": _setting(LENGTH, 0, above=True),
+    "half_life": _setting(TIME, 0, above=True),
+    "evaporate": _setting(PER_SECOND, 0),
+    "keeps": _keeps,
+    "diffuse": _setting(Type(Kind.NUMBER, Dim(length=2, time=-1)), 0),
+    "combine": _combine,
+    "limit": _setting(NUMBER, 0, above=True),
+}

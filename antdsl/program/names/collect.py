@@ -1,0 +1,245 @@
+"""First look at the files: which behaviours each can call, and what all of them declare by name."""
+
+from __future__ import annotations
+
+import posixpath
+from collections.abc import Callable, Iterator, Mapping
+
+from antdsl import limits
+from antdsl.diagnostics import Fix, Report
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.names.scope import BehaviourInfo, Declared, FileNames, MachineNames, SpeciesNames, did_you_mean, duplicate
+from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+Library = Callable[[str], "nodes.File | None"]
+Modules = Mapping[str, nodes.File]
+
+_TAKEN = frozenset(
+    {*RUN_NAMES, *SENSED_NAMES, *RESERVED, "state", "previous", "next", "time_in_state", "self", "true", "false", "none"}
+)
+EVENTS = ("spawn", "collision")
+LIBRARIES = ("steering",)
+
+
+def module_key(using: nodes.File, written: str) -> str:
+    """The name under which a used file is looked up: its path, seen from the file that uses it, as `Source.path` has it."""
+    return posixpath.normpath(posixpath.join(posixpath.dirname(using.source.path.replace("\\", "/")), written))
+
+
+class Loader:
+    """Finds the behaviours that files use; each library and module is looked at once."""
+
+    def __init__(self, report: Report, library: Library, modules: Mapping[str, nodes.File] | None) -> None:
+        self.report = report
+        self.library = library
+        self.modules = modules or {}
+        self.told = modules is not None  # whoever looked for the files has complained about those that are not there
+        self.known: dict[int, FileNames] = {}
+        self.libraries: dict[str, FileNames | None] = {}
+
+    def file(self, node: nodes.File, above: tuple[nodes.File, ...] = ()) -> FileNames:
+        if id(node) in self.known:
+            return self.known[id(node)]
+        names = self.known[id(node)] = FileNames(node)
+        for item in node.items:
+            if isinstance(item, nodes.Behaviour):
+                self._behaviour(names, item)
+        for item in node.items:
+            if isinstance(item, nodes.Use):
+                self._use(names, item, (*above, node))
+        return names
+
+    def home(self, behaviour: str) -> str | None:
+        """The library that has a behaviour of that name, whether it is used or not."""
+        for name in LIBRARIES:
+            node = self.library(name)
+            if node is not None and any(isinstance(item, nodes.Behaviour) and item.name.text == behaviour for item in node.items):
+                return name
+        return None
+
+    def shipped(self, library: str, behaviour: str) -> BehaviourInfo | None:
+        """A behaviour of a library that the language itself needs, whether the library is used or not."""
+        names = self.libraries.get(library)
+        if names is None and (node := self.library(library)) is not None:
+            names = self.libraries[library] = self.file(node)
+        return None if names is None else names.own.get(behaviour)
+
+    def _behaviour(self, names: FileNames, node: nodes.Behaviour) -> None:
+        name = node.name.text
+        if name in names.own:
+            duplicate(self.report, "behaviour", node.name, names.own[name].node.name.span)
+        elif name in BUILTINS or name in REDUCERS or name in RESERVED:
+            self.report.error(
+                "reserved-name", f"`{name}` is a word of the language", node.name.span, f"call it otherwise, such as `my_{name}`"
+            )
+        else:
+            names.own[name] = BehaviourInfo(node, names)
+
+    def _use(self, names: FileNames, item: nodes.Use, above: tuple[nodes.File, ...]) -> None:
+        if item.library is not None:
+            self._use_library(names, item.library, above)
+        elif item.path is not None and item.alias is not None:
+            self._use_module(names, item.path, item.alias, above)
+
+    def _use_library(self, names: FileNames, name: nodes.Name, above: tuple[nodes.File, ...]) -> None:
+        if name.text not in self.libraries:
+            node = self.library(name.text)
+            self.libraries[name.text] = None if node is None else self.file(node, above)
+        found = self.libraries[name.text]
+        if found is None:
+            names.wanting.add(nearest_name(name.text, LIBRARIES) or "")  # what is missing from there was told with this
+            self.report.error(
+                "unknown-library",
+                f"no library `{name.text}`",
+                name.span,
+                did_you_mean(name.text, LIBRARIES, "the library that comes with antdsl is `steering`"),
+            )
+            return
+        names.libraries.append(name.text)
+        for behaviour, info in found.own.items():
+            names.library.setdefault(behaviour, info)
+
+    def _use_module(self, names: FileNames, path: nodes.Text, alias: nodes.Name, above: tuple[nodes.File, ...]) -> None:
+        node = self.modules.get(module_key(names.node, path.text)) or self.modules.get(path.text)
+        if node is None:
+            names.aliases[alias.text] = FileNames(names.node, missing=True)
+            if not self.told:
+                self.report.error(
+                    "unknown-module",
+                    f"no file `{path.text}` could be read",
+                    path.span,
+                    'write the path from this file\'s folder: `use "./mine.ant" as mine`',
+                )
+        elif any(node is each for each in above):
+            circle = " → ".join(f"`{each.source.path}`" for each in [*above[[id(e) for e in above].index(id(node)) :], node])
+            self.report.error(
+                "circle", f"files use each other in a circle: {circle}", path.span, "put what both need into a third file"
+            )
+        elif len(above) >= limits.USE_DEPTH:
+            self.report.error(
+                "too-deep", f"files use files more than {limits.USE_DEPTH} levels deep", path.span, "use the file directly"
+            )
+        elif alias.text in names.aliases:
+            self.report.error(
+                "duplicate-name", f"two files are used as `{alias.text}`", alias.span, "give one of them another name"
+            )
+        else:
+            names.aliases[alias.text] = self.file(node, above)
+
+
+# --- names of all files together -------------------------------------------------------------------------------------
+
+
+def declare(declared: Declared, names: FileNames) -> None:
+    """Names of a file's fields, species, machines, states and events. The world's things are declared by `world.py`."""
+    report = declared.report
+    for item in names.node.items:
+        if isinstance(item, nodes.Species):
+            known = declared.species.get(item.name.text)
+            if known is not None and known.node is not None:
+                duplicate(report, "species", item.name, known.node.name.span)
+                continue
+            free(report, item.name)
+            made = SpeciesNames(item.name.text, item)
+            declared.species[item.name.text] = made
+            _machines(report, made, item)
+    for item in names.node.items:
+        if isinstance(item, nodes.Species):
+            for event, span in _events(item):
+                declared.events.setdefault(event, span)
+
+
+def free(report: Report, name: nodes.Name) -> bool:
+    """Whether a name may be declared; complains when it is a word of the language."""
+    if name.text in _TAKEN:
+        report.error(
+            "reserved-name", f"`{name.text}` is a word of the language", name.span, f"call it otherwise, such as `my_{name.text}`"
+        )
+        return False
+    return True
+
+
+def free_in_species(report: Report, name: nodes.Name, value: Span) -> bool:
+    """The same for what a species declares, where the given names are taken as well."""
+    given = GIVEN.get(name.text)
+    if given is None:
+        return free(report, name)
+    if given.settable:
+        text = " ".join(value.text.split())
+        report.error(
+            "reserved-name", f"`{name.text}` is there already and is set without `=`", name.span, f"write `{name.text} {text}`",
+            fix=Fix(name.span.to(value), f"{name.text} {text}"),
+        )  # fmt: skip
+    else:
+        report.error(
+            "reserved-name",
+            f"every agent has a `{name.text}` already: {given.help}",
+            name.span,
+            f"call it otherwise, such as `my_{name.text}`",
+        )
+    return False
+
+
+def _machines(report: Report, species: SpeciesNames, node: nodes.Species) -> None:
+    """Machines of a species with their states: those written in `machine`, and `main` for states straight in the species."""
+    loose = tuple(m for m in node.members if isinstance(m, nodes.State))
+    if loose:
+        _machine(report, species, "main", loose)
+    for member in node.members:
+        if isinstance(member, nodes.Machine):
+            if member.name.text in species.machines:
+                duplicate(report, "machine", member.name, member.name.span)
+                continue
+            free_in_species(report, member.name, member.name.span)
+            _machine(report, species, member.name.text, tuple(m for m in member.members if isinstance(m, nodes.State)))
+
+
+def _machine(report: Report, species: SpeciesNames, name: str, states: tuple[nodes.State, ...]) -> None:
+    made = MachineNames(name, f"{species.name}.{name}", {})
+    spans: dict[str, Span] = {}
+    for state in states:
+        if state.name.text in made.states:
+            duplicate(report, "state", state.name, spans[state.name.text])
+            continue
+        free(report, state.name)
+        made.states[state.name.text] = len(made.states)
+        spans[state.name.text] = state.name.span
+    if len(made.states) > limits.STATES:
+        report.error(
+            "too-many",
+            f"machine `{name}` has more than {limits.STATES} states",
+            states[limits.STATES].name.span,
+            "split it into several machines",
+        )
+    species.machines[name] = made
+
+
+def _events(species: nodes.Species) -> Iterator[tuple[str, Span]]:
+    """Events that a species raises or handles."""
+    for actions in action_blocks(species):
+        for action in actions:
+            if isinstance(action, nodes.Emit):
+                yield action.event.text, action.event.span
+    for member in species.members:
+        if isinstance(member, nodes.On) and member.event.text not in EVENTS:
+            yield member.event.text, member.event.span
+
+
+def action_blocks(species: nodes.Species) -> Iterator[tuple[object, ...]]:
+    """Every list of statements in a species."""
+    members: list[object] = list(species.members)
+    for machine in species.members:
+        if isinstance(machine, nodes.Machine):
+            members += machine.members
+    for member in members:
+        if isinstance(member, (nodes.On, nodes.Change)):
+            yield member.actions
+        elif isinstance(member, nodes.State):
+            yield member.body
+            yield member.enter
+            yield member.exit
+            for line in member.body:
+                if isinstance(line, nodes.Change):
+                    yield line.actions

@@ -1,0 +1,57 @@
+"""A name that is not declared, where a thing of the world is wanted: the line of `world` that it lacks."""
+
+from __future__ import annotations
+
+from antdsl.diagnostics import Fix
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.model import Kind, Type
+from antdsl.program.names.scope import Scope
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+# What the line begins with, by the kind that is wanted, and the kinds of things that may stand there.
+_LINES: dict[Kind, tuple[str, tuple[str, ...]]] = {
+    Kind.OBSTACLE: ("obstacle", ("obstacle", "surface", "solid")),
+    Kind.SURFACE: ("surface", ("surface",)),
+    Kind.SOLID: ("solid", ("solid",)),
+    Kind.CURVE: ("curve", ("curve",)),
+    Kind.FLOW: ("flow", ("flow",)),
+    Kind.MAP: ("map", ("map",)),
+    Kind.ITEMS: ("items", ("items",)),
+    Kind.PLACE: ("items", ("items", "curve", "obstacle", "solid")),
+}
+
+
+def missing_thing(scope: Scope, name: str, want: Type | None) -> tuple[str, Fix | None] | None:
+    """What to write for a name that nothing has, where such a thing is wanted: one that is declared, or its declaration. None
+    where the place wants no thing of the world."""
+    if want is None or want.kind not in _LINES:
+        return None
+    word, kinds = _LINES[want.kind]
+    known = [thing.name for thing in scope.declared.things.values() if thing.kind in kinds]
+    if want.kind is Kind.PLACE:  # also values that are places
+        own = scope.species if scope.behaviour is None else None
+        known += [*scope.declared.species, *scope.locals, *(own.bindings if own else ()), *(own.attributes if own else ())]
+    near = nearest_name(name, known)
+    if near:
+        return f"did you mean `{near}`?", None
+    line = f"{word} {name}"
+    world = next((item for item in scope.file.node.items if isinstance(item, nodes.World)), None)
+    if world is None:
+        return f"declare it: `world {{ {line} }}`, and say in the scene what it is", None
+    return f"declare it in `world`: `{line}`, and say in the scene what it is", _at_the_end(world.span, line)
+
+
+def _at_the_end(world: Span, line: str) -> Fix | None:
+    """The line put behind the last one of a block."""
+    text, source = world.text, world.source
+    if not text.endswith("}"):
+        return None
+    last = len(text[:-1].rstrip())
+    if "\n" in text[last:]:
+        indent = " " * (source.line_column(world.start)[1] + 1)
+        comment = text.find("\n", last)  # behind what stands at the end of that line
+        at, new = world.start + comment, f"\n{indent}{line}"
+    else:
+        at, new = world.start + last, f"{' ' if text[:last].endswith('{') else '; '}{line}"
+    return Fix(Span(source, at, at), new)

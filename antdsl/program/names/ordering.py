@@ -1,0 +1,64 @@
+"""What depends on what by name: declarations put in an order in which each comes after those it uses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TypeVar
+
+from antdsl.diagnostics import Report
+from antdsl.program.traverse import names_in
+from antdsl.syntax import nodes
+
+T = TypeVar("T")
+
+
+def ordered(
+    report: Report,
+    what: str,
+    declared: Mapping[str, T],
+    uses: Callable[[T], Iterable[object]],
+    name_of: Callable[[T], nodes.Name],
+) -> tuple[list[T], set[str]]:
+    """The declarations, those used before those that use them, and the names that stand in a circle.
+
+    `uses` gives the trees in which to look for names. A circle is complained about once; it is cut open for the order."""
+    graph = {name: _used(each, declared, uses) for name, each in declared.items()}
+    done: set[str] = set()
+    circular: set[str] = set()
+    order: list[T] = []
+    for first in declared:
+        path: list[str] = []
+        stack = [] if first in done else [(first, 0)]
+        while stack:
+            name, step = stack.pop()
+            if step == 0:
+                path.append(name)
+            if step == len(graph[name]):
+                path.pop()
+                done.add(name)
+                order.append(declared[name])
+                continue
+            stack.append((name, step + 1))
+            used = graph[name][step]
+            if used in path:
+                circle = path[path.index(used) :]
+                if not circular & set(circle):
+                    _circle(report, what, [name_of(declared[each]) for each in circle])
+                circular |= set(circle)
+            elif used not in done:
+                stack.append((used, 0))
+    return order, circular
+
+
+def _used(each: T, declared: Mapping[str, T], uses: Callable[[T], Iterable[object]]) -> list[str]:
+    return list({name.text: None for tree in uses(each) for name in names_in(tree) if name.text in declared})
+
+
+def _circle(report: Report, what: str, names: Sequence[nodes.Name]) -> None:
+    text = " → ".join(f"`{name.text}`" for name in [*names, names[0]])
+    report.error(
+        "circle",
+        f"{what} follow from each other in a circle: {text}",
+        names[0].span,
+        "take one out of the circle, or make it an attribute that is set",
+    )

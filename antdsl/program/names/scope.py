@@ -1,0 +1,226 @@
+"""What names mean at a place of the text: `Declared` holds what all files declare, `Scope` what one place can see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from antdsl.diagnostics import Label, Report
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.memo import Memo
+from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, Thing, Type, WorldThing
+from antdsl.program.tables.vocabulary import GIVEN, HIT_GIVEN, ITEM_GIVEN, TYPE_WORDS
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+Rules = Mapping[type, Callable[["Scope", object, "Type | None"], Expr]]
+
+BAD = Type(Kind.BAD)
+NUMBER = Type(Kind.NUMBER)
+BOOL = Type(Kind.BOOL)
+PUSH = Type(Kind.VECTOR)
+LENGTH = Type(Kind.NUMBER, Dim(length=1))
+TIME = Type(Kind.NUMBER, Dim(time=1))
+PER_SECOND = Type(Kind.NUMBER, Dim(time=-1))
+
+
+@dataclass(slots=True)
+class MachineNames:
+    """States of a machine by name, with their index; `key` is `species.machine`, as a state's type says it."""
+
+    name: str
+    key: str
+    states: dict[str, int]
+
+
+@dataclass(slots=True)
+class SpeciesNames:
+    """What a species declares by name; `attributes` and `params` get their types as they are checked."""
+
+    name: str
+    node: nodes.Species | None
+    attributes: dict[str, Type] = field(default_factory=dict)
+    each: dict[str, str] = field(default_factory=dict)  # attributes with a value per pair, and the species of the other
+    params: dict[str, Type] = field(default_factory=dict)
+    bindings: dict[str, Binding] = field(default_factory=dict)  # lets and latches, once they are checked
+    pending: set[str] = field(default_factory=set)  # declared names whose type is not known yet
+    machines: dict[str, MachineNames] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class BehaviourInfo:
+    """A behaviour with what its calls need to know. `size` and `depth` count all behaviours inside it as put in place."""
+
+    node: nodes.Behaviour
+    file: FileNames
+    calls: list[BehaviourInfo] = field(default_factory=list)
+    size: int = 0
+    depth: int = 0
+    keeps: bool = False
+    draws: bool = False
+    state: str = "new"  # new, sized, circular, ok, broken
+
+
+@dataclass(slots=True)
+class FileNames:
+    """The behaviours that one file can call: its own, those of the libraries it uses, and those of its modules by their alias."""
+
+    node: nodes.File
+    own: dict[str, BehaviourInfo] = field(default_factory=dict)
+    library: dict[str, BehaviourInfo] = field(default_factory=dict)
+    aliases: dict[str, FileNames] = field(default_factory=dict)
+    libraries: list[str] = field(default_factory=list)
+    missing: bool = False  # stands for a file that could not be read
+    wanting: set[str] = field(default_factory=set)  # libraries whose `use` is missing, told already
+
+    def behaviour(self, name: str) -> BehaviourInfo | None:
+        return self.own.get(name) or self.library.get(name)
+
+
+@dataclass(slots=True)
+class Declared:
+    """All that the files of one program declare together, what of it is used, and the complaints so far."""
+
+    rules: Rules
+    report: Report
+    strict: bool = False
+    home: Callable[[str], str | None] = lambda name: None  # the library that has a behaviour of a name
+    shipped: Callable[[str, str], BehaviourInfo | None] = lambda library, name: None  # a library's behaviour, used or not
+    things: dict[str, WorldThing] = field(default_factory=dict)
+    fields: dict[str, nodes.FieldDecl] = field(default_factory=dict)
+    species: dict[str, SpeciesNames] = field(default_factory=dict)
+    events: dict[str, Span] = field(default_factory=dict)
+    used: set[tuple[str, str]] = field(default_factory=set)
+    written: set[str] = field(default_factory=set)  # attributes, as `species.name`
+    unclear: set[str] = field(default_factory=set)  # things of the world of which the kind is not known, told already
+    told: dict[tuple[str, ...], list[Span]] = field(default_factory=dict)  # unknown names by where they are missing: all places
+    expanded: int = 0  # operations of all behaviours that were put in place
+    memo: Memo | None = None  # what an earlier check found
+    outside: int = 0  # stands for all that a part of the program can see of the others, as far as it is known
+
+
+def told_before(scope: Scope, kind: str, name: nodes.Name, owner: str = "") -> bool:
+    """Whether it was told that a name is missing; from now on it was. What is not there is missing everywhere: that is one
+    mistake, and the places are noted. `kind` keeps names of different kinds apart; `owner` is a species to which such a name
+    belongs wherever it is asked for."""
+    around = (scope.file.node.source.path, scope.species.name if scope.species else "", scope.behaviour or "")
+    where = (kind, *((owner,) if owner else around), name.text)
+    if where in scope.declared.told:
+        scope.declared.told[where].append(name.span)
+        return True
+    scope.declared.told[where] = [name.span]
+    return False
+
+
+class Keys:
+    """Names for memories and draws that stay when lines move: a path in the text, and the k-th of its word there."""
+
+    __slots__ = ("counts", "path")
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        self.counts: dict[str, int] = {}
+
+    def next(self, word: str, sign: str = ".") -> str:
+        count = self.counts[word] = self.counts.get(word, 0) + 1
+        return f"{self.path}{sign}{word}#{count}"
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """One place of the text. Made anew with `inside(…)` wherever something about the place changes."""
+
+    declared: Declared
+    file: FileNames
+    keys: Keys
+    report: Report
+    species: SpeciesNames | None = None
+    machine: MachineNames | None = None
+    locals: Mapping[str, Binding | Expr] = field(default_factory=dict)
+    element: Binding | None = None  # in `with:` its attributes come first
+    sets: tuple[Binding, ...] = ()  # elements of the sets around this place
+    behaviour: str | None = None  # the behaviour this place belongs to; a species' own names are not seen from inside
+    generic: bool = False  # a behaviour by itself: types may still be open
+    no_keep: str | None = None  # why no memory may stand here, in words
+    no_let: str | None = None  # why a `let` cannot be read here
+    shades: bool = False  # a rule of `fuzzy`: beside a shade of truth a yes or no counts as 1 or 0
+    once: bool = False  # happens once, not each step: shares and amounts instead of rates
+
+    def inside(self, **changes: Any) -> Scope:
+        return replace(self, **changes)
+
+    def typed(self, node: nodes.Expr, want: Type | None = None) -> Expr:
+        """The expression with its type. `want` lets `none` and bare names know what they stand for; it is not enforced."""
+        return self.declared.rules[type(node)](self, node, want)
+
+    def use(self, kind: str, name: str) -> None:
+        self.declared.used.add((kind, name))
+
+
+def bad(span: Span) -> Expr:
+    """Stands for what was complained about already."""
+    return Thing(BAD, Rate.CONST, span, "?")
+
+
+def rate_of(parts: Iterable[Expr | None]) -> Rate:
+    return max((part.rate for part in parts if part is not None), default=Rate.CONST)
+
+
+def type_from_words(words: str, of: str | None = None) -> Type | None:
+    """The type behind a word of `TYPE_WORDS`, or behind `angle / time` as the vocabulary writes it; None if there is none."""
+    if "/" in words:
+        top, below = (TYPE_WORDS.get(part.strip()) for part in words.split("/"))
+        if not isinstance(top, Dim) or not isinstance(below, Dim):
+            return None
+        return Type(Kind.NUMBER, Dim(*(a - b for a, b in zip(top, below, strict=True))))
+    known = TYPE_WORDS.get(words)
+    if known is None:
+        return None
+    if isinstance(known, Dim):
+        return Type(Kind.NUMBER, known)
+    vectors = {"push": Dim(), "position": Dim(length=1), "velocity": Dim(length=1, time=-1)}
+    if known in vectors:
+        return Type(Kind.VECTOR, vectors[known])
+    return BAD if known == "vector" else Type(Kind(known), Dim(), of)
+
+
+def attributes_of(declared: Declared, type: Type) -> dict[str, Type]:
+    """The values of an item, agent or hit that can be read by name; for an agent of any species, those that every animal has."""
+    if type.kind is Kind.HIT or (type.kind is Kind.ITEM and type.of == "hit"):
+        return _words(HIT_GIVEN)
+    if type.kind is Kind.ITEM:
+        thing = declared.things.get(type.of or "")
+        own = {a.name: a.type for a in thing.attributes} if thing else {}
+        return _words(ITEM_GIVEN) | own
+    if type.kind is Kind.AGENT:
+        names = declared.species.get(type.of or "")
+        given = _words({name: row.type for name, row in GIVEN.items()})
+        return given | (names.attributes if names else {})
+    return {}
+
+
+def _words(table: Mapping[str, str]) -> dict[str, Type]:
+    return {name: found for name, words in table.items() if (found := type_from_words(words))}
+
+
+def did_you_mean(word: str, candidates: Iterable[str], otherwise: str | None = None) -> str:
+    """The words of a help line for a name that is not known: the name that was meant, or `otherwise`, or what there is."""
+    known = list(candidates)
+    found = nearest_name(word, known)
+    if found:
+        return f"did you mean `{found}`?"
+    return otherwise or (f"there is {listed(known)}" if known else "declare it, or leave this out")
+
+
+def listed(names: Iterable[str], most: int = 12) -> str:
+    """`a`, `b`, `c` … for a help line."""
+    names = sorted(names)
+    return ", ".join(f"`{name}`" for name in names[:most]) + (", …" if len(names) > most else "")
+
+
+def duplicate(report: Report, what: str, name: nodes.Name, first: Span) -> None:
+    report.error(
+        "duplicate-name", f"{what} `{name.text}` is declared twice", name.span, "give one of them another name, or delete it",
+        labels=(Label(first, "first here"),),
+    )  # fmt: skip

@@ -1,0 +1,36 @@
+"""Defaults that the vocabulary gives as the language would write them: `360 deg`, `0 .. 1`, `mass * max_speed / response`."""
+
+from __future__ import annotations
+
+import re
+
+from antdsl.program.model import Expr
+from antdsl.program.names.scope import Scope
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+_TERM = re.compile(r"(?P<number>\d+(?:\.\d+)?)(?: *(?P<unit>[a-z%/]+))?|(?P<name>[a-z_]+)")
+
+
+def default_of(scope: Scope, text: str, span: Span) -> tuple[Expr, ...]:
+    """The value of a default, two for a range; `span` is the place that it stands for."""
+    return tuple(scope.typed(node_of(part.strip(), span)) for part in text.split(".."))
+
+
+def node_of(text: str, span: Span) -> nodes.Expr:
+    """Terms joined by `*` and `/` with blanks around them, from left to right."""
+    words = re.split(r" ([*/]) ", text)
+    node = _term(words[0], span)
+    for sign, term in zip(words[1::2], words[2::2], strict=True):
+        node = nodes.Binary(sign, node, _term(term, span), span, span)
+    return node
+
+
+def _term(text: str, span: Span) -> nodes.Expr:
+    found = _TERM.fullmatch(text)
+    if found is None:
+        raise ValueError(f"a default that cannot be read: {text!r}")
+    if found["name"]:
+        return nodes.NameRef(nodes.Name(found["name"], span), span)
+    value = float(found["number"])
+    return nodes.Quantity(value, found["unit"], span, span) if found["unit"] else nodes.Number(value, span)

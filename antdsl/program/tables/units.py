@@ -1,0 +1,128 @@
+"""Units and dimensions: what a written quantity is worth in base units, and how an artist calls a dimension."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from antdsl.program.model import Const, Dim, Kind, Rate, Type
+from antdsl.program.tables.vocabulary import FORCE, UNITS
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+_PART = re.compile(r"([*/]?)([A-Za-z]+|%)(?:\^(\d+))?")
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """What one of a unit is worth: `factor` base units times `unit ** u` (mm per scene unit) and `dt ** step`."""
+
+    dim: Dim
+    factor: float
+    u: float
+    step: float
+
+
+def scaled(dim: Dim, power: float) -> Dim:
+    return Dim(dim.length * power, dim.time * power, dim.mass * power, dim.angle * power)
+
+
+def product(a: Dim, b: Dim, power: float = 1) -> Dim:
+    """The dimension of `a * b ** power`."""
+    return Dim(a.length + b.length * power, a.time + b.time * power, a.mass + b.mass * power, a.angle + b.angle * power)
+
+
+def measure(unit: str) -> Measure | None:
+    """What `mm/s`, `%/s`, `/step` or `mm^2/s` is worth; None for a unit that the language does not know."""
+    dim, factor, u, step, position = Dim(), 1.0, 0.0, 0.0, 0
+    text = unit.replace(" ", "")
+    for part in _PART.finditer(text):
+        known = UNITS.get(part[2])
+        if part.start() != position or known is None:
+            return None
+        position = part.end()
+        power = (-1 if part[1] == "/" else 1) * int(part[3] or 1)
+        dim = product(dim, known.dim, power)
+        factor *= known.factor**power
+        u += known.u * power
+        step += known.step * power
+    return Measure(dim, factor, u, step) if position == len(text) and text else None
+
+
+def constant(value: float, unit: str, span: Span) -> Const | None:
+    """The constant that a quantity stands for; None when its unit is not known."""
+    known = measure(unit)
+    if known is None:
+        return None
+    rate = Rate.RUN if known.u or known.step else Rate.CONST
+    return Const(Type(Kind.NUMBER, known.dim), rate, span, value * known.factor, known.u, known.step)
+
+
+def number(value: float, span: Span) -> Const:
+    return Const(Type(Kind.NUMBER), Rate.CONST, span, value)
+
+
+_NAMES: dict[Dim, str] = {
+    Dim(): "number without a unit",
+    Dim(length=1): "length",
+    Dim(time=1): "time",
+    Dim(mass=1): "mass",
+    Dim(angle=1): "angle",
+    Dim(length=1, time=-1): "speed",
+    Dim(time=-1): "rate (so much a second)",
+    Dim(length=2): "area",
+    Dim(angle=1, time=-1): "turning speed",
+    Dim(length=1, time=-2): "acceleration",
+    Dim(length=2, time=-1): "spreading (an area a second)",
+    FORCE: "force",
+}
+
+
+def unit_of(dim: Dim) -> str:
+    """A unit one may write for a dimension: `mm`, `deg/s`, `/s`; empty for a plain number."""
+    if dim == FORCE:
+        return "uN"
+    top: list[str] = []
+    below: list[str] = []
+    for unit, power in zip(("g", "mm", "deg", "s"), (dim.mass, dim.length, dim.angle, dim.time), strict=True):
+        if power:
+            text = unit if abs(power) == 1 else f"{unit}^{abs(power):g}"
+            (top if power > 0 else below).append(text)
+    return "*".join(top) + "".join("/" + unit for unit in below)
+
+
+def with_article(words: str) -> str:
+    return ("an " if words[0] in "aeiou" else "a ") + words
+
+
+def dimension_words(dim: Dim) -> str:
+    """`a length`, `a number without a unit`, `a value in mm*g`."""
+    name = _NAMES.get(dim)
+    return with_article(name) if name else f"a value in `{unit_of(dim)}`"
+
+
+def shown(value: float) -> str:
+    """A number as one would write it: `30`, `0.05`."""
+    return f"{value:.12g}"
+
+
+def with_unit(value: float, dim: Dim) -> str:
+    """`30 mm` for 30 and a length: the author's number with a unit of the dimension that is wanted."""
+    unit = unit_of(dim)
+    return f"{shown(value)} {unit}".strip()
+
+
+def unit_spelling(node: nodes.Expr) -> str:
+    """The unit that the author wrote in an expression, the first there is; empty when there is none."""
+    stack: list[object] = [node]
+    while stack:
+        part = stack.pop()
+        if isinstance(part, nodes.Quantity):
+            return part.unit
+        if isinstance(part, nodes.Binary):
+            stack += [part.right, part.left]
+        elif isinstance(part, nodes.Unary):
+            stack.append(part.operand)
+        elif isinstance(part, nodes.Call):
+            stack += [a.value for a in reversed(part.arguments) if isinstance(a, nodes.Argument)]
+    return ""

@@ -1,0 +1,378 @@
+"""Types of what only a spec can ask: `total(food.load)`, `share(state == carry)`, `at_start`, `motion.circling`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container
+from dataclasses import replace
+from typing import cast
+
+from antdsl.program.expectations import GEOMETRY, MOTION, AtStart, Bodily, CellValue, Measured, Other, Whole
+from antdsl.program.model import Binding, Dim, Expr, Kind, Local, ParamRef, Rate, Reduce, Thing, Type
+from antdsl.program.names.scope import BOOL, NUMBER, Declared, Scope, attributes_of, bad, did_you_mean, listed, type_from_words
+from antdsl.program.tables.vocabulary import GIVEN, SENSED_NAMES
+from antdsl.program.traverse import written
+from antdsl.program.types import calls, expressions, operators
+from antdsl.program.types.arguments import type_all
+from antdsl.program.types.descriptions import quoted, type_words
+from antdsl.program.types.expressions import Known
+from antdsl.program.types.operators import condition, value
+from antdsl.program.types.sets import body_of
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+WHOLES = ("total", "share", "sum", "mean", "min", "max", "count", "any", "every")
+_OF_CELLS = ("total", "sum", "mean", "min", "max")
+_TRUTHS = ("share", "count", "any", "every")
+_COMPARED = ("<", "<=", ">", ">=", "==", "!=")
+_VOLUME = Type(Kind.NUMBER, Dim(length=3))
+_SETS = ("neighbours", "all", "feelers")
+
+
+class SpecRules:
+    """The rules of the language with those of a spec before them, while one condition is looked at."""
+
+    def __init__(self, declared: Declared, compares: bool = False) -> None:
+        self.plain = declared.rules
+        self.compared: dict[str, Callable[..., Expr]] = {"at_start": self._at_start}
+        if compares:
+            self.compared["other"] = self._in_other
+        self.inside = False  # a `total(…)` or its like
+        self.cells = ""  # the field whose cells are asked there
+        self.other: Expr | None = None  # the other side of the comparison that `at_start` or `other` stands in
+        own: dict[type, Callable[..., Expr]] = {
+            nodes.Call: self._call, nodes.NameRef: self._name, nodes.Member: self._member, nodes.Binary: self._binary,
+        }  # fmt: skip
+        self.declared = replace(declared, rules={**declared.rules, **own})
+
+    # --- names -------------------------------------------------------------------------------------------------------
+
+    def _name(self, scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
+        name = node.name.text
+        if name in self.compared:
+            if self.other is not None:
+                return self.compared[name](scope, self.other, node.span)
+            when = "was" if name == "at_start" else "is in the other run"
+            scope.report.error(
+                "at-start-alone",
+                f"`{name}` is what the other side of a comparison {when}, and there is none",
+                node.span,
+                f"write `total(food.load) == {name}`, or `{name}(total(food.load))`",
+            )
+            return bad(node.span)
+        species = scope.species
+        if name in GEOMETRY and species is not None and name not in {*species.attributes, *species.params, *species.bindings}:
+            return Bodily(type_from_words(GEOMETRY[name]) or NUMBER, Rate.AGENT, node.span, name)
+        return expressions.name_of(scope, node, want)
+
+    def _at_start(self, scope: Scope, found: Expr, span: Span) -> Expr:
+        if self.inside:
+            scope.report.error(
+                "set-in-set",
+                "`at_start` cannot stand inside of what is asked of each",
+                span,
+                "write `at_start(total(food.load))`",
+            )
+            return bad(span)
+        if found.type.kind is Kind.BAD:
+            return bad(span)
+        if found.type.kind is not Kind.NUMBER:
+            scope.report.error(
+                "wrong-kind", f"`at_start` is for numbers, and this is {type_words(found.type)}", span, "compare numbers"
+            )
+            return bad(span)
+        return AtStart(found.type, found.rate, span, found)
+
+    def _in_other(self, scope: Scope, found: Expr, span: Span) -> Expr:
+        """What a number of the whole is in the run that is compared with."""
+        if found.type.kind is Kind.BAD:
+            return bad(span)
+        if self.inside or scope.species is not None or found.type.kind is not Kind.NUMBER or found.rate > Rate.STEP:
+            scope.report.error(
+                "wrong-rate", "`other` is a number of the whole in another run, where nobody in particular is asked", span,
+                "write it in a line of the spec itself: `always: total(nest.load) >= other`",
+            )  # fmt: skip
+            return bad(span)
+        return Other(found.type, Rate.STEP, span, found)
+
+    def _member(self, scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
+        owner, name = node.owner, node.name.text
+        if isinstance(owner, nodes.NameRef):
+            if owner.name.text in scope.declared.fields and name == "value":
+                return self._cell(scope, node, owner.name.text)
+            if owner.name.text == "motion" and "motion" not in scope.locals:
+                return self._motion(scope, node)
+            self_there = scope.locals.get(owner.name.text)
+            species = scope.declared.species.get(owner.name.text)
+            if (
+                isinstance(self_there, Thing)
+                and species is not None
+                and name in species.params
+                and name not in species.attributes
+            ):
+                scope.use("param", f"{species.name}.{name}")
+                return ParamRef(species.params[name], Rate.RUN, node.span, f"{species.name}.{name}")
+            bodily = species is not None and name in GEOMETRY and name not in {*species.attributes, *species.params}
+            if bodily and isinstance(self_there, Thing):
+                return Bodily(type_from_words(GEOMETRY[name]) or NUMBER, Rate.AGENT, node.span, name)
+            if self._one_of_many(scope, owner.name.text, node):
+                return bad(node.span)
+        return expressions.member_of(scope, node, want)
+
+    def _cell(self, scope: Scope, node: nodes.Member, field: str) -> Expr:
+        scope.use("field", field)
+        if self.cells == field:
+            return CellValue(NUMBER, Rate.ELEMENT, node.span, field)
+        scope.report.error(
+            "wrong-rate", f"`{field}.value` is a value of each cell, and nobody says of which", node.span,
+            f"ask of all: `max({field}.value)`, `share({field}.value > 0)`; where an agent stands it is `{field}` alone",
+        )  # fmt: skip
+        return bad(node.span)
+
+    def _one_of_many(self, scope: Scope, owner: str, node: nodes.Member) -> bool:
+        """Complains about `forager.load` where nobody says which forager."""
+        kind, name = _things(scope.declared, owner), node.name.text
+        type = Type(Kind.AGENT if kind is Kind.SPECIES else Kind.ITEM, of=owner)
+        params = scope.declared.species[owner].params if kind is Kind.SPECIES else {}
+        known = kind is not None and name in {*attributes_of(scope.declared, type), *(GEOMETRY if kind is Kind.SPECIES else ())}
+        if not known or owner in scope.locals or name in params:
+            return False
+        who = "agent" if kind is Kind.SPECIES else "item"
+        also = f", or of each: `each {owner} {{ always: {name} … }}`" if kind is Kind.SPECIES else ""
+        scope.report.error(
+            "wrong-rate", f"`{name}` is a value of each {who}, and `{owner}` is all of them", node.span,
+            f"ask of all: `total({owner}.{name})`, `share({owner}.{name} …)`{also}",
+        )  # fmt: skip
+        return True
+
+    def _motion(self, scope: Scope, node: nodes.Member) -> Expr:
+        words = MOTION.get(node.name.text)
+        if words is None:
+            scope.report.error(
+                "unknown-name",
+                f"`motion` has no `{node.name.text}`",
+                node.name.span,
+                did_you_mean(node.name.text, MOTION, f"there is {listed(MOTION)}"),
+            )
+            return bad(node.span)
+        return Measured(type_from_words(words) or NUMBER, Rate.STEP, node.span, node.name.text)
+
+    # --- the other side of a comparison ------------------------------------------------------------------------------
+
+    def _binary(self, scope: Scope, node: nodes.Binary, want: Type | None) -> Expr:
+        sides = [_says(side, self.compared) for side in (node.left, node.right)]
+        if node.op not in _COMPARED or sides[0] == sides[1]:
+            return operators.binary(scope, node, want)
+        other = node.right if sides[0] else node.left
+        found = value(scope, other)
+        known = cast(nodes.Expr, Known(found, other.span))
+        left, right = (node.left, known) if sides[0] else (known, node.right)
+        outer, self.other = self.other, found
+        try:
+            return operators.binary(scope, nodes.Binary(node.op, left, right, node.op_span, node.span), want)
+        finally:
+            self.other = outer
+
+    # --- wholes ------------------------------------------------------------------------------------------------------
+
+    def _call(self, scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
+        name = node.function.name.text if isinstance(node.function, nodes.NameRef) else ""
+        first = node.arguments[0] if len(node.arguments) == 1 else None
+        if name in self.compared:
+            if not isinstance(first, nodes.Argument) or first.name is not None:
+                return self._wants_one(scope, node, name)
+            return self.compared[name](scope, value(scope, first.value), node.span)
+        if name in WHOLES and isinstance(first, nodes.Argument) and first.name is None and not _is_set(scope, first.value):
+            return self._whole(scope, node, name, first.value)
+        if name in ("total", "share"):
+            return self._wants_one(scope, node, name)
+        found = calls.call(scope, node, want)
+        if isinstance(found, Reduce) and scope.species is None and not scope.sets:
+            return self._of_set(scope, found)
+        return found
+
+    @staticmethod
+    def _wants_one(scope: Scope, node: nodes.Call, name: str) -> Expr:
+        whole = f"{name}(total(food.load))" if name in ("at_start", "other") else f"{name}(food.load)"
+        sample = "share(state == carry)" if name == "share" else whole
+        scope.report.error("wrong-argument", f"`{name}` wants one thing to ask of all", node.span, f"write `{sample}`")
+        type_all(scope, node)
+        return bad(node.span)
+
+    def _nested(self, scope: Scope, span: Span) -> bool:
+        if self.inside:
+            scope.report.error(
+                "set-in-set", f"{quoted(span)} stands inside of what is asked of each", span, "ask the one beside the other"
+            )
+        return self.inside
+
+    def _whole(self, scope: Scope, node: nodes.Call, name: str, asked: nodes.Expr) -> Expr:
+        if self._nested(scope, node.span):
+            return bad(node.span)
+        bare = asked.name.text if isinstance(asked, nodes.NameRef) else ""
+        how = "total" if name == "sum" else name
+        field = _cells_of(scope.declared, asked)
+        if field:
+            if name not in _TRUTHS and not (isinstance(asked, nodes.Member) and asked.name.text == "value"):
+                return self._no_sum(scope, node, field)
+            bare = bare if name in _TRUTHS else field
+        if bare in scope.declared.fields and name in (*_OF_CELLS, "count"):
+            scope.use("field", bare)
+            return Whole(NUMBER, Rate.STEP, node.span, how, Type(Kind.FIELD, of=bare), (), None, None)
+        solid = scope.declared.things.get(bare)
+        if solid is not None and solid.kind == "solid" and name == "total":
+            scope.use("thing", bare)
+            return Whole(_VOLUME, Rate.STEP, node.span, how, Type(Kind.SOLID, of=bare), (), None, None)
+        over = Type(Kind.FIELD, of=field) if field else _whom(scope, node, asked)
+        if over is None:
+            return bad(node.span)
+        inner, elements = (scope.inside(species=None), ()) if field else _one_of(scope, over, node.span)
+        self.cells = field
+        body: Expr | None = None
+        if not (name in ("count", "any") and bare == over.of):
+            if bare == over.of:
+                return self._no_value(scope, node, bare)
+            self.inside = True
+            body = condition(inner, asked, f"`{name}`") if name in _TRUTHS else body_of(inner, name, asked)
+            self.inside, self.cells = False, ""
+            if body.type.kind is Kind.BAD:
+                return bad(node.span)
+            if body.type.kind is Kind.VECTOR:
+                return self._no_vector(scope, node, asked)
+        return Whole(_result(how, body), Rate.STEP, node.span, how, over, elements, None, body)
+
+    @staticmethod
+    def _no_sum(scope: Scope, node: nodes.Call, field: str) -> Expr:
+        words = f"{quoted(node.span)} works something out for each cell of `{field}`"
+        known = f"write `{node.function.span.text}({field}.value)`, or `count({field}.value > 0)` and the like"
+        scope.report.error("wrong-argument", words, node.span, known)
+        return bad(node.span)
+
+    @staticmethod
+    def _no_value(scope: Scope, node: nodes.Call, who: str) -> Expr:
+        value = f"{who}.{'size' if who in scope.declared.species else 'radius'}"
+        scope.report.error(
+            "wrong-argument", f"{quoted(node.span)} does not say which value of `{who}`", node.span,
+            f"name one, such as `{value}`, or write `count({who})` for how many there are",
+        )  # fmt: skip
+        return bad(node.span)
+
+    @staticmethod
+    def _no_vector(scope: Scope, node: nodes.Call, asked: nodes.Expr) -> Expr:
+        text = " ".join(asked.span.text.split())
+        scope.report.error(
+            "wrong-kind",
+            f"{quoted(node.span)} would be a vector, and a spec bounds numbers",
+            asked.span,
+            f"write `length({text})`",
+        )
+        return bad(node.span)
+
+    def _of_set(self, scope: Scope, found: Reduce) -> Expr:
+        """`count(n in forager: n.load > 0)`: a set of all is a whole; anything nearer needs somebody whose it is."""
+        over = found.over
+        if self._nested(scope, found.span):
+            return bad(found.span)
+        whole = over.source == "all" and all(arg is None for arg in over.args)
+        if not whole or found.how in ("best", "nearest") or found.type.kind not in (Kind.NUMBER, Kind.BOOL):
+            scope.report.error(
+                "wrong-rate",
+                f"{quoted(found.span)} is asked of nobody in particular",
+                found.span,
+                "ask it in `each SPECIES { … }`, or ask for a `total`, `share`, `mean`, `min`, `max` or `count` of all",
+            )
+            return bad(found.span)
+        kind = Kind.ITEMS if over.element.type.kind is Kind.ITEM else Kind.SPECIES
+        body = found.body if found.how != "count" or found.body is None or found.body.rate > Rate.CONST else None
+        how = "total" if found.how == "sum" else found.how
+        elements = (found.element, over.element)
+        return Whole(_result(how, body), Rate.STEP, found.span, how, Type(kind, of=over.of), elements, over.where, body)
+
+
+def _result(how: str, body: Expr | None) -> Type:
+    if how in ("any", "every"):
+        return BOOL
+    return NUMBER if body is None or how in ("share", "count") else body.type
+
+
+def _says(root: nodes.Expr, words: Container[str]) -> bool:
+    """Whether a word such as `at_start` stands there by itself, and not as `at_start(…)`."""
+    called = {id(part.function) for part, _ in written(root) if isinstance(part, nodes.Call)}
+    return any(isinstance(p, nodes.NameRef) and p.name.text in words and id(p) not in called for p, _ in written(root))
+
+
+def _is_set(scope: Scope, node: nodes.Expr) -> bool:
+    if isinstance(node, nodes.Call):
+        return isinstance(node.function, nodes.NameRef) and node.function.name.text in _SETS
+    if not isinstance(node, nodes.NameRef) or scope.species is None:
+        return False
+    binding = scope.species.bindings.get(node.name.text)
+    return binding is not None and binding.type.kind is Kind.SET
+
+
+def _cells_of(declared: Declared, asked: nodes.Expr) -> str:
+    """The field whose cells a question is about, `trail.value > 0.1`; empty where it is about none."""
+    members = [part for part, _ in written(asked) if isinstance(part, nodes.Member) and part.name.text == "value"]
+    owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
+    return next((name for name in owners if name in declared.fields), "")
+
+
+# --- of whom ---------------------------------------------------------------------------------------------------------
+
+
+def _whom(scope: Scope, node: nodes.Call, asked: nodes.Expr) -> Type | None:
+    """The species or items that a question is about: those whose value it names, else the only ones who have such values."""
+    declared = scope.declared
+    owners = [part.owner for part, _ in written(asked) if isinstance(part, nodes.Member)]
+    named = [owner.name.text for owner in (*owners, asked) if isinstance(owner, nodes.NameRef)]
+    things = [name for name in dict.fromkeys(named) if _things(declared, name) is not None]
+    if len(things) == 1:
+        kind = _things(declared, things[0])
+        assert kind is not None
+        scope.use("species" if kind is Kind.SPECIES else "thing", things[0])
+        return Type(kind, of=things[0])
+    if len(things) > 1:
+        parts = " and ".join(f"`{name}`" for name in things)
+        scope.report.error(
+            "wrong-argument", f"{quoted(node.span)} asks of {parts} at once", node.span, "ask of each by itself, and add up"
+        )
+        return None
+    if scope.species is not None:
+        return Type(Kind.SPECIES, of=scope.species.name)
+    written_here = [name for name, species in declared.species.items() if species.node is not None]
+    able = written_here if len(written_here) == 1 else [name for name in written_here if _knows(declared, name, asked)]
+    if len(able) == 1:
+        return Type(Kind.SPECIES, of=able[0])
+    text, names = " ".join(asked.span.text.split()), sorted(able or declared.species)
+    advice = f"name the species: `{node.function.span.text}({names[0] if names else 'walker'}.{text})`"
+    scope.report.error("wrong-argument", f"{quoted(node.span)} does not say of whom", node.span, advice)
+    return None
+
+
+def _things(declared: Declared, name: str) -> Kind | None:
+    if name in declared.species:
+        return Kind.SPECIES
+    thing = declared.things.get(name)
+    return Kind.ITEMS if thing is not None and thing.kind == "items" else None
+
+
+def _knows(declared: Declared, species: str, asked: nodes.Expr) -> bool:
+    """Whether a species has every value that is named bare, as far as names alone tell."""
+    names = declared.species[species]
+    states = {state for machine in names.machines.values() for state in machine.states}
+    mine = {*names.attributes, *names.params, *names.bindings, *names.pending, *names.machines, *states, *GIVEN}
+    everywhere = {*declared.things, *declared.fields, *declared.species, *declared.events, "state", "previous", "next"}
+    everywhere |= {*GEOMETRY, "time_in_state", "time", "frame", "dt", "true", "false", *SENSED_NAMES, "self"}
+    called = {id(part.function) for part, _ in written(asked) if isinstance(part, nodes.Call)}
+    bare = {p.name.text for p, _ in written(asked) if isinstance(p, nodes.NameRef) and id(p) not in called}
+    return bare <= mine | everywhere
+
+
+def _one_of(scope: Scope, over: Type, span: Span) -> tuple[Scope, tuple[Binding, ...]]:
+    """The place where one of them is asked, and the name that stands for it where it is an item."""
+    name = over.of or ""
+    if over.kind is Kind.SPECIES:
+        who = Thing(Type(Kind.AGENT, of=name), Rate.AGENT, span, "self")
+        return scope.inside(species=scope.declared.species[name], machine=None, locals={**scope.locals, name: who}), ()
+    element = Binding(name, "element", Type(Kind.ITEM, Dim(), name), Rate.ELEMENT, span)
+    there = Local(element.type, Rate.ELEMENT, span, element)
+    return scope.inside(species=None, element=element, locals={**scope.locals, name: there}), (element,)

@@ -1,0 +1,219 @@
+"""Which argument is which: the arguments of a call as written are put in the order of what is called, by place or by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from antdsl.diagnostics import Fix, Label
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.names.scope import Scope, listed
+from antdsl.program.types.descriptions import quoted
+from antdsl.source import Span
+from antdsl.syntax import nodes
+from antdsl.syntax.mistakes.numbers import comma_in_number, number_with_comma
+
+Called = nodes.Call | nodes.Emit | nodes.Carve
+Found = dict[str, list[nodes.Argument]]
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """One argument of what is called. `required` ones have no default and are not optional; `range`: two values with `..`."""
+
+    name: str
+    required: bool
+    variadic: bool = False
+    range: bool = False
+
+
+def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: Called, form: str = "") -> Found | None:
+    """The arguments by the slot they belong to; None after a complaint that leaves the call without sense. `form`: how the call
+    is written up to its bracket, where that is not `called`."""
+    form = form or called
+    for argument in node.arguments:
+        if isinstance(argument, nodes.Comprehension):
+            scope.report.error(
+                "wrong-argument",
+                f"`{called}` takes no `… in …: …`",
+                argument.span,
+                "that is for `sum mean min max count any every best`",
+            )
+            return None
+    arguments = [each for each in node.arguments if isinstance(each, nodes.Argument)]
+    comma = _decimal_comma(slots, arguments)
+    if comma is not None:
+        scope.report.add(comma_in_number(comma, only=not _sound(slots, _given(arguments))))
+        return None
+    found: Found = {}
+    names, position, sound = [slot.name for slot in slots], 0, True
+    late: list[tuple[nodes.Argument, str]] = []  # without a name, behind one that has a name
+    for number, argument in enumerate(arguments):
+        if argument.name is not None:
+            sound = _named(scope, called, names, found, argument) and sound
+            continue
+        while position < len(slots) and slots[position].name in found and not slots[position].variadic:
+            position += 1
+        if position >= len(slots):
+            advice, fix = _as_range(slots, arguments) or (f"write `{_shape(form, slots)}`", None)
+            scope.report.error("wrong-arity", f"`{called}` takes {_how_many(slots)}", argument.span, advice, fix=fix)
+            return None
+        found.setdefault(slots[position].name, []).append(argument)
+        if any(each.name is not None for each in arguments[:number]):
+            late.append((argument, slots[position].name))
+        position += 0 if slots[position].variadic else 1
+    if late and sound:
+        _late(scope, next(each.name for each in arguments if each.name is not None), late)
+        return None
+    missing = [slot.name for slot in slots if slot.required and slot.name not in found]
+    if missing and sound:
+        scope.report.error("missing-argument", f"`{called}` wants {listed(missing)}", node.span, f"write `{_shape(form, slots)}`")
+    return None if missing or not sound else found
+
+
+def _named(scope: Scope, called: str, names: list[str], found: dict[str, list[nodes.Argument]], argument: nodes.Argument) -> bool:
+    name = argument.name
+    assert name is not None
+    if name.text not in names:
+        near = nearest_name(name.text, names)
+        advice = f"did you mean `{near}`?" if near else f"it takes {listed(names)}" if names else "it takes none"
+        span = Span(name.span.source, name.span.start, name.span.start + len(name.text))
+        scope.report.error(
+            "unknown-argument",
+            f"`{called}` has no argument `{name.text}`",
+            name.span,
+            advice,
+            fix=Fix(span, near) if near else None,
+        )
+        return False
+    if name.text in found:
+        first = found[name.text][0].span
+        scope.report.error(
+            "duplicate-argument",
+            f"`{name.text}` is given twice",
+            argument.span,
+            "leave one of them out",
+            labels=(Label(first, "first here"),),
+        )
+        return False
+    found[name.text] = [argument]
+    return True
+
+
+def _how_many(slots: Sequence[Slot]) -> str:
+    most = len(slots)
+    return "no arguments" if most == 0 else "one argument" if most == 1 else f"at most {most} arguments"
+
+
+def _shape(called: str, slots: Sequence[Slot]) -> str:
+    return f"{called}({', '.join(slot.name if slot.required else slot.name + ': …' for slot in slots)})"
+
+
+def type_all(scope: Scope, node: Called) -> None:
+    """Look at the arguments of a call that makes no sense, so that what they use counts as used and their own slips are told."""
+    for argument in node.arguments:
+        if isinstance(argument, nodes.Comprehension):
+            scope.typed(argument.over)
+        elif isinstance(argument.value, nodes.RangeExpr):
+            scope.typed(argument.value.low)
+            scope.typed(argument.value.high)
+        else:
+            scope.typed(argument.value)
+
+
+def _late(scope: Scope, first: nodes.Name, late: Sequence[tuple[nodes.Argument, str]]) -> None:
+    """Arguments by place behind `first`, one that has a name: the names that they would have by their place are written out."""
+    span = Span(late[0][0].span.source, late[0][0].span.start, late[-1][0].span.end)
+    text, done = "", span.start
+    for argument, slot in late:
+        text += f"{span.source.text[done : argument.span.start]}{slot}: "
+        done = argument.span.start
+    text += span.source.text[done : span.end]
+    scope.report.error(
+        "argument-order",
+        f"{quoted(late[0][0].span)} has no name and stands behind `{first.text}:`, which has one",
+        late[0][0].span,
+        f"say which it is: `{' '.join(text.split())}`, or write it before the first with a name",
+        fix=Fix(span, text),
+    )
+
+
+def _decimal_comma(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -> Span | None:
+    """The first number with a comma that was read as two arguments. A comma parts two of them where the call would lack something
+    with such numbers taken as one, and in a list such as `vector(1,2,3)`."""
+    joints: dict[int, Span] = {}
+    whole = False  # whether the argument is a number that is the second half of one already
+    tight = 0
+    for number, (argument, following) in enumerate(pairwise(arguments)):
+        span = None
+        if following.span.start == argument.span.end + 1:
+            tight += 1
+            span = number_with_comma(argument.span.source, argument.span.end)
+        if span is not None and not whole:
+            joints[number] = span
+        whole = number in joints and isinstance(following.value, (nodes.Number, nodes.Quantity))
+    if not joints:
+        return None
+    merged: list[list[nodes.Argument]] = []
+    for number, argument in enumerate(arguments):
+        if number - 1 in joints:
+            merged[-1].append(argument)
+        else:
+            merged.append([argument])
+    one = [_Given(pieces[0].name, any(isinstance(each.value, nodes.RangeExpr) for each in pieces)) for pieces in merged]
+    in_a_row = tight > 1 and tight == len(arguments) - 1 and _sound(slots, _given(arguments))
+    return joints[min(joints)] if _sound(slots, _paired(slots, one), least=2) and not in_a_row else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Given:
+    """An argument as far as counting goes."""
+
+    name: nodes.Name | None
+    range: bool
+
+
+def _given(arguments: Sequence[nodes.Argument]) -> list[_Given]:
+    return [_Given(each.name, isinstance(each.value, nodes.RangeExpr)) for each in arguments]
+
+
+def _paired(slots: Sequence[Slot], given: Sequence[_Given]) -> list[_Given] | None:
+    """The arguments with two values by place, where a range is wanted, as that range; None where a value has no second one."""
+    found: list[_Given] = []
+    left = list(given)
+    while left:
+        each = left.pop(0)
+        place = len(found)
+        if each.name is None and not each.range and place < len(slots) and slots[place].range:
+            if not left or left[0].name is not None or left[0].range:
+                return None
+            left.pop(0)
+        found.append(each)
+    return found
+
+
+def _as_range(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -> tuple[str, Fix] | None:
+    """What to write for two values where a range is wanted, if there is nothing else wrong with how many there are."""
+    place = next((n for n, slot in enumerate(slots) if slot.range), len(arguments))
+    if place + 1 >= len(arguments) or not _sound(slots, _paired(slots, _given(arguments))):
+        return None
+    low, high = arguments[place : place + 2]
+    text = f"{' '.join(low.span.text.split())} .. {' '.join(high.span.text.split())}"
+    return f"write the two ends as a range: `{text}`", Fix(Span(low.span.source, low.span.start, high.span.end), text)
+
+
+def _sound(slots: Sequence[Slot], given: Sequence[_Given] | None, least: int = 1) -> bool:
+    """Whether as many arguments, by place and by name, are what is called takes; `least`: of what takes any number of them."""
+    if given is None:
+        return False
+    by_name = [each.name for each in given]
+    names = [slot.name for slot in slots]
+    places = sum(name is None for name in by_name)
+    found = {name.text for name in by_name if name is not None}
+    many = any(slot.variadic for slot in slots)
+    if any(name is None for name in by_name[places:]) or not found <= set(names) or len(found) + places < len(given):
+        return False
+    if (places > len(slots) and not many) or (many and places < least) or found & set(names[:places]):
+        return False
+    return all(slot.name in found or number < places for number, slot in enumerate(slots) if slot.required)

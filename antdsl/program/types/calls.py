@@ -1,0 +1,365 @@
+"""Types of calls: finds what is called, fits the arguments to the tables, gives the operation with its type."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import cast
+
+from antdsl.diagnostics import Fix
+from antdsl.program.declarations.behaviours import call_behaviour
+from antdsl.program.model import Dim, Expr, Kind, Op, Rate, Type
+from antdsl.program.names.scope import BAD, NUMBER, Scope, bad, did_you_mean, rate_of, type_from_words
+from antdsl.program.tables.defaults import default_of
+from antdsl.program.tables.other_words import instead_of_call
+from antdsl.program.tables.units import product, scaled
+from antdsl.program.tables.vocabulary import BUILTINS, OTHER_SENSES, REDUCERS, RESERVED, Arg, Builtin
+from antdsl.program.types.arguments import Slot, arranged, type_all
+from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
+from antdsl.program.types.expressions import MAY_BE_NONE, THINGS, Known
+from antdsl.program.types.folding import constant_behind, fold
+from antdsl.program.types.operators import as_value, count, draw_site, value
+from antdsl.program.types.places import place
+from antdsl.program.types.sets import SETS, reduce
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+DRAWS = ("uniform", "normal", "pick", "random_agent")
+Variables = dict[str, tuple[nodes.Expr, Expr]]
+
+
+def _use_line(file: nodes.File, library: str) -> Fix | None:
+    """A `use` below the edition and the file's help."""
+    head = file.help or file.edition
+    if head is None:
+        return None
+    return Fix(Span(file.source, head.span.end, head.span.end), f"\nuse {library}")
+
+
+def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
+    """A call: a reduction over a set, a built-in operation, or a behaviour."""
+    function = node.function
+    if isinstance(function, nodes.Member):
+        return call_behaviour(scope, node, want)
+    if not isinstance(function, nodes.NameRef):
+        scope.report.error(
+            "wrong-kind",
+            f"{quoted(function.span)} cannot be called",
+            function.span,
+            "only behaviours and built-in words are called",
+        )
+        type_all(scope, node)
+        return bad(node.span)
+    name = function.name.text
+    if (
+        name in REDUCERS
+        and len(node.arguments) == 1
+        and (isinstance(node.arguments[0], nodes.Comprehension) or name not in BUILTINS)
+    ):
+        return reduce(scope, node, name)
+    if name in BUILTINS:
+        return _builtin(scope, node, name, want)
+    if scope.file.behaviour(name) is not None:
+        return call_behaviour(scope, node, want)
+    _unknown(scope, node, function.name, want)
+    type_all(scope, node)
+    return bad(node.span)
+
+
+def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type | None) -> None:
+    if name.text in RESERVED:
+        advice = "write `normal(0, 1)` for a number drawn in each step; `wander()` strolls" if name.text == "noise" else ""
+        words = f"`{name.text}` is a word of the language that does not work yet"
+        scope.report.error("not-yet", words, name.span, advice or "leave it out for now")
+        return
+    if name.text in REDUCERS:
+        scope.report.error(
+            "wrong-argument", f"`{name.text}` goes over a set", node.span, f"write `{name.text}(n in neighbours(20 mm): …)`"
+        )
+        return
+    home = scope.declared.home(name.text)
+    if home is not None and home not in scope.file.libraries:
+        if home not in scope.file.wanting:
+            scope.file.wanting.add(home)
+            advice = f"write `use {home}` below the first line"
+            fix = _use_line(scope.file.node, home)
+            scope.report.error("unknown-behaviour", f"`{name.text}` is in the library `{home}`", name.span, advice, fix=fix)
+        return
+    known = set(BUILTINS) | set(REDUCERS) | set(scope.file.own) | set(scope.file.library)
+    instead, fix = instead_of_call(node, name.text), None
+    if instead is not None:
+        text, whole = instead
+        advice, fix = (f"write `{text}`", Fix(node.span, text)) if whole else (f"here that is `{text}`", None)
+    elif name.text in OTHER_SENSES:
+        advice = f"ask {OTHER_SENSES[name.text].replace('X', _first_written(node))}"
+    else:
+        advice = did_you_mean(name.text, known, _own(node, name.text, want))
+    scope.report.error("unknown-behaviour", f"no behaviour `{name.text}`", name.span, advice, fix=fix)
+
+
+def _first_written(node: nodes.Call) -> str:
+    """The first argument as written, if it is a name."""
+    first = node.arguments[0] if node.arguments else None
+    named = isinstance(first, nodes.Argument) and isinstance(first.value, nodes.NameRef)
+    return first.span.text if first is not None and named else "food"
+
+
+def _own(node: nodes.Call, name: str, want: Type | None) -> str:
+    """How a behaviour of that name would be written, for the arguments of the call and what is wanted there."""
+    kind = want.kind if want is not None else Kind.NUMBER
+    gives = {Kind.BOOL: "bool", Kind.VECTOR: "push"}.get(kind, "number")
+    arguments = ", ".join(f"{letter}: place" for letter, _ in zip("abcdefgh", node.arguments, strict=False))
+    own = f"write your own: `behaviour {name}({arguments}) -> {gives} {{ … }}`"
+    return own if gives == "push" else f"ask with `touching(x)`, `distance(x)`, `nearest(x, within: 40 mm)`, or {own}"
+
+
+# --- built-in operations ---------------------------------------------------------------------------------------------
+
+
+def _builtin(scope: Scope, node: nodes.Call, name: str, want: Type | None) -> Expr:
+    rows = BUILTINS[name]
+    if rows[0].op in SETS:
+        return SETS[rows[0].op](scope, node, name, rows[0])
+    row, node = (rows[0], node) if len(rows) == 1 else _row(scope, node, rows)
+    found = arranged(scope, name, [_slot(each) for each in row.args], node)
+    if found is None:
+        type_all(scope, node)
+        return bad(node.span)
+    variables: Variables = {}
+    args: list[Expr | None] = []
+    for arg in row.args:
+        written = found.get(arg.name)
+        if written is None:
+            args += _default(scope, arg, node)
+        else:
+            for each in written:
+                args += _argument(scope, name, arg, each.value, variables, want)
+    if any(a is not None and a.type.kind is Kind.BAD for a in args):
+        return Op(_result(row, variables, args), rate_of(args), node.span, row.op, tuple(args))
+    return _operation(scope, node, row, tuple(args), variables)
+
+
+def _slot(arg: Arg) -> Slot:
+    return Slot(arg.name, arg.default is None and not arg.optional, arg.variadic, arg.type.startswith("range"))
+
+
+def _row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> tuple[Builtin, nodes.Call]:
+    """Of several operations of one name, the one that takes the first argument and the names that are given.
+
+    Comes with the call in which that argument is worked out, so that calls inside calls are looked at once."""
+    named = {a.name.text for a in node.arguments if isinstance(a, nodes.Argument) and a.name}
+    fitting = [row for row in rows if named <= {a.name for a in row.args}] or list(rows)
+    first = node.arguments[0] if node.arguments else None
+    if not isinstance(first, nodes.Argument) or isinstance(first.value, (nodes.RangeExpr, nodes.Number, nodes.Quantity)):
+        return fitting[0], node
+    found = scope.typed(first.value)
+    kind = found.type.kind
+    if len(node.arguments) > 1 and not named and kind is Kind.FIELD:
+        kind = Kind.NUMBER  # `max(trail, 0.5)`: the greater of two numbers; cells are asked for with `nearest:`
+    kind = {Kind.MAP: Kind.NUMBER, Kind.FLOW: Kind.VECTOR}.get(kind, kind)
+    known = nodes.Argument(first.name, cast(nodes.Expr, Known(found, first.value.span)), first.span)
+    node = nodes.Call(node.function, (known, *node.arguments[1:]), node.span)
+    return next((row for row in fitting if Kind(row.args[0].type.split()[0]) is kind), fitting[0]), node
+
+
+def _default(scope: Scope, arg: Arg, node: nodes.Call) -> list[Expr | None]:
+    if arg.default is None:
+        return [None] * (2 if arg.type.startswith("range") else 1)
+    return list(default_of(scope, arg.default, node.span))
+
+
+def _argument(
+    scope: Scope, called: str, arg: Arg, node: nodes.Expr, variables: Variables, want: Type | None
+) -> list[Expr | None]:
+    """One argument as the operation wants it: a range fills two places."""
+    word, _, variable = arg.type.partition(" ")
+    who = f"`{arg.name}` of `{called}`"
+    if word == "range":
+        return _range(scope, called, who, node, variable, variables)
+    if word == "place":
+        return [place(scope, node, who)]
+    if word == "count":
+        return [count(scope, node, who)]
+    if word == "any":
+        return [
+            _same(
+                scope,
+                called,
+                node,
+                scope.typed(node, variables[variable][1].type if variable in variables else want),
+                variable,
+                variables,
+            )
+        ]
+    if variable:
+        kind = Kind(word)
+        found = value(scope, node)
+        if found.type.kind not in (kind, Kind.BAD):
+            mismatch(
+                scope.report,
+                node,
+                found.type,
+                Type(kind, variables[variable][1].type.dim if variable in variables else Dim()),
+                who,
+            )
+            return [bad(node.span)]
+        return [_same(scope, called, node, found, variable, variables, dims_only=True)]
+    type = type_from_words(word) or BAD
+    found = scope.typed(node, type) if type.kind in THINGS else value(scope, node, type)
+    if type.kind is Kind.OBSTACLE and found.type.kind in (Kind.SURFACE, Kind.SOLID):
+        return [found]
+    if not fits(found.type, type):
+        mismatch(scope.report, node, found.type, type, who, found)
+        return [bad(node.span)]
+    return [found]
+
+
+def _same(
+    scope: Scope, called: str, node: nodes.Expr, found: Expr, variable: str, variables: Variables, dims_only: bool = False
+) -> Expr:
+    """Bind a variable of the table, or hold the value against what bound it before."""
+    found = as_value(found)
+    if variable not in variables or variables[variable][1].type.kind is Kind.BAD:
+        variables[variable] = (node, found)
+        return found
+    first_node, first = variables[variable]
+    agrees = (
+        first.type.dim == found.type.dim
+        if dims_only and Kind.BAD not in (first.type.kind, found.type.kind)
+        else fits(found.type, first.type)
+    )
+    if agrees:
+        return found
+    disagree(scope.report, called, node.span, (first_node, first), (node, found))
+    return bad(node.span)
+
+
+def _range(scope: Scope, called: str, who: str, node: nodes.Expr, variable: str, variables: Variables) -> list[Expr | None]:
+    if not isinstance(node, nodes.RangeExpr):
+        found = scope.typed(node)
+        if found.type.kind is not Kind.BAD:
+            scope.report.error(
+                "wrong-kind",
+                f"{who} wants a range, and {quoted(node.span)} is one value",
+                node.span,
+                "write two values with `..` between: `0 mm .. 5 mm`",
+            )
+        return [bad(node.span), bad(node.span)]
+    low, high = (value(scope, end) for end in (node.low, node.high))
+    for end, found in ((node.low, low), (node.high, high)):
+        if found.type.kind not in (Kind.NUMBER, Kind.BAD):
+            mismatch(scope.report, end, found.type, NUMBER, who)
+            return [bad(node.span), bad(node.span)]
+    ends: list[Expr | None] = [
+        _same(scope, called, node.low, low, variable, variables, True),
+        _same(scope, called, node.high, high, variable, variables, True),
+    ]
+    a, b = constant_behind(low), constant_behind(high)
+    if "from" in who and a and b and (a.u, a.step, a.number) == (b.u, b.step, b.number):
+        scope.report.error("empty-range", f"the range {quoted(node.span)} has no width", node.span, "write two different ends")
+    return ends
+
+
+def _operation(scope: Scope, node: nodes.Call, row: Builtin, args: tuple[Expr | None, ...], variables: Variables) -> Expr:
+    site = draw_site(scope, node.function.span.text, node.span) if row.op in DRAWS else ""
+    rate = max(rate_of(args), Rate.AGENT) if row.op in DRAWS or row.op in _SENSES else rate_of(args)
+    made = Op(_result(row, variables, args), rate, node.span, row.op, args, site)
+    check = _EXTRA.get(row.op)
+    if check is not None:
+        check(scope, node, made)
+    return fold(scope.report, made)
+
+
+_SENSES = (
+    "field_max",
+    "strongest",
+    "gradient",
+    "ray",
+    "distance",
+    "direction",
+    "position",
+    "velocity",
+    "touching",
+    "falloff",
+    "closest",
+    "tangent",
+    "match",
+)
+
+
+def _result(
+    row: Builtin, variables: Mapping[str, tuple[nodes.Expr, Expr]], args: list[Expr | None] | tuple[Expr | None, ...]
+) -> Type:
+    """The type that a row of the table promises, its variables filled in."""
+    word, _, of = row.result.partition(" ")
+    if word in ("number", "vector") and of:
+        kind = Kind(word)
+        if of == "1/length":
+            return Type(kind, Dim(length=-1))
+        if of.startswith("sqrt "):
+            return Type(kind, scaled(_dim(variables, of[5:]), 0.5))
+        if "*" in of:
+            a, b = of.split("*")
+            return Type(kind, product(_dim(variables, a), _dim(variables, b)))
+        return Type(kind, _dim(variables, of))
+    if word == "any":
+        found = [v.type for _, v in variables.values() if v.type.kind is not Kind.BAD]
+        return found[0] if found else BAD
+    if word == "agent":
+        first = args[0]
+        return Type(Kind.AGENT, of=first.type.of if first is not None else None)
+    return type_from_words(word) or Type(Kind(word))
+
+
+def _dim(variables: Mapping[str, tuple[nodes.Expr, Expr]], name: str) -> Dim:
+    return variables[name][1].type.dim if name in variables else Dim()
+
+
+# --- what the table cannot say ---------------------------------------------------------------------------------------
+
+
+def _first(scope: Scope, node: nodes.Call, made: Op) -> None:
+    if made.type.kind not in (*MAY_BE_NONE, Kind.BAD):
+        scope.report.error(
+            "wrong-kind",
+            f"`first` is for things that may be none, and {quoted(node.arguments[0].span)} is {type_words(made.type)}",
+            node.span,
+            "write `first(nearest(food, with: load > 0), nearest(food))` or `max(a, b)`",
+        )  # fmt: skip
+
+
+def _pick(scope: Scope, node: nodes.Call, made: Op) -> None:
+    if made.type.kind in THINGS or made.type.kind is Kind.SET:
+        scope.report.error(
+            "wrong-kind",
+            f"`pick` cannot choose {type_words(made.type)}",
+            node.span,
+            "choose between values; `random(rabbit)` is one agent of a species",
+        )
+
+
+def _clamp(scope: Scope, node: nodes.Call, made: Op) -> None:
+    low, high = (constant_behind(a) if a is not None else None for a in made.args[1:3])
+    if low and high and (low.u, low.step) == (high.u, high.step) and low.number > high.number:
+        span: Span = node.arguments[1].span if len(node.arguments) > 1 else node.span
+        scope.report.error("empty-range", "the range ends before it begins", span, "write the lesser end first")
+
+
+def _uniform(scope: Scope, node: nodes.Call, made: Op) -> None:
+    low, high = (constant_behind(a) if a is not None else None for a in made.args)
+    if low and high and (low.u, low.step) == (high.u, high.step) and low.number > high.number:
+        lesser, greater = (" ".join(arg.value.span.text.split()) for arg in reversed(node.arguments))
+        better = f"uniform({lesser}, {greater})"
+        fix = None if any(arg.name for arg in node.arguments) else Fix(node.span, better)
+        scope.report.error("empty-range", f"{quoted(node.span)} ends before it begins", node.span, f"write `{better}`", fix=fix)
+
+
+def _normal(scope: Scope, node: nodes.Call, made: Op) -> None:
+    deviation = constant_behind(made.args[1]) if made.args[1] is not None else None
+    if deviation is not None and deviation.number < 0:
+        span = node.arguments[-1].span
+        scope.report.error("out-of-range", "a deviation below 0", span, "write a width above 0, as in `normal(0 deg, 20 deg)`")
+
+
+_EXTRA: dict[str, Callable[[Scope, nodes.Call, Op], None]] = {
+    "first": _first, "pick": _pick, "clamp": _clamp, "uniform": _uniform, "normal": _normal,
+}  # fmt: skip

@@ -1,0 +1,196 @@
+"""How an artist calls types, and the complaints about types and units that are told all over the checker."""
+
+from __future__ import annotations
+
+import re
+
+from antdsl.diagnostics import Diagnostic, Fix, Label, Report
+from antdsl.program.model import Dim, Expr, Kind, Op, Type
+from antdsl.program.tables.units import dimension_words, with_article, with_unit
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+_KINDS: dict[Kind, str] = {
+    Kind.BOOL: "a yes or no",
+    Kind.STATE: "a state",
+    Kind.HIT: "what a ray met",
+    Kind.PLACE: "a place",
+    Kind.SET: "a set",
+    Kind.RANGE: "a range",
+    Kind.SURFACE: "a surface",
+    Kind.OBSTACLE: "an obstacle",
+    Kind.SOLID: "a solid",
+    Kind.CURVE: "a curve",
+    Kind.FLOW: "a flow",
+    Kind.MAP: "a map",
+    Kind.FIELD: "a field",
+}
+# Things that are named and are no value, so that something must be asked of them.
+_THINGS = frozenset({Kind.ITEMS, Kind.SPECIES, Kind.SURFACE, Kind.OBSTACLE, Kind.SOLID, Kind.CURVE})
+_VECTORS: dict[Dim, str] = {
+    Dim(): "a push or direction",
+    Dim(length=1): "a position",
+    Dim(length=1, time=-1): "a velocity",
+}
+
+
+def type_words(type: Type) -> str:
+    """`a length`, `a push or direction`, `an item of food`, `an agent of rabbit`."""
+    if type.kind is Kind.NUMBER:
+        return dimension_words(type.dim)
+    if type.kind is Kind.VECTOR:
+        return _VECTORS.get(type.dim) or f"a vector of {dimension_words(type.dim).removeprefix('a ').removeprefix('an ')}"
+    if type.kind in (Kind.ITEM, Kind.AGENT):
+        word = "item" if type.kind is Kind.ITEM else "agent"
+        return f"an {word}" if type.of is None else f"an {word} of `{type.of}`"
+    if type.kind in (Kind.ITEMS, Kind.SPECIES):
+        return "all items of a name" if type.kind is Kind.ITEMS else "a species"
+    return _KINDS.get(type.kind, with_article(type.kind.value))
+
+
+def quoted(span: Span, most: int = 40) -> str:
+    """The author's own text in backquotes, on one line, shortened if long."""
+    text = " ".join(span.text.split())
+    if len(text) > most:
+        text = text[: most - 1].rstrip() + "…"
+    return f"`{text}`"
+
+
+def fits(actual: Type, wanted: Type) -> bool:
+    """Whether a value of one type may stand where the other is wanted. What was complained about already fits everywhere."""
+    if Kind.BAD in (actual.kind, wanted.kind):
+        return True
+    if actual.kind is not wanted.kind:
+        return False
+    if actual.kind in (Kind.NUMBER, Kind.VECTOR) and actual.dim != wanted.dim:
+        return False
+    return actual.of is None or wanted.of is None or actual.of == wanted.of
+
+
+def mismatch(report: Report, node: nodes.Expr, actual: Type, wanted: Type, place: str, found: Expr | None = None) -> None:
+    """Complain that `node` is of another type than `place` wants: a missing unit, a wrong unit, or another kind of thing.
+    `found` is what it turned out to be, where that is known."""
+    if isinstance(found, Op) and found.name == "map_value" and wanted.kind is Kind.VECTOR:
+        text = " ".join(node.span.text.split())
+        report.add(
+            Diagnostic(
+                "wrong-kind",
+                f"`{text}` is a map, whose value is a plain number, and {place} wants {type_words(wanted)}",
+                node.span,
+                help=f"what is painted with directions is a flow: `world {{ flow {text} }}`",
+            )
+        )
+        return
+    report.add(_mismatch(node, actual, wanted, place))
+
+
+def _mismatch(node: nodes.Expr, actual: Type, wanted: Type, place: str) -> Diagnostic:
+    text, want = quoted(node.span), type_words(wanted)
+    both_numbers = actual.kind is Kind.NUMBER and wanted.kind is Kind.NUMBER
+    if both_numbers and isinstance(node, nodes.Number):
+        write = with_unit(node.value, wanted.dim)
+        return Diagnostic(
+            "missing-unit",
+            f"{text} has no unit, and {place} wants {want}",
+            node.span,
+            help=f"write `{write}`",
+            fix=Fix(node.span, write),
+        )
+    if both_numbers:
+        fix = None
+        advice = f"write {want}"
+        if isinstance(node, nodes.Quantity):
+            write = with_unit(node.value, wanted.dim)
+            advice, fix = f"write {want}, such as `{write}`", Fix(node.span, write)
+        return Diagnostic(
+            "wrong-unit", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=advice, fix=fix
+        )
+    if actual.kind is wanted.kind and actual.kind is Kind.VECTOR:
+        advice = "`direction(x)`, `unit(v)` and `match(velocity)` make pushes" if wanted.dim == Dim() else f"write {want}"
+        return Diagnostic("wrong-unit", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=advice)
+    advice = _advice(node, actual, wanted)
+    message = f"{text} is {type_words(actual)}, and {place} wants {want}"
+    fix = _with_units(node) if wanted.kind is Kind.PLACE and actual == Type(Kind.VECTOR) else None
+    if fix is None and wanted.kind is not Kind.FLOW and not (wanted.kind is Kind.BOOL and actual.kind in _THINGS):
+        fix = _made_of(node, advice)
+    return Diagnostic("wrong-kind", message, node.span, help=advice, fix=fix)
+
+
+def _with_units(node: nodes.Expr) -> Fix | None:
+    """`vector(10, 0, 0)` with lengths in it, and so a place."""
+    if not isinstance(node, nodes.Call) or node.function.span.text != "vector":
+        return None
+    values = [each.value for each in node.arguments if isinstance(each, nodes.Argument)]
+    if len(values) < 3 or not all(isinstance(each, nodes.Number) or _is_minus(each) for each in values):
+        return None
+    return Fix(node.span, f"vector({', '.join(f'{each.span.text} mm' for each in values)})")
+
+
+def _is_minus(node: nodes.Expr) -> bool:
+    return isinstance(node, nodes.Unary) and node.op == "-" and isinstance(node.operand, nodes.Number)
+
+
+def _made_of(node: nodes.Expr, advice: str) -> Fix | None:
+    """The first text in backquotes of the advice, where it is made of what the author wrote."""
+    text, made = " ".join(node.span.text.split()), re.search("`([^`…]+)`", advice)
+    return Fix(node.span, made[1]) if made and text in made[1] else None
+
+
+def _advice(node: nodes.Expr, actual: Type, wanted: Type) -> str:
+    text = " ".join(node.span.text.split())
+    short = text if len(text) <= 30 else "…"
+    if wanted.kind is Kind.BOOL and actual.kind in _THINGS:
+        any_there = f", or `nearest({short})` for whether there is any" if actual.kind in (Kind.ITEMS, Kind.SPECIES) else ""
+        return f"ask something of it: `touching({short})`, `distance({short}) < 20 mm`{any_there}"
+    if wanted.kind is Kind.PLACE:
+        made = _with_units(node) if actual.kind is Kind.VECTOR else None
+        if made is not None:
+            return f"a place has lengths: `{made.text}`"
+        if actual.kind is Kind.VECTOR and actual.dim == Dim():
+            ahead = f"{short} * 20 mm" if not isinstance(node, nodes.Binary) else f"({short}) * 20 mm"
+            return f"a direction is no place: steer by it as it is, or name the place that way: `position + {ahead}`"
+        return "name an item, an agent or a position, such as `nearest(food)` or `vector(10 mm, 0 mm, 0 mm)`"
+    if wanted.kind is Kind.BOOL and actual.kind is Kind.NUMBER:
+        if isinstance(node, (nodes.Number, nodes.Quantity)):
+            return "a number alone asks nothing: compare something with it"
+        if isinstance(node, nodes.Binary) and node.op in ("and", "or"):
+            short = f"({short})"
+        return f"compare it with something: `{short} > {with_unit(0.5 if actual.dim == Dim() else 1, actual.dim)}`"
+    if wanted.kind is Kind.VECTOR and wanted.dim == Dim():
+        if actual.kind in (Kind.ITEM, Kind.AGENT, Kind.ITEMS, Kind.SPECIES, Kind.PLACE, Kind.CURVE):
+            return f"`direction({short})` is the push toward it"
+        if actual.kind is Kind.NUMBER:
+            return (
+                f"a push has a direction: `heading * {short}`"
+                if actual.dim == Dim()
+                else "a push has a direction, such as `heading`"
+            )
+    if wanted.kind is Kind.NUMBER and actual.kind is Kind.VECTOR:
+        return f"`length({short})` is a number"
+    if wanted.kind is Kind.NUMBER and actual.kind in (Kind.ITEM, Kind.AGENT, Kind.PLACE):
+        return f"`distance({short})` is a length; `{short}.size` and the like are its values"
+    if wanted.kind is Kind.FLOW:
+        if actual.kind is Kind.VECTOR:
+            return f"`toward({short})` takes any direction; here the name of a flow is wanted"
+        return "name a flow: `world { flow drift }`, and in the scene `drift: {toward: nest}`"
+    if wanted.kind is Kind.ITEM and actual.kind is Kind.ITEMS:
+        return f"`nearest({short})` is one of them"
+    return f"write {type_words(wanted)}"
+
+
+def disagree(report: Report, op: str, span: Span, left: tuple[nodes.Expr, Expr], right: tuple[nodes.Expr, Expr]) -> None:
+    """Complain that the two sides of a sign do not go together, naming both as the author wrote them."""
+    (left_node, a), (right_node, b) = left, right
+    both = f"{quoted(left_node.span)} is {type_words(a.type)} and {quoted(right_node.span)} is {type_words(b.type)}"
+    message = f"{both}: `{op}` wants both alike"
+    advice, fix = None, None
+    for node, other in ((right_node, a), (left_node, b)):
+        if isinstance(node, (nodes.Number, nodes.Quantity)) and other.type.kind is Kind.NUMBER:
+            write = with_unit(node.value, other.type.dim)
+            advice, fix = f"write `{write}` for {quoted(node.span)}", Fix(node.span, write)
+            break
+    labels = (Label(left_node.span, type_words(a.type)), Label(right_node.span, type_words(b.type)))
+    missing = any(isinstance(n, nodes.Number) for n in (left_node, right_node)) and a.type.kind is b.type.kind
+    code = "missing-unit" if missing and fix else "units-differ" if a.type.kind is b.type.kind else "kinds-differ"
+    place = span if fix is None else fix.span
+    report.add(Diagnostic(code, message, place, help=advice or "make both sides alike", labels=labels, fix=fix))

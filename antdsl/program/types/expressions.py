@@ -1,0 +1,379 @@
+"""Types of literals, names and values of things. Calls, signs and behaviours have files of their own; `rules` joins them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from antdsl import limits
+from antdsl.diagnostics import Fix
+from antdsl.program.model import (
+    Attribute,
+    Binding,
+    Const,
+    Expr,
+    Kind,
+    Local,
+    NoneRef,
+    Op,
+    ParamRef,
+    Rate,
+    SetOf,
+    Thing,
+    Type,
+)
+from antdsl.program.names.missing import missing_thing
+from antdsl.program.names.scope import BAD, BOOL, Scope, attributes_of, bad, did_you_mean, listed, told_before, type_from_words
+from antdsl.program.tables.other_words import NAMES
+from antdsl.program.tables.units import constant, number
+from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
+from antdsl.program.types.descriptions import fits, mismatch, quoted, type_words
+from antdsl.program.types.states import STATE_WORDS, machine_named, of_machine, state_word
+from antdsl.source import Span
+from antdsl.syntax import nodes
+from antdsl.syntax.words import UNIT_NAMES
+
+THINGS = frozenset(
+    {Kind.ITEMS, Kind.SPECIES, Kind.SURFACE, Kind.OBSTACLE, Kind.SOLID, Kind.CURVE, Kind.FIELD, Kind.FLOW, Kind.MAP}
+)
+MAY_BE_NONE = frozenset({Kind.ITEM, Kind.AGENT, Kind.HIT})
+
+
+# --- literals --------------------------------------------------------------------------------------------------------
+
+
+def number_of(scope: Scope, node: nodes.Number, want: Type | None) -> Expr:
+    return number(node.value, node.span)
+
+
+def quantity_of(scope: Scope, node: nodes.Quantity, want: Type | None) -> Expr:
+    found = constant(node.value, node.unit, node.span)
+    if found is not None:
+        if abs(found.number) > limits.LARGEST:
+            message = f"{quoted(node.span)} is too large to keep"
+            scope.report.error("number-too-large", message, node.span, "write a smaller number")
+        return found
+    units = ", ".join(f"`{unit}`" for unit in UNITS)
+    scope.report.error(
+        "unknown-unit", f"no unit `{node.unit}`", node.unit_span, did_you_mean(node.unit, UNITS, f"units are {units}")
+    )
+    return bad(node.span)
+
+
+def none_of(scope: Scope, node: nodes.NoneOf, want: Type | None) -> Expr:
+    if node.of is None:
+        if want is not None and want.kind in MAY_BE_NONE:
+            return NoneRef(want, Rate.CONST, node.span)
+        scope.report.error(
+            "none-of-what",
+            "`none` alone does not say of what",
+            node.span,
+            "write `none of food` or `none of rabbit`, with the name that is meant",
+        )
+        return bad(node.span)
+    type = referable(scope, node.of)
+    return bad(node.span) if type is None else NoneRef(type, Rate.CONST, node.span)
+
+
+def referable(scope: Scope, name: nodes.Name) -> Type | None:
+    """The type of one item or agent of a declared name; complains and gives None when nothing of that name can be referred to."""
+    declared = scope.declared
+    thing = declared.things.get(name.text)
+    if thing is not None and thing.kind == "items":
+        scope.use("thing", name.text)
+        return Type(Kind.ITEM, of=name.text)
+    if name.text in declared.species:
+        scope.use("species", name.text)
+        return Type(Kind.AGENT, of=name.text)
+    known = [t.name for t in declared.things.values() if t.kind == "items"] + list(declared.species)
+    scope.report.error(
+        "unknown-name", f"no items or species `{name.text}`", name.span,
+        did_you_mean(name.text, known, f"declare it: `world {{ items {name.text} }}`"),
+    )  # fmt: skip
+    return None
+
+
+# --- names -----------------------------------------------------------------------------------------------------------
+
+
+def name_of(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
+    name, span = node.name.text, node.span
+    for look in (_local, _of_element, _word, _own, _given, _of_world):
+        found = look(scope, name, span)
+        if found is not None:
+            return found
+    return _unknown(scope, node, want)
+
+
+def _local(scope: Scope, name: str, span: Span) -> Expr | None:
+    found = scope.locals.get(name)
+    if found is None:
+        return None
+    if isinstance(found, Binding):
+        scope.use("local", f"{found.span}:{name}")
+        return read(scope, found, span)
+    return found
+
+
+def read(scope: Scope, binding: Binding, span: Span) -> Expr:
+    """A use of a named value."""
+    if binding.role == "let" and binding.snapshot and scope.no_let:
+        _too_early(scope, binding.name, span)
+    if binding.type.kind is Kind.SET and isinstance(binding.value, SetOf):
+        return binding.value
+    return Local(binding.type, binding.rate, span, binding)
+
+
+def _too_early(scope: Scope, name: str, span: Span) -> None:
+    scope.report.error("let-too-early", f"`{name}` cannot be read here: {scope.no_let}", span, "set it in `on spawn { … }`")
+
+
+def _of_element(scope: Scope, name: str, span: Span) -> Expr | None:
+    if scope.element is None:
+        return None
+    element = scope.element
+    owner = Local(element.type, Rate.ELEMENT, span, element)
+    if name == "it":
+        return owner
+    if name in STATE_WORDS and element.type.kind is Kind.AGENT:
+        return state_word(scope, owner, name, span, None)
+    type = attributes_of(scope.declared, element.type).get(name)
+    return None if type is None else value_of(scope, owner, name, type, span)
+
+
+def _word(scope: Scope, name: str, span: Span) -> Expr | None:
+    if name == "self":
+        return Thing(Type(Kind.AGENT, of=scope.species.name if scope.species else None), Rate.AGENT, span, "self")
+    if name in ("true", "false"):
+        return Const(BOOL, Rate.CONST, span, float(name == "true"))
+    return None
+
+
+def _own(scope: Scope, name: str, span: Span) -> Expr | None:
+    """The species' own names: params, attributes, lets, latches and what its machines know. A behaviour does not see them."""
+    species = scope.species
+    if species is None or scope.behaviour is not None:
+        return None
+    if name in species.params:
+        scope.use("param", f"{species.name}.{name}")
+        return ParamRef(species.params[name], Rate.RUN, span, f"{species.name}.{name}")
+    if name in species.attributes:
+        scope.use("attribute", f"{species.name}.{name}")
+        return Attribute(species.attributes[name], Rate.AGENT, span, None, name)
+    if name in species.bindings:
+        scope.use("let", f"{species.name}.{name}")
+        return read(scope, species.bindings[name], span)
+    if name in species.pending:
+        scope.use("let", f"{species.name}.{name}")
+        if scope.no_let:
+            _too_early(scope, name, span)
+        return bad(span)
+    if name in STATE_WORDS and species.machines:
+        return state_word(scope, None, name, span, None)
+    return None
+
+
+def _given(scope: Scope, name: str, span: Span) -> Expr | None:
+    if name in GIVEN:
+        type = type_from_words(GIVEN[name].type)
+        return Attribute(type or BAD, Rate.AGENT, span, None, name)
+    if name in RUN_NAMES:
+        type, rate = type_from_words(RUN_NAMES[name]) or BAD, Rate.RUN if name == "dt" else Rate.STEP
+        return Op(type, rate, span, "run", (Thing(type, rate, span, name),))
+    if name in SENSED_NAMES:
+        return Op(type_from_words(SENSED_NAMES[name]) or BAD, Rate.AGENT, span, name, ())
+    return None
+
+
+def _of_world(scope: Scope, name: str, span: Span) -> Expr | None:
+    declared = scope.declared
+    if name in declared.fields:
+        scope.use("field", name)
+        return Thing(Type(Kind.FIELD), Rate.CONST, span, name)
+    if name in declared.species:
+        scope.use("species", name)
+        return Thing(Type(Kind.SPECIES, of=name), Rate.CONST, span, name)
+    thing = declared.things.get(name)
+    if thing is not None:
+        scope.use("thing", name)
+        return Thing(Type(Kind(thing.kind), of=name), Rate.CONST, span, name)
+    if name in declared.events and scope.species is not None:
+        scope.use("event", name)
+        return Op(BOOL, Rate.AGENT, span, "event", (Thing(BOOL, Rate.CONST, span, name),))
+    return None
+
+
+def visible(scope: Scope) -> set[str]:
+    """Every name that may be written as a value at a place."""
+    names = set(scope.locals) | set(GIVEN) | set(RUN_NAMES) | set(SENSED_NAMES) | {"self", "true", "false"}
+    names |= set(scope.declared.fields) | set(scope.declared.things) | set(scope.declared.species) | set(scope.declared.events)
+    if scope.species is not None and scope.behaviour is None:
+        own = scope.species
+        names |= set(own.params) | set(own.attributes) | set(own.bindings) | own.pending
+        names |= {*STATE_WORDS, *own.machines} if own.machines else set()
+    if scope.element is not None:
+        names |= {"it", *attributes_of(scope.declared, scope.element.type)}
+    return names
+
+
+def _unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
+    name, report = node.name.text, scope.report
+    if name in scope.declared.unclear:
+        return bad(node.span)
+    if told_before(scope, "name", node.name):
+        return bad(node.span)
+    if name in RESERVED:
+        report.error("not-yet", f"`{name}` is a word of the language that does not work yet", node.span, "leave it out for now")
+    elif scope.species is not None and any(name in m.states for m in scope.species.machines.values()):
+        report.error("state-as-value", f"`{name}` is a state and has no value", node.span, f"ask for it with `state == {name}`")
+    elif scope.species is not None and scope.behaviour is not None and name in scope.species.attributes:
+        report.error(
+            "unknown-name",
+            f"a behaviour does not know `{name}` of the species that calls it",
+            node.span,
+            f"take it as an argument: `{name}: …`",
+        )
+    elif name in BUILTINS or name in REDUCERS or scope.file.behaviour(name) is not None:
+        behaviour = scope.file.behaviour(name)
+        alone = behaviour is not None and all(argument.default is not None for argument in behaviour.node.arguments)
+        report.error("call-without-brackets", f"`{name}` wants brackets", node.span, f"write `{name}({'' if alone else '…'})`")
+    else:
+        advice, fix = missing_thing(scope, name, want) or _other_word(name, node.span)
+        if advice is None:
+            advice = did_you_mean(name, visible(scope), f"declare it, or use one of {listed(visible(scope) - set(GIVEN))}")
+        report.error("unknown-name", f"no `{name}` is known here", node.span, advice, fix=fix)
+    return bad(node.span)
+
+
+def _other_word(name: str, span: Span) -> tuple[str | None, Fix | None]:
+    """What to write for a unit without its number, and for a name that other tools have."""
+    unit = f"a unit stands behind its number, without blanks inside: `1 {name}`, `30 mm/s`" if name in UNIT_NAMES else None
+    instead = NAMES.get(name)
+    if instead is None:
+        return unit, None
+    return f"write `{instead}`{f', how long a step lasts; {unit}' if unit else ''}", Fix(span, instead)
+
+
+# --- values of things ------------------------------------------------------------------------------------------------
+
+
+def value_of(scope: Scope, owner: Expr, name: str, type: Type, span: Span) -> Expr:
+    """`owner.name` for a value that is known to be there."""
+    if isinstance(owner, Thing) and owner.name == "self":
+        scope.use("attribute", f"{owner.type.of}.{name}")
+        return Attribute(type, Rate.AGENT, span, None, name)
+    if owner.type.kind is Kind.AGENT:
+        scope.use("attribute", f"{owner.type.of}.{name}")
+    return Attribute(type, max(owner.rate, Rate.AGENT), span, owner, name)
+
+
+def member_of(scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
+    machine = machine_named(scope, node.owner)
+    if machine is not None:
+        return of_machine(scope, machine, node)
+    owner = scope.typed(node.owner)
+    name, kind = node.name.text, owner.type.kind
+    if kind is Kind.BAD:
+        return owner
+    if kind is Kind.SPECIES:
+        return _param_of(scope, owner, node)
+    if kind is Kind.AGENT and name in STATE_WORDS:
+        return state_word(scope, owner, name, node.span, node.name.span)
+    known = attributes_of(scope.declared, owner.type)
+    if name in known:
+        return value_of(scope, owner, name, known[name], node.span)
+    _no_member(scope, owner, node, known)
+    return bad(node.span)
+
+
+def _no_member(scope: Scope, owner: Expr, node: nodes.Member, known: dict[str, Type]) -> None:
+    name, kind, text = node.name.text, owner.type.kind, " ".join(node.owner.span.text.split())
+    if kind is Kind.ITEMS:
+        advice = f"say which one: `nearest({text}).{name}`" if name != "position" else f"`position({text})`"
+        scope.report.error("wrong-kind", f"`{text}` is all items of that name, and `{name}` is a value of one", node.span, advice)
+    elif known:
+        advice = did_you_mean(name, known, f"there is {listed(known)}")
+        scope.report.error("unknown-name", f"{type_words(owner.type)} has no `{name}`", node.name.span, advice)
+    elif kind is Kind.VECTOR:
+        scope.report.error(
+            "wrong-kind",
+            f"a part of a vector has no name: `{name}`",
+            node.name.span,
+            f"the part along a direction is `dot({text}, up)`",
+        )
+    else:
+        scope.report.error(
+            "wrong-kind",
+            f"{quoted(node.owner.span)} is {type_words(owner.type)} and has no values of its own",
+            node.span,
+            f"leave `.{name}` out",
+        )
+
+
+def _param_of(scope: Scope, owner: Expr, node: nodes.Member) -> Expr:
+    names = scope.declared.species[owner.type.of] if owner.type.of else None
+    if names is not None and node.name.text in names.params:
+        scope.use("param", f"{names.name}.{node.name.text}")
+        return ParamRef(names.params[node.name.text], Rate.RUN, node.span, f"{names.name}.{node.name.text}")
+    species = owner.type.of or "species"
+    scope.report.error(
+        "wrong-kind", f"`{species}` is a whole species, and `{node.name.text}` is a value of one agent", node.span,
+        f"say which one: `nearest({species}).{node.name.text}`",
+    )  # fmt: skip
+    return bad(node.span)
+
+
+def index_of(scope: Scope, node: nodes.Index, want: Type | None) -> Expr:
+    """`likes[other]`: the agent's own value about another agent."""
+    species, owner = scope.species, node.owner
+    index = scope.typed(node.index)
+    if isinstance(owner, nodes.NameRef) and species is not None and scope.behaviour is None and owner.name.text in species.each:
+        name = owner.name.text
+        scope.use("attribute", f"{species.name}.{name}")
+        wanted = Type(Kind.AGENT, of=species.each[name])
+        if not fits(index.type, wanted):
+            mismatch(scope.report, node.index, index.type, wanted, f"`{name}[…]`")
+        return Attribute(species.attributes[name], max(index.rate, Rate.AGENT), node.span, index, name)
+    if scope.typed(owner).type.kind is Kind.BAD:
+        return bad(node.span)
+    scope.report.error(
+        "wrong-kind",
+        f"{quoted(owner.span)} has no value per agent",
+        node.span,
+        "a value per pair is declared so: `likes = 0 for each roach, strongest 8`",
+    )
+    return bad(node.span)
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """Stands in the place of an argument whose type was needed before it was its turn, so that nothing is worked out twice."""
+
+    expr: Expr
+    span: Span
+
+
+def known(scope: Scope, node: Known, want: Type | None) -> Expr:
+    return node.expr
+
+
+def bad_expr(scope: Scope, node: nodes.BadExpr, want: Type | None) -> Expr:
+    return bad(node.span)
+
+
+def range_of(scope: Scope, node: nodes.RangeExpr, want: Type | None) -> Expr:
+    scope.typed(node.low)
+    scope.typed(node.high)
+    scope.report.error(
+        "wrong-kind",
+        f"a range {quoted(node.span)} cannot stand here",
+        node.span,
+        "ranges are for arguments such as `from: 0 mm .. 5 mm`",
+    )
+    return bad(node.span)
+
+
+def pair_of(scope: Scope, node: nodes.PairOf, want: Type | None) -> Expr:
+    scope.report.error(
+        "not-yet", "`… to …` as a pair of two things does not work yet", node.span, "a value per pair is written `likes[other]`"
+    )
+    return bad(node.span)

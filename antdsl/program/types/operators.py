@@ -1,0 +1,378 @@
+"""Types of signs and words between values: arithmetic, comparisons, and/or/not, `no`, `is none`, `chance`, if-then-else."""
+
+from __future__ import annotations
+
+from antdsl.diagnostics import Fix
+from antdsl.program.model import Const, Expr, Kind, Op, Rate, Type
+from antdsl.program.names.scope import BAD, BOOL, NUMBER, PER_SECOND, Scope, bad, rate_of
+from antdsl.program.tables.units import product, scaled
+from antdsl.program.tables.vocabulary import SIGN_OPS
+from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
+from antdsl.program.types.expressions import MAY_BE_NONE, THINGS
+from antdsl.program.types.folding import constant_behind, fold
+from antdsl.program.types.states import STATE_WORDS, state_named
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+_COMPARED = ("<", "<=", ">", ">=")
+_EQUAL = ("==", "!=")
+_VALUE_HERE = {
+    Kind.FIELD: ("field_value", NUMBER),
+    Kind.FLOW: ("flow_value", Type(Kind.VECTOR)),
+    Kind.MAP: ("map_value", NUMBER),
+}
+
+
+def op(name: str, type: Type, span: Span, *args: Expr | None, site: str = "") -> Op:
+    return Op(type, rate_of(args), span, name, args, site)
+
+
+# --- operands --------------------------------------------------------------------------------------------------------
+
+
+def value(scope: Scope, node: nodes.Expr, want: Type | None = None) -> Expr:
+    """An expression where a value is wanted: the name of a field, flow or map stands for its value here."""
+    return as_value(scope.typed(node, want))
+
+
+def as_value(expr: Expr) -> Expr:
+    here = _VALUE_HERE.get(expr.type.kind)
+    return expr if here is None else Op(here[1], Rate.AGENT, expr.span, here[0], (expr,))
+
+
+def wanted(scope: Scope, node: nodes.Expr, want: Type, place: str) -> Expr:
+    """The value of an expression, which must be of a type; `place` says in words who wants it."""
+    found = value(scope, node, want)
+    if fits(found.type, want):
+        return found
+    mismatch(scope.report, node, found.type, want, place, found)
+    return bad(node.span)
+
+
+def condition(scope: Scope, node: nodes.Expr, place: str) -> Expr:
+    """An expression as a yes or no: an item, agent, hit or set counts as whether there is one."""
+    if not scope.once and _mentions_event(scope, node):
+        scope = scope.inside(once=True)
+    return truth(scope, node, value(scope, node, BOOL), place)
+
+
+def truth(scope: Scope, node: nodes.Expr, found: Expr, place: str) -> Expr:
+    kind = found.type.kind
+    if kind in (Kind.BOOL, Kind.BAD):
+        return found
+    if kind in MAY_BE_NONE or kind is Kind.SET or (kind is Kind.PLACE and scope.generic):
+        return op("is_some", BOOL, found.span, found)
+    mismatch(scope.report, node, found.type, BOOL, place)
+    return bad(node.span)
+
+
+def _mentions_event(scope: Scope, node: nodes.Expr) -> bool:
+    """An event is there for one step only, so a `chance` beside it is a share and no rate."""
+    stack: list[nodes.Expr] = [node]
+    while stack:
+        part = stack.pop()
+        if isinstance(part, nodes.NameRef):
+            name = part.name.text
+            if name in scope.declared.events and name not in scope.locals:
+                return True
+        elif isinstance(part, nodes.Binary) and part.op in ("and", "or"):
+            stack += [part.left, part.right]
+    return False
+
+
+# --- one operand -----------------------------------------------------------------------------------------------------
+
+
+def unary(scope: Scope, node: nodes.Unary, want: Type | None) -> Expr:
+    if node.op == "-":
+        found = value(scope, node.operand)
+        if found.type.kind not in (Kind.NUMBER, Kind.VECTOR, Kind.BAD):
+            mismatch(scope.report, node.operand, found.type, NUMBER, "`-`")
+            return bad(node.span)
+        return fold(scope.report, op("neg", found.type, node.span, found))
+    if node.op == "not":
+        return _not(scope, node)
+    if node.op == "no":
+        return _no(scope, node)
+    return _chance(scope, node)
+
+
+def _not(scope: Scope, node: nodes.Unary) -> Expr:
+    found = value(scope, node.operand, BOOL)
+    if found.type == NUMBER:
+        return op("sub", NUMBER, node.span, Const(NUMBER, Rate.CONST, node.span, 1.0), found)
+    if found.type == BAD:
+        return bad(node.span)
+    return op("not", BOOL, node.span, truth(scope, node.operand, found, "`not`"))
+
+
+def _no(scope: Scope, node: nodes.Unary) -> Expr:
+    found = scope.typed(node.operand)
+    return _none_test(scope, node.operand, found, node.span, "no")
+
+
+def _none_test(scope: Scope, node: nodes.Expr, found: Expr, span: Span, word: str) -> Expr:
+    kind = found.type.kind
+    if kind in MAY_BE_NONE or kind in (Kind.SET, Kind.BAD, Kind.PLACE):
+        return op("is_none", BOOL, span, found)
+    advice = "`not` turns a yes into a no" if kind is Kind.BOOL else "only an item, an agent, a hit or a set can be none"
+    fix = None
+    if kind in (Kind.ITEMS, Kind.SPECIES):
+        nearest = f"nearest({' '.join(node.span.text.split())})"
+        advice, fix = f"ask for one of them: `no {nearest}`", Fix(node.span, nearest)
+    message = f"{quoted(node.span)} is {type_words(found.type)}, which is never none"
+    scope.report.error("wrong-kind", message, node.span, advice, fix=fix)
+    return bad(span)
+
+
+def is_none(scope: Scope, node: nodes.IsNone, want: Type | None) -> Expr:
+    found = scope.typed(node.operand)
+    test = _none_test(scope, node.operand, found, node.span, "is none")
+    return op("not", BOOL, node.span, test) if node.negated and isinstance(test, Op) else test
+
+
+def _chance(scope: Scope, node: nodes.Unary) -> Expr:
+    found = value(scope, node.operand)
+    site = draw_site(scope, "chance", node.span)
+    _bounded_chance(scope, node, found)
+    if fits(found.type, PER_SECOND) or (scope.once and fits(found.type, NUMBER)):
+        return Op(BOOL, max(found.rate, Rate.AGENT), node.span, "chance", (found,), site)
+    if found.type == NUMBER:
+        text = " ".join(node.operand.span.text.split())
+        if isinstance(node.operand, nodes.Number | nodes.Quantity):
+            text = text.replace(",", ".")
+        scope.report.error(
+            "not-a-rate", f"{quoted(node.operand.span)} does not say per what time", node.operand.span,
+            f"write `chance {text}{'/s' if text.endswith('%') else ' /s'}` for so much a second",
+        )  # fmt: skip
+    else:
+        mismatch(scope.report, node.operand, found.type, PER_SECOND, "`chance`")
+    return bad(node.span)
+
+
+def _bounded_chance(scope: Scope, node: nodes.Unary, found: Expr) -> None:
+    known = constant_behind(found)
+    if known is None:
+        return
+    if known.number < 0:
+        scope.report.error(
+            "out-of-range", f"a chance below 0: {quoted(node.operand.span)}", node.operand.span, "write a chance of 0 or more"
+        )
+    elif known.type == NUMBER and known.number > 1 and scope.once:
+        scope.report.error(
+            "out-of-range", f"a chance above 100 %: {quoted(node.operand.span)}", node.operand.span, "write at most `100 %`"
+        )
+
+
+def draw_site(scope: Scope, word: str, span: Span) -> str:
+    """The name of a draw; inside a set there may be none, since its result would depend on who is looked at first."""
+    if scope.sets:
+        scope.report.error(
+            "draw-in-set",
+            f"`{word}` draws a random number inside a set",
+            span,
+            "draw before the set: `let x = …`, and use `x` inside",
+        )
+    return scope.keys.next(word)
+
+
+def count(scope: Scope, node: nodes.Expr, who: str) -> Expr:
+    """A whole number that is known before anything runs."""
+    found = value(scope, node)
+    if found.type.kind is Kind.BAD or (scope.generic and found.type == NUMBER):
+        return found
+    known = constant_behind(found)
+    if known is not None and known.type == NUMBER and 1 <= known.number <= 64 and known.number == int(known.number):
+        return Const(NUMBER, Rate.CONST, node.span, known.number)
+    scope.report.error(
+        "wrong-count",
+        f"{who} wants a whole number from 1 to 64, not {quoted(node.span)}",
+        node.span,
+        "write a number such as `3`",
+    )
+    return bad(node.span)
+
+
+# --- two operands ----------------------------------------------------------------------------------------------------
+
+
+def binary(scope: Scope, node: nodes.Binary, want: Type | None) -> Expr:
+    if node.op in ("and", "or"):
+        return _logic(scope, node)
+    if node.op in _EQUAL:
+        return _equal(scope, node)
+    left, right = value(scope, node.left), value(scope, node.right)
+    if Kind.BAD in (left.type.kind, right.type.kind):
+        return op(SIGN_OPS[node.op], BOOL if node.op in _COMPARED else BAD, node.span, left, right)
+    if node.op in _COMPARED:
+        return _compare(scope, node, left, right)
+    return _ARITHMETIC[node.op](scope, node, left, right)
+
+
+def _logic(scope: Scope, node: nodes.Binary) -> Expr:
+    """`and`, `or`: of two yes-or-nos, or the lesser and the greater of two shades of truth."""
+    left, right = value(scope, node.left, BOOL), value(scope, node.right, BOOL)
+    if BAD in (left.type, right.type) and {left.type, right.type} <= {BAD, NUMBER}:
+        return op(node.op, BAD, node.span, left, right)  # what is wrong may have been meant as a shade of truth
+    if left.type == NUMBER and right.type == NUMBER:
+        return op("min" if node.op == "and" else "max", NUMBER, node.span, left, right)
+    if scope.shades and NUMBER in (left.type, right.type):  # elsewhere a number beside a yes or no is mostly a slip
+        pairs = ((node.left, left), (node.right, right))
+        parts = (e if e.type == NUMBER else truth(scope, n, e, f"`{node.op}`") for n, e in pairs)
+        return op(node.op, NUMBER, node.span, *parts)
+    a = truth(scope, node.left, left, f"`{node.op}`")
+    b = truth(scope, node.right, right, f"`{node.op}`")
+    return op(node.op, BOOL, node.span, a, b)
+
+
+def _looks_like_state(node: nodes.Expr) -> bool:
+    if isinstance(node, nodes.Member):
+        return node.name.text in STATE_WORDS
+    return isinstance(node, nodes.NameRef) and node.name.text in STATE_WORDS
+
+
+def _is_state(scope: Scope, node: nodes.Expr) -> bool:
+    machines = scope.species.machines.values() if scope.species is not None else ()
+    return isinstance(node, nodes.NameRef) and any(node.name.text in machine.states for machine in machines)
+
+
+def _equal(scope: Scope, node: nodes.Binary) -> Expr:
+    left_node, right_node = node.left, node.right
+    if _looks_like_state(right_node) and not _looks_like_state(left_node):
+        left_node, right_node = right_node, left_node
+    left = value(scope, left_node)
+    if left.type.kind is Kind.BAD and _is_state(scope, right_node):
+        return bad(node.span)
+    if left.type.kind is Kind.STATE:
+        pair = state_named(scope, left, right_node)
+        if pair is not None:
+            return op(SIGN_OPS[node.op], BOOL, node.span, *pair)
+    right = value(scope, right_node, left.type)
+    if isinstance(left_node, nodes.NoneOf) and left_node.of is None and right.type.kind in MAY_BE_NONE:
+        left = value(scope, left_node, right.type)
+    if fits(left.type, right.type) and left.type.kind not in THINGS | {Kind.SET, Kind.VECTOR}:
+        return op(SIGN_OPS[node.op], BOOL, node.span, left, right)
+    if left.type.kind is right.type.kind and left.type.kind is not Kind.NUMBER:
+        scope.report.error(
+            "kinds-differ",
+            f"{quoted(node.span)} compares what cannot be compared",
+            node.span,
+            "compare numbers, states, items or agents",
+        )
+    else:
+        disagree(scope.report, node.op, node.span, (left_node, left), (right_node, right))
+    return op(SIGN_OPS[node.op], BOOL, node.span, left, right)
+
+
+def _compare(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
+    if left.type.kind is Kind.NUMBER and fits(left.type, right.type):
+        return op(SIGN_OPS[node.op], BOOL, node.span, left, right)
+    if left.type.kind is Kind.NUMBER or right.type.kind is Kind.NUMBER:
+        disagree(scope.report, node.op, node.span, (node.left, left), (node.right, right))
+    else:
+        mismatch(scope.report, node.left, left.type, NUMBER, f"`{node.op}`")
+    return op(SIGN_OPS[node.op], BOOL, node.span, left, right)
+
+
+def _sum(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
+    if left.type.kind in (Kind.NUMBER, Kind.VECTOR) and fits(left.type, right.type):
+        return fold(scope.report, op(SIGN_OPS[node.op], left.type, node.span, left, right))
+    odd = next(
+        ((n, e) for n, e in ((node.left, left), (node.right, right)) if e.type.kind not in (Kind.NUMBER, Kind.VECTOR)), None
+    )
+    if odd is not None:
+        mismatch(scope.report, odd[0], odd[1].type, NUMBER, f"`{node.op}`")
+    else:
+        disagree(scope.report, node.op, node.span, (node.left, left), (node.right, right))
+    return bad(node.span)
+
+
+def _operands(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> bool:
+    """Whether both are numbers or vectors; complains about the first that is not."""
+    for part, found in ((node.left, left), (node.right, right)):
+        if found.type.kind not in (Kind.NUMBER, Kind.VECTOR):
+            mismatch(scope.report, part, found.type, NUMBER, f"`{node.op}`")
+            return False
+    return True
+
+
+def _product(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
+    if not _operands(scope, node, left, right):
+        return bad(node.span)
+    vectors = [e for e in (left, right) if e.type.kind is Kind.VECTOR]
+    if len(vectors) == 2:
+        scope.report.error(
+            "wrong-kind",
+            f"{quoted(node.span)} multiplies two vectors",
+            node.op_span,
+            "write `dot(a, b)` for a number or `cross(a, b)` for a vector",
+        )
+        return bad(node.span)
+    type = Type(Kind.VECTOR if vectors else Kind.NUMBER, product(left.type.dim, right.type.dim))
+    return fold(scope.report, op("mul", type, node.span, left, right))
+
+
+def _quotient(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
+    if not _operands(scope, node, left, right):
+        return bad(node.span)
+    if right.type.kind is Kind.VECTOR:
+        scope.report.error(
+            "wrong-kind",
+            f"{quoted(node.span)} divides by a vector",
+            node.op_span,
+            f"divide by its length: `length({quoted(node.right.span).strip('`')})`",
+        )
+        return bad(node.span)
+    type = Type(left.type.kind, product(left.type.dim, right.type.dim, -1))
+    return fold(scope.report, op("div", type, node.span, left, right))
+
+
+def _power(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
+    if left.type.kind is not Kind.NUMBER:
+        mismatch(scope.report, node.left, left.type, NUMBER, "`^`")
+        return bad(node.span)
+    if right.type != NUMBER:
+        mismatch(scope.report, node.right, right.type, NUMBER, "`^`")
+        return bad(node.span)
+    exponent = constant_behind(right)
+    if left.type.dim != NUMBER.dim and exponent is None:
+        scope.report.error(
+            "wrong-unit",
+            f"{quoted(node.left.span)} is {type_words(left.type)}, so its power must be a plain number",
+            node.right.span,
+            "write `^ 2`",
+        )
+        return bad(node.span)
+    dim = scaled(left.type.dim, exponent.number) if exponent else left.type.dim
+    return fold(scope.report, op("pow", Type(Kind.NUMBER, dim), node.span, left, right))
+
+
+_ARITHMETIC = {"+": _sum, "-": _sum, "*": _product, "/": _quotient, "^": _power}
+
+
+# --- if c then a else b ----------------------------------------------------------------------------------------------
+
+
+def if_else(scope: Scope, node: nodes.IfElse, want: Type | None) -> Expr:
+    test = condition(scope, node.condition, "`if`")
+    inner = scope.inside(no_keep="under `if` it would not be clear when it moves on")
+    bare = isinstance(node.then, nodes.NoneOf) and node.then.of is None
+    if bare:
+        otherwise = value(inner, node.otherwise, want)
+        then = value(inner, node.then, otherwise.type)
+    else:
+        then = value(inner, node.then, want)
+        otherwise = value(inner, node.otherwise, then.type)
+    if not fits(then.type, otherwise.type):
+        disagree(scope.report, "if … then … else", node.span, (node.then, then), (node.otherwise, otherwise))
+        return bad(node.span)
+    type = otherwise.type if then.type.kind is Kind.BAD else then.type
+    if type.kind in THINGS or type.kind is Kind.SET:
+        scope.report.error(
+            "wrong-kind",
+            f"`if` cannot choose {type_words(type)}",
+            node.span,
+            "choose between values: numbers, vectors, items, agents",
+        )
+        return bad(node.span)
+    return op("if", type, node.span, test, then, otherwise)

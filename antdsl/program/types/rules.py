@@ -1,0 +1,27 @@
+"""Which function gives the type of which kind of node: one row a node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from antdsl.program.model import Expr
+from antdsl.program.types import calls, expressions, operators
+from antdsl.syntax import nodes
+
+RULES: Mapping[type, Callable[..., Expr]] = {
+    nodes.Number: expressions.number_of,
+    nodes.Quantity: expressions.quantity_of,
+    nodes.NameRef: expressions.name_of,
+    nodes.Member: expressions.member_of,
+    nodes.Index: expressions.index_of,
+    nodes.NoneOf: expressions.none_of,
+    nodes.RangeExpr: expressions.range_of,
+    nodes.PairOf: expressions.pair_of,
+    nodes.BadExpr: expressions.bad_expr,
+    expressions.Known: expressions.known,
+    nodes.Unary: operators.unary,
+    nodes.Binary: operators.binary,
+    nodes.IsNone: operators.is_none,
+    nodes.IfElse: operators.if_else,
+    nodes.Call: calls.call,
+}

@@ -1,0 +1,270 @@
+"""Types of sets and of what is made from them: neighbours, all, nearest, feelers, and `sum(n in SET: …)` with its like."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from antdsl.program.model import Binding, Const, Dim, Expr, Kind, Rate, Reduce, SetOf, Type
+from antdsl.program.names.scope import BOOL, LENGTH, NUMBER, Scope, bad, type_from_words
+from antdsl.program.tables.defaults import default_of
+from antdsl.program.tables.vocabulary import Arg, Builtin
+from antdsl.program.traverse import bindings_in
+from antdsl.program.types.arguments import Slot, arranged, type_all
+from antdsl.program.types.descriptions import mismatch, quoted, type_words
+from antdsl.program.types.folding import constant_behind
+from antdsl.program.types.operators import condition, count, value, wanted
+from antdsl.program.types.places import nearest_of, one_of
+from antdsl.syntax import nodes
+
+_THINGS = (Kind.ITEMS, Kind.SPECIES)
+
+
+def _arguments(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> dict[str, list[nodes.Argument]] | None:
+    found = arranged(scope, name, [Slot(a.name, a.default is None and not a.optional, a.variadic) for a in row.args], node)
+    if found is None:
+        type_all(scope, node)
+    return found
+
+
+def _plain(scope: Scope, called: str, arg: Arg, found: dict[str, list[nodes.Argument]], node: nodes.Call) -> Expr | None:
+    """An argument that is a value, or its default, or None."""
+    written = found.get(arg.name)
+    if written is None:
+        return default_of(scope, arg.default, node.span)[0] if arg.default else None
+    return wanted(scope, written[0].value, type_from_words(arg.type) or NUMBER, f"`{arg.name}` of `{called}`")
+
+
+def _things(scope: Scope, called: str, node: nodes.Expr, kinds: tuple[Kind, ...]) -> Expr | None:
+    found = scope.typed(node)
+    if found.type.kind in kinds:
+        return found
+    if found.type.kind is not Kind.BAD:
+        names = "items or a species" if kinds == _THINGS else "a species"
+        scope.report.error(
+            "wrong-kind",
+            f"`{called}` looks for {names}, and {quoted(node.span)} is {type_words(found.type)}",
+            node.span,
+            f"write a name of {names}",
+        )
+    return None
+
+
+def element_of(type: Type, name: str, node: nodes.Expr | nodes.Name) -> Binding:
+    return Binding(name, "element", type, Rate.ELEMENT, node.span)
+
+
+def neighbours(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
+    """`neighbours(radius, fov, of:)`: others of its own species, or of another."""
+    found = _arguments(scope, node, name, row)
+    if found is None:
+        return bad(node.span)
+    radius, fov = (_plain(scope, name, arg, found, node) for arg in row.args[:2])
+    of = scope.species.name if scope.species else None
+    if "of" in found:
+        species = _things(scope, name, found["of"][0].value, (Kind.SPECIES,))
+        if species is None:
+            return bad(node.span)
+        of = species.type.of
+    elif scope.behaviour is None and scope.species is None:
+        scope.report.error("wrong-argument", "`neighbours` of nobody", node.span, "say whose: `of: forager`")
+        return bad(node.span)
+    _check_reach(scope, radius, node)
+    element = element_of(Type(Kind.AGENT, Dim(), of), "it", node)
+    return SetOf(Type(Kind.SET, Dim(), of), Rate.AGENT, node.span, "neighbours", of or "", (radius, fov), element, None)
+
+
+def _check_reach(scope: Scope, radius: Expr | None, node: nodes.Call) -> None:
+    known = constant_behind(radius) if radius is not None else None
+    if known is not None and known.number <= 0:
+        scope.report.error(
+            "out-of-range",
+            "a radius of 0 or less reaches nobody",
+            node.arguments[0].span if node.arguments else node.span,
+            "write a length above 0",
+        )
+
+
+def every(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
+    """`all(X, within:, with:)`."""
+    found = _arguments(scope, node, name, row)
+    things = _things(scope, name, found["of"][0].value, _THINGS) if found else None
+    if found is None or things is None:
+        return bad(node.span)
+    within = _plain(scope, name, row.args[1], found, node)
+    element = element_of(one_of(things.type), "it", node)
+    where = None
+    if "with" in found:
+        where = condition(_within_set(scope, element).inside(element=element), found["with"][0].value, "`with`")
+    made = SetOf(
+        Type(Kind.SET, Dim(), things.type.of), Rate.AGENT, node.span, "all", things.type.of or "", (within,), element, where
+    )
+    _check_nesting(scope, made, node)
+    return made
+
+
+def _within_set(scope: Scope, element: Binding) -> Scope:
+    return scope.inside(sets=(*scope.sets, element), no_keep="inside a set it would not be clear whose memory it is")
+
+
+def nearest(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
+    """`nearest(X, within:, with:)`, or `nearest(SET)`."""
+    first = node.arguments[0].value if len(node.arguments) == 1 and isinstance(node.arguments[0], nodes.Argument) else None
+    if isinstance(first, (nodes.Call, nodes.NameRef)):
+        found = scope.typed(first)
+        if isinstance(found, SetOf):
+            return _nearest_of_set(found, node)
+        if found.type.kind in _THINGS:
+            return nearest_of(found, node.span)
+        if found.type.kind is not Kind.BAD:
+            scope.report.error(
+                "wrong-kind",
+                f"`nearest` looks for items, a species or a set, and {quoted(first.span)} is {type_words(found.type)}",
+                first.span,
+                "write `nearest(food)` or `nearest(neighbours(20 mm))`",
+            )
+        return bad(node.span)
+    over = every(scope, node, name, row)
+    return _nearest_of_set(over, node) if isinstance(over, SetOf) else over
+
+
+def _nearest_of_set(over: SetOf, node: nodes.Call) -> Reduce:
+    return Reduce(over.element.type, Rate.AGENT, node.span, "nearest", over, over.element, None)
+
+
+def feelers(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
+    """`feelers(X, count, spread, reach)`: rays ahead and to either side; the hits."""
+    found = _arguments(scope, node, name, row)
+    if found is None:
+        return bad(node.span)
+    target = scope.typed(found["on"][0].value)
+    if target.type.kind not in (Kind.OBSTACLE, Kind.SURFACE, Kind.SOLID, Kind.BAD):
+        mismatch(scope.report, found["on"][0].value, target.type, Type(Kind.OBSTACLE), f"`on` of `{name}`")
+        return bad(node.span)
+    how_many = (
+        count(scope, found["count"][0].value, f"`count` of `{name}`")
+        if "count" in found
+        else default_of(scope, row.args[1].default or "3", node.span)[0]
+    )
+    spread, reach = (_plain(scope, name, arg, found, node) for arg in row.args[2:])
+    element = element_of(Type(Kind.HIT), "it", node)
+    of = target.type.of or ""
+    return SetOf(Type(Kind.SET, Dim(), "hit"), Rate.AGENT, node.span, "feelers", of, (how_many, spread, reach), element, None)
+
+
+SETS: dict[str, Callable[[Scope, nodes.Call, str, Builtin], Expr]] = {
+    "neighbours": neighbours, "all": every, "nearest": nearest, "feelers": feelers,
+}  # fmt: skip
+
+
+# --- over sets -------------------------------------------------------------------------------------------------------
+
+
+def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
+    """`sum(n in SET: …)` and its like; `count(SET)` and `any(SET)` need no body."""
+    argument = node.arguments[0]
+    if isinstance(argument, nodes.Comprehension):
+        over = scope.typed(argument.over)
+        if over.type.kind in _THINGS:
+            over = _whole(over)
+        variable: nodes.Name | None = argument.variable
+    else:
+        over, variable = scope.typed(argument.value), None
+    if not isinstance(over, SetOf):
+        if over.type.kind is not Kind.BAD:
+            scope.report.error(
+                "wrong-kind",
+                f"`{how}` goes over a set, and {quoted(over.span)} is {type_words(over.type)}",
+                over.span,
+                "write a set, such as `neighbours(20 mm)` or `all(food)`",
+            )
+        return bad(node.span)
+    if variable is None or not isinstance(argument, nodes.Comprehension):
+        if how not in ("count", "any"):
+            scope.report.error(
+                "wrong-argument",
+                f"`{how}` does not know what to take of each",
+                node.span,
+                f"write `{how}(n in {' '.join(over.span.text.split())}: …)`",
+            )
+            return bad(node.span)
+        element = over.element
+        body: Expr = Const(BOOL, Rate.CONST, node.span, 1.0)
+    else:
+        element = element_of(over.element.type, variable.text, variable)
+        _check_shadow(scope, variable)
+        inner = _within_set(scope, element).inside(locals={**scope.locals, variable.text: element})
+        body = body_of(inner, how, argument.body)
+    made = Reduce(_result(how, body, element), Rate.AGENT, node.span, how, over, element, body)
+    _check_nesting(scope, made, node)
+    return made
+
+
+def _whole(things: Expr) -> SetOf:
+    """`food` where a set is wanted: all of it."""
+    element = Binding("it", "element", one_of(things.type), Rate.ELEMENT, things.span)
+    return SetOf(
+        Type(Kind.SET, Dim(), things.type.of), Rate.AGENT, things.span, "all", things.type.of or "", (None,), element, None
+    )
+
+
+def _check_shadow(scope: Scope, variable: nodes.Name) -> None:
+    names = scope.species
+    own = (
+        names is not None
+        and scope.behaviour is None
+        and (variable.text in names.attributes or variable.text in names.bindings or variable.text in names.params)
+    )
+    if own or variable.text in scope.locals:
+        scope.report.error(
+            "duplicate-name",
+            f"`{variable.text}` has a meaning here already",
+            variable.span,
+            "take another letter for the element",
+        )
+
+
+def body_of(scope: Scope, how: str, node: nodes.Expr) -> Expr:
+    """What a reduction takes of each: a truth to count, or a number (for sums a vector too)."""
+    if how in ("count", "any", "every"):
+        return condition(scope, node, f"`{how}`")
+    found = value(scope, node)
+    allowed = (Kind.NUMBER, Kind.VECTOR, Kind.BAD) if how in ("sum", "mean") else (Kind.NUMBER, Kind.BAD)
+    if found.type.kind in allowed:
+        return found
+    if found.type.kind is Kind.BOOL and how in ("sum", "mean"):
+        scope.report.error(
+            "wrong-kind",
+            f"`{how}` adds numbers, and {quoted(node.span)} is a yes or no",
+            node.span,
+            "`count` counts for how many it holds",
+        )
+    else:
+        mismatch(
+            scope.report,
+            node,
+            found.type,
+            LENGTH if how in ("min", "max", "best") and found.type.dim == LENGTH.dim else NUMBER,
+            f"`{how}`",
+        )
+    return bad(node.span)
+
+
+def _result(how: str, body: Expr, element: Binding) -> Type:
+    if how == "count":
+        return NUMBER
+    if how in ("any", "every"):
+        return BOOL
+    return element.type if how == "best" else body.type
+
+
+def _check_nesting(scope: Scope, made: Expr, node: nodes.Call) -> None:
+    """A set inside a set may not depend on the outer element: that would be neighbours of neighbours."""
+    if not scope.sets:
+        return
+    used = bindings_in(made)
+    outer = next((element for element in scope.sets if element in used), None)
+    if outer is not None:
+        scope.report.error(
+            "set-in-set", f"{quoted(node.span)} would look at the neighbours of neighbours, through `{outer.name}`", node.span,
+            "keep what is asked about each in an attribute of its own, and read that",
+        )  # fmt: skip

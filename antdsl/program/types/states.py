@@ -1,0 +1,88 @@
+"""Asking for states: `state == carry`, `mood.state`, `n.state`, `time_in_state`."""
+
+from __future__ import annotations
+
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.model import Attribute, Expr, Kind, Rate, StateConst, Thing, Type
+from antdsl.program.names.scope import TIME, MachineNames, Scope, bad, did_you_mean, listed, told_before
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+STATE_WORDS = ("state", "previous", "next", "time_in_state")
+
+
+def machine_named(scope: Scope, owner: nodes.Expr) -> MachineNames | None:
+    if (
+        scope.species is None
+        or scope.behaviour is not None
+        or not isinstance(owner, nodes.NameRef)
+        or owner.name.text in scope.locals
+    ):
+        return None
+    return scope.species.machines.get(owner.name.text)
+
+
+def of_machine(scope: Scope, machine: MachineNames, node: nodes.Member) -> Expr:
+    word = node.name.text
+    if word in STATE_WORDS:
+        return _machine_word(machine, None, word, node.span)
+    scope.report.error(
+        "unknown-name",
+        f"machine `{machine.name}` has no `{word}`",
+        node.name.span,
+        did_you_mean(word, STATE_WORDS, f"there is {listed(STATE_WORDS)}"),
+    )
+    return bad(node.span)
+
+
+def state_word(scope: Scope, owner: Expr | None, word: str, span: Span, name_span: Span | None) -> Expr:
+    """`state` and its like, of the agent itself or of another; of several machines the one the place belongs to, or the first."""
+    names = scope.species if owner is None or owner.type.of is None else scope.declared.species.get(owner.type.of)
+    if isinstance(owner, Thing) and owner.name == "self":
+        owner = None
+    if names is None or not names.machines:
+        scope.report.error(
+            "unknown-name",
+            f"no `{word}` is known here",
+            name_span or span,
+            "only a species that is checked together with this one has states to ask for",
+        )
+        return bad(span)
+    machine = scope.machine if owner is None and scope.machine is not None else next(iter(names.machines.values()))
+    return _machine_word(machine, owner, word, span)
+
+
+def _machine_word(machine: MachineNames, owner: Expr | None, word: str, span: Span) -> Expr:
+    type = TIME if word == "time_in_state" else Type(Kind.STATE, of=machine.key)
+    rate = Rate.AGENT if owner is None else max(owner.rate, Rate.AGENT)
+    return Attribute(type, rate, span, owner, f"{machine.name}.{word}")
+
+
+def state_named(scope: Scope, asked: Expr, node: nodes.Expr) -> tuple[Expr, Expr] | None:
+    """For `state == carry`: the asked value and the state, in the machine that has that state; None if `node` is no bare name."""
+    if not isinstance(node, nodes.NameRef) or not isinstance(asked, Attribute) or node.name.text in STATE_WORDS:
+        return None
+    species, _, machine_name = (asked.type.of or ".").partition(".")
+    machines = scope.declared.species[species].machines
+    named = "." in asked.span.text and asked.of is None  # `mood.state` says which machine; `state` alone may mean any
+    order = [machines[machine_name]] + ([] if named else [m for m in machines.values() if m.name != machine_name])
+    for machine in order:
+        index = machine.states.get(node.name.text)
+        if index is not None:
+            word = asked.name.partition(".")[2]
+            return _machine_word(machine, asked.of, word, asked.span), StateConst(
+                Type(Kind.STATE, of=machine.key), Rate.CONST, node.span, machine.key, index
+            )
+    known = [state for machine in order for state in machine.states]
+    unknown_state(scope, node.name, species, known)
+    return asked, bad(node.span)
+
+
+def unknown_state(scope: Scope, name: nodes.Name, species: str, known: list[str]) -> str | None:
+    """Complain about a name that no state has. Gives the state that was probably meant, to go on with."""
+    meant = nearest_name(name.text, known)
+    if told_before(scope, "state", name, species):
+        return meant
+    advice = did_you_mean(name.text, known, f"`{species}` has the states {listed(known)}" if known else None)
+    scope.report.error("unknown-state", f"no state `{name.text}` in species `{species}`", name.span, advice)
+    return meant

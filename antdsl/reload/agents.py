@@ -1,0 +1,171 @@
+"""Agents of a running world into one of an edited program: what has the same name and means the same is theirs still."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics.vector_rows import length
+from antdsl.plan import ir
+from antdsl.reload.footing import TOLD, stand, turn
+from antdsl.runtime.binding.birth_values import birth_values, params_at_birth
+from antdsl.runtime.effects import Effects
+from antdsl.runtime.lifecycle import come_alive
+from antdsl.runtime.world import Population, World, add_rows, stored_registers
+
+Rows = NDArray[np.intp]
+_ALWAYS = frozenset(f"{name}.{axis}" for name in ("position", "velocity", "heading", "up") for axis in "xyz") | {"group"}
+
+
+@dataclass(slots=True)
+class Kept:
+    """What became of the agents of one species. Names are attributes, or states as `machine.state`."""
+
+    species: str
+    agents: int = 0
+    moved: int = 0
+    begun: dict[tuple[str, str], int] = field(default_factory=dict)  # (state that is no more, start state) -> agents
+    states: list[str] = field(default_factory=list)  # new ones
+    lost: list[str] = field(default_factory=list)  # states that are no more, and that nobody was in
+    new: list[str] = field(default_factory=list)
+    other: list[str] = field(default_factory=list)  # of another type now
+    rewritten: list[str] = field(default_factory=list)  # set at birth alone, and set otherwise now
+    gone: list[str] = field(default_factory=list)
+    forgotten: int = 0  # memories that are no more, or mean something else
+
+
+def take_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Kept, dict[str, NDArray[Any]]]:
+    """Put the agents in some rows of a species into a world that has none of it, with all that they keep: what became of them,
+    and the registers that are theirs still. `complete` fills the others, once all species are there."""
+    before, after = old.populations[name], world.populations[name]
+    kept = Kept(name, len(rows))
+    footing, place, moved = stand(old, world, before)
+    footing = type(footing)(**{key: getattr(footing, key)[rows] for key in type(footing).__dataclass_fields__})
+    add_rows(after, before.ids[rows].copy(), old.frame, place[rows], footing)
+    after.born, after.quarantined = before.born[rows].copy(), before.quarantined[rows].copy()
+    after.normal, after.next_id = before.normal[rows].copy(), before.next_id
+    for event in after.events:
+        if event in before.events:
+            after.events[event] = before.events[event][rows].copy()
+    values = {register: before.now[register][rows] for register in _same(old, world, before.plan, after.plan, kept)}
+    _states(before.plan, after.plan, values, kept)
+    _items(old, world, after.plan, values)
+    _put(after, values)
+    turn(world, after, moved[rows])
+    kept.moved = int(np.count_nonzero(length(after.position - before.position[rows]) > TOLD))
+    return kept, values | {register: after.now[register].copy() for register in _ALWAYS}
+
+
+def complete(world: World, name: str, values: dict[str, NDArray[Any]]) -> None:
+    """Fill the registers of a species that are not among `values` as those of an agent that is born here and now; nothing else
+    that is asked for at birth happens."""
+    population = world.populations[name]
+    kept = (register for register, each in population.plan.registers.items() if each.role != "temp")
+    if not len(population) or all(register in values for register in kept):
+        return
+    come_alive(world, {name: np.arange(len(population))})
+    population.effects = Effects()
+    _put(population, values)
+
+
+def _put(population: Population, values: dict[str, NDArray[Any]]) -> None:
+    for name, array in values.items():
+        population.now[name][:] = array
+        if population.start[name] is not population.now[name]:
+            population.start[name][:] = array
+
+
+# --- which registers ---------------------------------------------------------------------------------------------------
+
+
+def _same(old: World, world: World, before: ir.SpeciesPlan, after: ir.SpeciesPlan, kept: Kept) -> list[str]:
+    """Registers whose values go on, by name; what is told of the others goes into `kept`."""
+    found = [
+        name
+        for name, register in after.registers.items()
+        if register.role != "temp" and name in before.registers and _means(before.registers[name]) == _means(register)
+    ]
+    lasting = {name for name in found if not name.endswith(".on") or _whole(name.removesuffix(".on"), after, found)}
+    rewritten = _rewritten(old, world, before, after) & lasting
+    for name, register in after.registers.items():
+        if register.role == "attribute" and name not in lasting:
+            known = name in before.registers and before.registers[name].role == "attribute"
+            _note(kept.other if known else kept.new, name)
+    for name, register in before.registers.items():
+        if register.role == "attribute" and name not in after.registers:
+            _note(kept.gone, name)
+        kept.forgotten += register.role == "memory" and name not in lasting and not name.endswith(".on")
+    for name in sorted(rewritten):
+        _note(kept.rewritten, name)
+    return [name for name in found if name in lasting and name not in rewritten]
+
+
+def _means(register: ir.Register) -> tuple[Any, ...]:
+    return register.kind, register.role, register.of, register.holds
+
+
+def _whole(memory: str, after: ir.SpeciesPlan, found: list[str]) -> bool:
+    """Whether the values that a `keep`'s mark stands for go on too: else it has to begin anew."""
+    values = [name for name in (memory, *(f"{memory}.{axis}" for axis in "xyz")) if name in after.registers]
+    return all(name in found for name in values)
+
+
+def _rewritten(old: World, world: World, before: ir.SpeciesPlan, after: ir.SpeciesPlan) -> set[str]:
+    """Attributes that nothing but birth ever sets, before and now, and that birth sets otherwise now: these follow the text."""
+    one, other = birth_values(before, params_at_birth(old)), birth_values(after, params_at_birth(world))
+    stored = stored_registers(before) | stored_registers(after) | _ALWAYS
+    attributes = {name for name, register in after.registers.items() if register.role == "attribute"}
+    return {name for name in attributes - stored if one.get(name) != other.get(name)}
+
+
+def _note(names: list[str], register: str) -> None:
+    """A vector's three registers are one name."""
+    name = register[:-2] if register[-2:] in (".x", ".y", ".z") else register
+    if name not in names:
+        names.append(name)
+
+
+# --- what registers point to ---------------------------------------------------------------------------------------------
+
+
+def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDArray[Any]], kept: Kept) -> None:
+    """Numbers of states into those that these states have now, by name; agents in one that is no more begin anew."""
+    machines = {machine.name: machine for machine in before.machines}
+    for machine in after.machines:
+        known = machines.get(machine.name)
+        if known is None or f"{machine.name}.state" not in values:
+            continue
+        number = _renumbered(known, machine)
+        now = values[f"{machine.name}.state"]
+        state = number[now]
+        lost = state < 0
+        occupied = {known.states[index] for index in np.unique(now[lost])}
+        kept.states += [f"{machine.name}.{state}" for state in machine.states if state not in known.states]
+        kept.lost += [f"{machine.name}.{state}" for state in known.states if state not in (*machine.states, *occupied)]
+        for index in np.unique(now[lost]):
+            key = (f"{machine.name}.{known.states[index]}", f"{machine.name}.{machine.states[machine.start]}")
+            kept.begun[key] = int(np.count_nonzero(now == index))
+        values[f"{machine.name}.state"] = state = np.where(lost, machine.start, state).astype(now.dtype)
+        for part in ("previous", "next"):
+            other = number[values[f"{machine.name}.{part}"]]
+            values[f"{machine.name}.{part}"] = np.where(lost | (other < 0), state, other).astype(now.dtype)
+        time = values[f"{machine.name}.time_in_state"]
+        values[f"{machine.name}.time_in_state"] = np.where(lost, 0, time).astype(time.dtype)
+
+
+def _renumbered(before: ir.MachinePlan, after: ir.MachinePlan) -> NDArray[np.int64]:
+    numbers = {state: k for k, state in enumerate(after.states)}
+    return np.array([numbers.get(state, -1) for state in before.states], np.int64)
+
+
+def _items(old: World, world: World, after: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
+    """Items that registers hold, by the items' names; none for those that are no more."""
+    for name, register in after.registers.items():
+        if name in values and register.holds and register.holds[0] == "item":
+            of = str(register.holds[-1])
+            rows = {item: k for k, item in enumerate(world.items[of].names)}
+            number = np.array([*(rows.get(item, -1) for item in old.items[of].names), -1], np.int64)
+            values[name] = number[values[name]].astype(values[name].dtype)

@@ -1,0 +1,84 @@
+"""Where agents of one world stand in another: on the same face where the mesh has the same faces, else at the nearest place."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.plane import Plane
+from antdsl.numerics.vector_rows import length, level
+from antdsl.runtime.binding.reuse import digest
+from antdsl.runtime.world import AXES, Population, World
+
+_HAIR = 1e-6  # mm: who is put so near to where it was stays there to the last bit
+TOLD = 0.05  # mm: less is the rounding of the nearest place, and not worth a word
+
+
+def same_solid(old: World, world: World, name: str) -> bool:
+    """Whether a solid is made of the same mesh and voxels in both worlds, so that what was dug out of it means the same."""
+    one, other = old.setting.solids.get(name), world.setting.solids.get(name)
+    return one is not None and other is not None and digest(one) == digest(other)
+
+
+def stand(old: World, world: World, before: Population) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_]]:
+    """Footings in `world` for all agents of a population of `old`, their places (n, 3), and who is somewhere else than before.
+
+    A mesh of which only the vertices moved carries agents along; who stood on other faces, or on a solid that is another now,
+    comes to the nearest place of all ground."""
+    footing = _footing(old, world, before)
+    place = world.ground.position(footing)
+    moved = length(place - before.position) > _HAIR
+    return footing, np.where(moved[:, None], place, before.position), moved
+
+
+def turn(world: World, population: Population, moved: NDArray[np.bool_]) -> None:
+    """Lay up, heading and velocity of those who were moved along the ground they stand on now."""
+    rows = np.flatnonzero(moved)
+    if not len(rows):
+        return
+    up = world.ground.upright(population.footing, population.normal.astype(np.float64))
+    population.normal[rows] = up[rows]
+    heading, velocity = population.vector("heading"), population.vector("velocity")
+    heading[rows] = level(heading[rows], up[rows])
+    velocity[rows] -= (velocity[rows] * up[rows]).sum(axis=1)[:, None] * up[rows]
+    for name, value in (("up", up), ("heading", heading), ("velocity", velocity), ("position", population.position)):
+        for k, axis in enumerate(AXES):
+            population.now[f"{name}.{axis}"][rows] = value[rows, k]
+
+
+def _footing(old: World, world: World, before: Population) -> Any:
+    ground, place = world.ground, before.position
+    if isinstance(ground, Plane):
+        return before.footing if isinstance(old.ground, Plane) else ground.place(place, world.up)[0]
+    if isinstance(old.ground, Plane):
+        return ground.nearest(place)[0]
+    number = _numbers(old, world)
+    was = before.footing.mesh
+    mesh = np.where(was >= 0, number.take(np.maximum(was, 0)), -1).astype(np.int32)
+    zero = np.zeros(len(mesh))
+    values = {each.name: getattr(before.footing, each.name, zero).copy() for each in fields(ground.place(place[:0], world.up)[0])}
+    values["mesh"] = mesh
+    lost = np.flatnonzero(mesh < 0)
+    if len(lost):
+        nearest = ground.nearest(place[lost])[0]
+        for name, array in values.items():
+            array[lost] = getattr(nearest, name)
+    return type(ground.place(place[:0], world.up)[0])(**values)
+
+
+def _numbers(old: World, world: World) -> NDArray[np.int32]:
+    """For the number of each surface and solid of the old ground the number it has now; -1 where it is not the same."""
+    numbers = {name: k for k, name in enumerate(world.ground.names)}
+    found = np.full(max(1, len(old.ground.names)), -1, np.int32)
+    for k, name in enumerate(old.ground.names):
+        if name in numbers and (_same_faces(old, world, name) or same_solid(old, world, name)):
+            found[k] = numbers[name]
+    return found
+
+
+def _same_faces(old: World, world: World, name: str) -> bool:
+    one, other = old.setting.surfaces.get(name), world.setting.surfaces.get(name)
+    return one is not None and other is not None and (one is other or np.array_equal(one.faces, other.faces))

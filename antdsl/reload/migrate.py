@@ -1,0 +1,197 @@
+"""An edited program goes on from where the old one stands: a new world with the agents, amounts, scents and dug solids of a
+running one. What has the same name and means the same goes on, what was edited takes its new value, the rest begins anew.
+
+The old world is read and never changed, so on any error it runs on as if nobody had asked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.plan import ir
+from antdsl.reload.agents import Kept, complete, take_agents
+from antdsl.reload.footing import same_solid
+from antdsl.runtime.binding.bind_world import unpeopled
+from antdsl.runtime.binding.placing import arrive, begin
+from antdsl.runtime.binding.reuse import Built, digest
+from antdsl.runtime.faults import FaultLog
+from antdsl.runtime.lifecycle import forget_the_dead
+from antdsl.runtime.motion_measures import Motion
+from antdsl.runtime.moving.moving_geometry import pose
+from antdsl.runtime.world import World
+from antdsl.scene.setting import CrowdData, Setting
+
+
+@dataclass(slots=True)
+class Taken:
+    """What became of a world. `joined` and `removed` count agents that the scene's crowd has more or fewer of, by species."""
+
+    species: list[Kept] = field(default_factory=list)
+    joined: dict[str, int] = field(default_factory=dict)
+    removed: dict[str, int] = field(default_factory=dict)
+    items: list[str] = field(default_factory=list)  # begun anew, or new
+    fields: list[str] = field(default_factory=list)
+    solids: list[str] = field(default_factory=list)
+
+    @property
+    def agents(self) -> int:
+        return sum(kept.agents for kept in self.species)
+
+
+def take_over(old: World, plan: ir.Plan, setting: Setting, built: Built | None = None) -> tuple[World, Taken]:
+    """The world of an edited plan and setting at the frame of a running one. BindError as in `bind`.
+
+    `built` is kept from one call to the next: meshes that are the same are not worked out again."""
+    world = unpeopled(plan, setting, old.options, built=built, origin=old.origin)
+    world.frame = old.frame
+    taken = Taken()
+    with np.errstate(all="ignore"):
+        _items(old, world, taken)
+        _solids(old, world, taken)
+        _fields(old, world, taken)
+        pose(world, world.frame)
+        _flows(old, world)
+        begin(world, arrive(world, _agents(old, world, taken)))
+        for population in world.populations.values():
+            forget_the_dead(world, population)
+    _counts(old, world)
+    return world, taken
+
+
+# --- agents ------------------------------------------------------------------------------------------------------------
+
+
+def _agents(old: World, world: World, taken: Taken) -> list[tuple[CrowdData, NDArray[np.int64]]]:
+    """Take over all who stay; gives who is to join, with their ids."""
+    joining: list[tuple[CrowdData, NDArray[np.int64]]] = []
+    values = {}
+    for name in world.populations:
+        if name in old.populations:
+            kept, values[name] = take_agents(old, world, name, _staying(old, world.setting, name, taken))
+            taken.species.append(kept)
+            _regroup(old.setting, world, name, values[name])
+    for name, known in values.items():
+        complete(world, name, known)
+    for name in old.populations:
+        if name not in world.populations and len(old.populations[name]):
+            taken.removed[name] = len(old.populations[name])
+    for name, population in world.populations.items():
+        before = _lines(old.setting, name) if name in old.populations else []
+        for number, crowd in enumerate(_lines(world.setting, name)):
+            more = crowd.count - (before[number].count if number < len(before) else 0)
+            if more > 0:
+                ids = np.arange(population.next_id, population.next_id + more)
+                population.next_id += more
+                joining.append((crowd, ids))
+                taken.joined[name] = taken.joined.get(name, 0) + more
+    return joining
+
+
+def _lines(setting: Setting, species: str) -> list[CrowdData]:
+    return [crowd for crowd in setting.crowds if crowd.species == species]
+
+
+def _staying(old: World, setting: Setting, name: str, taken: Taken) -> NDArray[np.intp]:
+    """Rows of a species less those that a line of the scene has fewer of by now: those who came last go."""
+    population = old.populations[name]
+    stays = np.ones(len(population), np.bool_)
+    after = _lines(setting, name)
+    for number, crowd in enumerate(_lines(old.setting, name)):
+        rows = np.flatnonzero(population.now["group"] == crowd.group)
+        fewer = crowd.count - after[number].count if number < len(after) else len(rows)
+        if fewer > 0:
+            rows = rows[np.argsort(population.ids[rows])]
+            stays[rows[max(0, len(rows) - fewer) :]] = False
+    if not stays.all():
+        taken.removed[name] = int(np.count_nonzero(~stays))
+    return np.flatnonzero(stays)
+
+
+def _regroup(before: Setting, world: World, name: str, values: dict[str, NDArray[np.generic]]) -> None:
+    """The number of an agent's line in the scene, which may be another by now."""
+    population = world.populations[name]
+    group = population.now["group"].copy()
+    for was, is_now in zip(_lines(before, name), _lines(world.setting, name), strict=False):
+        population.now["group"][group == was.group] = is_now.group
+    if population.start["group"] is not population.now["group"]:
+        population.start["group"][:] = population.now["group"]
+    values["group"] = population.now["group"].copy()
+
+
+# --- everything else ---------------------------------------------------------------------------------------------------
+
+
+def _items(old: World, world: World, taken: Taken) -> None:
+    """Amounts by the items' names; what the scene says otherwise now begins with that."""
+    for name, items in world.items.items():
+        known = old.items.get(name)
+        rows = {} if known is None else {item: k for k, item in enumerate(known.names)}
+        before, after = ({i.name: i for i in s.items.get(name, ())} for s in (old.setting, world.setting))
+        for k, item in enumerate(items.names):
+            for attribute, amounts in items.amounts.items():
+                same = (
+                    known is not None
+                    and item in rows
+                    and attribute in known.amounts
+                    and before[item].attributes.get(attribute, old.plan.items[name].attributes[attribute])
+                    == after[item].attributes.get(attribute, world.plan.items[name].attributes[attribute])
+                )
+                if same and known is not None:
+                    amounts[k] = known.amounts[attribute][rows[item]]
+                else:
+                    taken.items.append(f"{item}.{attribute}")
+        items.show()
+
+
+def _solids(old: World, world: World, taken: Taken) -> None:
+    for name, volume in world.solids.items():
+        if name in old.solids and same_solid(old, world, name):
+            volume.restore({key: array.copy() for key, array in old.solids[name].state().items()})
+        else:
+            taken.solids.append(name)
+
+
+def _fields(old: World, world: World, taken: Taken) -> None:
+    """Scents whose cells are the same, and which do not start with something else now."""
+    for name, now in world.fields.items():
+        before = old.fields.get(name)
+        starts = [setting.field_start.get(name) for setting in (old.setting, world.setting)]
+        if before is None or not _same_cells(old, world, name) or digest(starts[0]) != digest(starts[1]):
+            taken.fields.append(name)
+            continue
+        if now.added:
+            now.grow_again(before.added["keys"], before.added["places"])
+        now.values[:] = np.minimum(before.values, now.limit)
+
+
+def _same_cells(old: World, world: World, name: str) -> bool:
+    one, other = old.plan.fields[name], world.plan.fields[name]
+    if one.surfaces != other.surfaces or old.fields[name].cells.cell != world.fields[name].cells.cell:
+        return False
+    before, after = (
+        [s.surfaces.get(surface) or s.solids.get(surface) for surface in one.surfaces] for s in (old.setting, world.setting)
+    )
+    return old.fields[name].cells is world.fields[name].cells or digest(before) == digest(after)
+
+
+def _flows(old: World, world: World) -> None:
+    """Flows that are worked out as time goes by go on with what they have, where they are the same."""
+    for name, flow in world.flows.items():
+        state = flow.state()
+        before = old.flows[name].state() if state and name in old.flows else {}
+        same = state.keys() == before.keys() and all(before[key].shape == array.shape for key, array in state.items())
+        if state and same and digest(old.setting.flows[name]) == digest(world.setting.flows[name]):
+            flow.restore({key: array.copy() for key, array in before.items()})
+
+
+def _counts(old: World, world: World) -> None:
+    """What was counted and measured so far, and who watches."""
+    world.transitions = dict(old.transitions)
+    world.motion = Motion.of(old.motion.arrays())
+    world.faults = FaultLog(old.faults.count, old.faults.refused_births, list(old.faults.told))
+    world.watchers = list(old.watchers)
+    world.carved = None if old.carved is None else {}
+    if world.detail is not None and old.detail is not None:
+        world.detail.counts = old.detail.counts.copy()

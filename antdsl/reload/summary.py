@@ -1,0 +1,60 @@
+"""What was kept, moved and begun anew when an edited program took over, in one line."""
+
+from __future__ import annotations
+
+from antdsl.reload.agents import Kept
+from antdsl.reload.migrate import Taken
+
+
+def taken_line(taken: Taken) -> str:
+    """Such as "kept 500 agents · 12 of removed state `dig` begin anew in `search` · `load` is new"."""
+    parts = [f"kept {taken.agents:,} {_agents(taken.agents)}"]
+    several = len(taken.species) > 1
+    for kept in taken.species:
+        parts += _species(kept, f"{kept.species}." if several else "")
+    parts += [f"{count:,} more of `{name}`" for name, count in taken.joined.items()]
+    parts += [f"{count:,} of `{name}` gone" for name, count in taken.removed.items()]
+    parts += _listed(taken.items, "has its amount from the scene", "have their amounts from the scene")
+    parts += _listed([f"field {name}" for name in taken.fields], "begins anew", "begin anew")
+    parts += _listed([f"solid {name}" for name in taken.solids], "is whole", "are whole")
+    return " · ".join(parts)
+
+
+def _species(kept: Kept, of: str) -> list[str]:
+    parts = [
+        f"{count:,} of removed state `{of}{_plain(gone)}` {'begins' if count == 1 else 'begin'} anew in `{of}{_plain(start)}`"
+        for (gone, start), count in sorted(kept.begun.items())
+    ]
+    parts += _listed([of + _plain(name) for name in kept.states], "is a new state", "are new states")
+    parts += _listed([of + _plain(name) for name in kept.lost], "is a state no more", "are states no more")
+    if kept.moved:
+        parts.append(f"{kept.moved:,} {_agents(kept.moved)} moved with the ground" + (f" of `{kept.species}`" if of else ""))
+    parts += _listed([of + name for name in kept.new], "is new", "are new")
+    parts += _listed([of + name for name in kept.other], "is another type, begun anew", "are other types, begun anew")
+    parts += _listed([of + name for name in _written(kept.rewritten)], "is as written now", "are as written now")
+    parts += _listed([of + name for name in kept.gone], "is gone", "are gone")
+    if kept.forgotten:
+        parts.append(f"{kept.forgotten} {'memory' if kept.forgotten == 1 else 'memories'} forgotten")
+    return parts
+
+
+def _written(names: list[str]) -> list[str]:
+    """Less those that follow from others, and are seldom written: strength from speed, radius from size."""
+    follow = {"max_force": {"mass", "max_speed", "response"}, "radius": {"size"}}
+    return [name for name in names if not follow.get(name, set()) & set(names)]
+
+
+def _plain(state: str) -> str:
+    """Most species have one machine, which nobody named."""
+    return state.removeprefix("main.")
+
+
+def _agents(count: int) -> str:
+    return "agent" if count == 1 else "agents"
+
+
+def _listed(names: list[str], one: str, several: str) -> list[str]:
+    if not names:
+        return []
+    shown = ", ".join(f"`{name}`" for name in names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+    return [f"{shown} {one if len(names) == 1 else several}"]

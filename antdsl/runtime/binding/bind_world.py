@@ -1,0 +1,251 @@
+"""Binds a plan to a setting: meshes become ground and ray scenes, items and crowds arrays. Gives the world at its first frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.diagnostics import Report
+from antdsl.ground.plane import Plane
+from antdsl.plan import ir
+from antdsl.runtime.backends import BACKENDS
+from antdsl.runtime.backends.numpy_backend import uniform_values
+from antdsl.runtime.binding.placing import populate
+from antdsl.runtime.binding.reuse import Built
+from antdsl.runtime.faults import FaultLog
+from antdsl.runtime.motion_measures import Motion
+from antdsl.runtime.moving.moving_geometry import curve
+from antdsl.runtime.reading import reach
+from antdsl.runtime.world import AXES, Items, Options, World, empty_population
+from antdsl.scene.setting import FlowData, MeshData, Setting
+
+_FAR = 1e5  # mm: a scene that lies farther out than this is moved to its own middle, or float32 would see it in steps
+
+
+class BindError(ValueError):
+    """Plan and setting do not go together; `report` says where and why."""
+
+    def __init__(self, report: Report) -> None:
+        super().__init__("; ".join(d.message for d in report.errors))
+        self.report = report
+
+
+def bind(plan: ir.Plan, setting: Setting, options: Options | None = None, *, built: Built | None = None) -> World:
+    """The world at `setting.first_frame`, everybody born and nobody moved. `plan` has been optimised and verified. `built` keeps
+    what is made of meshes for other worlds.
+
+    Raises BindError with a report when plan and setting do not go together."""
+    world = unpeopled(plan, setting, options, built=built)
+    with np.errstate(all="ignore"):
+        populate(world)
+    return world
+
+
+def unpeopled(
+    plan: ir.Plan,
+    setting: Setting,
+    options: Options | None = None,
+    *,
+    built: Built | None = None,
+    origin: NDArray[np.float64] | None = None,
+) -> World:
+    """As `bind`, with nobody in it yet. `origin` is one that positions are counted from already."""
+    options, built = options or Options(), built or Built()
+    origin = _origin(setting) if origin is None else origin
+    up = np.asarray(setting.up, np.float64)
+    meshes = {name: _moved(mesh, origin) for name, mesh in {**setting.surfaces, **setting.obstacles}.items()}
+    solids = _solids(setting, origin, built)
+    surfaces = {name: meshes[name] for name in setting.surfaces}
+    ground = _ground(surfaces, solids, up, setting.moves.meshes, setting.by_rays, built)
+    world = World(
+        plan=plan,
+        setting=setting,
+        options=options,
+        up=up / np.sqrt((up[0] * up[0] + up[1] * up[1]) + up[2] * up[2]),
+        origin=origin,
+        frame=setting.first_frame,
+        params={},
+        populations={name: empty_population(species, ground) for name, species in plan.species.items()},
+        items={name: _items(setting, items, origin) for name, items in plan.items.items()},
+        fields={},
+        field_rates={},
+        obstacles=_scenes(meshes, solids, built),
+        curves={name: curve(setting.curves[name] - origin) for name in plan.curves if name in setting.curves},
+        flows={},
+        maps={},
+        ground=ground,
+        surface_index={name: k for k, name in enumerate(setting.surfaces)},
+        solids=solids,
+        backend=BACKENDS[options.backend](plan),
+        faults=FaultLog(),
+        motion=Motion(),
+    )
+    _params(world)
+    _fields(world, {**meshes, **{name: _moved(solid.mesh, origin) for name, solid in setting.solids.items()}}, built)
+    _flows(world, built)
+    _detail(world, {name: meshes[name] for name in setting.obstacles})
+    return world
+
+
+def set_param(world: World, name: str, value: float) -> None:
+    """Change a param (base units) from the next step on; nothing is compiled again."""
+    if name not in world.plan.params:
+        raise KeyError(name)
+    world.params[name] = np.float32(value)
+
+
+def _origin(setting: Setting) -> NDArray[np.float64]:
+    """What to take from all positions, whole metres; nothing where the scene lies about its zero."""
+    meshes = setting.surfaces or {name: solid.mesh for name, solid in setting.solids.items()}
+    meshes = meshes or setting.obstacles  # one more stone moves nothing
+    places = [m.vertices for m in meshes.values() if len(m.vertices)]
+    places = places or [np.array([i.position for items in setting.items.values() for i in items], np.float64).reshape(-1, 3)]
+    points = np.concatenate(places)
+    if not len(points):
+        return np.zeros(3)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    return np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > _FAR else np.zeros(3)
+
+
+def _moved(mesh: MeshData, origin: NDArray[np.float64]) -> MeshData:
+    return MeshData(mesh.vertices - origin, mesh.faces) if origin.any() else mesh
+
+
+def _solids(setting: Setting, origin: NDArray[np.float64], built: Built) -> dict[str, Any]:
+    """A volume for each solid; BindError where its mesh can be none."""
+    if not setting.solids:
+        return {}
+    from antdsl.ground.solid import Unusable, Volume
+
+    found, report = {}, Report()
+    for name, solid in setting.solids.items():
+        mesh = _moved(solid.mesh, origin)
+        made = built.once_deep("solid", (mesh, solid.voxel), partial(Volume.from_mesh, mesh.vertices, mesh.faces, solid.voxel))
+        if isinstance(made, Unusable):
+            report.error("bad-mesh", f"the mesh of the solid `{name}` cannot be dug: {made.message}", None, made.help)
+        else:
+            found[name] = made
+    if not report.ok:
+        raise BindError(report)
+    return found
+
+
+def _ground(
+    meshes: dict[str, MeshData],
+    solids: dict[str, Any],
+    up: NDArray[np.float64],
+    moving: Iterable[str],
+    by_rays: bool,
+    built: Built,
+) -> Any:
+    if not meshes and not solids:
+        return Plane(up)
+    ground = _meshes(meshes, moving, by_rays, built)
+    if not solids:
+        return ground
+    from antdsl.ground.combined import Terrain
+
+    return Terrain(ground, solids, up / np.sqrt((up[0] * up[0] + up[1] * up[1]) + up[2] * up[2]))
+
+
+def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool, built: Built) -> Any:
+    """The part of the ground that is made of meshes; None without any."""
+    surfaces = {name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
+    moved = [name for name in moving if name in surfaces]
+    if moved:
+        from antdsl.ground.moving import MovingGround
+
+        made = partial(MovingGround, surfaces, moved, by_rays)
+        return built.once("moving ground", (surfaces, moved, by_rays), made, copied=MovingGround.copy)
+    if not surfaces:
+        return None
+    from antdsl.ground.mesh.surface import Ground
+
+    return built.once("ground", (surfaces, by_rays), partial(Ground, surfaces, by_rays))
+
+
+def _scenes(meshes: dict[str, MeshData], solids: dict[str, Any], built: Built) -> dict[str, Any]:
+    """What rays can be cast at: meshes, and solids as they are at each time."""
+    if not meshes and not solids:
+        return {}
+    from antdsl.casting.rays import RayScene
+
+    found: dict[str, Any] = {
+        name: built.once("rays", mesh, partial(RayScene, mesh.vertices, mesh.faces)) for name, mesh in meshes.items()
+    }
+    if solids:
+        from antdsl.ground.solid_feelers import SolidFeelers
+
+        found |= {name: SolidFeelers(volume) for name, volume in solids.items()}
+    return found
+
+
+def _items(setting: Setting, plan: ir.ItemsPlan, origin: NDArray[np.float64]) -> Items:
+    found = setting.items.get(plan.name, ())
+    position = np.array([item.position for item in found], np.float64).reshape(-1, 3) - origin
+    seen = {axis: position[:, k].astype(np.float32) for k, axis in enumerate(AXES)}
+    seen["radius"] = np.array([item.radius for item in found], np.float32)
+    amounts = {
+        name: np.array([item.attributes.get(name, default) for item in found], np.float64)
+        for name, default in plan.attributes.items()
+    }
+    items = Items(plan.name, tuple(item.name for item in found), position, amounts, seen)
+    items.show()
+    return items
+
+
+def _params(world: World) -> None:
+    for name, param in world.plan.params.items():
+        given = world.setting.params.get(name)
+        world.params[name] = np.float32(run_value(world, param.default) if given is None else given)
+
+
+def run_value(world: World, node: ir.Node) -> float:
+    """A node that is the same for all of a run."""
+    return float(uniform_values(world, reach((node,)))[node])
+
+
+def set_flow(world: World, name: str, flow: FlowData) -> None:
+    """Put another flow in place of one, from the next step on; nothing is compiled again. BindError as in `bind`."""
+    if name not in world.plan.flows:
+        raise KeyError(name)
+    from antdsl.runtime.binding.flows import bind_flow
+
+    report = Report()
+    bind_flow(world, name, flow, report)
+    if not report.ok:
+        raise BindError(report)
+
+
+def _flows(world: World, built: Built) -> None:
+    if not world.setting.flows and not world.setting.maps:
+        return
+    from antdsl.runtime.binding.flows import bind_flows
+
+    report = Report()
+    bind_flows(world, report, built)
+    if not report.ok:
+        raise BindError(report)
+
+
+def _detail(world: World, obstacles: dict[str, MeshData]) -> None:
+    if world.setting.detail is None:
+        return
+    from antdsl.runtime.lod import Detail
+
+    world.detail = Detail(world.setting.detail, world.origin, obstacles)
+
+
+def _fields(world: World, meshes: dict[str, MeshData], built: Built) -> None:
+    if not world.plan.fields:
+        return
+    from antdsl.runtime.binding.fields import bind_fields
+
+    report = Report()
+    bind_fields(world, meshes, run_value, report, built)
+    if not report.ok:
+        raise BindError(report)

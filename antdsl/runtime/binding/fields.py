@@ -1,0 +1,90 @@
+"""Fields of the plan over the surfaces of the setting: cells, starting values, and the factors of a step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from antdsl.diagnostics import Report
+from antdsl.fields.cells import FieldTooFine, SurfaceCells
+from antdsl.fields.growing import GrowingCells
+from antdsl.fields.pheromone import PheromoneField
+from antdsl.plan import ir
+from antdsl.runtime.binding.reuse import Built
+from antdsl.scene.setting import FieldStart, MeshData
+from antdsl.scene.stability import largest_stable_diffusion
+
+if TYPE_CHECKING:
+    from antdsl.runtime.world import World
+
+
+def bind_fields(
+    world: World, meshes: dict[str, MeshData], value: Callable[[World, ir.Node], float], report: Report, built: Built
+) -> None:
+    """Make all fields of the plan; what is wrong with one goes into the report."""
+    cells: dict[tuple[tuple[str, ...], float], SurfaceCells] = {}
+    for plan in world.plan.fields.values():
+        size = value(world, plan.cell)
+        keep = 1.0 if plan.keep is None else value(world, plan.keep)
+        diffuse = 0.0 if plan.diffuse is None else value(world, plan.diffuse)
+        limit = np.inf if plan.limit is None else value(world, plan.limit)
+        if not _sound(plan, size, keep, diffuse, limit, world.dt, report):
+            continue
+        key = (plan.surfaces, size)
+        if key not in cells:
+            surfaces = [(m.vertices, m.faces) for name in plan.surfaces if (m := meshes.get(name)) is not None]
+            try:
+                kind = GrowingCells if any(name in world.solids for name in plan.surfaces) else SurfaceCells
+                made = partial(kind, surfaces, size)
+                keep_all = built.once_deep if kind is GrowingCells else built.once
+                cells[key] = keep_all(kind.__name__, (surfaces, size), made)
+            except FieldTooFine as why:
+                row = " in a row" if why.in_a_row else ""
+                words = f"about {why.needed:,} cells of {size:g} mm{row}; {why.cap:,} are allowed"
+                report.error("field-too-fine", f"field `{plan.name}` needs {words}", plan.span, "write a larger `cell`")
+                continue
+        field = PheromoneField(cells[key], "max" if plan.combine == "max" else "add", limit)
+        start = world.setting.field_start.get(plan.name)
+        if start is not None:
+            _fill(field, start, world)
+        world.fields[plan.name] = field
+        world.field_rates[plan.name] = (np.float32(keep), diffuse)
+
+
+def _sound(plan: ir.FieldPlan, size: float, keep: float, diffuse: float, limit: float, dt: float, report: Report) -> bool:
+    """Whether the settings can be run; complains where not."""
+    if not (np.isfinite(size) and size > 0):
+        report.error("field-setting", f"the cells of field `{plan.name}` have no size", plan.span, "write `cell 4 mm`")
+        return False
+    if not 0 <= keep <= 1:
+        report.error(
+            "field-setting", f"field `{plan.name}` keeps {keep * 100:g} % a step", plan.span, "write a share from 0 to 100 %"
+        )
+        return False
+    if not diffuse >= 0 or not limit >= 0:
+        report.error(
+            "field-setting", f"`diffuse` and `limit` of field `{plan.name}` cannot be below 0", plan.span, "write 0 or more"
+        )
+        return False
+    most = largest_stable_diffusion(size, dt)
+    if diffuse > most * (1 + 1e-6):
+        report.error(
+            "unstable-field",
+            f"field `{plan.name}` spreads faster than its cells of {size:g} mm can follow at this frame rate",
+            plan.span,
+            f"write `diffuse` {most:g} mm^2/s or less, or a larger `cell`",
+        )
+        return False
+    return True
+
+
+def _fill(field: PheromoneField, start: FieldStart, world: World) -> None:
+    if start.around is None:
+        field.values[:] = start.value
+        return
+    away = field.cells.position - (np.asarray(start.around, np.float64) - world.origin)
+    distance = np.sqrt((away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2])
+    field.values[distance <= (np.inf if start.radius is None else start.radius)] = start.value

@@ -1,0 +1,394 @@
+"""Flows and maps of a setting over the ground: points to work them out in, near enough to each other, and what they are there."""
+
+from __future__ import annotations
+
+from copy import copy
+from functools import partial
+from math import ceil
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.diagnostics import Report
+from antdsl.fields.cost import Land
+from antdsl.fields.face_points import Lattice, LatticeTooFine, cuts_for, slots_of, welded
+from antdsl.fields.flow import Flow, Map, falling, laid, nearest, spread
+from antdsl.fields.solved import Grounds, Solved, least_cost
+from antdsl.ground.mesh.topology import NO_LINK
+from antdsl.runtime.binding.reuse import Built
+from antdsl.scene.setting import BorderFlow, FlowData, Painted, SolvedFlow, SpreadFlow, Target
+
+if TYPE_CHECKING:
+    from antdsl.runtime.world import World
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+_PIECES = 8  # of a radius or border, where no cell is given
+_ACROSS = 64  # pieces of the ground's extent, where there is no radius either
+_ACROSS_CROWD = 48  # the same, where it is worked out again and again
+_OWN_POINTS = 200_000  # at most, where the cell is not given
+_ROOM_COST = 8.0  # beside an obstacle a mm costs so much more
+_SUNK = 0.05  # voxels that ground may lie under the surface of a solid and still be crossed
+_LIFT = 0.25  # of an edge: how high over the ground obstacles are looked for between two points
+
+
+def bind_flows(world: World, report: Report, built: Built) -> None:
+    """All maps and flows of the setting that the plan knows. Those that never change are kept in `built`."""
+    setting = world.setting
+    for name, painted in setting.maps.items():
+        world.maps[name] = Map(_corners(world, painted)[:, :, 0])
+    land = (setting.surfaces, setting.obstacles, setting.maps, setting.up, setting.by_rays, world.origin)
+    for name, flow in setting.flows.items():
+        if isinstance(flow, SolvedFlow) or world.solids or setting.moves:
+            bind_flow(world, name, flow, report)
+            continue
+        made = built.once("flow", (land, flow), partial(_bound, world, name, flow))
+        if made is None:
+            bind_flow(world, name, flow, report)  # complains
+        else:
+            world.flows[name] = copy(made)
+
+
+def _bound(world: World, name: str, flow: FlowData) -> Flow | None:
+    bind_flow(world, name, flow, Report())
+    return world.flows.get(name)
+
+
+def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
+    """One flow, under its name in the world; what is wrong with it goes into the report."""
+    try:
+        world.flows[name] = made = _made(world, flow)
+        if not isinstance(flow, Painted) and _may_change(world, flow):
+            made.renew = lambda now: _renew(now, made, flow)
+    except LatticeTooFine as why:
+        report.error(
+            "flow-too-fine",
+            f"flow `{name}` would be worked out in about {why.needed:,} points; {limits.FLOW_POINTS:,} are allowed",
+            None,
+            "give it a larger `cell`, or a smaller `radius`",
+        )
+
+
+def _made(world: World, flow: FlowData) -> Flow:
+    if isinstance(flow, Painted):
+        return _painted(world, flow)
+    if isinstance(flow, SpreadFlow):
+        return _spread(world, flow)
+    return _border(world, flow) if isinstance(flow, BorderFlow) else _solved(world, flow)
+
+
+# --- what moves ------------------------------------------------------------------------------------------------------
+
+
+def _may_change(world: World, flow: SpreadFlow | BorderFlow | SolvedFlow) -> bool:
+    """Whether anything moves that a flow is made from: surfaces, what it leads to, obstacles on the way."""
+    moves = world.setting.moves
+    moving = [name for name in moves.meshes if name in world.setting.surfaces or isinstance(flow, SolvedFlow)]
+    dug = bool(world.solids) and isinstance(flow, SolvedFlow)
+    return bool(moving) or dug or (not isinstance(flow, BorderFlow) and flow.target.of in {**moves.items, **moves.curves})
+
+
+def _renew(world: World, made: Flow, flow: SpreadFlow | BorderFlow | SolvedFlow) -> None:
+    """Put a flow as it is now in the place of what it was."""
+    if isinstance(flow, SolvedFlow):
+        assert isinstance(made, Solved) and made.grounds is not None
+        made.grounds = _grounds(world, made.lattice, made.grounds.faces, made.grounds.point)
+        made.cost = _cost(world, flow, made.grounds)
+        made.start, made.first = _goal(world, flow, made.grounds)
+        return
+    now = _made(world, flow)
+    made.lattice, made.c, made.s, made.source = now.lattice, now.c, now.s, now.source
+
+
+# --- painted ---------------------------------------------------------------------------------------------------------
+
+
+def _corners(world: World, painted: Painted) -> Floats:
+    """Painted values in the corners of all faces of the ground, (3, faces, width); 0 on other surfaces."""
+    _, faces, mesh, _ = world.ground.meshes.triangles
+    own = np.flatnonzero(mesh == world.surface_index[painted.surface])
+    values = painted.values.reshape(len(painted.values), -1)
+    found = np.zeros((3, len(faces), values.shape[1]))
+    local = world.setting.surfaces[painted.surface].faces
+    for k in range(3):
+        found[k, own] = values if painted.of_faces else values[local[:, k]]
+    return found
+
+
+def _painted(world: World, painted: Painted) -> Flow:
+    table = world.ground.meshes.triangles[3]
+    corners = _corners(world, painted)
+    parts = [laid(corners[k], table.axis1, table.axis2) for k in range(3)]
+    c, s = (np.stack([part[k] for part in parts], axis=1).ravel() for k in range(2))
+    return Flow(Lattice.of(np.ones(corners.shape[1], np.int64)), c, s)
+
+
+# --- points over the ground ------------------------------------------------------------------------------------------
+
+
+def _chosen(world: World, on: tuple[str, ...]) -> Flags:
+    """Faces of the surfaces that a flow lies on; those without area are left out."""
+    _, _, mesh, table = world.ground.meshes.triangles
+    wanted = [world.surface_index[name] for name in on] or list(world.surface_index.values())
+    chosen: Flags = table.live & np.isin(mesh, wanted)
+    return chosen
+
+
+def _lengths(world: World) -> tuple[Floats, Floats]:
+    """The longest edge and the middle (n, 3) of each face."""
+    vertices, faces, _, _ = world.ground.meshes.triangles
+    corners = vertices[faces]
+    edges = np.stack([corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)])
+    return np.sqrt((edges * edges).sum(axis=2)).max(axis=0), corners.mean(axis=1)
+
+
+def _lattice(world: World, chosen: Flags, cell: float | None, own_cell: float) -> Lattice:
+    """A lattice whose points lie at most `cell` mm apart on the chosen faces; without one, at most `own_cell`, or more where that
+    would be too many. LatticeTooFine where a given cell is."""
+    longest = np.where(chosen, _lengths(world)[0], 0.0)
+    if cell is not None:
+        cuts = cuts_for(longest, cell)
+        if slots_of(cuts) > limits.FLOW_POINTS:
+            raise LatticeTooFine(slots_of(cuts))
+        return Lattice.of(cuts)
+    while True:
+        cuts = cuts_for(longest, own_cell)
+        if slots_of(cuts) <= max(_OWN_POINTS, 3 * len(longest)):
+            return Lattice.of(cuts)
+        own_cell *= 1.3
+
+
+def _places(world: World, lattice: Lattice) -> tuple[Index, Floats]:
+    """The face and the place (n, 3) of each slot."""
+    table = world.ground.meshes.triangles[3]
+    face = lattice.faces()
+    b1, b2 = lattice.weights()
+    place = table.corner.take(face, axis=1) + b1 * table.edge1.take(face, axis=1) + b2 * table.edge2.take(face, axis=1)
+    return face, np.ascontiguousarray(place.T)
+
+
+def _flow(world: World, lattice: Lattice, face: Index, vectors: Floats, chosen: Flags, source: Any = None) -> Flow:
+    table = world.ground.meshes.triangles[3]
+    c, s = laid(vectors, table.axis1.take(face, axis=1), table.axis2.take(face, axis=1))
+    return Flow(lattice, c * chosen[face], s * chosen[face], source)
+
+
+def _here(world: World, target: Target) -> Target:
+    """Where a target is at the world's frame, as the world counts places."""
+    moves = world.setting.moves
+    tracks = (moves.curves if target.line else moves.items).get(target.of)
+    places = target.places if tracks is None else moves.points(tracks, world.frame)
+    if tracks is not None and target.which is not None:
+        places = places[target.which : target.which + 1]
+    return Target(places - world.origin, target.radii, target.line)
+
+
+# --- about a target, and at borders ----------------------------------------------------------------------------------
+
+
+def _spread(world: World, flow: SpreadFlow) -> Flow:
+    target = _here(world, flow.target)
+    source = spread(flow, target)
+    if world.ground.meshes is None:
+        return Flow(Lattice.of(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
+    chosen = near = _chosen(world, flow.on)
+    own = world.ground.meshes.extent / _ACROSS
+    if flow.radius is not None:
+        longest, middle = _lengths(world)
+        near = chosen & (nearest(target, middle)[0] <= flow.radius + longest)
+        own = flow.radius / _PIECES
+    lattice = _lattice(world, near, flow.cell, own)
+    face, place = _places(world, lattice)
+    vectors = np.zeros_like(place)
+    asked = np.flatnonzero(near[face])
+    vectors[asked] = source(place[asked])
+    return _flow(world, lattice, face, vectors, chosen, source if not flow.on else None)
+
+
+def _border(world: World, flow: BorderFlow) -> Flow:
+    vertices, faces, _, table = world.ground.meshes.triangles
+    chosen = _chosen(world, flow.on)
+    half = np.flatnonzero((table.link[0] == NO_LINK) & np.repeat(chosen, 3))
+    own, k = half // 3, half % 3
+    one, two = vertices[faces[own, (k + 1) % 3]], vertices[faces[own, (k + 2) % 3]]
+    edge = two - one
+    length = np.sqrt((edge * edge).sum(axis=1))
+    longest, middle = _lengths(world)
+    cell = flow.cell or flow.within / _PIECES
+    pieces = np.clip(np.ceil(2 * length / cell), 1, 4096).astype(np.int64)
+    which = np.repeat(np.arange(len(half)), pieces)
+    part = (np.arange(len(which)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[which]
+    rim = one[which] + part[:, None] * edge[which]
+    # in the face, at right angles to its edge: the way in, where one stands on the rim itself
+    inward = np.cross(table.normal.T[own], edge / np.where(length > 0, length, 1.0)[:, None])
+    near = chosen.copy()
+    target = Target(rim, np.zeros(len(rim)))
+    if len(rim):
+        near &= nearest(target, middle)[0] <= flow.within + longest
+    lattice = _lattice(world, near, flow.cell, cell)
+    face, place = _places(world, lattice)
+    vectors = np.zeros_like(place)
+    asked = np.flatnonzero(near[face]) if len(rim) else np.empty(0, np.int64)
+    if len(asked):
+        from scipy.spatial import cKDTree
+
+        sample = cKDTree(rim).query(place[asked])[1]
+        line = which[sample]
+        along = ((place[asked] - one[line]) * edge[line]).sum(axis=1) / np.maximum(length[line], 1e-12) ** 2
+        way = place[asked] - (one[line] + np.clip(along, 0.0, 1.0)[:, None] * edge[line])
+        distance = np.sqrt((way * way).sum(axis=1))
+        way += 0.5 * cell * inward[line]
+        way /= np.maximum(np.sqrt((way * way).sum(axis=1)), 1e-12)[:, None]
+        vectors[asked] = way * (falling(distance, flow.within, flow.falloff) * flow.strength)[:, None]
+    return _flow(world, lattice, face, vectors, chosen)
+
+
+# --- solved ----------------------------------------------------------------------------------------------------------
+
+
+def _solved(world: World, flow: SolvedFlow) -> Flow:
+    chosen = _chosen(world, flow.on)
+    own = world.ground.meshes.extent / (_ACROSS_CROWD if flow.crowding else _ACROSS)
+    own = min(own, flow.room / 2 if flow.room else own)
+    lattice = _lattice(world, chosen, flow.cell, own)
+    grounds = _grounds(world, lattice, chosen)
+    start, first = _goal(world, flow, grounds)
+    every = max(1, ceil(flow.every / world.dt - 1e-9))
+    changes = bool(flow.crowding or world.setting.moves)
+    looked = [_left(world)]
+
+    def due(now: World) -> bool:
+        """Whether it is time, and there is something to look at anew."""
+        if (now.frame - now.setting.first_frame) % every:
+            return False
+        before, looked[0] = looked[0], _left(now)
+        return changes or looked[0] != before
+
+    made = Solved(
+        lattice, np.zeros(0), np.zeros(0), None,
+        grounds=grounds, cost=_cost(world, flow, grounds), start=start, first=first, strength=flow.strength,
+        crowding=flow.crowding, every=every, due=due,
+        crowd=np.zeros(len(grounds.land.points), np.int64) if flow.crowding else None,
+    )  # fmt: skip
+    made.solve()
+    return made
+
+
+def _left(world: World) -> list[int]:
+    """How much is left of each solid: what tells whether anything was dug."""
+    return [volume.bricks.steps for volume in world.solids.values()]
+
+
+def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None = None) -> Grounds:
+    """The lattice as land: points that are one although of several faces (`point`, where that is known), triangles that no
+    obstacle cuts and no undug solid buries, links between surfaces."""
+    _, _, mesh, table = world.ground.meshes.triangles
+    face, place = _places(world, lattice)
+    if point is None:
+        point = welded(place, mesh[face])[0]
+    count = int(point.max(initial=-1)) + 1
+    points = np.empty((count, 3))
+    points[point] = place
+    small, owner = lattice.triangles()
+    triangles = point[small]
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    across = np.cross(b - a, c - a)
+    areas = np.sqrt((across * across).sum(axis=1)) / 2
+    open_ = chosen[owner] & (areas > 0) & ~_blocked(world, triangles, points, table.normal.T[owner])
+    for volume in world.solids.values():
+        open_ &= ~(volume.sample(points) < -_SUNK * volume.voxel)[triangles].any(axis=1)
+    of = np.empty(count, np.int32)
+    of[point] = mesh[face]
+    land = Land(points, triangles, open_, _links(points, of, np.unique(triangles[open_]), areas))
+    axis1, axis2 = table.axis1.take(face, axis=1), table.axis2.take(face, axis=1)
+    return Grounds(lattice, land, point, axis1, axis2, areas, chosen)
+
+
+def _blocked(world: World, triangles: Index, points: Floats, normal: Floats) -> Flags:
+    """Triangles of which a side meets an obstacle, seen a little above the ground."""
+    cut = np.zeros(len(triangles), bool)
+    for name in world.plan.obstacles:
+        if name not in world.obstacles:
+            continue
+        for k in range(3):
+            start, end = points[triangles[:, k]], points[triangles[:, (k + 1) % 3]]
+            step = end - start
+            lift = _LIFT * np.sqrt((step * step).sum(axis=1))[:, None] * normal
+            cut[world.obstacles[name].cast_within(start + lift, step)[0]] = True
+            cut[world.obstacles[name].cast_within(end + lift, -step)[0]] = True
+    return cut
+
+
+def _links(points: Floats, of: NDArray[np.int32], used: Index, areas: Floats) -> Index:
+    """Pairs of points of different surfaces, each with the nearest of the other where that is within about a triangle's side."""
+    from scipy.spatial import cKDTree
+
+    surfaces = np.unique(of[used])
+    reach = 2.0 * float(np.sqrt(np.median(areas))) if len(areas) else 0.0
+    found = [np.empty((0, 2), np.int64)]
+    for one in surfaces:
+        mine, others = used[of[used] == one], used[of[used] > one]
+        if len(mine) and len(others):
+            distance, nearest_one = cKDTree(points[mine]).query(points[others], distance_upper_bound=reach)
+            close = np.isfinite(distance)
+            found.append(np.stack([others[close], mine[nearest_one[close]]], axis=1))
+    return np.concatenate(found)
+
+
+def _goal(world: World, flow: SolvedFlow, grounds: Grounds) -> tuple[Index, Floats]:
+    """Points at the target, and how far it still is from there: all within its radius, and those next to each of its places."""
+    from scipy.spatial import cKDTree
+
+    land = grounds.land
+    used = np.unique(land.triangles[land.open])
+    if not len(used):
+        return used, np.zeros(0)
+    target = _here(world, flow.target)
+    places, radii = target.places, target.radii
+    side = float(np.sqrt(np.median(grounds.areas[land.open])))
+    if target.line:
+        from antdsl.casting.curves import resampled
+
+        places = resampled(places, side)
+        radii = np.zeros(len(places))
+    tree = cKDTree(land.points[used])
+    distance = np.full(len(used), np.inf)
+    for place, radius in zip(places, radii, strict=True):
+        gap, least = tree.query(place)
+        near = np.asarray(tree.query_ball_point(place, max(radius, gap + 1.5 * side)), np.int64)
+        near = np.append(near, least)
+        away = land.points[used[near]] - place
+        left = np.maximum(np.sqrt((away * away).sum(axis=1)) - max(radius, gap), 0.0)
+        distance[near] = np.minimum(distance[near], left)
+    at = np.flatnonzero(np.isfinite(distance))
+    return used[at], distance[at]
+
+
+def _cost(world: World, flow: SolvedFlow, grounds: Grounds) -> Floats:
+    """What a mm within each triangle costs while nobody is about."""
+    land = grounds.land
+    _, owner = grounds.lattice.triangles()
+    normal = world.ground.meshes.triangles[3].normal.T[owner]
+    upright = np.abs((normal * world.up).sum(axis=1))
+    price = 1.0 + flow.slope * np.sqrt(np.maximum(1 - upright * upright, 0.0))
+    middle = land.points[land.triangles].mean(axis=1)
+    if flow.room > 0:
+        x, y, z = middle.T.astype(np.float32)
+        gap = np.full(len(middle), np.inf)
+        for name in world.plan.obstacles:
+            if name in world.obstacles:
+                gap = np.minimum(gap, world.obstacles[name].near(x, y, z, flow.room).t)
+        tight = np.clip(1 - gap / flow.room, 0.0, 1.0)
+        price = price + _ROOM_COST * tight * tight
+    if flow.maps:
+        b1, b2 = grounds.lattice.weights()
+        small, _ = grounds.lattice.triangles()
+        b1, b2 = b1[small].mean(axis=1), b2[small].mean(axis=1)
+        for name, factor in flow.maps.items():
+            one, two, three = (corner.take(owner) for corner in world.maps[name].corners)
+            price = price + factor * (one * (1 - b1 - b2) + two * b1 + three * b2)
+    return least_cost(price)

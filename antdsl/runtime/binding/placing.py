@@ -1,0 +1,175 @@
+"""Who starts where: on the ground or inside things, outside of obstacles and of each other. A place depends on the seed, on the
+agent's species and id and on those who come before it: more agents move nobody."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics import elementary, randomness
+from antdsl.numerics import vectors as vec
+from antdsl.plan import ir
+from antdsl.runtime.binding.spacing import Drawn, Room, spread, takes_room
+from antdsl.runtime.binding.start_places import PLACEMENT_FRAME, TURN, StartPlaces
+from antdsl.runtime.faults import FaultLog
+from antdsl.runtime.lifecycle import come_alive, deaths_and_births, settle_newborn
+from antdsl.runtime.moving.tilting import settle
+from antdsl.runtime.reading import walk
+from antdsl.runtime.world import AXES, Crowded, Population, World, add_rows, empty_population, select_rows
+from antdsl.scene.setting import CrowdData
+
+
+def populate(world: World) -> None:
+    """Put all crowds into the world; ids in the order of the scene's lines."""
+    counted: dict[str, int] = {}
+    joining: list[tuple[CrowdData, NDArray[np.int64]]] = []
+    for crowd in world.setting.crowds:
+        population = world.populations[crowd.species]
+        ids = np.arange(counted.get(crowd.species, 0), counted.get(crowd.species, 0) + crowd.count)
+        counted[crowd.species] = population.next_id = int(crowd.count + (ids[0] if len(ids) else population.next_id))
+        joining.append((crowd, ids))
+    arrive(world, joining)
+    joined: dict[str, NDArray[np.intp]] = {}
+    for name, population in world.populations.items():
+        if len(population):
+            _shuffle(world, population)
+            joined[name] = np.arange(len(population))
+    begin(world, joined)
+    world.motion.begin(world)
+
+
+def arrive(world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]]) -> dict[str, NDArray[np.intp]]:
+    """Rows for agents of lines of the crowd, by species, where the scene places them and apart from each other and from those who
+    are there; nothing else of them is filled yet.
+
+    Given points go first and are kept; then each line keeps clear of those before it. `world.crowded` tells of lines that
+    found no room for all."""
+    joining = [(crowd, ids) for crowd, ids in joining if len(ids)]
+    if not joining:
+        return {}
+    starts = [StartPlaces(world, crowd) for crowd, _ in joining]
+    radius = _radii(world, joining, starts)
+    room = Room(_rounding(world))
+    for population in world.populations.values():
+        room.begin_with(population.position, population.now["radius"].astype(np.float64))
+    found: dict[int, Drawn] = {}
+    for k, (_, ids) in enumerate(joining):
+        if starts[k].given:
+            found[k] = starts[k].draw(ids, range(1))
+            room.begin_with(found[k].place, radius[k])
+    first = 0
+    for k, (crowd, ids) in enumerate(joining):
+        if k not in found:
+            found[k], fits = spread(room, starts[k].draw, ids, radius[k], first)
+            first += len(ids)
+            if not fits.all():
+                wide = radius[k][takes_room(radius[k])]
+                ends = (float(wide.min(initial=np.inf)), float(wide.max(initial=0.0)))
+                cover = float(np.pi * (wide * wide).sum())
+                fit, start = int(np.count_nonzero(fits)), starts[k]
+                room_for = (start.area(), start.larger(cover), start.sides(cover))
+                world.crowded.append(Crowded(crowd.group, crowd.species, len(ids), fit, ends, cover, *room_for))
+    rows: dict[str, list[NDArray[np.intp]]] = {}
+    for k, (crowd, ids) in enumerate(joining):
+        rows.setdefault(crowd.species, []).append(_put(world, crowd, ids, found[k]))
+    return {name: np.concatenate(parts) for name, parts in rows.items()}
+
+
+def _put(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: Drawn) -> NDArray[np.intp]:
+    population = world.populations[crowd.species]
+    rows = add_rows(population, ids, world.frame, drawn.place, drawn.footing)
+    for k, axis in enumerate(AXES):
+        population.now[f"up.{axis}"][rows] = drawn.up[:, k]
+    population.now["group"][rows] = crowd.group
+    return np.arange(rows.start, rows.stop)
+
+
+def _radii(
+    world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]], starts: Sequence[StartPlaces]
+) -> list[NDArray[np.float64]]:
+    """The radius that agents of each line would be born with where they are drawn first, found out in a world that is thrown
+    away: a radius may depend on anything that a birth can ask for."""
+    trial = replace(
+        world,
+        populations={name: empty_population(p.plan, world.ground) for name, p in world.populations.items()},
+        faults=FaultLog(),
+        grids={},
+        clearances={},
+        transitions={},
+        detail=None,
+    )
+    rows: dict[str, list[NDArray[np.intp]]] = {}
+    lines = []
+    for (crowd, ids), start in zip(joining, starts, strict=True):
+        lines.append(_put(trial, crowd, ids, start.draw(ids, range(1))))
+        rows.setdefault(crowd.species, []).append(lines[-1])
+    joined = {name: np.concatenate(parts) for name, parts in rows.items()}
+    for name, chosen in joined.items():
+        trial.populations[name].next_id = world.populations[name].next_id
+        _stand(trial, trial.populations[name], chosen)
+    come_alive(trial, joined)
+    radius = {name: trial.populations[name].now["radius"].astype(np.float64) for name in joined}
+    return [radius[crowd.species][own] for (crowd, _), own in zip(joining, lines, strict=True)]
+
+
+def _rounding(world: World) -> float:
+    """How exactly (mm) agents know where they are: float32 counts from the world's origin."""
+    meshes = world.ground.meshes
+    far = 0.0 if meshes is None else float(np.abs([meshes.low, meshes.high]).max(initial=0.0))
+    return far * float(np.finfo(np.float32).eps)
+
+
+def begin(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
+    """Let those who were put into the world stand, be born and set out, by species their rows; what they raise at birth is
+    seen in the first step."""
+    for name, rows in joined.items():
+        _stand(world, world.populations[name], rows)
+    come_alive(world, joined)
+    for name, rows in joined.items():
+        _set_out(world, world.populations[name], rows)
+        settle(world, world.populations[name], rows)
+    if any(p.effects.spawns or p.effects.deaths for p in world.populations.values()):
+        deaths_and_births(world)
+    settle_newborn(world)
+    for population in world.populations.values():
+        for name in population.events:
+            population.events[name] |= population.raised[name]
+            population.raised[name].fill(False)
+
+
+def _draw(world: World, species: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
+    return randomness.uniform(world.setting.seed, PLACEMENT_FRAME, species, "heading", index, ids)
+
+
+def _shuffle(world: World, population: Population) -> None:
+    if world.options.shuffle_rows is not None:
+        select_rows(population, np.random.default_rng(world.options.shuffle_rows).permutation(len(population)))
+
+
+def _stand(world: World, population: Population, rows: NDArray[np.intp]) -> None:
+    """Up from the ground, and a heading drawn around it; at rest."""
+    wanted = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
+    up = vec.columns(world.ground.upright(population.footing, wanted)[rows], np.float32)
+    angle = _draw(world, population.name, 0, population.ids[rows]) * TURN
+    side = vec.across(up)
+    ahead = vec.cross(up, side)
+    heading = vec.add(vec.scale(side, elementary.cos(angle)), vec.scale(ahead, elementary.sin(angle)))
+    for k, axis in enumerate(AXES):
+        population.normal[rows, k] = up[k]
+        for name, value in (("position", population.position[rows, k]), ("up", up[k]), ("heading", heading[k])):
+            population.now[f"{name}.{axis}"][rows] = value
+            population.start[f"{name}.{axis}"][rows] = value
+
+
+def _set_out(world: World, population: Population, rows: NDArray[np.intp]) -> None:
+    """A drawn share of full speed along the heading (T02), unless the species says at birth how it moves."""
+    if any(isinstance(s, ir.Store) and s.register.startswith("velocity.") for _, s in walk(population.plan.born)):
+        return
+    speed = population.now["max_speed"][rows] * _draw(world, population.name, 1, population.ids[rows])
+    for axis in AXES:
+        velocity = population.now[f"heading.{axis}"][rows] * speed
+        population.now[f"velocity.{axis}"][rows] = velocity
+        population.start[f"velocity.{axis}"][rows] = velocity

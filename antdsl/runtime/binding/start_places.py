@@ -1,0 +1,179 @@
+"""Where a line of the crowd may start: places drawn one after another for each agent, every draw a function of (seed, species,
+id, number of the try)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics import elementary, randomness
+from antdsl.numerics import vectors as vec
+from antdsl.runtime.binding.spacing import Drawn
+from antdsl.runtime.binding.surface_area import Area, areas
+from antdsl.runtime.world import World
+from antdsl.scene.setting import CrowdData, MeshData
+
+Ids = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+PLACEMENT_FRAME = 0  # placement belongs to no frame
+TURN = np.float32(2 * np.pi)
+COVERED = 0.42  # share of the ground that agents placed at random cover without touching, and all find room
+_SAMPLE = 1 << 14  # places that tell how much of a surface can be begun on
+_SAME = 1e-3  # mm
+_LARGER = 8  # radii that are tried
+_DISC = 100.0  # mm: without any ground and any place
+
+
+class StartPlaces:
+    """The places of one line of the crowd."""
+
+    def __init__(self, world: World, crowd: CrowdData) -> None:
+        self._world, self._crowd, self._species, self.place = world, crowd, crowd.species, crowd.place
+        self.given = crowd.place.points is not None and len(crowd.place.points) > 0
+        setting = world.setting
+        self._grounds = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
+        self._on = crowd.place.on or tuple(setting.surfaces) or tuple(self._grounds)
+        self._faces: Area | None = None
+        self._dense: Area | None = None
+        if crowd.place.by_area and not self.given and self._grounds:
+            self._faces = areas(world, self._on, crowd.place.density, crowd.place.around, crowd.place.radius)
+
+    def area(self) -> float | None:
+        """How much of the ground (mm²) agents can begin on, to two digits where a sample tells; None where that is not known."""
+        place = self.place
+        if self.given or place.inside is not None or (place.density is not None and not place.by_area):
+            return None
+        ids = np.arange(_SAMPLE)
+        drawn = self.draw(ids, range(1))
+        good = drawn.good
+        if self._faces is not None:
+            whole = self._faces.total
+        elif place.around is not None or not self._grounds:
+            radius = _DISC if place.radius is None else place.radius
+            whole = float(np.pi * radius * radius)
+        else:
+            whole = areas(self._world, self._on, None, None, None).total
+            way = drawn.place - self._points(ids, 0)  # what is dropped onto another face does not lie open to above
+            good = good & (vec.length(vec.columns(way, np.float64)) < _SAME)
+        share = float(np.count_nonzero(good)) / _SAMPLE
+        return whole if share == 1 else float(f"{whole * share:.1e}")
+
+    def larger(self, cover: float) -> float | None:
+        """A radius (mm) of the place at which agents who cover so much find room; None where there is none."""
+        radius = self.place.radius
+        for _ in range(_LARGER):
+            if radius is None:
+                break
+            wider = StartPlaces(self._world, replace(self._crowd, place=replace(self.place, radius=radius)))
+            area = wider.area()
+            if area is None or area * COVERED >= cover * 0.999:
+                return radius if area is not None else None
+            radius *= min(max(math.sqrt(cover / (COVERED * area)), 1.01), 8.0) if area > 0 else 8.0
+        return None
+
+    def sides(self, cover: float) -> bool:
+        """Whether agents who cover so much, and begin anywhere on a surface from above, find room on all of its sides."""
+        place = self.place
+        if self.given or place.by_area or not place.on or any((place.inside, place.density, place.around, place.radius)):
+            return False
+        wider = StartPlaces(self._world, replace(self._crowd, place=replace(place, by_area=True))).area()
+        return wider is not None and wider * COVERED >= cover
+
+    def draw(self, ids: Ids, tries: range) -> Drawn:
+        """Places for agents: those of the first try, then those of the next."""
+        world, place = self._world, self.place
+        if place.inside is not None and world.ground.meshes is not None:
+            return self._seen_from(np.asarray(place.inside, np.float64) - world.origin, ids, tries)
+        if self._faces is not None:
+            return self._by_area(self._faces, ids, tries)
+        points = np.concatenate([self._points(ids, attempt) for attempt in tries])
+        if self.given and place.by_area:
+            footing, found = world.ground.nearest(points, place.on or None)[0], np.ones(len(points), np.bool_)
+            return Drawn(footing, world.ground.position(footing), world.ground.normal(footing), found)
+        footing, found = world.ground.place(points, world.up, place.on or None)
+        at = world.ground.position(footing)
+        up = np.array(np.broadcast_to(world.up, at.shape))
+        return Drawn(footing, at, up, found & ~inside_obstacle(world, at) if not self.given else found)
+
+    def _uniform(self, ids: Ids, index: int, site: str = "place") -> NDArray[np.float32]:
+        return randomness.uniform(self._world.setting.seed, PLACEMENT_FRAME, self._species, site, index, ids)
+
+    def _points(self, ids: Ids, attempt: int) -> Floats:
+        """Wanted places (n, 3), to be dropped onto the ground."""
+        world, place = self._world, self.place
+        if place.points is not None and len(place.points):
+            return np.asarray(place.points, np.float64)[ids % len(place.points)] - world.origin
+        u, v, w = (self._uniform(ids, 4 * attempt + k) for k in range(3))
+        if place.around is not None or not self._grounds:
+            middle = np.zeros(3) if place.around is None else np.asarray(place.around, np.float64) - world.origin
+            radius = _DISC if place.radius is None else place.radius
+            away, angle = np.sqrt(u).astype(np.float64) * radius, v * TURN
+            up = vec.columns(np.broadcast_to(world.up, (len(ids), 3)), np.float64)
+            side = vec.across(up)
+            ahead = vec.cross(up, side)
+            disc = vec.add(vec.scale(side, away * elementary.cos(angle)), vec.scale(ahead, away * elementary.sin(angle)))
+            return middle + vec.rows(disc)
+        if place.density is not None:
+            if self._dense is None:
+                self._dense = areas(world, place.on or tuple(world.surface_index), place.density, None, None)
+            return self._dense.points(u, v, w, self._uniform(ids, 4 * attempt + 3))[3]
+        return _on_faces([self._grounds[name] for name in self._on], u, v, w) - world.origin
+
+    def _by_area(self, faces: Area, ids: Ids, tries: range) -> Drawn:
+        """Places evenly over faces, whichever way they look, up being off them."""
+        draws = [np.concatenate([self._uniform(ids, 4 * attempt + k) for attempt in tries]) for k in range(4)]
+        footing, up, found = faces.at(*draws)
+        at = self._world.ground.position(footing)
+        return Drawn(footing, at, up, found & ~inside_obstacle(self._world, at))
+
+    def _seen_from(self, start: Floats, ids: Ids, tries: range) -> Drawn:
+        """Where lines from a place in drawn directions first meet a mesh, ups towards it. A line that meets none, or another than
+        those in `on`, leads nowhere: the surface nearest to where it began."""
+        world = self._world
+        meshes = world.ground.meshes
+        wanted = [meshes.names.index(name) for name in (self.place.on or meshes.names) if name in meshes.names]
+        far = meshes.extent * 1.8 + float(np.abs(start - (meshes.low + meshes.high) / 2).max())
+        u, v = (np.concatenate([self._uniform(ids, 2 * attempt + k, "inside") for attempt in tries]) for k in range(2))
+        height = 1.0 - 2.0 * u.astype(np.float64)  # even over a ball, by a theorem of Archimedes
+        flat, angle = np.sqrt(np.maximum(1.0 - height * height, 0.0)), v * TURN
+        way = np.stack([flat * elementary.cos(angle), height, flat * elementary.sin(angle)], axis=1)
+        begin = np.broadcast_to(start, way.shape)
+        found, part, footing = meshes.met(begin, way * far)
+        good = found & np.isin(footing.mesh, wanted)
+        at = np.where(good[:, None], begin + way * (far * part)[:, None], begin)
+        good &= ~inside_obstacle(world, at)
+        standing = world.ground.nearest(at)[0]
+        up = np.where(good[:, None], -way, world.up)
+        return Drawn(standing, world.ground.position(standing), up, good)
+
+
+def _on_faces(meshes: list[MeshData], u: NDArray[np.float32], v: NDArray[np.float32], w: NDArray[np.float32]) -> Floats:
+    """Points spread evenly over the area of some meshes."""
+    corners = np.concatenate([m.vertices[m.faces] for m in meshes])
+    edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = vec.cross(vec.columns(edge, np.float64), vec.columns(other, np.float64))
+    area = np.cumsum(vec.length(normal))
+    face = np.minimum(np.searchsorted(area, u.astype(np.float64) * area[-1], side="right"), len(area) - 1)
+    fold = v + w > 1
+    a, b = np.where(fold, 1 - v, v), np.where(fold, 1 - w, w)
+    points: Floats = corners[face, 0] + a[:, None] * edge[face] + b[:, None] * other[face]
+    return points
+
+
+def inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
+    """Whether points lie in an obstacle: the first face above them shows its back."""
+    found = np.zeros(len(points), np.bool_)
+    up = np.broadcast_to(world.up, points.shape)
+    for name in world.plan.obstacles:
+        mesh = world.setting.obstacles.get(name)
+        if mesh is None or not len(mesh.faces):
+            continue
+        hits = world.obstacles[name].cast(points, up)
+        corners = mesh.vertices[mesh.faces[np.maximum(hits.face, 0)]]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # edges: the origin does not matter
+        found |= hits.hit & ((normal * up).sum(axis=1) > 0)
+    return found

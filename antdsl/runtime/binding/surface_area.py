@@ -1,0 +1,163 @@
+"""Surfaces by their area: points spread over faces whichever way they look, evenly or as densely as a map says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.faces import nearest_on_triangle
+from antdsl.ground.mesh.surface import Footing
+from antdsl.numerics import vectors as vec
+from antdsl.runtime.world import World
+from antdsl.scene.setting import Point
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+_BURIED = 0.05  # voxels below a solid's surface: no ground to stand on
+_HALVINGS = 24  # of the edges of faces that reach out of a ball
+_CORNERS = np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
+# The four triangles that the middles of the edges make, by the corners 0 1 2 and the middles 3 (of 0 1), 4 (of 1 2), 5 (of 2 0).
+_QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Area:
+    """Triangles (m) to choose places from, each a face or a part of one. Vectors of faces are (k, 3), counted from the origin."""
+
+    world: World
+    mesh: NDArray[np.int32]  # (k) of each face: meshes by their numbers, after them solids
+    local: NDArray[np.int32]  # (k) its number in the mesh
+    corner: Floats
+    edge1: Floats
+    edge2: Floats
+    face: NDArray[np.int64]  # (m) of which face a triangle is
+    weights: Floats  # (m, 3, 2) b1 and b2 of its corners in that face
+    cumulative: Floats  # (3m) area, times the density, of each corner of each triangle
+    total: float  # mm²
+    ball: tuple[Floats, float] | None
+
+    def points(self, u: NDArray[np.float32], *draws: NDArray[np.float32]) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
+        """Faces (n), weights b1 and b2 (n), places (n, 3), from four draws each.
+
+        A density that is linear in a triangle is a mixture of three that are each proportional to one corner's weight, and so are
+        gaps between ascending draws, two of them joined (L. Devroye, Non-Uniform Random Variate Generation, 1986, V.2, XI.4)."""
+        pick = np.searchsorted(self.cumulative, u.astype(np.float64) * self.cumulative[-1], side="right")
+        pick = np.minimum(pick, len(self.cumulative) - 1)
+        part, corner = pick // 3, pick % 3
+        _, two, three = np.sort(draws, axis=0).astype(np.float64)
+        much, rest, last = two, three - two, 1 - three
+        c1 = np.where(corner == 1, much, rest)
+        c2 = np.where(corner == 2, much, last)
+        c0 = 1.0 - c1 - c2
+        own = self.weights[part]
+        b1, b2 = ((own[:, 0, k] * c0 + own[:, 1, k] * c1) + own[:, 2, k] * c2 for k in range(2))
+        face = self.face[part]
+        place = self.corner[face] + b1[:, None] * self.edge1[face] + b2[:, None] * self.edge2[face]
+        return face, b1, b2, place
+
+    def at(self, *draws: NDArray[np.float32]) -> tuple[Any, Floats, Flags]:
+        """Footings, ups off the faces (n, 3), and whether one can stand there: inside the ball, and in no solid."""
+        face, b1, b2, place = self.points(*draws)
+        found = np.ones(len(face), np.bool_)
+        if self.ball is not None:
+            middle, radius = self.ball
+            away = place - middle
+            found &= away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1] + away[:, 2] * away[:, 2] <= radius * radius
+        up = vec.cross(vec.columns(self.edge1[face], np.float64), vec.columns(self.edge2[face], np.float64))
+        up = vec.rows(vec.scale(up, 1.0 / np.maximum(vec.length(up), 1e-300)))
+        mesh = self.mesh[face]
+        footing: Any = Footing(mesh, self.local[face], b1, b2)
+        if not self.world.solids:
+            return footing, up, found
+        return self._with_solids(footing, place, up, found)
+
+    def _with_solids(self, footing: Footing, place: Floats, up: Floats, found: Flags) -> tuple[Any, Floats, Flags]:
+        from antdsl.ground.footing_table import Standing
+
+        ground, standing = self.world.ground, Standing.on_mesh(footing)
+        first = len(ground.names) - len(self.world.solids)
+        for k, (name, volume) in enumerate(self.world.solids.items()):
+            rows = np.flatnonzero(footing.mesh == first + k)
+            if rows.size:
+                landed, _ = ground.nearest(place[rows], [name])
+                standing.put(rows, landed)
+                found[rows] &= landed.mesh == first + k
+                up[rows] = ground.normal(landed)
+            on_meshes = footing.mesh < first
+            found[on_meshes] &= volume.sample(place[on_meshes]) >= -_BURIED * volume.voxel
+        return standing, up, found
+
+
+def areas(world: World, on: tuple[str, ...], density: str | None, around: Point | None, radius: float | None) -> Area:
+    """The faces of some surfaces and solids as they lie now, within a ball and as dense as a map says, where those are given.
+
+    A ball that meets no face is made so much larger that what it met would begin at its old border."""
+    mesh, local, corner, edge1, edge2, weight = _faces(world, on, density)
+    face, weights = np.arange(len(mesh)), np.broadcast_to(_CORNERS, (len(mesh), 3, 2))
+    ball = None
+    if around is not None and radius is not None:
+        middle = np.asarray(around, np.float64) - world.origin
+        corners = np.stack([corner, corner + edge1, corner + edge2], axis=1)
+        near = nearest_on_triangle(np.broadcast_to(middle, corner.shape), corners)
+        away = float(vec.length(vec.columns(near - middle, np.float64)).min())
+        ball = (middle, radius if away <= radius else away + radius)
+        face, weights = _within(ball, corner, edge1, edge2)
+    double = vec.length(vec.cross(vec.columns(edge1, np.float64), vec.columns(edge2, np.float64)))
+    span1, span2 = weights[:, 1] - weights[:, 0], weights[:, 2] - weights[:, 0]
+    size = double[face] * np.abs(span1[:, 0] * span2[:, 1] - span1[:, 1] * span2[:, 0])
+    b1, b2 = weights[:, :, 0], weights[:, :, 1]
+    dense = (weight[face, :1] * (1.0 - b1 - b2) + weight[face, 1:2] * b1) + weight[face, 2:] * b2
+    cumulative = np.cumsum((dense * size[:, None]).ravel())
+    total = float(size[(dense > 0).any(axis=1)].sum() / 2.0)
+    return Area(world, mesh, local, corner, edge1, edge2, face, weights, cumulative, total, ball)
+
+
+def _faces(world: World, on: tuple[str, ...], density: str | None) -> tuple[Any, ...]:
+    """Mesh, number in it, corner, two edges and density at the corners (k, 3), of all live faces of some surfaces and solids."""
+    ground, found = world.ground.meshes, []
+    if ground is not None:
+        _, _, mesh, table = ground.triangles
+        rows = np.flatnonzero(table.live & np.isin(mesh, [k for k, name in enumerate(ground.names) if name in on]))
+        first = np.searchsorted(mesh, np.arange(len(ground.names)))
+        weight = np.ones((len(rows), 3))
+        if density is not None:
+            weight = np.maximum(world.maps[density].corners, 0.0).T[rows]
+        edges = (np.ascontiguousarray(v[:, rows].T) for v in (table.corner, table.edge1, table.edge2))
+        found.append((mesh[rows], (rows - first[mesh[rows]]).astype(np.int32), *edges, weight))
+    names = list(world.setting.surfaces)
+    for k, (name, solid) in enumerate(world.setting.solids.items()):
+        if name in on and density is None:
+            corners = solid.mesh.vertices[solid.mesh.faces] - world.origin
+            n = len(corners)
+            which = np.full(n, len(names) + k, np.int32)
+            a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+            found.append((which, np.arange(n, dtype=np.int32), a, b - a, c - a, np.ones((n, 3))))
+    return tuple(np.concatenate(part) for part in zip(*found, strict=True))
+
+
+def _within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edge2: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Triangles that cover what of the faces lies in a ball, those that reach out of it cut into four as long as they are
+    larger than half its radius: faces (m) and weights (m, 3, 2) of their corners."""
+    middle, radius = ball
+    face, weights = np.arange(len(corner)), np.broadcast_to(_CORNERS, (len(corner), 3, 2))
+    kept: list[tuple[NDArray[np.int64], Floats]] = []
+    for step in range(_HALVINGS):
+        at = corner[face][:, None] + weights[:, :, :1] * edge1[face][:, None] + weights[:, :, 1:] * edge2[face][:, None]
+        centre = at.mean(axis=1)
+        reach = np.sqrt(((at - centre[:, None]) ** 2).sum(axis=2).max(axis=1))
+        near = np.sqrt(((centre - middle) ** 2).sum(axis=1)) <= reach + radius
+        small = near & ((reach <= radius / 4) | (step == _HALVINGS - 1))
+        kept.append((face[small], weights[small]))
+        large = near & ~small
+        face, weights = face[large], weights[large]
+        if not len(face):
+            break
+        middles = (weights + np.roll(weights, -1, axis=1)) / 2
+        weights = np.concatenate([weights, middles], axis=1)[:, _QUARTERS].reshape(-1, 3, 2)
+        face = np.repeat(face, 4)
+    faces, parts = zip(*kept, strict=True)
+    return np.concatenate(faces), np.concatenate(parts)

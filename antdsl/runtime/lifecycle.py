@@ -1,0 +1,184 @@
+"""Events, deaths and births: what agents do to the number of agents and to each other's next step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.plan import ir
+from antdsl.runtime.effects import EmitEntry
+from antdsl.runtime.moving.moving_geometry import rest_places
+from antdsl.runtime.reading import reach, statement_nodes, walk
+from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows, shares_start, stored_registers
+
+_BLOCK = 1 << 22  # pairs of emitter and receiver that are measured at once
+_CARRIED = (*(f"{vector}.{axis}" for vector in ("up", "heading", "velocity") for axis in AXES), "group")  # from parent to child
+
+
+def find_cells(world: World, population: Population) -> None:
+    """Each agent's own cell of every field."""
+    if world.fields and len(population):
+        sides = world.ground.sides(population.footing)
+        place = rest_places(world, population)
+        found: dict[int, Any] = {}  # fields may share their cells
+        for name, field in world.fields.items():
+            if id(field.cells) not in found:
+                found[id(field.cells)] = field.cells.lookup_sides(place, sides)
+            population.cells[name] = found[id(field.cells)]
+
+
+def deposit(world: World) -> None:
+    """Lay what the agents deposit into their own cells; it lands when the fields step."""
+    for population in world.populations.values():
+        for entry in population.effects.deposits:
+            world.fields[entry.field].deposit(population.cells[entry.field][entry.rows], entry.amount)
+        population.effects.deposits = []
+
+
+def settle_newborn(world: World) -> None:
+    """What agents ask for at their birth happens before the next step: nothing is left over between two steps."""
+    from antdsl.runtime.claims import give
+
+    raise_events(world)
+    give(world)
+    laying = [p for p in world.populations.values() if p.effects.deposits]
+    for population in laying:
+        find_cells(world, population)
+    fields = {entry.field for p in laying for entry in p.effects.deposits}
+    deposit(world)
+    for name in fields:
+        world.fields[name].step(1.0, 0.0, world.dt)
+    for population in world.populations.values():
+        population.effects.claims = []  # nobody claims at birth: there is no decision to win
+
+
+def raise_events(world: World) -> None:
+    """Flag those whom an event reaches; they see it in the next step."""
+    for population in world.populations.values():
+        for entry in population.effects.emits:
+            if entry.within is None:
+                if entry.event in population.raised:
+                    population.raised[entry.event][entry.rows] = True
+                continue
+            for other in world.populations.values():
+                if entry.event in other.raised and len(other):
+                    _reach(population, entry, other, other.raised[entry.event])
+        population.effects.emits = []
+
+
+def _reach(population: Population, entry: EmitEntry, other: Population, flags: NDArray[np.bool_]) -> None:
+    """Agents within the distance of some emitter, where both stood when the step began; the emitter hears itself."""
+    assert entry.within is not None
+    own = [population.start[f"position.{axis}"][entry.rows] for axis in AXES]
+    theirs = [other.start[f"position.{axis}"] for axis in AXES]
+    step = max(1, _BLOCK // len(other))
+    for a in range(0, len(entry.rows), step):
+        dx, dy, dz = (t[None, :] - o[a : a + step, None] for t, o in zip(theirs, own, strict=True))
+        flags |= (np.sqrt((dx * dx + dy * dy) + dz * dz) <= entry.within[a : a + step, None]).any(axis=0)
+
+
+def deaths_and_births(world: World) -> None:
+    """Take the dead out, then put the new ones in: ids by (parent's species, parent's id, place in the text)."""
+    coming = _coming(world)
+    for population in world.populations.values():
+        if population.effects.deaths:
+            dead = np.zeros(len(population), np.bool_)
+            for rows in population.effects.deaths:
+                dead[rows] = True
+            population.effects.deaths = []
+            select_rows(population, np.flatnonzero(~dead))
+    generation = 0
+    while coming and generation < limits.BIRTHS_IN_A_ROW:
+        newborn = {name: _bear(world, world.populations[name], births) for name, births in coming.items()}
+        come_alive(world, {name: rows for name, rows in newborn.items() if len(rows)})
+        coming = _coming(world)
+        generation += 1
+    for population in world.populations.values():
+        forget_the_dead(world, population)
+
+
+Births = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], object, dict[str, NDArray[np.float32]]]]
+
+
+def _coming(world: World) -> dict[str, Births]:
+    """Births asked for, by species of the child, in the order in which they get their ids; parents are read while they live."""
+    found: dict[str, Births] = {}
+    for population in world.populations.values():
+        entries = population.effects.spawns
+        population.effects.spawns = []
+        for species in sorted({e.species for e in entries}):
+            rows = np.concatenate([e.rows for e in entries if e.species == species])
+            order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.species == species])
+            rows = rows[np.lexsort((order, population.ids[rows]))]
+            footing = type(population.footing)(*(getattr(population.footing, f)[rows] for f in population.footing.__slots__))
+            carried = {name: population.now[name][rows].copy() for name in _CARRIED} | {"normal": population.normal[rows]}
+            found.setdefault(species, []).append((population, rows, population.position[rows], footing, carried))
+    return found
+
+
+def _bear(world: World, population: Population, births: Births) -> NDArray[np.intp]:
+    """Put newborn agents into the world; gives their rows."""
+    old = len(population)
+    for _, rows, position, footing, carried in births:
+        room = limits.AGENTS - len(world)
+        count = min(len(rows), max(0, room))
+        if count < len(rows):
+            world.faults.refused_births += len(rows) - count
+        if not count:
+            continue
+        footing = type(footing)(*(getattr(footing, f)[:count] for f in footing.__slots__))  # type: ignore[attr-defined]
+        ids = np.arange(population.next_id, population.next_id + count)
+        population.next_id += count
+        new = add_rows(population, ids, world.frame + 1, position[:count], footing)
+        for name, value in carried.items():
+            (population.normal if name == "normal" else population.now[name])[new] = value[:count]
+    return np.arange(old, len(population))
+
+
+def come_alive(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
+    """Fill the registers of new rows, by species, whose place, up, heading and velocity are there already: the block `born`.
+
+    Those born together see each other's place and movement; all else of each other is still 0 or none, whoever is worked out
+    first."""
+    world.grids.clear()  # rows have changed
+    for name, rows in newborn.items():
+        population = world.populations[name]
+        for k, axis in enumerate(AXES):
+            population.now[f"position.{axis}"][rows] = population.position[rows, k]
+        for register, array in population.now.items():
+            if population.start[register] is array:
+                population.start[register] = array.copy()
+            else:
+                population.start[register][rows] = array[rows]
+        if _smells(population):
+            find_cells(world, population)
+    for name, rows in newborn.items():
+        world.backend.run(world, world.populations[name], "born", rows)
+    for name, rows in newborn.items():
+        population = world.populations[name]
+        stored = stored_registers(population.plan)
+        for register, array in population.now.items():
+            if shares_start(population.plan, register, stored):
+                population.start[register] = array
+            else:
+                population.start[register][rows] = array[rows]
+
+
+def _smells(population: Population) -> bool:
+    """Whether somebody asks for a field at birth."""
+    nodes = reach(tuple(node for _, statement in walk(population.plan.born) for node in statement_nodes(statement)))
+    return any(node.op.startswith("field.") for node in nodes)
+
+
+def forget_the_dead(world: World, population: Population) -> None:
+    """References to the dead become none, where the plan says whose ids a register holds."""
+    for register in population.plan.registers.values():
+        if register.kind is ir.Kind.I64 and register.of in world.populations and register.role != "temp":
+            held = population.now[register.name]
+            gone = (held >= 0) & (world.populations[register.of].rows_of(held) < 0)
+            if gone.any():
+                held[gone] = -1

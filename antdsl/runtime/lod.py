@@ -1,0 +1,175 @@
+"""Level of detail: agents far from the camera feel obstacles as the boxes about their connected pieces, or not at all.
+
+Which is felt depends on the place where an agent's step begins and on nothing else; obstacles stay hard for everybody."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.casting.rays import RayScene
+from antdsl.runtime.world import AXES, Population, World
+from antdsl.scene.setting import DetailData, MeshData
+
+Boxes = tuple[NDArray[np.float32], NDArray[np.float32]]  # least and greatest corners
+
+_CELLS = 32  # of a coarse grid, along each axis
+LEVELS = ("triangles", "boxes", "nothing")
+_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
+_SIDES = np.array(
+    [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ],
+    np.int32,
+)  # fmt: skip
+
+
+class Detail:
+    """The levels of one world. `counts` int64: steps so far, and agents at each of LEVELS, added up over these steps."""
+
+    def __init__(self, data: DetailData, origin: NDArray[np.float64], obstacles: Mapping[str, MeshData]) -> None:
+        self._camera = np.asarray(data.camera, np.float64).reshape(-1, 3) - origin
+        self._near, self._far, self._first = data.near, max(data.far, data.near), data.first
+        self._pieces = {name: Pieces(mesh) for name, mesh in obstacles.items()}
+        self._boxes: dict[str, Boxes] = {}
+        self._scenes: dict[str, RayScene] = {}
+        for name, mesh in obstacles.items():
+            self.pose(name, mesh.vertices)
+        self.counts = np.zeros(1 + len(LEVELS), np.int64)
+
+    def pose(self, name: str, vertices: NDArray[np.float64]) -> None:
+        """Put an obstacle's boxes where its vertices are."""
+        self._boxes[name] = self._pieces[name].boxes(vertices)
+        self._scenes[name] = _scene(*self._boxes[name])
+
+    def observe(self, world: World) -> None:
+        """Count who is at which level as a step begins."""
+        self.counts[0] += 1
+        self.counts[1:] += self.now(world)
+
+    def now(self, world: World) -> NDArray[np.int64]:
+        """How many agents are at each level."""
+        each = [np.bincount(self._kept(world, p)[1], minlength=len(LEVELS)) for p in world.populations.values()]
+        return np.sum(each, axis=0, dtype=np.int64) if each else np.zeros(len(LEVELS), np.int64)
+
+    def summary(self, world: World) -> dict[str, dict[str, float]]:
+        """Agents at each level, at the end and on the average of all steps."""
+        steps = max(int(self.counts[0]), 1)
+        return {
+            "end": {name: int(count) for name, count in zip(LEVELS, self.now(world), strict=True)},
+            "mean": {name: round(int(count) / steps, 3) for name, count in zip(LEVELS, self.counts[1:], strict=True)},
+        }
+
+    def felt(self, world: World, population: Population, name: str) -> NDArray[np.int8] | None:
+        """How each agent feels an obstacle (number of LEVELS, int8[n]), kept for the step; None for what is no obstacle.
+
+        Who stands inside the box of a piece, as within the walls of a house, feels its triangles."""
+        if name not in self._boxes:
+            return None
+        key = (population.name, f"~level of {name}", population.version)
+        found: NDArray[np.int8] | None = world.clearances.get(key)
+        if found is None:
+            place, levels = self._kept(world, population)
+            found = levels.copy()
+            middle = np.flatnonzero(found == 1)
+            found[middle[inside(place[middle], *self._boxes[name])]] = 0
+            world.clearances[key] = found
+        return found
+
+    def boxes(self, name: str) -> RayScene:
+        """The boxes of an obstacle's pieces, to be felt like the obstacle."""
+        return self._scenes[name]
+
+    def clearance(self, world: World, population: Population, name: str) -> NDArray[np.float32]:
+        """A distance (mm, float32[n]) within which an agent meets none of these boxes; kept for the step."""
+        key = (population.name, f"~boxes of {name}", population.version)
+        found: NDArray[np.float32] | None = world.clearances.get(key)
+        if found is None:
+            found = self._scenes[name].clearance(*(population.start[f"position.{axis}"] for axis in AXES))
+            world.clearances[key] = found
+        return found
+
+    def _kept(self, world: World, population: Population) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
+        """Where agents are, float32[n,3], and the level of each, kept for the step."""
+        place = _places(population)
+        key = (population.name, "~level", population.version)
+        found: NDArray[np.int8] | None = world.clearances.get(key)
+        if found is None:
+            found = world.clearances[key] = self._levels(place, world.frame)
+        return place, found
+
+    def _levels(self, place: NDArray[np.float32], frame: int) -> NDArray[np.int8]:
+        away = place.astype(np.float64) - self._camera[min(max(frame - self._first, 0), len(self._camera) - 1)]
+        distance: NDArray[np.float64] = np.sqrt((away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2])
+        return (distance > self._near).astype(np.int8) + (distance > self._far).astype(np.int8)
+
+
+def _places(population: Population) -> NDArray[np.float32]:
+    return np.stack([population.start[f"position.{axis}"] for axis in AXES], axis=1)
+
+
+class Pieces:
+    """The connected pieces of a mesh: faces that share corners, by their number or by their place."""
+
+    def __init__(self, mesh: MeshData) -> None:
+        self._used = np.unique(mesh.faces)
+        self._piece = _pieces(mesh, self._used)
+        self._count = int(self._piece.max(initial=-1)) + 1
+
+    def boxes(self, vertices: NDArray[np.float64]) -> Boxes:
+        """Least and greatest corner of each piece, float32[m,3], with the mesh's vertices where they are by now."""
+        low, high = np.full((self._count, 3), np.inf), np.full((self._count, 3), -np.inf)
+        np.minimum.at(low, self._piece, vertices[self._used])
+        np.maximum.at(high, self._piece, vertices[self._used])
+        return low.astype(np.float32), high.astype(np.float32)
+
+
+def _pieces(mesh: MeshData, used: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The number of the piece that each used vertex belongs to."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    if not len(mesh.faces):
+        return np.zeros(0, np.int64)
+    places, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    faces = same.reshape(-1)[mesh.faces]
+    a, b = np.concatenate([faces[:, :2], faces[:, 1:]]).T
+    links = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(len(places), len(places)))
+    of_place = connected_components(links, directed=False)[1]
+    numbers: NDArray[np.int64] = np.unique(of_place[same.reshape(-1)[used]], return_inverse=True)[1].reshape(-1)
+    return numbers
+
+
+def _scene(low: NDArray[np.float32], high: NDArray[np.float32]) -> RayScene:
+    corners = low[:, None, :].astype(np.float64) + _CORNERS * (high.astype(np.float64) - low)[:, None, :]
+    faces = _SIDES[None] + 8 * np.arange(len(low), dtype=np.int32)[:, None, None]
+    return RayScene(corners.reshape(-1, 3), faces.reshape(-1, 3))
+
+
+def inside(place: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which places [n,3] lie in one of the boxes. Most are in a cell of a coarse grid that no box reaches into."""
+    found = np.zeros(len(place), np.bool_)
+    if not len(place) or not len(low):
+        return found
+    least, most = low.min(axis=0), high.max(axis=0)
+    width = np.maximum(most - least, np.float32(1e-6)) / np.float32(_CELLS)
+
+    def cell(where: NDArray[np.float32]) -> NDArray[np.intp]:  # never less for a greater coordinate, so no box is missed
+        at: NDArray[np.intp] = np.clip(np.floor((where - least) / width), 0, _CELLS - 1).astype(np.intp)
+        return at
+
+    reached = np.zeros((_CELLS, _CELLS, _CELLS), np.bool_)
+    for (a, b, c), (d, e, f) in zip(cell(low), cell(high), strict=True):
+        reached[a : d + 1, b : e + 1, c : f + 1] = True
+    maybe = np.flatnonzero(reached[tuple(cell(place).T)])
+    order = maybe[np.argsort(place[maybe, 0], kind="stable")]
+    x = place[order, 0]
+    first, last = np.searchsorted(x, low[:, 0], "left"), np.searchsorted(x, high[:, 0], "right")
+    for k in np.flatnonzero(first < last):
+        rows = order[first[k] : last[k]]
+        within = place[rows, 1:]
+        found[rows[((within >= low[k, 1:]) & (within <= high[k, 1:])).all(axis=1)]] = True
+    return found

@@ -1,0 +1,197 @@
+"""Does it look alive? Measures of motion over a run (decision 31): numbers that are right and ants that twitch are a failure.
+
+Nothing here acts on the agents, and nothing is part of the state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics import vectors as vec
+from antdsl.runtime.binding.spacing import takes_room
+from antdsl.runtime.moving.heads import heads_inside
+from antdsl.senses.overlaps import worst_overlaps
+
+if TYPE_CHECKING:
+    from antdsl.runtime.world import Population, World
+
+_BINS = 1800  # of turns, 0.1 degree each; of overlaps, 1/1800 each
+_WINDOW = 2.0  # s over which a way is called straight or circling
+_CIRCLING = 0.15  # net way of a whole window at most this share of the way walked
+_MOVED = 3.0  # body lengths walked in a window, to have a way at all
+_WISH = 0.2  # a push that is meant
+_STILL = 0.03  # of max_speed: standing
+_TOUCH = 0.01  # of the room that two take: closer than this they stand in each other
+_COUNTS = (
+    "turns", "tilts", "overlaps", "standing", "wishing", "ways", "circling", "straightness", "steps",
+    "tilt_max", "step_max", "heads", "heads_inside", "placed", "overlapping",
+)  # fmt: skip
+_WAYS = ("ids", "start", "path", "age")
+
+
+@dataclass(slots=True, eq=False)
+class Window:
+    """Ways of one species since the window began, by id."""
+
+    ids: NDArray[np.int64]
+    start: NDArray[np.float64]
+    path: NDArray[np.float64]
+    age: NDArray[np.int64]
+
+
+@dataclass(slots=True, eq=False)
+class Motion:
+    """Counts so far."""
+
+    turns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
+    tilts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
+    overlaps: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
+    standing: int = 0
+    wishing: int = 0
+    ways: int = 0
+    circling: int = 0
+    straightness: float = 0.0
+    steps: int = 0
+    tilt_max: float = 0.0
+    step_max: float = 0.0
+    heads: int = 0
+    heads_inside: int = 0
+    placed: int = 0
+    overlapping: int = 0
+    windows: dict[str, Window] = field(default_factory=dict)
+
+    def reset(self) -> None:
+        """Begin anew, say after a preroll; how the crowd was placed stays known."""
+        fresh = Motion(placed=self.placed, overlapping=self.overlapping)
+        for name in (*_COUNTS, "windows"):
+            setattr(self, name, getattr(fresh, name))
+
+    def begin(self, world: World) -> None:
+        """Count who stands inside another, of whatever species, before anybody has moved."""
+        crowds = [population.now for population in world.populations.values()]
+        if not crowds:
+            return
+        radius = np.concatenate([now["radius"] for now in crowds])
+        wide = takes_room(radius)
+        place = (np.concatenate([now[f"position.{axis}"] for now in crowds])[wide] for axis in "xyz")
+        self.placed = len(radius)
+        self.overlapping = int(np.count_nonzero(worst_overlaps(*place, radius[wide]) > _TOUCH))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All counts by name, for a checkpoint."""
+        found = {name: np.array(getattr(self, name)) for name in _COUNTS}
+        for species, window in self.windows.items():
+            found |= {f"window.{species}.{name}": np.array(getattr(window, name)) for name in _WAYS}
+        return found
+
+    @classmethod
+    def of(cls, arrays: dict[str, NDArray[Any]]) -> Motion:
+        """From the arrays of a checkpoint; what is missing begins anew."""
+        motion = cls()
+        for name in _COUNTS:
+            if name in arrays:
+                value = arrays[name]
+                setattr(motion, name, value.copy() if value.ndim else value.item())
+        for species in sorted({name.split(".", 1)[1].rsplit(".", 1)[0] for name in arrays if name.startswith("window.")}):
+            motion.windows[species] = Window(*(arrays[f"window.{species}.{name}"].copy() for name in _WAYS))
+        return motion
+
+    def observe(self, world: World) -> None:
+        """Count one step; called after the move, before the ground goes on."""
+        second = max(1, round(1.0 / world.dt))
+        for population in world.populations.values():
+            if len(population):
+                self._step(world, population)
+                if self.steps % second == 0:
+                    self._bodies(world, population)
+        self.steps += 1
+
+    def _step(self, world: World, population: Population) -> None:
+        now, start = population.now, population.start
+        self.turns += _histogram(_turned(population, "heading"))
+        tilts = _turned(population, "up")
+        self.tilts += _histogram(tilts)
+        self.tilt_max = max(self.tilt_max, float(tilts.max()))
+        gone = vec.length(tuple(now[f"position.{a}"] - start[f"position.{a}"] for a in "xyz"))  # type: ignore[arg-type]
+        longest = now["max_speed"] * np.float32(world.dt)
+        share = gone[longest > 0] / longest[longest > 0]
+        self.step_max = max(self.step_max, float(share.max(initial=0.0)))
+        speed = vec.length(tuple(now[f"velocity.{a}"] for a in "xyz"))  # type: ignore[arg-type]
+        wish = vec.length(tuple(now[f"push.{a}"] for a in "xyz")) > _WISH  # type: ignore[arg-type]
+        self.wishing += len(population)
+        self.standing += int(np.count_nonzero(wish & (speed < now["max_speed"] * np.float32(_STILL))))
+        window = self._window(population)
+        window.path += speed * world.dt
+        window.age += 1
+        done = np.flatnonzero(window.age >= max(1, round(_WINDOW / world.dt)))
+        if len(done):
+            net = np.sqrt(((population.position[done] - window.start[done]) ** 2).sum(axis=1))
+            path = window.path[done]
+            walked = path > _MOVED * now["size"][done]
+            share = np.minimum(net[walked] / path[walked], 1.0)
+            self.ways += len(share)
+            self.circling += int(np.count_nonzero(share < _CIRCLING))
+            self.straightness += float(share.sum())
+            window.start[done], window.path[done], window.age[done] = population.position[done], 0.0, 0
+
+    def _window(self, population: Population) -> Window:
+        """The window of a species, its rows brought into those of the agents."""
+        known = self.windows.get(population.name)
+        ids = population.ids
+        if known is not None and (known.ids is ids or np.array_equal(known.ids, ids)):
+            return known
+        n = len(ids)
+        fresh = Window(ids, population.position.copy(), np.zeros(n), np.zeros(n, np.int64))
+        if known is not None and len(known.ids):
+            order = np.argsort(known.ids)
+            at = order[np.minimum(np.searchsorted(known.ids, ids, sorter=order), len(order) - 1)]
+            same = known.ids[at] == ids
+            for name in ("start", "path", "age"):
+                getattr(fresh, name)[same] = getattr(known, name)[at[same]]
+        self.windows[population.name] = fresh
+        return fresh
+
+    def _bodies(self, world: World, population: Population) -> None:
+        """How far agents stand inside each other, 0 apart to 1 in one place, by the worst neighbour; and inside the ground."""
+        worst = worst_overlaps(*(population.now[f"position.{a}"] for a in "xyz"), population.now["radius"])
+        self.overlaps += np.bincount((worst * _BINS).astype(np.int64), minlength=_BINS + 1)
+        self.heads += len(population)
+        self.heads_inside += int(np.count_nonzero(heads_inside(world, population)))
+
+    def summary(self) -> dict[str, float]:
+        """turn_p99, tilt_p99, tilt_max (degrees a step), step_max (of the longest step allowed), circling, standing,
+        heads_inside, overlap_start (shares), overlap_p99 (0 apart .. 1 in one place), straightness."""
+        return {
+            "turn_p99": _percentile(self.turns) * 180.0,
+            "tilt_p99": _percentile(self.tilts) * 180.0,
+            "tilt_max": self.tilt_max,
+            "step_max": self.step_max,
+            "circling": self.circling / max(1, self.ways),
+            "standing": self.standing / max(1, self.wishing),
+            "heads_inside": self.heads_inside / max(1, self.heads),
+            "overlap_start": self.overlapping / max(1, self.placed),
+            "overlap_p99": _percentile(self.overlaps),
+            "straightness": self.straightness / max(1, self.ways),
+        }
+
+
+def _turned(population: Population, name: str) -> NDArray[np.float32]:
+    """By how many degrees a unit vector of each agent has turned in the step."""
+    now, start = population.now, population.start
+    chord = vec.length(tuple(now[f"{name}.{a}"] - start[f"{name}.{a}"] for a in "xyz"))  # type: ignore[arg-type]
+    angle: NDArray[np.float32] = np.degrees(2 * np.arcsin(np.minimum(chord * np.float32(0.5), 1)))
+    return angle
+
+
+def _histogram(angle: NDArray[np.float32]) -> NDArray[np.int64]:
+    return np.bincount((angle * np.float32(_BINS / 180)).astype(np.int64), minlength=_BINS + 1)[: _BINS + 1]
+
+
+def _percentile(counts: NDArray[Any]) -> float:
+    """The 99th percentile of a histogram over 0 .. 1."""
+    total = int(counts.sum())
+    return float(np.searchsorted(np.cumsum(counts), 0.99 * total)) / _BINS if total else 0.0

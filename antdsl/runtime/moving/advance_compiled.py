@@ -1,0 +1,151 @@
+"""The passes of `moving` over all agents as two loops, before and after the walk: the same float32 operations in the same order,
+and so the same bits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.numerics.kernel_cache import njit
+from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
+
+_F = np.float32
+_ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
+_TINY, _STEEP = _F(1e-12), _F(0.9)  # as `vectors.unit` and `vectors.across`
+_PI = _F(np.pi)
+_SURELY = _F(1e-3)
+_TWELFTH, _NINETIETH = _F(1 / 12), _F(1 / 90)  # as `moving`
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def velocities(  # type: ignore[no-untyped-def]  # numba takes the types from the call
+    push, velocity, up, max_speed, max_force, mass, response, max_turn, at_once, first, dt, to, turning
+):  # fmt: skip
+    """Velocities after the push, into `to` (3, n), and in `turning` who may have turned too far. `at_once` is the longest
+    response that takes its whole time, `first`, in one substep; `dt` the time of others. All float32, vectors three arrays."""
+    last, cosine = _ZERO, _ONE
+    for i in range(turning.size):
+        u = (up[0][i], up[1][i], up[2][i])
+        wish = _flat((push[0][i], push[1][i], push[2][i]), u)
+        wish = times(wish, _ONE / _maximum(_length(wish), _ONE))
+        before = _flat((velocity[0][i], velocity[1][i], velocity[2][i]), u)
+        time = first if response[i] <= at_once else dt
+        gain = max_force[i] / mass[i]
+        gain = (gain if np.isfinite(gain) else _ZERO) * time
+        v = plus(before, times(wish, gain))
+        speed, most = _length(v), _maximum(max_speed[i], _ZERO)
+        if speed > most:
+            v = times(v, most / (speed if speed > 0 else _ONE))
+        v = (v[0] if np.isfinite(v[0]) else _ZERO, v[1] if np.isfinite(v[1]) else _ZERO, v[2] if np.isfinite(v[2]) else _ZERO)
+        to[0, i], to[1, i], to[2, i] = v
+        turning[i] = False
+        if np.isfinite(max_turn[i]):
+            turn = min(_maximum(max_turn[i], _ZERO) * time, _PI)
+            if turn != last:
+                last, cosine = turn, _F(np.cos(turn))
+            both = _length(v) * _length(before)
+            turning[i] = not (dot(v, before) > (cosine + _SURELY) * both and both > _TINY)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def arrive(  # type: ignore[no-untyped-def]
+    velocity, step, old, place, above, ahead, direction, blocked, max_speed, max_turn, response, at_once, most, dt, share, slow,
+    bounce, beyond, position, to, heading, up, hasty,
+):  # fmt: skip
+    """Velocity and heading where the walk has led, with place and up, into three arrays each: `position`, `to`, `heading`, `up`;
+    and in `hasty` whose up turns by more than `most` (radians), or whose body by more than `max_turn` allows and `beyond` that.
+
+    `velocity`, `step`: before the walk, (3, n) float32; `old` the place before it, (n, 3); then the walk's, (3, n) float64.
+    `at_once` is the longest response of who faces at once where it goes.
+    """
+    rate = _ONE / dt
+    for i in range(blocked.size):
+        u = (_F(above[0, i]), _F(above[1, i]), _F(above[2, i]))
+        v = (velocity[0][i], velocity[1][i], velocity[2][i])
+        v = times((_F(direction[0, i]), _F(direction[1, i]), _F(direction[2, i])), _length(v))
+        if blocked[i]:
+            gone = (_F(place[0, i] - old[i, 0]), _F(place[1, i] - old[i, 1]), _F(place[2, i] - old[i, 2]))
+            gone = times(gone, rate)
+            lost = minus(times((step[0][i], step[1][i], step[2][i]), rate), gone)
+            v = minus(gone, times(lost, bounce))
+        v = _flat(v, u)
+        h = (_F(ahead[0, i]), _F(ahead[1, i]), _F(ahead[2, i]))
+        chord = minus(u, (up[0][i], up[1][i], up[2][i]))
+        square, limit = dot(chord, chord), most[i] * most[i]
+        tilt = square * (_ONE + square * (_TWELFTH + square * _NINETIETH))
+        hasty[i] = tilt > limit
+        h = _faced(h, v, u, max_speed[i], max_turn[i], response[i] <= at_once, _minimum(tilt, limit), dt, share, slow)
+        before, was = (heading[0][i], heading[1][i], heading[2][i]), (up[0][i], up[1][i], up[2][i])
+        bent, aside = minus(h, before), minus(cross(u, h), cross(was, before))
+        square = (dot(bent, bent) + dot(chord, chord) + dot(aside, aside)) * _HALF
+        limit = _maximum(max_turn[i], _ZERO) * dt * beyond
+        hasty[i] |= square * (_ONE + square * (_TWELFTH + square * _NINETIETH)) > limit * limit + _F(1e-12)
+        to[0][i], to[1][i], to[2][i] = v
+        heading[0][i], heading[1][i], heading[2][i] = h
+        up[0][i], up[1][i], up[2][i] = u
+        position[0][i], position[1][i], position[2][i] = _F(place[0, i]), _F(place[1, i]), _F(place[2, i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _faced(heading, velocity, up, max_speed, max_turn, at_once, tilt, dt, share, slow):  # type: ignore[no-untyped-def]
+    """As `moving._face`, for one."""
+    heading, good = _unit(_flat(heading, up))
+    if not good:
+        heading = _across(up)
+    direction, good = _unit(velocity)
+    if not good:
+        direction = heading
+    if dot(heading, direction) < 0 and not (at_once and not np.isfinite(max_turn)):
+        left = cross(up, heading)
+        side, good = _unit(_flat(direction, heading))
+        if not good:
+            side = left
+        direction, good = _unit(_flat(side, up))
+        if not good:
+            direction = left
+    eager = _minimum(_length(velocity) / _maximum(max_speed * slow, _F(1e-6)), _ONE)
+    change = times(minus(direction, heading), _ONE if at_once else share * eager)
+    if np.isfinite(max_turn):
+        size, most = _length(change), _maximum(max_turn, _ZERO) * dt
+        most = np.sqrt(_maximum(most * most - tilt, _ZERO))
+        if size > most:
+            change = times(change, most / (size if size > 0 else _ONE))
+    turned, good = _unit(_flat(plus(heading, change), up))
+    if not good:
+        return heading
+    return turned
+
+
+@njit(inline="always")
+def _maximum(a, b):  # type: ignore[no-untyped-def]
+    """The first number's NaN is kept, as NumPy does."""
+    return b if a <= b else a
+
+
+@njit(inline="always")
+def _minimum(a, b):  # type: ignore[no-untyped-def]
+    return b if a >= b else a
+
+
+@njit(inline="always")
+def _length(a):  # type: ignore[no-untyped-def]
+    return np.sqrt(dot(a, a))
+
+
+@njit(inline="always")
+def _flat(a, up):  # type: ignore[no-untyped-def]
+    return minus(a, times(up, dot(a, up)))
+
+
+@njit(error_model="numpy", inline="always")
+def _unit(a):  # type: ignore[no-untyped-def]
+    """Length 1, and whether there is a direction."""
+    size = _length(a)
+    good = size > _TINY and np.isfinite(size)
+    return times(a, _ONE / (size if good else _ONE)), good
+
+
+@njit(error_model="numpy", inline="always")
+def _across(up):  # type: ignore[no-untyped-def]
+    steep = abs(up[0]) > _STEEP
+    side = _flat((_ZERO if steep else _ONE, _ONE if steep else _ZERO, _ZERO), up)
+    return times(side, _ONE / _length(side))

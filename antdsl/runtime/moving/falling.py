@@ -1,0 +1,34 @@
+"""Nobody gets farther in a step than it may: who falls because its ground was dug away is in the air for as long as it takes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from antdsl.ground.footing_table import Standing
+from antdsl.ground.mesh.surface import MoveResult
+from antdsl.numerics.vector_rows import length
+from antdsl.runtime.world import Population, World
+
+_LONGER = 1.005  # times the way allowed, above which a step is cut: less is the rounding of a seam
+_LENGTHS = 7.5  # body lengths a second at which those fall whose max_speed is 0
+
+
+def in_the_air(world: World, population: Population, moved: MoveResult, dt: np.float32) -> MoveResult:
+    """What a walk led to; those whom it led farther than `max_speed` allows are only as far on the straight way there, in the air
+    of the solid that they fall from or come to. Their next step goes on from there."""
+    now, first = population.now, len(world.ground.names) - len(world.solids)
+    speed = np.where(now["max_speed"] > 0, now["max_speed"], now["size"] * np.float32(_LENGTHS)).astype(np.float64)
+    way = moved.position - population.position
+    far, most = length(way), speed * float(dt)
+    from_solid, to_solid = population.footing.mesh >= first, moved.footing.mesh >= first
+    rows = np.flatnonzero((from_solid | to_solid) & (far > most * _LONGER))
+    if not len(rows):
+        return moved
+    place = population.position[rows] + way[rows] * (most[rows] / far[rows])[:, None]
+    solid = np.where(from_solid[rows], population.footing.mesh[rows], moved.footing.mesh[rows])
+    footing, position = moved.footing.copy(), moved.position.copy()  # type: ignore[attr-defined]
+    footing.put(rows, Standing.on_solid(solid, place))
+    position[rows] = place
+    return dataclasses.replace(moved, footing=footing, position=position)

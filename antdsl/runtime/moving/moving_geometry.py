@@ -1,0 +1,254 @@
+"""Things of the world that move: put where they are at a frame, agents carried along by the ground they stand on, and pushed
+aside by obstacles that come their way. All of it is a function of the frame and of where the agents stand."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.mesh.surface import Footing
+from antdsl.ground.moving import MovingGround
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.vectors import Vector
+from antdsl.runtime.world import AXES, Population, World
+
+_CURVE_PIECE = 1.0  # mm: a curve is asked for its nearest point and way in pieces of this length
+_MARGIN = np.float32(0.5)  # of the radius: how far an obstacle that comes near keeps an agent's centre off
+_PUSHES = 4  # ways out that are tried in one step
+_F = np.float32
+
+
+def carry(world: World) -> None:
+    """Everything to where it is at the next frame: agents with the ground they stand on, then out of the way of obstacles."""
+    if not world.setting.moves:
+        return
+    ground = moving(world)
+    standing = [(p, *_stood(ground, p)) for p in world.populations.values() if len(p)]
+    pose(world, world.frame + 1)
+    for population, rows, before in standing:
+        if ground is not None and len(rows):
+            _carried(ground, population, rows, before)
+    for name in world.plan.obstacles:
+        if name in world.setting.moves.meshes and name in world.obstacles:
+            for population, _, _ in standing:
+                _pushed(world, population, name)
+
+
+def pose(world: World, frame: int) -> None:
+    """Put all that moves where it is at a frame of the scene; agents stay on their footing and are not moved themselves."""
+    moves = world.setting.moves
+    if not moves:
+        return
+    pose_ground(world, frame)
+    for name in moves.meshes:
+        if name in world.obstacles:
+            world.obstacles[name] = _rays(world, name, frame)
+            if world.detail is not None and name in world.setting.obstacles:
+                world.detail.pose(name, vertices_at(world, name, frame))
+    for name, places in moves.items.items():
+        if name in world.items:
+            items = world.items[name]
+            items.position = moves.points(places, frame) - world.origin
+            for k, axis in enumerate(AXES):
+                items.seen[axis] = items.position[:, k].astype(np.float32)
+    for name, places in moves.curves.items():
+        if name in world.curves:
+            world.curves[name] = curve(moves.points(places, frame) - world.origin)
+    world.clearances.clear()
+
+
+def moving(world: World) -> MovingGround | None:
+    """The ground of meshes, if some of them move."""
+    meshes = getattr(world.ground, "meshes", None)
+    return meshes if isinstance(meshes, MovingGround) else None
+
+
+def pose_ground(world: World, frame: int) -> None:
+    """Only the ground, by sums of NumPy alone: for who looks at a world and asks it for no rays."""
+    ground = moving(world)
+    if ground is not None:
+        moved = [name for name in world.setting.moves.meshes if name in world.setting.surfaces]
+        ground.pose({name: vertices_at(world, name, frame) for name in moved})
+
+
+def vertices_at(world: World, name: str, frame: int) -> NDArray[np.float64]:
+    """Where the vertices of a mesh are at a frame of the scene, as the world counts places."""
+    moves, setting = world.setting.moves, world.setting
+    mesh = setting.surfaces[name] if name in setting.surfaces else setting.obstacles[name]
+    return moves.meshes[name].vertices(mesh.vertices, frame - moves.first) - world.origin
+
+
+def curve(points: NDArray[np.float64]) -> Any:
+    """A curve ready to be asked."""
+    from antdsl.casting.curves import Curve
+
+    return Curve(points, _CURVE_PIECE)
+
+
+def ground_velocity(world: World, population: Population) -> NDArray[np.float64] | None:
+    """How fast (n, 3) mm/s the points of ground went, in the step that led here, that agents stand on; None where none moves."""
+    ground, moves = moving(world), world.setting.moves
+    if ground is None:
+        return None
+    speed = np.zeros((len(population), 3))
+    footing = population.footing
+    for number, name in enumerate(ground.names):
+        rows = np.flatnonzero(footing.mesh == number) if name in moves.meshes else np.empty(0, np.int64)
+        if len(rows):
+            corner = world.setting.surfaces[name].faces[footing.face[rows]]
+            gone = vertices_at(world, name, world.frame) - vertices_at(world, name, world.frame - 1)
+            a, b, c = (gone[corner[:, k]] for k in range(3))
+            b1, b2 = footing.b1[rows, None], footing.b2[rows, None]
+            speed[rows] = (a + b1 * (b - a) + b2 * (c - a)) / world.dt
+    return speed
+
+
+def rest_places(world: World, population: Population) -> NDArray[np.float64]:
+    """Where the points of ground that agents stand on were at rest, (n, 3): the space in which fields have their cells."""
+    ground = moving(world)
+    if ground is None:
+        return population.position
+    place = population.position.copy()
+    rows = ground.carries(population.footing.mesh)
+    place[rows] = ground.rest_position(_feet(population, rows))
+    return place
+
+
+def turned_from_rest(world: World, population: Population, rows: Any, vectors: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Vectors (three float32 arrays) of the ground as it lay at rest, turned as it lies now under each agent."""
+    ground = moving(world)
+    if ground is None:
+        return vectors
+    on = ground.carries(population.footing.mesh[rows])
+    if not len(on):
+        return vectors
+    footing = _feet(population, np.arange(len(population))[rows][on])
+    turned = _turn(ground.rest_axes(footing), ground.axes(footing), np.stack([np.asarray(v, np.float64)[on] for v in vectors]))
+    found = tuple(np.array(v) for v in vectors)
+    for component, value in zip(found, turned, strict=True):
+        component[on] = value
+    return found
+
+
+def from_rest(world: World, population: Population, rows: Any, places: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Places (three float32 arrays) beside agents, on the ground as it lay at rest, where they are now: as if all about an agent
+    had moved as its own face has."""
+    ground = moving(world)
+    if ground is None:
+        return places
+    on = ground.carries(population.footing.mesh[rows])
+    if not len(on):
+        return places
+    standing = _feet(population, np.arange(len(population))[rows][on])
+    there = np.stack([np.asarray(p, np.float64)[on] for p in places])
+    away = _turn(ground.rest_axes(standing), ground.axes(standing), there - ground.rest_position(standing).T)
+    found = tuple(np.array(p) for p in places)
+    for component, value in zip(found, ground.position(standing).T + away, strict=True):
+        component[on] = value
+    return found
+
+
+def _rays(world: World, name: str, frame: int) -> Any:
+    from antdsl.casting.rays import RayScene
+
+    setting = world.setting
+    mesh = setting.surfaces[name] if name in setting.surfaces else setting.obstacles[name]
+    return RayScene(vertices_at(world, name, frame), mesh.faces, brief=True)
+
+
+def _stood(ground: MovingGround | None, population: Population) -> tuple[NDArray[np.intp], Any]:
+    """Who stands on ground that moves, and the frames of the faces before it does."""
+    if ground is None:
+        return np.empty(0, np.intp), None
+    rows = ground.carries(population.footing.mesh)
+    return rows, ground.axes(_feet(population, rows))
+
+
+def _carried(ground: MovingGround, population: Population, rows: NDArray[np.intp], before: Any) -> None:
+    """Place, up, heading and velocity of those whose ground has moved, turned as their face has."""
+    footing = _feet(population, rows)
+    after = ground.axes(footing)
+    now = population.now
+    turned = {name: _turn(before, after, _vectors(population, name, rows)) for name in ("up", "heading", "velocity")}
+    up = np.ascontiguousarray(ground.upright(footing, turned["up"].T).T)
+    heading = turned["heading"] - up * (turned["heading"] * up).sum(axis=0)
+    size = np.sqrt((heading * heading).sum(axis=0))
+    turned["heading"] = np.where(size > 1e-12, heading / np.where(size > 0, size, 1.0), turned["heading"])
+    turned["up"] = up
+    place = ground.position(footing)
+    population.position[rows] = place
+    turned["position"] = place.T
+    for name, value in turned.items():
+        for axis, component in zip(AXES, value, strict=True):
+            now[f"{name}.{axis}"][rows] = component
+
+
+def _turn(before: Any, after: Any, v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors (3, n) that keep their parts along the axes of a frame that has turned."""
+    parts = [(a[0] * v[0] + a[1] * v[1]) + a[2] * v[2] for a in before]
+    turned: NDArray[np.float64] = (parts[0] * after[0] + parts[1] * after[1]) + parts[2] * after[2]
+    return turned
+
+
+def _vectors(population: Population, name: str, rows: NDArray[np.intp]) -> NDArray[np.float64]:
+    return np.stack([population.now[f"{name}.{axis}"][rows] for axis in AXES]).astype(np.float64)
+
+
+def _pushed(world: World, population: Population, name: str) -> None:
+    """Walk agents out of an obstacle that has come upon them, away from its nearest face, until its margin is free."""
+    scene, now = world.obstacles[name], population.now
+    place: Vector = tuple(now[f"position.{axis}"] for axis in AXES)  # type: ignore[assignment]
+    margin = np.maximum(now["radius"], _F(0)) * _MARGIN
+    rows = np.flatnonzero(scene.clearance(*place) <= margin)
+    for _ in range(_PUSHES):
+        if not len(rows):
+            return
+        gap, out = scene.apart(*vec.take(place, rows), margin[rows], world.options.threads)
+        need = margin[rows] - gap
+        here = np.flatnonzero(need > _F(1e-4) * np.maximum(margin[rows], _F(1e-6)))
+        if not len(here):
+            return
+        rows, need = rows[here], need[here]
+        up: Vector = tuple(now[f"up.{axis}"][rows] for axis in AXES)  # type: ignore[assignment]
+        heading: Vector = tuple(now[f"heading.{axis}"][rows] for axis in AXES)  # type: ignore[assignment]
+        away = vec.flat((out[0][here], out[1][here], out[2][here]), up)
+        level = vec.length(away)
+        # a face that comes down from above leads nowhere: then it goes the way it looks
+        away = vec.unit(away, heading)
+        far = need / np.maximum(level, _F(0.25))
+        moved = world.ground.move(
+            _footing(population, rows),
+            vec.rows(vec.scale(away, far)),
+            vec.rows(heading),
+            vec.rows(up),
+            now["size"][rows].astype(np.float64),
+            world.options.threads,
+        )
+        _put(population, rows, moved)
+
+
+def _feet(population: Population, rows: NDArray[np.intp]) -> Footing:
+    """The footings of rows that stand on meshes."""
+    footing = population.footing
+    return Footing(*(getattr(footing, f.name)[rows] for f in fields(Footing)))
+
+
+def _footing(population: Population, rows: Any) -> Any:
+    footing = population.footing
+    return type(footing)(*(getattr(footing, name)[rows] for name in type(footing).__dataclass_fields__))
+
+
+def _put(population: Population, rows: NDArray[np.intp], moved: Any) -> None:
+    """Where a push has led some agents; their velocity goes on along the ground there."""
+    for name in type(population.footing).__dataclass_fields__:
+        getattr(population.footing, name)[rows] = getattr(moved.footing, name)
+    population.position[rows] = moved.position
+    velocity = _vectors(population, "velocity", rows)
+    up = np.asarray(moved.up).T
+    flat = velocity - up * (velocity * up).sum(axis=0)
+    for name, value in (("position", moved.position.T), ("up", up), ("heading", moved.heading.T), ("velocity", flat)):
+        for axis, component in zip(AXES, value, strict=True):
+            population.now[f"{name}.{axis}"][rows] = component

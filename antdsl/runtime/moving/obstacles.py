@@ -1,0 +1,129 @@
+"""Obstacles are hard: a step that would bring an agent's centre into one is shortened, and what is left of it slides along."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.vectors import Vector
+from antdsl.runtime.moving.clearances import clearance, may_touch
+from antdsl.runtime.world import AXES, Population, World
+
+_F = np.float32
+_MARGIN = _F(0.5)  # of the radius: how near the centre comes to a face that it walks into
+
+
+def slide(world: World, population: Population, step: Vector, up: Vector, radius: NDArray[np.float32]) -> Vector:
+    """The step (mm) of every agent, bent along the obstacles in its way; up is the ground's."""
+    place: Vector = tuple(population.now[f"position.{axis}"] for axis in AXES)  # type: ignore[assignment]
+    for name in world.plan.obstacles:
+        if name in world.obstacles:
+            clear = (
+                clearance(world, population, name) if _where_they_were(population) else world.obstacles[name].clearance(*place)
+            )
+            step = _along(world.obstacles[name], place, step, up, radius, clear, world.options.threads)
+    return step
+
+
+def _where_they_were(population: Population) -> bool:
+    """Whether everybody is still where the step began; not so after a first substep."""
+    return all(np.array_equal(population.now[f"position.{axis}"], population.start[f"position.{axis}"]) for axis in AXES)
+
+
+def _along(
+    scene: Any,
+    place: Vector,
+    step: Vector,
+    up: Vector,
+    radius: NDArray[np.float32],
+    clear: NDArray[np.float32],
+    threads: int,
+) -> Vector:
+    size, margin = vec.length(step), np.maximum(radius, _F(0)) * _MARGIN
+    near = np.flatnonzero((size > _F(1e-9)) & may_touch(clear, size + margin))
+    if not len(near):
+        return step
+    place, up, clear = vec.take(place, near), vec.take(up, near), clear[near]
+    bent = _bent(scene, place, vec.take(step, near), up, size[near], margin[near], clear, threads)
+    result = tuple(component.copy() for component in step)
+    for component, value in zip(result, bent, strict=True):
+        component[near] = value
+    return result  # type: ignore[return-value]
+
+
+def _bent(
+    scene: Any,
+    place: Vector,
+    step: Vector,
+    up: Vector,
+    size: NDArray[np.float32],
+    margin: NDArray[np.float32],
+    clear: NDArray[np.float32],
+    threads: int,
+) -> Vector:
+    """The steps of those who may touch the obstacle; `size` is their length."""
+    step, within = _keep_off(scene, place, step, up, size, margin, threads)
+    met, free, normal = _ahead(scene, place, step, margin, threads, np.where(within, _F(np.inf), clear))
+    if not len(met):
+        return step
+    u, wanted = vec.take(up, met), vec.take(step, met)
+    size = vec.length(wanted)
+    wall = vec.unit(vec.flat(normal, u), normal)
+    part = free / size
+    rest = vec.scale(wanted, _F(1) - part)
+    into = np.minimum(vec.dot(rest, wall), _F(0))
+    bent = vec.add(vec.scale(wanted, part), vec.sub(rest, vec.scale(wall, into)))
+    # In a corner the way along one wall leads into the next: then it goes only as far as is free.
+    again, free, _ = _ahead(scene, vec.take(place, met), bent, margin[met], threads)
+    if len(again):
+        short = vec.take(bent, again)
+        short = vec.scale(short, free / vec.length(short))
+        for component, value in zip(bent, short, strict=True):
+            component[again] = value
+    for component, value in zip(step, bent, strict=True):
+        component[met] = value
+    return step
+
+
+def _keep_off(
+    scene: Any,
+    place: Vector,
+    step: Vector,
+    up: Vector,
+    size: NDArray[np.float32],
+    margin: NDArray[np.float32],
+    threads: int,
+) -> tuple[Vector, NDArray[np.bool_]]:
+    """Steps that keep the margin from the nearest face, or win it back by at most half a step; and who is inside, so that no
+    face may hold them there. A ray along a round wall sees nothing of it, and the ground may carry one sideways."""
+    gap, out = scene.apart(*place, size + margin, threads)
+    wall = vec.unit(vec.flat((out[0], out[1], out[2]), up), (_F(0) * size,) * 3)
+    least = np.minimum(margin - gap, size * _F(0.5))
+    bent = vec.add(step, vec.scale(wall, np.maximum(least - vec.dot(step, wall), _F(0))))
+    long = vec.length(bent)
+    return vec.scale(bent, np.where(long > size, size / np.where(long > 0, long, _F(1)), _F(1))), gap < 0
+
+
+def _ahead(
+    scene: Any,
+    place: Vector,
+    step: Vector,
+    margin: NDArray[np.float32],
+    threads: int,
+    clear: NDArray[np.float32] | None = None,
+) -> tuple[NDArray[np.intp], NDArray[np.float32], Vector]:
+    """Who meets a face on its step, how much of the step (mm) is free, and the face's normal. `clear`: as far there is none."""
+    size = vec.length(step)
+    asking = size > _F(1e-9)
+    if clear is not None:
+        asking &= may_touch(clear, size + margin)
+    going = np.flatnonzero(asking)
+    size, margin = size[going], margin[going]
+    direction = vec.scale(vec.take(step, going), _F(1) / size)
+    hits = scene.feelers(*vec.take(place, going), *direction, size + margin, threads=threads)
+    met = np.flatnonzero(hits.hit)
+    free = np.clip(hits.t[met] - margin[met], _F(0), size[met])
+    return going[met], free, (hits.nx[met], hits.ny[met], hits.nz[met])

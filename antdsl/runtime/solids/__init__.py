@@ -1,8 +1,0 @@
-"""Solids: what agents can dig. A sparse signed distance to sample, carve, mesh and walk on."""
-
-from __future__ import annotations
-
-from antdsl.runtime.solids.volume import Unusable, Volume
-from antdsl.runtime.solids.walking import Moved, move
-
-__all__ = ["Moved", "Unusable", "Volume", "move"]

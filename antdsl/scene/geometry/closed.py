@@ -1,0 +1,123 @@
+"""Whether triangles close to a body, and which of their sides is outside: how often each edge is passed, and which way."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.scene.staging.cached import once_a_mesh
+
+if TYPE_CHECKING:
+    from antdsl.scene.setting import MeshData, SolidData
+    from antdsl.scene.staging.stage_scene import Staging
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_WELD = 16.0  # so that what lies nearer than a millionth of the extent is one place
+
+
+def grained(corners: Floats) -> tuple[Index, int]:
+    """Corners float64[n,3,3] in voxels as whole numbers, and how many of these a voxel is: what lies nearer is one place."""
+    extent = max(float(np.abs(corners).max()), 1.0)
+    # Products of two sides stay below 2**62.
+    grain = 1 << min(16, 29 - math.ceil(math.log2(extent)))
+    return np.round(corners * grain).astype(np.int64), grain
+
+
+def open_edges(corners: Index) -> tuple[int, bool]:
+    """How many edges an odd number of triangles share, and whether each is passed as often one way as the other.
+
+    `corners` (n, 3, 3): corners of triangles as whole numbers; those at one place are one."""
+    _, way, first, count = _edges(corners)
+    ways = np.add.reduceat(way, first) if len(way) else np.zeros(0)
+    return int((count % 2).sum()), not ways.any()
+
+
+def inside_out(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
+    """How many closed pieces of a mesh look inward, and how many have faces that look the other way than those beside them.
+
+    What hangs together across edges of two faces is a piece. One that looks inward within the box about another is a hollow of
+    it, as it should be."""
+    if not len(faces):
+        return 0, 0
+    corners = vertices[faces]
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    face, way, first, count = _edges(grained((corners - low) * (_WELD / max(float((high - low).max()), 1e-12)))[0])
+    one = first[count == 2]
+    odd = way[one] == way[one + 1]  # faces that are wound alike pass the edge between them in opposite directions
+    piece = _joined(len(faces), face[one], face[one + 1])
+    open_ = np.zeros(len(faces), bool)
+    open_[piece[face[np.repeat(count % 2 == 1, count)]]] = True
+    mixed = np.zeros(len(faces), bool)
+    mixed[piece[face[one[odd]]]] = True
+    a, b, c = np.moveaxis(corners - (low + high) / 2, 1, 0)
+    size = np.bincount(piece, (np.cross(a, b) * c).sum(axis=1), len(faces))
+    closed = ~open_ & (np.bincount(piece, minlength=len(faces)) > 3)
+    inward = np.flatnonzero(closed & ~mixed & (size < 0))
+    bottom, top = np.full((len(faces), 3), np.inf), np.full((len(faces), 3), -np.inf)
+    np.minimum.at(bottom, piece, corners.min(axis=1))
+    np.maximum.at(top, piece, corners.max(axis=1))
+    around = np.flatnonzero(closed)
+    hollow = [((bottom[around] < bottom[k]) & (top[around] > top[k])).all(axis=1).any() for k in inward]
+    return len(inward) - int(sum(hollow)), int((mixed & ~open_).sum())
+
+
+def _joined(n: int, one: Index, two: Index) -> Index:
+    """For each of n nodes the least one that edges join it to (S. Zhang et al., FastSV, SIAM PP 2020)."""
+    label = np.arange(n)
+    while (apart := label[one] != label[two]).any():
+        one, two = one[apart], two[apart]
+        least, most = np.minimum(label[one], label[two]), np.maximum(label[one], label[two])
+        np.minimum.at(label, most, least)
+        while (label != (shorter := label[label])).any():
+            label = shorter
+    return label
+
+
+def _edges(corners: Index) -> tuple[Index, Index, Index, Index]:
+    """All sides of triangles, those of one edge one after the other: their triangle, whether they are passed one way (1) or the
+    other (-1), and for each edge the first of its sides and how many there are."""
+    points = corners.reshape(-1, 3)
+    order = np.lexsort(points.T)
+    ranked = points[order]
+    new = np.concatenate(([False], (ranked[1:] != ranked[:-1]).any(axis=1)))
+    name = np.empty(len(points), np.int64)
+    name[order] = np.cumsum(new)
+    a = name.reshape(-1, 3)
+    b = a[:, [1, 2, 0]]
+    real = a != b
+    face = np.repeat(np.arange(len(a)), 3).reshape(-1, 3)[real]
+    a, b = a[real], b[real]
+    edge = np.minimum(a, b) * len(points) + np.maximum(a, b)
+    order = np.argsort(edge, kind="stable")
+    first = np.flatnonzero(np.concatenate(([True], np.diff(edge[order]) != 0))) if len(order) else np.zeros(0, np.int64)
+    return face[order], np.where(a < b, 1, -1)[order], first, np.diff(np.append(first, len(order)))
+
+
+@once_a_mesh
+def _sides(mesh: MeshData) -> tuple[int, int]:
+    return inside_out(mesh.vertices, mesh.faces)
+
+
+def check_sides(staging: Staging, name: str, mesh: MeshData) -> None:
+    """Warn of an obstacle of which parts look inward: agents would be kept in there and not out."""
+    inward, mixed = _sides(mesh)
+    if inward or mixed:
+        words = f"parts of the obstacle `{name}` look inward" if inward else f"faces of the obstacle `{name}` look either way"
+        help = "turn its faces so that all look outward; leave it if it is a room that keeps agents in"
+        staging.report.warning("inside-out", words, staging.scene.span("world", name), help)
+
+
+def check_closed(staging: Staging, name: str, key: str, solid: SolidData) -> None:
+    """Complain of a solid that has no inside; `key` names where it comes from, `mesh` or `prim`."""
+    corners = solid.mesh.vertices[solid.mesh.faces]
+    loose, _ = open_edges(grained((corners - corners.min(axis=(0, 1))) / solid.voxel)[0])
+    if loose:
+        edges = "1 edge borders" if loose == 1 else f"{loose:,} edges border"
+        words = f"the mesh of the solid `{name}` is not closed: {edges} on nothing"
+        place = staging.scene.span("world", name, key)
+        staging.report.error("bad-mesh", words, place, "close its holes, so that it has an inside")

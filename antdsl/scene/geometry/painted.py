@@ -1,0 +1,112 @@
+"""Numbers and vectors that an artist painted on a mesh: attributes of a .ply file or an array of an .npz file, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.scene.geometry.arrays import ArrayFileError, read_arrays
+from antdsl.scene.geometry.ply import Element, Header, HeaderError, read_columns, read_header
+
+Floats = NDArray[np.float64]
+
+_PARTS = (("{}_x", "{}_y", "{}_z"), ("{}.x", "{}.y", "{}.z"), ("{}x", "{}y", "{}z"), ("{}_0", "{}_1", "{}_2"))
+
+
+class PaintError(Exception):
+    """Why a file has not what is wanted, in words that fit after its name; `help` says what to write."""
+
+    def __init__(self, words: str, help: str | None = None) -> None:
+        super().__init__(words)
+        self.help = help
+
+
+def read_painted(data: bytes, name: str, attribute: str | tuple[str, ...], width: int) -> Floats:
+    """Rows (n, width) of an attribute, width 1 or 3, one for each vertex or face; PaintError says why there are none.
+
+    Three names are those of the parts of a vector. Of numbers in one byte 255 is 1. What is not finite is refused."""
+    kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
+    if kind not in _READERS:
+        raise PaintError("is neither a .ply nor an .npz file", "paint on the vertices of a .ply file, or write an .npz file")
+    rows = _READERS[kind](data, attribute, width)
+    wrong = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    if len(wrong):
+        raise PaintError(f"has a value (number {wrong[0]}) that is not finite")
+    wrong = np.flatnonzero((np.abs(rows) > limits.LARGEST).any(axis=1))
+    if len(wrong):
+        raise PaintError(f"has a value (number {wrong[0]}) that is too large to keep", "paint numbers below 3e38")
+    return rows
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(f"`{name[:40]}`" for name in list(names)[:12]) or "nothing"
+
+
+# --- .ply ------------------------------------------------------------------------------------------------------------
+
+
+def _from_ply(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floats:
+    try:
+        header = read_header(data)
+        for element in header.elements:
+            columns = _columns(element, attribute, width)
+            if element.name in ("vertex", "face") and columns is not None:
+                return _scaled(data, header, element, columns, width)
+    except HeaderError as why:
+        raise PaintError(str(why)) from None
+    painted = [p.name for e in header.elements if e.name in ("vertex", "face") for p in e.properties if not p.count]
+    words = " ".join(attribute) if isinstance(attribute, tuple) else attribute
+    sample = "attribute: [nx, ny, nz]" if width == 3 else "attribute: NAME"
+    what = "three attributes" if width == 3 else "attribute"
+    raise PaintError(f"has no {what} `{words}`", f"write `{sample}`; the file has {_listed(painted)}")
+
+
+def _columns(element: Element, attribute: str | tuple[str, ...], width: int) -> tuple[str, ...] | None:
+    """Names of an element's properties that are the parts of the attribute, or None."""
+    have = {p.name for p in element.properties if not p.count}
+    if isinstance(attribute, tuple):
+        return attribute if len(attribute) == width and have.issuperset(attribute) else None
+    if width == 1:
+        return (attribute,) if attribute in have else None
+    for parts in _PARTS:
+        names = tuple(part.format(attribute) for part in parts)
+        if have.issuperset(names):
+            return names
+    return None
+
+
+def _scaled(data: bytes, header: Header, element: Element, columns: tuple[str, ...], width: int) -> Floats:
+    found = read_columns(data, header, element, columns)
+    kinds = {p.name: p.kind for p in element.properties}
+    if any(kinds[name] == "u1" for name in columns):
+        if width == 3:
+            raise PaintError("has a vector in bytes, which cannot point backwards", "write it as floating-point numbers")
+        found = found / 255.0
+    return found
+
+
+# --- .npz ------------------------------------------------------------------------------------------------------------
+
+
+def _from_npz(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floats:
+    try:
+        arrays = read_arrays(data)
+    except ArrayFileError as why:
+        raise PaintError(str(why), "write it with `numpy.savez`, not compressed") from None
+    names = attribute if isinstance(attribute, tuple) else (attribute,)
+    missing = [name for name in names if name not in arrays]
+    if missing:
+        raise PaintError(f"has no array `{missing[0]}`", f"write `attribute: NAME`; the file has {_listed(list(arrays))}")
+    parts = [arrays[name].astype(np.float64) / (255.0 if arrays[name].dtype == np.uint8 else 1.0) for name in names]
+    rows = parts[0] if len(parts) == 1 else np.stack(parts, axis=-1) if len({p.shape for p in parts}) == 1 else np.empty(0)
+    rows = rows[:, None] if rows.ndim == 1 and width == 1 else rows
+    if rows.ndim != 2 or rows.shape[1] != width:
+        shape = "(n,)" if width == 1 else "(n, 3)"
+        raise PaintError(f"has an array `{names[0]}` of shape {parts[0].shape}, and {shape} is wanted")
+    return rows
+
+
+_READERS: dict[str, Callable[[bytes, str | tuple[str, ...], int], Floats]] = {"ply": _from_ply, "npz": _from_npz}

@@ -1,0 +1,96 @@
+"""A curve prim as a polyline in mm and the scene's axes, at every frame."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from antdsl import limits
+from antdsl.scene.geometry.matrices import applied
+from antdsl.scene.geometry.usd.errors import UsdError, pxr
+from antdsl.scene.geometry.usd.shapes import BAKE, check_bytes
+from antdsl.scene.geometry.usd.stage import Floats, UsdStage
+
+_PIECES = 16  # straight pieces that one cubic piece becomes
+# Weights of four points for 1, t, t², t³ (Foley, van Dam, Computer Graphics: Principles and Practice, 1990, 11.2).
+_BASES = {
+    "bezier": (((1, 0, 0, 0), (-3, 3, 0, 0), (3, -6, 3, 0), (-1, 3, -3, 1)), 1, 3),
+    "bspline": (((1, 4, 1, 0), (-3, 0, 3, 0), (3, -6, 3, 0), (-1, 3, -3, 1)), 6, 1),
+    "catmullRom": (((0, 2, 0, 0), (-1, 0, 1, 0), (2, -5, 4, -1), (-1, 3, -3, 1)), 2, 1),
+}
+
+
+def read_usd_curve(stage: UsdStage) -> Floats:
+    """The points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame where it stands still.
+
+    UsdError where there is none or more than one."""
+    geom = pxr("UsdGeom")
+    found = [prim for prim in stage.below(stage.prim) if prim.IsA(geom.BasisCurves)]
+    path = stage.prim.GetPath()
+    if not found:
+        other = sorted({str(p.GetTypeName()) for p in stage.below(stage.prim) if p.IsA(geom.Curves)})
+        words = f"there is no curve at or below `{path}`" + (f", only {', '.join(other)}" if other else "")
+        raise UsdError("no-such-prim", words, "name a prim of the type BasisCurves")
+    if len(found) > 1:
+        names = ", ".join(f"`{prim.GetPath()}`" for prim in found[:4])
+        raise UsdError("bad-usd", f"below `{path}` are {len(found)} curves", f"name one of them: {names}")
+    prim, curve = found[0], geom.BasisCurves(found[0])
+    counts = list(curve.GetCurveVertexCountsAttr().Get(stage.first) or [])
+    if len(counts) != 1:
+        raise UsdError("bad-usd", f"`{prim.GetPath()}` holds {len(counts)} curves, not one", "split it into one prim a curve")
+    bends = len(stage.times) > 1 and (
+        curve.GetPointsAttr().ValueMightBeTimeVarying() or curve.GetCurveVertexCountsAttr().ValueMightBeTimeVarying()
+    )
+    travels = stage.travels(prim)
+    ways = stage.matrices(prim, travels)
+    first = _polyline(curve, stage.first, prim)
+    if len(first) > limits.AGENTS:
+        raise UsdError("too-large", f"`{prim.GetPath()}` has more than {limits.AGENTS:,} points")
+    times = stage.times if bends or travels else stage.times[:1]
+    check_bytes(len(first) * len(times) * 24, f"`{prim.GetPath()}`")
+    places = np.empty((len(times), len(first), 3))
+    for k, time in enumerate(times):
+        line = _polyline(curve, pxr("Usd").TimeCode(time), prim) if k and bends else first
+        if len(line) != len(first):
+            raise UsdError("moving-topology", f"the curve `{prim.GetPath()}` has other points at other frames", BAKE)
+        places[k] = applied(ways[min(k, len(ways) - 1)], line)
+    if not np.isfinite(places).all():
+        raise UsdError("bad-usd", f"`{prim.GetPath()}` has a point that is not finite")
+    return places
+
+
+def _polyline(curve: Any, time: Any, prim: Any) -> Floats:
+    given = curve.GetPointsAttr().Get(time)
+    points = np.array([] if given is None else given, np.float64).reshape(-1, 3)
+    counts = list(curve.GetCurveVertexCountsAttr().Get(time) or [])
+    if counts != [len(points)] or len(points) < 2:
+        raise UsdError("bad-usd", f"`{prim.GetPath()}` has {len(points):,} points where its curve says {counts}")
+    wrap = curve.GetWrapAttr().Get(time)
+    if curve.GetTypeAttr().Get(time) == "linear":
+        return np.concatenate([points, points[:1]]) if wrap == "periodic" else points
+    basis = curve.GetBasisAttr().Get(time)
+    if basis not in _BASES:
+        raise UsdError("bad-usd", f"the curve `{prim.GetPath()}` has the basis `{basis}`", "use bezier, bspline or catmullRom")
+    return _cubic(points, basis, wrap, prim)
+
+
+def _cubic(points: Floats, basis: str, wrap: str, prim: Any) -> Floats:
+    """Points along a cubic curve, each piece cut evenly in its parameter."""
+    weights, divisor, step = _BASES[basis]
+    if wrap == "periodic":
+        points = np.concatenate([points, points[: 4 - step]])
+    elif wrap == "pinned" and basis != "bezier":
+        points = np.concatenate([[2 * points[0] - points[1]], points, [2 * points[-1] - points[-2]]])
+    pieces = (len(points) - 4) // step + 1
+    if len(points) < 4 or (len(points) - 4) % step:
+        raise UsdError("bad-usd", f"`{prim.GetPath()}` has a number of points that no {basis} curve has")
+    t = np.arange(_PIECES) / _PIECES
+    powers = np.stack([np.ones_like(t), t, t * t, t * t * t], axis=1)
+    factors = np.array(weights, np.float64) / divisor
+    share = sum(powers[:, k, None] * factors[k] for k in range(4))
+    control = points[(np.arange(pieces) * step)[:, None] + np.arange(4)]
+    along = sum(share[:, k, None] * control[:, k, None, :] for k in range(4)).reshape(-1, 3)
+    last = sum(factors)
+    end = sum(last[k] * control[-1, k] for k in range(4))
+    return np.concatenate([along, end[None]])

@@ -1,0 +1,206 @@
+"""The meshes at and below a prim as one: triangles in mm and the scene's axes, how they move, and painted values on vertices."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.scene.geometry.matrices import after, applied, determinant, has_inverse, inverse, still
+from antdsl.scene.geometry.meshes import MeshError, RawMesh, sound
+from antdsl.scene.geometry.usd.errors import UsdError, pxr
+from antdsl.scene.geometry.usd.shapes import BAKE, Placed, check_bytes, other_shapes, placed_meshes
+from antdsl.scene.geometry.usd.stage import Floats, UsdStage
+from antdsl.scene.staging.moves import MeshMoves
+
+Faces = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UsdMesh:
+    """`raw` as of a mesh file, but in mm and the scene's axes. `moves`: None where it stands still. `values` by the name of a
+    primvar: float64 (n,) numbers, (n, 3) vectors that were turned with their mesh. `passed_over`: types of shapes not read."""
+
+    raw: RawMesh
+    moves: MeshMoves | None
+    values: Mapping[str, Floats]
+    passed_over: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shape:
+    placed: Placed
+    points: Floats
+    faces: Faces
+    bent: bool
+
+    @property
+    def count(self) -> int:
+        return len(self.placed.ways)
+
+
+def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
+    """All meshes at and below the stage's prim, joined. UsdError says why there are none, MeshError what is wrong with them."""
+    path = stage.prim.GetPath()
+    shapes, faces = [], 0
+    for placed in placed_meshes(stage):
+        shape = _shape(stage, placed)
+        faces += len(shape.faces) * shape.count
+        if faces > limits.MESH_FACES:
+            raise UsdError(
+                "too-large", f"the meshes below `{path}` have more than {limits.MESH_FACES:,} faces", "name a part of it"
+            )
+        if len(shape.faces):
+            shapes.append(shape)
+    passed_over = tuple(other_shapes(stage))
+    if not shapes:
+        also = f", only {', '.join(passed_over)}" if passed_over else ""
+        raise UsdError("no-such-prim", f"there is no mesh at or below `{path}`{also}", _hidden(stage))
+    names = tuple(primvars)
+    values = {name: np.concatenate([_values(stage, shape, name) for shape in shapes]) for name in names}
+    raw = sound(*_joined(shapes))
+    moves = _moves(stage, shapes)
+    kept = {name: value[raw.own_vertices] for name, value in values.items()}
+    return UsdMesh(raw, None if moves is None else moves.take(raw.own_vertices), kept, passed_over)
+
+
+def _shape(stage: UsdStage, placed: Placed) -> _Shape:
+    """The points and triangles of a mesh prim, holes and the other hand minded, subdivision not."""
+    prim, mesh = placed.prim, pxr("UsdGeom").Mesh(placed.prim)
+    path = prim.GetPath()
+    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(stage.first) or [], np.int64)
+    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(stage.first) or [], np.int64)
+    points = _points(mesh, stage.times[0])
+    if counts.sum() != len(corners) or (counts < 0).any():
+        raise MeshError(f"has at `{path}` another number of corners than its faces say")
+    if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
+        raise MeshError(f"has at `{path}` a face that names a point which is not there")
+    for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
+        if len(stage.times) > 1 and attribute.ValueMightBeTimeVarying():
+            _same_faces(stage, attribute, path)
+    whole = np.ones(len(counts), np.bool_)
+    holes = np.array(mesh.GetHoleIndicesAttr().Get(stage.first) or [], np.int64)
+    whole[holes[(holes >= 0) & (holes < len(counts))]] = False
+    faces = _triangles(counts, corners, whole, mesh.GetOrientationAttr().Get(stage.first) == "leftHanded")
+    bent = len(stage.times) > 1 and mesh.GetPointsAttr().ValueMightBeTimeVarying()
+    return _Shape(placed, points, faces, bent)
+
+
+def _points(mesh: Any, time: float) -> Floats:
+    found = mesh.GetPointsAttr().Get(pxr("Usd").TimeCode(time))
+    return np.array([] if found is None else found, np.float64).reshape(-1, 3)
+
+
+def _same_faces(stage: UsdStage, attribute: Any, path: Any) -> None:
+    first = attribute.Get(stage.first)
+    for time in stage.times[1:]:
+        if attribute.Get(pxr("Usd").TimeCode(time)) != first:
+            raise UsdError("moving-topology", f"the mesh `{path}` has other faces at other frames", BAKE)
+
+
+def _triangles(counts: NDArray[np.int64], corners: NDArray[np.int64], whole: NDArray[np.bool_], backwards: bool) -> Faces:
+    """Polygons, of which those that are `whole`, cut into fans about their first corner; `backwards`: each read the other way
+    round."""
+    start = np.cumsum(counts) - counts
+    many = np.where(whole, np.maximum(counts - 2, 0), 0)
+    face = np.repeat(np.arange(len(counts)), many)
+    step = np.arange(len(face)) - np.repeat(np.cumsum(many) - many, many)
+    at, one, two = start[face], step + 1, step + 2
+    if backwards:
+        one, two = counts[face] - one, counts[face] - two
+    return np.stack([corners[at], corners[at + one], corners[at + two]], axis=1).reshape(-1, 3)
+
+
+def _joined(shapes: list[_Shape]) -> tuple[Floats, Faces]:
+    """Every shape at every place, at the first frame; a mirrored one keeps its outside outside."""
+    vertices, faces, before = [], [], 0
+    for shape in shapes:
+        for way in shape.placed.ways[:, 0]:
+            vertices.append(applied(way, shape.points))
+            turned = shape.faces[:, [0, 2, 1]] if determinant(way) < 0 else shape.faces
+            faces.append(turned + before)
+            before += len(shape.points)
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def _moves(stage: UsdStage, shapes: list[_Shape]) -> MeshMoves | None:
+    """The way of each place that moves as one track; where points move of themselves, or a place begins without a size, each
+    vertex for itself."""
+    frames = len(stage.times)
+    if not any(shape.bent or shape.placed.ways.shape[1] > 1 for shape in shapes):
+        return None
+    places = [(shape, way) for shape in shapes for way in shape.placed.ways]
+    free = [shape.bent or (len(way) > 1 and not has_inverse(way[0])) for shape, way in places]
+    check_bytes(
+        sum(len(s.points) * frames * 24 if f else len(w) * 96 for (s, w), f in zip(places, free, strict=True)), "what moves"
+    )
+    tracks, group, bent, before = [still(frames)], [], [], 0
+    for (shape, way), alone in zip(places, free, strict=True):
+        moved = len(way) > 1 and not alone and not (way == way[0]).all()
+        group.append(np.full(len(shape.points), len(tracks) if moved else 0, np.int32))
+        if moved:
+            track = after(way, inverse(way[0]))
+            track[(way == way[0]).all(axis=(1, 2))] = still()  # exactly where it rests
+            tracks.append(track)
+        if alone:
+            bent.append(np.arange(before, before + len(shape.points)))
+        before += len(shape.points)
+    offsets = np.empty((frames if bent else 0, sum(map(len, bent)), 3))
+    for k in range(len(offsets)):
+        offsets[k] = np.concatenate([_offset(stage, s, w, k) for (s, w), f in zip(places, free, strict=True) if f])
+    if len(tracks) == 1 and not bent:
+        return None
+    numbers = np.concatenate(bent) if bent else np.empty(0, np.int64)
+    return MeshMoves(np.concatenate(group), np.stack(tracks), numbers, offsets)
+
+
+def _offset(stage: UsdStage, shape: _Shape, way: Floats, k: int) -> Floats:
+    points = _points(pxr("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.bent else shape.points
+    if len(points) != len(shape.points):
+        path = shape.placed.prim.GetPath()
+        raise UsdError("moving-topology", f"the mesh `{path}` has other points at other frames", BAKE)
+    return applied(way[min(k, len(way) - 1)], points) - applied(way[0], shape.points)
+
+
+def _values(stage: UsdStage, shape: _Shape, name: str) -> Floats:
+    """A primvar on the points of a shape, at each of its places; vectors turn with the mesh and keep their length."""
+    prim = shape.placed.prim
+    primvar = pxr("UsdGeom").PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
+    if not primvar or not primvar.HasValue():
+        raise UsdError("no-such-prim", f"`{prim.GetPath()}` has no primvar `{name}`", f"paint `primvars:{name}` on it")
+    found = np.array(primvar.ComputeFlattened(stage.first), np.float64)
+    found = found.reshape(-1, 1) if found.ndim == 1 and not _is_vector(primvar) else found.reshape(-1, found.shape[-1])
+    if primvar.GetInterpolation() == "constant" and len(found) == 1:
+        found = np.repeat(found, len(shape.points), axis=0)
+    if len(found) != len(shape.points):
+        words = f"the primvar `{name}` of `{prim.GetPath()}` has {len(found):,} values for {len(shape.points):,} points"
+        raise UsdError("bad-usd", words, "paint it on the points (interpolation `vertex`)")
+    if found.shape[1] == 3:
+        return np.concatenate([_turned(way[0], found) for way in shape.placed.ways])
+    return np.tile(found[:, 0], shape.count)
+
+
+def _is_vector(primvar: Any) -> bool:
+    return "3" in str(primvar.GetTypeName())
+
+
+def _turned(way: Floats, vectors: Floats) -> Floats:
+    turned = applied(np.concatenate([way[:, :3], np.zeros((3, 1))], axis=1), vectors)
+    long, size = (np.sqrt((v * v).sum(axis=1, keepdims=True)) for v in (vectors, turned))
+    return np.asarray(turned * (long / np.where(size > 0, size, 1.0)))
+
+
+def _hidden(stage: UsdStage) -> str | None:
+    """What to say where all meshes are of another purpose, or not seen."""
+    usd, geom = pxr("Usd"), pxr("UsdGeom")
+    every = [p for p in usd.PrimRange(stage.prim, usd.TraverseInstanceProxies()) if p.IsA(geom.Mesh)]
+    if not every:
+        return "name a prim that holds meshes"
+    purposes = {str(geom.Imageable(p).ComputePurpose()) for p in every} - {"default", stage.purpose}
+    if purposes & {"proxy", "render"}:
+        return f"its meshes are of the purpose `{min(purposes)}`: write `purpose: {min(purposes & {'proxy', 'render'})}`"
+    return "its meshes are invisible or guides"

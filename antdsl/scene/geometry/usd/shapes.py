@@ -1,0 +1,145 @@
+"""Mesh prims of a stage with every place where they stand: by themselves, as native instances, or by point instancers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.scene.geometry.matrices import after
+from antdsl.scene.geometry.usd.errors import UsdError, pxr
+from antdsl.scene.geometry.usd.stage import Floats, UsdStage, column_matrix
+
+_NESTED = 8  # point instancers inside each other
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """A mesh prim, and its ways into the scene: matrices (places, frames, 3, 4), one frame where none of them moves."""
+
+    prim: Any
+    ways: Floats
+
+
+def placed_meshes(stage: UsdStage) -> Iterator[Placed]:
+    """Every mesh at or below the stage's prim, in the order of the file."""
+    for prim in stage.below(stage.prim):
+        if prim.IsA(pxr("UsdGeom").Mesh):
+            yield Placed(prim, stage.matrices(prim, stage.travels(prim))[None])
+        elif prim.IsA(pxr("UsdGeom").PointInstancer):
+            yield from _instances(stage, prim, stage.matrices(prim, stage.travels(prim))[None], 1)
+
+
+def other_shapes(stage: UsdStage) -> list[str]:
+    """Types of the shapes at or below the prim that are no meshes and not read."""
+    geom = pxr("UsdGeom")
+    read = (geom.Mesh, geom.PointInstancer, geom.Curves, geom.Points)
+    found = {str(p.GetTypeName()) for p in stage.below(stage.prim) if p.IsA(geom.Gprim) and not any(p.IsA(k) for k in read)}
+    return sorted(found)
+
+
+def _instances(stage: UsdStage, prim: Any, ways: Floats, depth: int) -> Iterator[Placed]:
+    """The meshes that a point instancer sets out; `ways` lead from the instancer's space to the scene."""
+    if depth > _NESTED:
+        raise UsdError("too-large", f"`{prim.GetPath()}` has point instancers more than {_NESTED} deep in each other")
+    instancer = pxr("UsdGeom").PointInstancer(prim)
+    index = np.array(instancer.GetProtoIndicesAttr().Get(stage.first) or [], np.int64)
+    if not len(index):
+        return
+    chosen = _unmasked(stage, instancer, len(index))
+    roots = [prim.GetStage().GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetForwardedTargets()]
+    if index.min() < 0 or index.max() >= len(roots):
+        raise UsdError("bad-usd", f"`{prim.GetPath()}` names a prototype that it does not have")
+    own = _transforms(stage, instancer, len(index))
+    for number, root in enumerate(roots):
+        of_this = np.flatnonzero(chosen & (index == number))
+        if root and len(of_this):
+            inside = _together(ways, own[of_this])
+            for found, way in _prototype(stage, root):
+                whole = _together(inside, way[None])
+                if found.IsA(pxr("UsdGeom").Mesh):
+                    yield Placed(found, whole)
+                else:
+                    yield from _instances(stage, found, whole, depth + 1)
+
+
+def _together(outer: Floats, inner: Floats) -> Floats:
+    """Every outer way after every inner one: (a, f, 3, 4) and (b, g, 3, 4) to (a·b, max(f, g), 3, 4)."""
+    made = after(outer[:, None], inner[None])
+    return made.reshape(-1, *made.shape[2:])
+
+
+def _unmasked(stage: UsdStage, instancer: Any, count: int) -> NDArray[np.bool_]:
+    mask = list(instancer.ComputeMaskAtTime(stage.first))
+    return np.array(mask, np.bool_) if len(mask) == count else np.ones(count, np.bool_)
+
+
+def _transforms(stage: UsdStage, instancer: Any, count: int) -> Floats:
+    """Each instance's way into the instancer's space, the prototype's own way included: (instances, frames, 3, 4)."""
+    usd, path = pxr("Usd"), instancer.GetPath()
+    attributes = (instancer.GetPositionsAttr(), instancer.GetOrientationsAttr(), instancer.GetScalesAttr())
+    roots = [instancer.GetPrim().GetStage().GetPrimAtPath(p) for p in instancer.GetPrototypesRel().GetForwardedTargets()]
+    moved = any(a.ValueMightBeTimeVarying() for a in (*attributes, instancer.GetProtoIndicesAttr())) or any(
+        r and pxr("UsdGeom").Xformable(r) and pxr("UsdGeom").Xformable(r).TransformMightBeTimeVarying() for r in roots
+    )
+    times = stage.times if moved else stage.times[:1]
+    check_bytes(count * len(times) * 96, f"the instances of `{path}`")
+    found = np.empty((count, len(times), 3, 4))
+    first = list(instancer.GetProtoIndicesAttr().Get(stage.first))
+    for k, time in enumerate(times):
+        code = usd.TimeCode(time)
+        if k and list(instancer.GetProtoIndicesAttr().Get(code) or []) != first:
+            raise UsdError("moving-topology", f"the instances of `{path}` come, go or change their shape over time", BAKE)
+        matrices = instancer.ComputeInstanceTransformsAtTime(
+            code, code, pxr("UsdGeom").PointInstancer.IncludeProtoXform, pxr("UsdGeom").PointInstancer.IgnoreMask
+        )
+        if len(matrices) != count:
+            raise UsdError("bad-usd", f"`{path}` has not one position for each of its {count:,} instances")
+        rows = np.array(matrices, np.float64).reshape(count, 4, 4)
+        found[:, k] = rows[:, :, :3].transpose(0, 2, 1)
+    return found
+
+
+BAKE = "write it out with one set of faces for all frames, or name a part that keeps its faces"
+
+
+def _prototype(stage: UsdStage, root: Any) -> Iterator[tuple[Any, Floats]]:
+    """Meshes and instancers of a prototype with their way (frames, 3, 4) into its root's space, the root's own not included."""
+    usd, geom = pxr("Usd"), pxr("UsdGeom")
+    # what stands below an `over` or a `class` to keep it from being drawn by itself is a prototype all the same
+    walk = iter(usd.PrimRange(root, usd.TraverseInstanceProxies(usd.PrimIsActive & usd.PrimIsLoaded)))
+    for prim in walk:
+        image = geom.Imageable(prim)
+        if image and image.GetVisibilityAttr().Get(stage.first) == "invisible":
+            walk.PruneChildren()
+            continue
+        inner = prim.IsA(geom.PointInstancer)
+        if inner:
+            walk.PruneChildren()
+        if (inner or prim.IsA(geom.Mesh)) and image.ComputePurpose() in ("default", stage.purpose):
+            yield prim, _relative(stage, prim, root)
+
+
+def _relative(stage: UsdStage, prim: Any, root: Any) -> Floats:
+    geom = pxr("UsdGeom")
+    moved, above = False, prim
+    while above and above != root:
+        moved |= bool(geom.Xformable(above)) and geom.Xformable(above).TransformMightBeTimeVarying()
+        above = above.GetParent()
+    cache, found = geom.XformCache(), []
+    for time in stage.times if moved else stage.times[:1]:
+        cache.SetTime(pxr("Usd").TimeCode(time))
+        matrix = pxr("Gf").Matrix4d(1.0) if prim == root else cache.ComputeRelativeTransform(prim, root)[0]
+        found.append(column_matrix(matrix))
+    return np.array(found)
+
+
+def check_bytes(size: int, what: str) -> None:
+    """UsdError where what moves would take more memory than it may."""
+    if size > limits.MOVES_BYTES:
+        words = f"the frames of {what} would take {size / limits.GIB:.1f} GiB, more than {limits.MOVES_BYTES / limits.GIB:.0f}"
+        raise UsdError("too-large", words, "simulate fewer frames at a time, or name a lighter part")

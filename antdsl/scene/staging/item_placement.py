@@ -1,0 +1,174 @@
+"""Items of the world where they lie at each frame: at points, on surfaces, on surfaces that move, or as points of a USD file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.scene import setting as stage_of
+from antdsl.scene.model import ItemThing, UsdThing
+from antdsl.scene.staging.cached import once_a_mesh
+from antdsl.scene.staging.things import frames_of, item_places, riding, usd_items
+
+if TYPE_CHECKING:
+    from antdsl.scene.staging.stage_scene import Staging
+
+DEFAULT_ITEM_RADIUS = 10.0  # mm
+Laid = tuple[tuple[stage_of.ItemData, ...], NDArray[np.float64]]
+
+
+def items_of(staging: Staging, name: str, surfaces: Mapping[str, stage_of.MeshData]) -> Laid | None:
+    """Items of one name as they are at the first frame, and their places (frames, n, 3); None for what are no items."""
+    value, thing = staging.scene.model.world[name], staging.program.world.get(name)
+    if isinstance(value, UsdThing) and thing is not None and thing.kind == "items":
+        return _usd_items(staging, name, value, {a.name for a in thing.attributes})
+    if not isinstance(value, dict):
+        return None
+    model = staging.scene.model
+    dt = float(1 / model.fps)
+    made, tracks = [], []
+    for item, placing in value.items():
+        track = _laid(staging, name, item, placing, surfaces)
+        if track is None:
+            continue
+        radius = None if placing.radius is None else placing.radius.length(model.unit_mm)
+        attributes = {key: quantity.base(model.unit_mm, dt) for key, quantity in (placing.model_extra or {}).items()}
+        position = three(track[0])
+        made.append(stage_of.ItemData(item, position, DEFAULT_ITEM_RADIUS if radius is None else radius, attributes))
+        tracks.append(track)
+    frames = max((len(track) for track in tracks), default=1)
+    if not tracks:
+        return tuple(made), np.zeros((1, 0, 3))
+    return tuple(made), np.stack([np.broadcast_to(track, (frames, 3)) for track in tracks], axis=1)
+
+
+def _laid(
+    staging: Staging, name: str, item: str, thing: ItemThing, surfaces: Mapping[str, stage_of.MeshData]
+) -> NDArray[np.float64] | None:
+    """Where an item is at each frame (frames, 3), one frame where it stays; None and a complaint when it is beside its surface.
+
+    With `on` it lies on the surface: by its keys wherever they lead, else on its one place of a surface that may move."""
+    track = item_places(staging, name, item, thing)
+    mesh = surfaces.get(thing.on) if thing.on is not None else None
+    if mesh is None or thing.on is None:
+        return track
+    moves, tall = staging.moves.get(thing.on), 1 if staging.scene.model.up == "y" else 2
+    track = track.copy()
+    for k, place in enumerate(track):
+        here = mesh if moves is None or k == 0 else stage_of.MeshData(moves.vertices(mesh.vertices, k), mesh.faces)
+        height = height_over(here, three(place), staging.scene.model.up)
+        if height is None:
+            words = f"`{item}` is neither over nor under `{thing.on}`"
+            if k:
+                words += f" at frame {frames_of(staging)[k]}"
+            span = staging.scene.span("world", name, item, "keys" if k else "at")
+            staging.report.error("off-surface", words, span, "move it, or leave out `on`")
+            return None
+        place[tall] = height
+    return riding(mesh, moves, three(track[0])) if moves is not None and not thing.keys else track
+
+
+def check_crowds(
+    staging: Staging,
+    crowds: Sequence[stage_of.CrowdData],
+    surfaces: Mapping[str, stage_of.MeshData],
+    solids: Mapping[str, stage_of.SolidData],
+) -> None:
+    """Warn of a crowd that is to begin where no surface is: it would stand at the nearest place of one."""
+    for crowd in crowds:
+        if crowd.count and beside(crowd.place, surfaces, solids, staging.scene.model.up):
+            words = f"there is no surface where `{crowd.species}` is to begin, so it begins at the nearest"
+            ball = ", write a larger `radius`" if crowd.place.by_area else ""
+            help = f"move it with `around`{ball}, or check the `units` of the mesh"
+            staging.report.warning("off-surface", words, staging.scene.span("crowd", crowd.group, "place"), help)
+
+
+def beside(
+    place: stage_of.PlaceData,
+    surfaces: Mapping[str, stage_of.MeshData],
+    solids: Mapping[str, stage_of.SolidData],
+    up: str,
+) -> bool:
+    """Whether no surface lies below or above the disc in which a crowd is to begin, or in its ball where it begins by area."""
+    if place.around is None or place.radius is None:
+        return False
+    grounds = {**surfaces, **{name: solid.mesh for name, solid in solids.items()}}
+    usual = surfaces if place.by_area and surfaces else grounds
+    meshes = [grounds[name] for name in place.on or usual if name in grounds]
+    axes = (0, 1, 2) if place.by_area else (0, 2) if up == "y" else (0, 1)
+    return len(meshes) > 0 and not any(_within(mesh, place.around, place.radius, axes) for mesh in meshes)
+
+
+@once_a_mesh
+def _within(mesh: stage_of.MeshData, middle: stage_of.Point, radius: float, axes: tuple[int, ...]) -> bool:
+    """Whether a mesh reaches into a ball, or seen along the axis that is left out into a disc."""
+    faces = _near(mesh, middle, axes, radius)
+    corners = np.zeros((len(faces), 3, 3))
+    corners[:, :, : len(axes)] = (mesh.vertices[:, axes] - np.array(middle)[list(axes)])[faces]
+    square = radius * radius * (1.0 + 1e-12)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size, inside = (across * across).sum(axis=1), np.ones(len(faces), np.bool_)
+    for k in range(3):
+        start, edge = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
+        length = np.maximum((edge * edge).sum(axis=1), 1e-300)
+        nearest = start + np.clip(-(start * edge).sum(axis=1) / length, 0.0, 1.0)[:, None] * edge
+        if ((nearest * nearest).sum(axis=1) <= square).any():
+            return True
+        inside &= (np.cross(edge, -start) * across).sum(axis=1) >= 0
+    height = (corners[:, 0] * across).sum(axis=1)
+    return bool((inside & (size > 0) & (height * height <= square * size)).any())
+
+
+def _usd_items(staging: Staging, name: str, value: UsdThing, declared: set[str]) -> Laid | None:
+    """Points of a USD file as items: radius and attributes by the file, else by `each`, else the usual."""
+    found = usd_items(staging, name, value)
+    if found is None:
+        return None
+    model = staging.scene.model
+    dt = float(1 / model.fps)
+    each = {key: quantity.base(model.unit_mm, dt) for key, quantity in (value.each.model_extra or {}).items()}
+    radius = None if value.each.radius is None else value.each.radius.length(model.unit_mm)
+    made = []
+    for number, item in enumerate(found.names):
+        own = {key: float(v[number]) for key, v in found.values.items() if key in declared and np.isfinite(v[number])}
+        wide = found.radius[number]
+        wide = float(wide) if np.isfinite(wide) and wide > 0 else DEFAULT_ITEM_RADIUS if radius is None else radius
+        made.append(stage_of.ItemData(item, three(found.places[0, number]), wide, {**each, **own}))
+    return tuple(made), found.places
+
+
+def three(place: NDArray[np.float64]) -> stage_of.Point:
+    """A place as three plain numbers."""
+    return float(place[0]), float(place[1]), float(place[2])
+
+
+def _near(mesh: stage_of.MeshData, point: stage_of.Point, axes: Sequence[int], reach: float = 0.0) -> NDArray[np.int32]:
+    """Faces whose boxes along some axes come within reach of a point, or nearly so."""
+    near = np.ones(len(mesh.faces), np.bool_)
+    for axis in axes:
+        a, b, c = (np.ascontiguousarray(mesh.vertices[:, axis])[mesh.faces[:, k]] for k in range(3))
+        low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+        slack = 1e-6 * (high - low) + reach
+        near &= (low - slack <= point[axis]) & (point[axis] <= high + slack)
+    faces: NDArray[np.int32] = mesh.faces[near]
+    return faces
+
+
+@once_a_mesh
+def height_over(mesh: stage_of.MeshData, point: stage_of.Point, up: str) -> float | None:
+    """The highest place of a mesh on the line through a point along the scene's up, or None where there is none."""
+    flat, tall = ([0, 2], 1) if up == "y" else ([0, 1], 2)
+    corners = mesh.vertices[_near(mesh, point, flat)]
+    plan = corners[:, :, flat] - np.array(point)[flat]
+    # twice the areas of the three triangles that the point makes with the edges, seen from above
+    across = [plan[:, i, 0] * plan[:, (i + 1) % 3, 1] - plan[:, i, 1] * plan[:, (i + 1) % 3, 0] for i in range(3)]
+    whole = across[0] + across[1] + across[2]
+    inside = (np.abs(whole) > 1e-12) & np.all([part * np.sign(whole) >= -1e-12 * np.abs(whole) for part in across], axis=0)
+    if not inside.any():
+        return None
+    heights = corners[inside, :, tall]
+    weights = np.stack([across[1][inside], across[2][inside], across[0][inside]], axis=1) / whole[inside, None]
+    return float((heights * weights).sum(axis=1).max())

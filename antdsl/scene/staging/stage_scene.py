@@ -1,0 +1,380 @@
+"""A matched scene to a `Setting`: meshes and points are read, everything is turned to millimetres and the scene's axes.
+
+What binding would need in memory is computed first, so that a request for a billion cells is refused before anything is
+allocated."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.diagnostics import Label, Report
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.model import Const, Expr, Op, ParamRef, Program
+from antdsl.program.tables.vocabulary import LENGTH
+from antdsl.scene import setting as stage_of
+from antdsl.scene.document import Key
+from antdsl.scene.geometry.closed import check_closed, check_sides
+from antdsl.scene.geometry.meshes import MeshError, RawMesh, placed, read_mesh, within_reach
+from antdsl.scene.geometry.points import POINT_BYTES, PointsError, read_points
+from antdsl.scene.load import Scene
+from antdsl.scene.matching import const_base
+from antdsl.scene.model import UNIT_MM, CurveThing, MeshThing, Placement, Point, UsdCamera, UsdThing, millimetres
+from antdsl.scene.paths import PathRefused
+from antdsl.scene.quantities import Quantity
+from antdsl.scene.staging.cached import once_a_mesh
+from antdsl.scene.staging.flows import check_densities, stage_flows
+from antdsl.scene.staging.item_placement import check_crowds, items_of
+from antdsl.scene.staging.moves import MeshMoves, Moves
+from antdsl.scene.staging.things import curve_places, moving_mesh, placed_moves, usd_camera, usd_mesh
+
+_UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_WIDEST = 1e6  # body lengths: ants in a whole county
+_COARSEST, _FINE = 1 / 3, 1 / 4  # of a body: voxels that are too wide, and good ones
+_FAR = 1e7  # mm from the origin; float32 steps are 1 mm there
+
+
+@dataclass(slots=True)
+class Staging:
+    """A setting in the making: the report, and a hash of the bytes of each file that was read."""
+
+    scene: Scene
+    program: Program
+    report: Report = field(default_factory=Report)
+    hashes: dict[str, str] = field(default_factory=dict)
+    raw: dict[str, RawMesh] = field(default_factory=dict)  # surfaces and obstacles as their files have them
+    moves: dict[str, MeshMoves] = field(default_factory=dict)  # by mesh
+    layers: dict[str, Any] = field(default_factory=dict)  # USD files that were judged, by name
+
+    def read(self, text: str, cap: int, *path: Key) -> bytes | None:
+        """A file's bytes, or None and a complaint at the path that names it."""
+        try:
+            data = self.scene.roots.read(text, cap)
+        except PathRefused as refused:
+            self.report.error(refused.code, str(refused), self.scene.span(*path), refused.help)
+            return None
+        self.hashes[text] = hashlib.blake2b(data, digest_size=16).hexdigest()
+        return data
+
+    def points(self, text: str, least: int, *path: Key) -> NDArray[np.float64] | None:
+        """At least so many points of a JSON file, in the file's own units, or None and a complaint."""
+        data = self.read(text, POINT_BYTES, *path)
+        if data is None:
+            return None
+        try:
+            return read_points(data, least)
+        except PointsError as why:
+            self.report.error("bad-points", f"`{text}` {why}", self.scene.span(*path), "write `[[0, 0, 0], [50, 0, 0]]`")
+            return None
+
+    def sequence(self, text: str, *path: Key) -> dict[int, str] | None:
+        """The files of a path with `####` by frame, or None and a complaint."""
+        try:
+            return self.scene.roots.sequence(text)
+        except PathRefused as refused:
+            self.report.error(refused.code, str(refused), self.scene.span(*path), refused.help)
+            return None
+
+
+def stage(
+    scene: Scene, program: Program, overrides: Mapping[str, Quantity] | None = None
+) -> tuple[stage_of.Setting | None, Report, dict[str, str]]:
+    """The setting, what there is to complain about, and a hash for each file read. `overrides` are params given by the person."""
+    staging = Staging(scene, program)
+    model = scene.model
+    surfaces = _meshes(staging, "surface")
+    obstacles = _meshes(staging, "obstacle")
+    for name, mesh in obstacles.items():
+        check_sides(staging, name, mesh)
+    solids = _solids(staging)
+    if staging.report.ok:
+        _check_cells(staging, {**surfaces, **{name: solid.mesh for name, solid in solids.items()}})
+        _check_scale(staging, surfaces, solids)
+    curves = _curves(staging)
+    laid = {name: found for name in model.world if (found := items_of(staging, name, surfaces)) is not None}
+    items = {name: found for name, (found, _) in laid.items()}
+    flows, maps = stage_flows(staging, items, {name: found[0] for name, found in curves.items()})
+    places = {item.name: item.position for group in items.values() for item in group} | {
+        name: group[0].position for name, group in items.items() if group
+    }
+    crowds = tuple(
+        stage_of.CrowdData(line.species, line.count, _place(staging, places, line.place, "crowd", number, "place"), number)
+        for number, line in enumerate(model.crowd)
+    )
+    check_densities(staging, maps)
+    check_crowds(staging, crowds, surfaces, solids)
+    camera = usd_camera(staging, model.camera) if isinstance(model.camera, UsdCamera) else None
+    starts = {
+        name: stage_of.FieldStart(
+            start.start,
+            _point(staging, places, start.around, start.radius, "fields", name),
+            _length(scene, start.radius),
+        )
+        for name, start in model.fields.items()
+    }
+    if not staging.report.ok:
+        return None, staging.report, staging.hashes
+    dt = float(1 / model.fps)
+    given = {**model.set, **(overrides or {})}
+    params = {name: value.base(model.unit_mm, dt) for name, value in given.items() if name in program.params}
+    made = stage_of.Setting(
+        fps=model.fps,
+        substeps=model.substeps,
+        by_rays=model.stick == "rays",
+        up=_UP[model.up],
+        unit_mm=model.unit_mm,
+        seed=model.seed,
+        first_frame=model.frames.first - model.preroll,
+        surfaces=surfaces,
+        obstacles=obstacles,
+        items=items,
+        curves={name: found[0] for name, found in curves.items()},
+        flows=flows,
+        maps=maps,
+        crowds=crowds,
+        params=params,
+        field_start=starts,
+        solids=solids,
+        moves=Moves(
+            first=model.frames.first - model.preroll,
+            meshes={name: moves for name, moves in staging.moves.items() if name in {**surfaces, **obstacles}},
+            items={name: found for name, (_, found) in laid.items() if len(found) > 1},
+            curves={name: found for name, found in curves.items() if len(found) > 1},
+        ),
+        camera=camera,
+        detail=_detail(scene, camera),
+    )
+    return made, staging.report, staging.hashes
+
+
+def _detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.DetailData | None:
+    """`camera`: one that a file brought."""
+    model = scene.model
+    if model.lod is None or model.camera is None or isinstance(model.camera, str):
+        return None
+    near, far = model.lod.near.length(model.unit_mm), _length(scene, model.lod.far)
+    if camera is not None:
+        places = camera.at
+    else:
+        assert not isinstance(model.camera, UsdCamera)
+        places = np.array([millimetres(model.camera.at, model.unit_mm)])
+    return stage_of.DetailData(places, near, float("inf") if far is None else far, model.frames.first)
+
+
+def _length(scene: Scene, value: Quantity | None) -> float | None:
+    return None if value is None else value.length(scene.model.unit_mm)
+
+
+Places = Mapping[str, stage_of.Point]
+
+
+def _point(
+    staging: Staging, places: Places, around: Point | str | None, radius: Quantity | None, *path: Key, key: str = "around"
+) -> stage_of.Point | None:
+    """Where something lies about: a point, an item's place, the origin where only a radius is given."""
+    if around is None:
+        return None if radius is None else (0.0, 0.0, 0.0)
+    if not isinstance(around, str):
+        return millimetres(around, staging.scene.model.unit_mm)
+    if around not in places and staging.report.ok:
+        near = nearest_name(around, places)
+        help = f"did you mean `{near}`?" if near else None
+        staging.report.error("unknown-thing", f"no item is named `{around}`", staging.scene.span(*path, key), help)
+    return places.get(around)
+
+
+def _meshes(staging: Staging, kind: str) -> dict[str, stage_of.MeshData]:
+    found = {}
+    for name, thing in staging.program.world.items():
+        value = staging.scene.model.world.get(name)
+        if thing.kind == kind and isinstance(value, MeshThing | UsdThing):
+            mesh = _mesh(staging, name, value)
+            if mesh is not None:
+                found[name] = mesh
+    return found
+
+
+def _mesh(staging: Staging, name: str, value: MeshThing | UsdThing) -> stage_of.MeshData | None:
+    """A mesh where it is at the first frame; how it moves goes into `staging.moves`."""
+    scene, report = staging.scene, staging.report
+    up, unit_mm = scene.model.up, scene.model.unit_mm
+    if isinstance(value, UsdThing):
+        key, shown, factor, own_up = "prim", value.prim, value.scale, up
+        found = usd_mesh(staging, name, value)
+    else:
+        key, shown = "mesh", value.mesh
+        factor, own_up = UNIT_MM[value.units or scene.model.units] * value.scale, value.up or up
+        found = moving_mesh(staging, name, value) if "#" in value.mesh else _still_mesh(staging, name, value)
+    if found is None:
+        return None
+    raw, inner = found
+    span = scene.span("world", name, key)
+    try:
+        mesh = placed(
+            raw,
+            factor=factor,
+            own_up=own_up,
+            up=up,
+            angles=tuple(angle.number for angle in value.rotate) if value.rotate else (0.0, 0.0, 0.0),  # type: ignore[arg-type]
+            at=millimetres(value.at, unit_mm) if value.at else (0.0, 0.0, 0.0),
+        )
+        moving = placed_moves(staging, value, raw, inner, factor, own_up)
+        if moving is not None:
+            rest, moves = moving
+            mesh = within_reach(rest, mesh.faces)
+            if moves is not None:
+                staging.moves[name] = moves
+    except MeshError as why:
+        report.error("bad-mesh", f"the mesh `{shown}` {why}", span, why.help)
+        return None
+    staging.raw[name] = raw
+    if raw.dropped:
+        faces = "face" if raw.dropped == 1 else "faces"
+        words = f"{raw.dropped:,} {faces} of `{shown}` without area or given twice left out"
+        report.warning("degenerate-faces", words, span, "merge doubled points and faces in the program that made the mesh")
+    if np.abs(mesh.vertices).max() > _FAR:
+        report.warning(
+            "far-away",
+            f"the mesh `{shown}` lies more than 10 km from the origin",
+            span,
+            "move it with `at`, or check its `units`",
+        )
+    return mesh
+
+
+def _still_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh, None] | None:
+    data = staging.read(value.mesh, limits.MESH_BYTES, "world", name, "mesh")
+    if data is None:
+        return None
+    try:
+        return read_mesh(data, value.mesh, value.group), None
+    except MeshError as why:
+        key = "mesh" if value.group is None else "group"
+        staging.report.error("bad-mesh", f"the mesh `{value.mesh}` {why}", staging.scene.span("world", name, key), why.help)
+        return None
+
+
+def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
+    """The solids; a request for more voxels than can be is refused before one is made."""
+    scene, found = staging.scene, {}
+    for name, mesh in _meshes(staging, "solid").items():
+        value = scene.model.world[name]
+        # without a voxel: complained about when the scene was matched
+        if not isinstance(value, MeshThing | UsdThing) or value.voxel is None:
+            continue
+        edge = value.voxel.length(scene.model.unit_mm)
+        across = [float(side) / edge + 1 for side in np.ptp(mesh.vertices, axis=0)]
+        _refuse_if_many(
+            staging, across[0] * across[1] * across[2], limits.VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel"
+        )
+        found[name] = stage_of.SolidData(mesh, edge)
+        if staging.report.ok:
+            check_closed(staging, name, "mesh" if isinstance(value, MeshThing) else "prim", found[name])
+    return found
+
+
+def _check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
+    for name, declared in staging.program.fields.items():
+        if not isinstance(declared.cell, Const):
+            continue
+        edge = const_base(declared.cell, staging.scene)
+        if edge <= 0:
+            continue
+        area = sum(_area(surfaces[s]) for s in declared.surfaces if s in surfaces)
+        place = declared.surfaces[0] if declared.surfaces else ""
+        # a plane that lies aslant touches up to 1.7 times the voxels of its area; one each for the area is the least
+        labels = (Label(declared.cell.span, "the cell's size"),)
+        _refuse_if_many(
+            staging, area / (edge * edge), limits.FIELD_CELLS, f"the field `{name}`", "cells", edge, "world", place, labels=labels
+        )
+
+
+def _check_scale(staging: Staging, surfaces: Mapping[str, stage_of.MeshData], solids: Mapping[str, stage_of.SolidData]) -> None:
+    """Warn of a surface hardly larger than who walks on it, or so large that its units are likely wrong; of voxels too coarse
+    for those who walk and dig there."""
+    for line in staging.scene.model.crowd:
+        species = staging.program.species.get(line.species)
+        size = next((a.default for a in species.attributes if a.name == "size"), None) if species else None
+        length = _some_length(size, staging) if size is not None else None
+        if length is None:
+            continue
+        for name, mesh in surfaces.items():
+            width = float(np.ptp(mesh.vertices, axis=0).max())
+            if not 3 * length <= width <= _WIDEST * length:
+                words = f"`{name}` is {width:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
+                staging.report.warning(
+                    "odd-scale", words, staging.scene.span("world", name), "say the mesh's `units`, such as `units: m`"
+                )
+        for name, solid in solids.items():
+            if solid.voxel > _COARSEST * length:
+                words = f"voxels of `{name}` are {solid.voxel:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
+                place, help = staging.scene.span("world", name, "voxel"), f"write `voxel: {_FINE * length:.3g} mm` or less"
+                staging.report.warning("odd-scale", words, place, help)
+
+
+def _some_length(expression: Expr, staging: Staging) -> float | None:
+    """The first length in an expression such as `uniform(3 mm, 5 mm)`, in millimetres."""
+    stack: list[Expr | None] = [expression]
+    while stack:
+        part = stack.pop()
+        if isinstance(part, Const) and part.type.dim == LENGTH and part.number > 0:
+            return const_base(part, staging.scene)
+        if isinstance(part, ParamRef):
+            stack.append(staging.program.params[part.name].default)
+        elif isinstance(part, Op):
+            stack.extend(reversed(part.args))
+    return None
+
+
+@once_a_mesh
+def _area(mesh: stage_of.MeshData) -> float:
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    across = np.cross(b - a, c - a)
+    return float(np.sqrt((across * across).sum(axis=1)).sum() / 2)
+
+
+def _refuse_if_many(
+    staging: Staging, count: float, cap: int, what: str, parts: str, edge: float, *path: Key, labels: tuple[Label, ...] = ()
+) -> None:
+    if count > cap:
+        size = f"{count * 8 / limits.GIB:,.0f} GiB" if count * 8 > limits.GIB else f"{count * 8 / limits.MIB:,.0f} MiB"
+        message = f"{what} would need at least {count:,.0f} {parts} of {edge:g} mm (about {size}), more than {cap:,}"
+        larger = edge * (count / cap) ** (1 / 3 if parts == "voxels" else 1 / 2)
+        help = f"write {parts[:-1]}s of {larger * 1.05:.3g} mm or more, or check the `units` of the mesh"
+        staging.report.error("too-large", message, staging.scene.span(*path), help, labels=labels)
+
+
+def _curves(staging: Staging) -> dict[str, NDArray[np.float64]]:
+    """The points (frames, k, 3) of each curve, a single frame where it stands still."""
+    found = {}
+    for name, value in staging.scene.model.world.items():
+        thing = staging.program.world.get(name)
+        if isinstance(value, CurveThing) or (isinstance(value, UsdThing) and thing is not None and thing.kind == "curve"):
+            places = curve_places(staging, name, value)
+            if places is not None:
+                found[name] = places
+    return found
+
+
+def _place(staging: Staging, places: Places, place: Placement, *path: Key) -> stage_of.PlaceData:
+    scene = staging.scene
+    points = None
+    if place.points is not None:
+        points = staging.points(place.points, 1, *path, "points")
+        if points is not None:
+            points = points * scene.model.unit_mm
+    return stage_of.PlaceData(
+        on=(place.on,) if place.on is not None else (),
+        around=_point(staging, places, place.around, place.radius, *path),
+        inside=_point(staging, places, place.inside, None, *path, key="inside"),
+        radius=_length(scene, place.radius),
+        points=points,
+        density=place.density,
+        by_area=place.by == "area",
+    )

@@ -1,0 +1,360 @@
+"""Things of the world that are more than one still file: parts of USD files, files per frame, keys. All to mm, the scene's axes
+and places at every frame that is simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.scene import setting as stage_of
+from antdsl.scene.document import Key
+from antdsl.scene.geometry.matrices import applied, has_inverse
+from antdsl.scene.geometry.meshes import MeshError, RawMesh, mesh_arrays, rotated, sound, turned_up
+from antdsl.scene.model import (
+    UNIT_MM,
+    CurveThing,
+    ItemThing,
+    MeshThing,
+    PaintedThing,
+    PlaceKey,
+    Point,
+    UsdCamera,
+    UsdThing,
+    millimetres,
+)
+from antdsl.scene.quantities import Quantity
+from antdsl.scene.staging.moves import MeshMoves
+
+if TYPE_CHECKING:
+    from antdsl.scene.geometry.usd import UsdPoints, UsdStage
+    from antdsl.scene.staging.stage_scene import Staging
+
+Floats = NDArray[np.float64]
+Turn = tuple[Quantity, Quantity, Quantity]
+T = TypeVar("T")
+
+
+# ---- frames
+
+
+def frames_of(staging: Staging) -> range:
+    """The frames that are simulated, the preroll's included; the first is the one at which meshes stand at rest."""
+    model = staging.scene.model
+    return range(model.frames.first - model.preroll, model.frames.last + 1)
+
+
+def sequence(staging: Staging, text: str, *path: Key) -> list[str] | None:
+    """The file of each frame, where a path has `####`; before the first and after the last that there is, these hold."""
+    files = staging.sequence(text, *path)
+    if files is None:
+        return None
+    numbers = list(files)
+    frames = frames_of(staging)
+    used = [files.get(min(max(frame, numbers[0]), numbers[-1])) for frame in frames]
+    if None in used:
+        frame = frames[used.index(None)]
+        staging.report.error(
+            "no-such-file", f"`{text}` has no file for frame {frame}", staging.scene.span(*path), "write all frames out"
+        )
+        return None
+    return [file for file in used if file is not None]
+
+
+# ---- keys
+
+
+def key_places(
+    keys: Mapping[int, PlaceKey], own_at: Point | None, own_turn: Turn | None, frames: Sequence[int], unit_mm: float
+) -> tuple[Floats, Floats] | None:
+    """Place (frames, 3) in mm and turn (frames, 3) in radians at each frame, or None where there is no key. What no key says is
+    as the thing itself says it."""
+    if not keys:
+        return None
+    at = {f: millimetres(key.at, unit_mm) for f, key in keys.items() if key.at is not None}
+    turn = {f: tuple(a.number for a in key.rotate) for f, key in keys.items() if key.rotate is not None}
+    if not at:
+        at = {0: millimetres(own_at, unit_mm) if own_at else (0.0, 0.0, 0.0)}
+    if not turn:
+        turn = {0: tuple(a.number for a in own_turn) if own_turn else (0.0, 0.0, 0.0)}
+    return _between(at, frames), _between(turn, frames)
+
+
+def _between(keys: Mapping[int, tuple[float, ...]], frames: Sequence[int]) -> Floats:
+    times = sorted(keys)
+    values = np.array([keys[time] for time in times], np.float64)
+    return np.stack([np.interp(np.array(frames, np.float64), times, values[:, axis]) for axis in range(3)], axis=1)
+
+
+def _ways(staging: Staging, value: MeshThing | UsdThing | CurveThing, factor: float, own_up: str) -> Floats | None:
+    """The ways (frames, 3, 4) of a file's places into the scene where the scene has keys for it."""
+    model, frames = staging.scene.model, frames_of(staging)
+    placed = key_places(value.keys, value.at, getattr(value, "rotate", None), frames, model.unit_mm)
+    if placed is None:
+        return None
+    axes = turned_up(np.eye(3) * factor, own_up, model.up)
+    ways = np.empty((len(frames), 3, 4))
+    for k, (at, turn) in enumerate(zip(*placed, strict=True)):
+        ways[k, :, :3] = rotated(axes, (float(turn[0]), float(turn[1]), float(turn[2]))).T
+        ways[k, :, 3] = at
+    return ways
+
+
+# ---- meshes
+
+
+def moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh, MeshMoves | None] | None:
+    """A mesh of files per frame, and the moves of its vertices in the file's own units and axes."""
+    files = sequence(staging, value.mesh, "world", name, "mesh")
+    if files is None:
+        return None
+    span = staging.scene.span("world", name, "mesh")
+    read: dict[str, Floats] = {}
+    raw, first, places = None, None, None
+    for k, file in enumerate(files):
+        if file in read and places is not None:
+            places[k] = read[file]
+            continue
+        data = staging.read(file, limits.MESH_BYTES, "world", name, "mesh")
+        if data is None:
+            return None
+        try:
+            vertices, faces = mesh_arrays(data, file, value.group)
+            if raw is None or places is None or first is None:
+                raw, first = sound(vertices, faces), faces
+                size = len(files) * len(raw.vertices) * 48
+                if size > limits.MOVES_BYTES:
+                    words = f"{len(files):,} frames of `{value.mesh}` would take {size / limits.GIB:.1f} GiB"
+                    staging.report.error("too-large", words, span, "simulate fewer frames at a time, or use a lighter mesh")
+                    return None
+                places = np.empty((len(files), *raw.vertices.shape))
+            if not np.array_equal(first, faces):
+                words = f"`{file}` has other faces than `{files[0]}`"
+                staging.report.error("moving-topology", words, span, "write all frames with the same faces in the same order")
+                return None
+            places[k] = vertices[raw.own_vertices]
+            if not (np.isfinite(places[k]).all() and (np.abs(places[k]) < 1e30).all()):
+                raise MeshError("has a vertex that is not a finite point")
+        except MeshError as why:
+            staging.report.error("bad-mesh", f"the mesh `{file}` {why}", span, why.help)
+            return None
+        read = {file: places[k]}
+    assert raw is not None and places is not None
+    return raw, None if (places == places[0]).all() else MeshMoves.free(places)
+
+
+def usd_mesh(staging: Staging, name: str, value: UsdThing) -> tuple[RawMesh, MeshMoves | None] | None:
+    """The meshes below a prim, in mm and the scene's axes."""
+    from antdsl.scene.geometry.usd import read_usd_mesh
+
+    found = _usd(staging, value.usd, value.prim, value.purpose, ("world", name), read_usd_mesh)
+    if found is None:
+        return None
+    if found.passed_over:
+        words = f"shapes of the types {', '.join(found.passed_over)} below `{value.prim}` are not read"
+        staging.report.warning("usd-left-out", words, staging.scene.span("world", name, "prim"), "turn them into meshes")
+    return found.raw, found.moves
+
+
+def placed_moves(
+    staging: Staging, value: MeshThing | UsdThing, raw: RawMesh, inner: MeshMoves | None, factor: float, own_up: str
+) -> tuple[Floats, MeshMoves | None] | None:
+    """The vertices at rest and the moves of a mesh that moves in its file, by keys, or both; None where it does neither."""
+    ways = _ways(staging, value, factor, own_up)
+    if inner is None and ways is None:
+        return None
+    if ways is None:  # one key anywhere: the thing's own place at all frames
+        ways = _ways(staging, value.model_copy(update={"keys": {0: PlaceKey()}}), factor, own_up)
+    assert ways is not None and has_inverse(ways[0])
+    rest = applied(ways[0], raw.vertices)
+    if inner is not None:
+        return rest, inner.placed(ways)
+    return rest, None if (ways == ways[0]).all() else MeshMoves.rigid(ways, len(rest))
+
+
+def first_turn(staging: Staging, value: MeshThing | UsdThing) -> tuple[float, float, float]:
+    """How a mesh is turned at the first frame, radians about x, then y, then z."""
+    placed = key_places(value.keys, value.at, value.rotate, frames_of(staging)[:1], staging.scene.model.unit_mm)
+    if placed is not None:
+        x, y, z = placed[1][0].tolist()
+        return x, y, z
+    return (value.rotate[0].number, value.rotate[1].number, value.rotate[2].number) if value.rotate else (0.0, 0.0, 0.0)
+
+
+def shortened(vectors: Floats) -> Floats:
+    """Vectors (n, 3), those longer than 1 cut to 1."""
+    return np.asarray(vectors / np.maximum(np.sqrt((vectors * vectors).sum(axis=1)), 1.0)[:, None])
+
+
+def usd_paint(staging: Staging, name: str, thing: PaintedThing, mesh: UsdThing, width: int) -> Floats | None:
+    """A primvar on the vertices of a surface that comes from the same USD file: numbers (width 1) or vectors (3) in the scene."""
+    from antdsl.scene.geometry.usd import read_usd_mesh
+
+    attribute = name if thing.attribute is None else thing.attribute
+    span = staging.scene.span("world", name, "attribute")
+    if not isinstance(attribute, str):
+        staging.report.error("bad-paint", "a primvar has one name", span, f"write `attribute: {attribute[0]}`")
+        return None
+    found = _usd(staging, mesh.usd, mesh.prim, mesh.purpose, ("world", name), lambda stage: read_usd_mesh(stage, [attribute]))
+    if found is None:
+        return None
+    values = found.values[attribute] * thing.strength
+    if values.ndim != (1 if width == 1 else 2):
+        has, wanted = ("vectors", "numbers") if width == 1 else ("numbers", "vectors")
+        staging.report.error("bad-paint", f"the primvar `{attribute}` holds {has}, and `{name}` wants {wanted}", span)
+        return None
+    if not np.isfinite(values).all():
+        staging.report.error("bad-paint", f"the primvar `{attribute}` has a value that is not finite", span)
+        return None
+    if width == 1:
+        return values
+    return shortened(rotated(values * (-1.0 if mesh.scale < 0 else 1.0), first_turn(staging, mesh)))
+
+
+# ---- curves
+
+
+def curve_places(staging: Staging, name: str, value: CurveThing | UsdThing) -> Floats | None:
+    """The points (frames, k, 3) of a curve, one frame where it stands still."""
+
+    model = staging.scene.model
+    if isinstance(value, UsdThing):
+        from antdsl.scene.geometry.usd import read_usd_curve
+
+        found = _usd(staging, value.usd, value.prim, value.purpose, ("world", name), read_usd_curve)
+        factor, own_up = value.scale, model.up
+    else:
+        files = sequence(staging, value.curve, "world", name, "curve") if "#" in value.curve else [value.curve]
+        if files is None:
+            return None
+        read = {file: staging.points(file, 2, "world", name, "curve") for file in dict.fromkeys(files)}
+        lines = [read[file] for file in files]
+        if any(line is None for line in lines):
+            return None
+        whole = [line for line in lines if line is not None]
+        other = next((k for k, line in enumerate(whole) if line.shape != whole[0].shape), None)
+        if other is not None:
+            words = f"`{files[other]}` has another number of points than `{files[0]}`"
+            span = staging.scene.span("world", name, "curve")
+            staging.report.error("moving-topology", words, span, "write all frames with the same number of points")
+            return None
+        found = np.stack(whole)
+        factor, own_up = UNIT_MM[value.units or model.units], value.up or model.up
+    if found is None:
+        return None
+    ways = _ways(staging, value, factor, own_up)
+    if ways is None:
+        angles = value.rotate if isinstance(value, UsdThing) and value.rotate else None
+        at = np.array(millimetres(value.at, model.unit_mm) if value.at else (0.0, 0.0, 0.0))
+        turn = tuple(a.number for a in angles) if angles else (0.0, 0.0, 0.0)
+        return np.stack([rotated(turned_up(line * factor, own_up, model.up), turn) + at for line in found])  # type: ignore[arg-type]
+    count = max(len(found), len(ways))
+    return np.stack([applied(ways[min(k, len(ways) - 1)], found[min(k, len(found) - 1)]) for k in range(count)])
+
+
+# ---- items
+
+
+def item_places(staging: Staging, name: str, item: str, thing: ItemThing) -> Floats:
+    """Where an item's keys put it (frames, 3), in mm; one frame where it has none."""
+    unit_mm = staging.scene.model.unit_mm
+    placed = key_places(thing.keys, thing.at, None, frames_of(staging), unit_mm)
+    if placed is None:
+        return np.array([millimetres(thing.at, unit_mm)])
+    if any(key.rotate is not None for key in thing.keys.values()):
+        frame = next(f for f, key in thing.keys.items() if key.rotate is not None)
+        span = staging.scene.span("world", name, item, "keys", str(frame), "rotate")
+        staging.report.error("wrong-value", f"the item `{item}` has no sides that could be turned", span, "delete `rotate`")
+    return placed[0]
+
+
+def usd_items(staging: Staging, name: str, value: UsdThing) -> UsdPoints | None:
+    """The points below a prim, moved as the scene says."""
+    from dataclasses import replace
+
+    from antdsl.scene.geometry.usd import read_usd_points
+
+    found = _usd(staging, value.usd, value.prim, value.purpose, ("world", name), read_usd_points)
+    if found is None:
+        return None
+    ways = _ways(staging, value, value.scale, staging.scene.model.up)
+    if ways is None:
+        ways = _ways(staging, value.model_copy(update={"keys": {0: PlaceKey()}}), value.scale, staging.scene.model.up)
+        assert ways is not None
+        ways = ways[:1]
+    count = max(len(found.places), len(ways))
+    moved = [applied(ways[min(k, len(ways) - 1)], found.places[min(k, len(found.places) - 1)]) for k in range(count)]
+    return replace(found, places=np.stack(moved), radius=found.radius * abs(value.scale))
+
+
+def riding(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Point) -> Floats:
+    """Where a point of a moving surface is at each frame (frames, 3): it stays on its triangle."""
+    corners = mesh.vertices[mesh.faces]
+    a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(b, c)
+    size = np.maximum((normal * normal).sum(axis=1), 1e-300)
+    away = np.array(place) - a
+    w2 = (np.cross(b, away) * normal).sum(axis=1) / size
+    w1 = (np.cross(away, c) * normal).sum(axis=1) / size
+    off = np.abs((away * normal).sum(axis=1)) / np.sqrt(size) + 1e6 * np.maximum(
+        0, np.maximum.reduce([-w1, -w2, w1 + w2 - 1]) - 1e-9
+    )
+    face = int(off.argmin())
+    found = []
+    for k in range(moves.frames):
+        p = moves.vertices(mesh.vertices, k)[mesh.faces[face]]
+        found.append(p[0] + w1[face] * (p[1] - p[0]) + w2[face] * (p[2] - p[0]))
+    return np.array(found)
+
+
+# ---- USD
+
+
+def _usd(staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, ...], read: Callable[[UsdStage], T]) -> T | None:
+    """What a reader finds at a prim, or None and a complaint at its place in the scene."""
+    from antdsl.scene.geometry.usd import UsdError, open_stage, usd_exception, words_of
+
+    model = staging.scene.model
+    try:
+        stage = open_stage(
+            staging.scene.roots,
+            text,
+            prim,
+            up=model.up,
+            frames=frames_of(staging),
+            fps=model.fps,
+            purpose=purpose,
+            layers=staging.layers,
+        )
+        staging.hashes |= stage.hashes
+        with np.errstate(all="ignore"):  # what is not finite is told where it is seen to be so
+            return read(stage)
+    except UsdError as why:
+        staging.report.error(why.code, str(why), staging.scene.span(*path, why.key), why.help)
+    except usd_exception() as why:
+        staging.report.error(
+            "bad-usd", f"`{prim}` of `{text}` cannot be read: {words_of(why)}", staging.scene.span(*path, "prim")
+        )
+    except UnicodeDecodeError:  # a name or a word of the file that USD hands on as it is
+        words = f"`{prim}` of `{text}` cannot be read: it has bytes that are no UTF-8 text"
+        staging.report.error("bad-usd", words, staging.scene.span(*path, "prim"), "export it anew")
+    except MeshError as why:
+        words = f"the mesh `{prim}` of `{text}` {why}"
+        staging.report.error(
+            "bad-mesh", words, staging.scene.span(*path, "prim"), "mend it where it was made, and export it anew"
+        )
+    return None
+
+
+def usd_camera(staging: Staging, value: UsdCamera) -> stage_of.CameraData | None:
+    """A camera prim over the written frames."""
+    from antdsl.scene.geometry.usd import read_usd_camera
+
+    found = _usd(staging, value.usd, value.prim, "render", ("camera",), read_usd_camera)
+    if found is None:
+        return None
+    kept = slice(staging.scene.model.preroll if len(found.at) > 1 else 0, None)
+    return stage_of.CameraData(found.at[kept], found.look_at[kept], found.up[kept], found.focal[kept])

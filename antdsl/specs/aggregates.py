@@ -1,0 +1,92 @@
+"""Numbers about wholes, exact whatever the order: totals of a species, of items, of a field; and the conditions over them.
+
+Totals and counts are kept in float64, correctly rounded (J. Shewchuk, Discrete & Computational Geometry 18, 1997: `math.fsum`);
+everything else is float32 as in the language. A sum, difference or comparison of totals among themselves and with whole numbers
+is done in float64, so that a crumb that is lost is seen however many there are.
+"""
+
+from __future__ import annotations
+
+from math import fsum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics.elementwise import ELEMENTWISE
+from antdsl.plan import ir
+from antdsl.plan.lowering.spec_blocks import WholePlan
+from antdsl.runtime.reading import reach
+from antdsl.runtime.sensing import uniform_leaf
+from antdsl.runtime.world import Population, World
+
+_EXACT = frozenset(("add", "sub", "neg", "abs", "min", "max", "mul", "lt", "le", "gt", "ge", "eq", "ne", "where"))
+
+
+def exact_total(values: NDArray[Any]) -> np.float64:
+    """The sum, rounded once; not finite where a term is not."""
+    wide = np.asarray(values, np.float64)
+    return np.float64(fsum(wide.tolist())) if np.isfinite(wide).all() else np.float64(wide.sum())
+
+
+def whole(world: World, judged: dict[str, Population], plan: WholePlan) -> Any:
+    """The number: float64 for totals and counts, float32 for all else. Of nobody: as for an empty set."""
+    if plan.kind == "field" and plan.body is None:
+        values = world.fields[plan.of].values
+        if plan.how == "count":
+            return np.float64(len(values))
+        return _of_values(plan.how, values, len(values))
+    if plan.kind == "solid":
+        return np.float64(world.solids[plan.of].volume())
+    population = judged[plan.of]
+    chosen = None if plan.where is None else population.now[plan.where]
+    count = len(population) if chosen is None else int(np.count_nonzero(chosen))
+    if plan.body is None:
+        return np.float64(count) if plan.how in ("count", "total") else np.float32(count > 0)
+    values = population.now[plan.body] if plan.amount is None else world.items[plan.of].amounts[plan.amount]
+    if chosen is not None:
+        values = values[chosen]
+    if values.dtype == np.bool_:
+        return _of_truths(plan.how, int(np.count_nonzero(values)), count)
+    return _of_values(plan.how, values, count)
+
+
+def _of_truths(how: str, true: int, count: int) -> Any:
+    if how == "count":
+        return np.float64(true)
+    if how == "share":
+        return np.float32(true / count if count else 0.0)
+    return np.float32(true == count if how == "every" else true > 0)
+
+
+def _of_values(how: str, values: NDArray[Any], count: int) -> Any:
+    if how == "total":
+        return exact_total(values)
+    if how == "mean":
+        return np.float32(exact_total(values) / count if count else 0.0)
+    if how == "min":
+        return np.float32(values.min()) if count else np.float32(np.inf)
+    return np.float32(values.max()) if count else np.float32(-np.inf)
+
+
+def value_of(world: World, node: ir.Node, told: dict[str, Any]) -> Any:
+    """The value of a node that is the same for all agents, by the elementwise table of the backends."""
+    values: dict[ir.Node, Any] = {}
+    with np.errstate(all="ignore"):
+        for each in reach((node,)):
+            f = ELEMENTWISE.get(each.op)
+            if f is None:
+                values[each] = told[each.attrs[0]] if each.op == "told" else uniform_leaf(world, each)
+                continue
+            args = [values[a] for a in each.args]
+            if each.op not in _EXACT or not all(map(_is_exact, each.args, args)):
+                args = [np.float32(a) if isinstance(a, np.float64) else a for a in args]
+            values[each] = f(*args)
+    return values[node]
+
+
+def _is_exact(node: ir.Node, value: Any) -> bool:
+    """A total, what is made of totals alone, a truth, or a whole number as written."""
+    if isinstance(value, np.float32):
+        return node.op == "const" and float(value).is_integer()
+    return True

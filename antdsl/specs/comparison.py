@@ -1,0 +1,52 @@
+"""The run that a spec compares with: run first, with the same seed; of each frame it keeps what the comparison asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from antdsl.plan import ir
+from antdsl.plan.lowering.spec_blocks import JudgementPlan, SpecPlan
+from antdsl.runtime.world import World
+from antdsl.specs.lines import Line, about_the_whole, in_steps
+from antdsl.specs.queries import Asker
+
+Place = tuple[str, int]
+
+
+class Rival:
+    """`look` at each frame of the other run from its first on. Frames are counted from there, so that two scenes may be numbered
+    differently. `dt`: seconds a frame."""
+
+    def __init__(self, plan: SpecPlan, world: World) -> None:
+        self.asker = Asker(plan, world)
+        self.plan, self.first, self.dt = plan, world.frame, world.dt
+        self.lines = {_place(j): Line(j, None, in_steps(world, j.held)) for j in plan.judgements if j.kind == "sooner"}
+        self.when: dict[Place, int] = {}
+        self.seen: list[Mapping[str, Any]] = []
+        self.blank = {each.name: np.float32(np.nan) for each in plan.others}
+
+    def look(self, world: World) -> None:
+        """Keep the numbers of this frame, and whether it is the first in which the condition of a `sooner` holds."""
+        self.asker.ask(world, self.blank)
+        self.seen.append({each.name: self.asker.value(world, each.value) for each in self.plan.others})
+        for place, line in self.lines.items():
+            assert isinstance(line.plan.condition, ir.Node)
+            holds = bool(self.asker.value(world, line.plan.condition))
+            if len(line.look(about_the_whole(world.frame, False, self.first, holds, None))):
+                self.when.setdefault(place, world.frame - self.first)
+
+    def values(self, frame: int) -> Mapping[str, Any]:
+        """The numbers of the other run in that frame from the first."""
+        return self.seen[min(frame, len(self.seen) - 1)]
+
+    def met(self, line: JudgementPlan) -> int | None:
+        """After how many steps a `sooner` held in the other run; None where it never did."""
+        return self.when.get(_place(line))
+
+
+def _place(line: JudgementPlan) -> Place:
+    """A line by its place in the text, which is the same in both runs."""
+    return line.span.source.path, line.span.start

@@ -1,0 +1,89 @@
+"""The golden runs of one `antdsl test`: which run is held against which, and what `--update` writes anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from antdsl.diagnostics import Report
+from antdsl.specs.cases import Run
+from antdsl.specs.golden.recorded import (
+    Comparer,
+    Golden,
+    GoldenError,
+    GoldenResult,
+    GoldenRun,
+    Recorder,
+    Watch,
+    golden_path,
+    read_golden,
+    write_golden,
+)
+
+Key = tuple[Path, tuple[tuple[str, str], ...]]
+
+
+@dataclass(slots=True)
+class Goldens:
+    """`update`: of each scene, and each set of changed params, the first seed is made a golden run; else what is kept is held
+    against the run. What is wrong with a file stands in `report`."""
+
+    update: bool = False
+    report: Report = field(default_factory=Report)
+    results: list[GoldenResult] = field(default_factory=list)
+    files: dict[Path, Golden | None] = field(default_factory=dict)
+    recorders: dict[Key, tuple[Run, Recorder]] = field(default_factory=dict)
+
+    def watch(self, run: Run, frames: int) -> Watch | None:
+        """What is to look at a run of about so many frames, if anything."""
+        scene = run.cases[0].scene
+        changes = {change.name: "".join(change.value.span.text.split()) for change in run.cases[0].spec.changes}
+        result = GoldenResult(scene, dict(sorted(changes.items())), run.seed)
+        if self.update:
+            key = (scene.resolve(), tuple(result.changes.items()))
+            if key in self.recorders:
+                return None
+            self.results.append(result)
+            self.recorders[key] = (run, Recorder(run, result, frames))
+            return self.recorders[key][1]
+        kept = self._kept(scene)
+        golden = None if kept is None else _of(kept, result)
+        if kept is None or golden is None or not golden.frames:
+            return None
+        self.results.append(result)
+        return Comparer(run, result, golden, kept.made)
+
+    def _kept(self, scene: Path) -> Golden | None:
+        path = golden_path(scene)
+        if path not in self.files:
+            self.files[path] = None
+            try:
+                self.files[path] = read_golden(path)
+            except GoldenError as why:
+                self.report.error("wrong-value", str(why), None, "write it anew with `antdsl test … --update`")
+        return self.files[path]
+
+    def write(self) -> None:
+        """With `update`, write what was recorded. A run that failed its specs is not made golden. Other runs of a file stay."""
+        new: dict[Path, list[GoldenRun]] = {}
+        for run, recorder in self.recorders.values():
+            if any(case.outcome == "failed" for case in run.cases):
+                recorder.result.words = "not written: its specs failed"
+            elif recorder.made is not None:
+                new.setdefault(golden_path(run.cases[0].scene), []).append(recorder.made)
+                recorder.result.outcome = "written"
+        for path, runs in new.items():
+            self._merge(path, runs)
+
+    def _merge(self, path: Path, runs: list[GoldenRun]) -> None:
+        try:
+            old = read_golden(path)
+        except GoldenError:
+            old = None  # damaged: that is what it is written anew for
+        fresh = {(tuple(sorted(run.set.items())), run.seed) for run in runs}
+        others = [] if old is None else [run for run in old.runs if (tuple(sorted(run.set.items())), run.seed) not in fresh]
+        write_golden(path, [*others, *runs])
+
+
+def _of(kept: Golden, result: GoldenResult) -> GoldenRun | None:
+    return next((run for run in kept.runs if run.set == dict(result.changes) and run.seed == result.seed), None)

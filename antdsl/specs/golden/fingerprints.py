@@ -1,0 +1,177 @@
+"""A state told in a few words for each attribute: a sum and a weighted sum of its bits, and its mean.
+
+Two sums over all agents are enough to find the one agent that differs and what its value was: with bits b and ids k, the sums of
+b and of (k + 1) b change by d and (k + 1) d (the checksums of J. Fletcher, IEEE Trans. Comm. 30, 1982, taken modulo 2^64). Where
+several differ, they tell that they do, and a digest of a few agents tells some of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.program.model import Kind, Program, Type
+from antdsl.program.names.scope import type_from_words
+from antdsl.program.tables.units import unit_of
+from antdsl.program.tables.vocabulary import GIVEN
+from antdsl.runtime.world import Population, World
+from antdsl.specs.aggregates import exact_total
+from antdsl.specs.values import shown
+
+SAMPLED = 64  # agents of a species that a digest tells apart
+_FEW = 8  # values that are told one by one
+_PLAIN = Type(Kind.NUMBER)
+_MOVING = ("velocity", "heading", "up", "position")
+_MIX = np.uint64(0x9E3779B97F4A7C15)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Column:
+    """One attribute of all agents of a species (in the order of their ids), of all items of a name, or of all cells of a field.
+
+    `rank`: which of several to tell first. `opaque`: the values say nothing to a reader. `names` of items, by number."""
+
+    who: str
+    what: str
+    rank: int
+    ids: NDArray[np.int64]
+    values: NDArray[Any]
+    type: Type = _PLAIN
+    unit: str = ""
+    opaque: bool = False
+    names: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> str:
+        return f"{self.who}.{self.what}" if self.what else self.who
+
+    def bits(self) -> NDArray[np.uint64]:
+        """The values' bits, each in 64."""
+        if self.values.dtype.itemsize == 8:
+            return self.values.view(np.uint64)
+        if self.values.dtype.itemsize == 4:
+            return self.values.view(np.uint32).astype(np.uint64)
+        return self.values.astype(np.uint64)
+
+    def sums(self) -> tuple[int, int]:
+        """The sum and the weighted sum of the bits, modulo 2^64."""
+        bits = self.bits()
+        return int(bits.sum(dtype=np.uint64)), int(((self.ids + 1).astype(np.uint64) * bits).sum(dtype=np.uint64))
+
+    def one(self, was: tuple[int, int]) -> tuple[int, Any] | None:
+        """The row of the one value that differs from when the sums were so, and what it was; None where several do."""
+        now = self.sums()
+        changed, weighted = ((b - a) % 2**64 for a, b in zip(was, now, strict=True))
+        here = np.flatnonzero((self.ids + 1).astype(np.uint64) * np.uint64(changed) == np.uint64(weighted))
+        if not changed or len(here) != 1:
+            return None
+        row = int(here[0])
+        before = (int(self.bits()[row]) - changed) % 2**64
+        size = self.values.dtype.itemsize
+        if before >= 2 ** (8 * size):
+            return None
+        return row, np.frombuffer(before.to_bytes(size, "little"), self.values.dtype.newbyteorder("<"))[0]
+
+    def shown(self, world: World, value: Any) -> str:
+        return shown(world, value, self.type, self.unit)
+
+    def told(self, world: World) -> str:
+        """The values where there are few of them; else how many agents are in each state, for how many it is so, or the mean."""
+        if self.opaque or not len(self.values):
+            return ""
+        if len(self.values) <= _FEW:
+            return ", ".join(self.shown(world, value) for value in self.values)
+        if self.type.kind is Kind.STATE:
+            numbers, counts = np.unique(self.values, return_counts=True)
+            return ", ".join(f"{self.shown(world, n)} {count}" for n, count in zip(numbers, counts, strict=True))
+        if self.values.dtype == np.bool_:
+            return f"{np.count_nonzero(self.values)} of {len(self.values)}"
+        if self.type.kind is not Kind.NUMBER or self.values.dtype.kind != "f":
+            return ""
+        return f"{self.shown(world, np.float64(exact_total(self.values) / len(self.values)))} on average"
+
+
+def columns(world: World, program: Program) -> dict[str, Column]:
+    """All that a state consists of, by key."""
+    found: list[Column] = []
+    for name in sorted(world.populations):
+        found += _of_agents(world, program, world.populations[name])
+    for name, items in sorted(world.items.items()):
+        ids = np.arange(len(items))
+        found += [Column(name, key, 2, ids, amounts, names=items.names) for key, amounts in sorted(items.amounts.items())]
+    for name, field in sorted(world.fields.items()):
+        values = np.asarray(field.values, np.float64)
+        found.append(Column(name, "", 3, np.arange(len(values)), values))
+    for name, parts in sorted(_digests(world).items()):
+        found.append(Column(name, "", 3, np.zeros(1, np.int64), np.frombuffer(parts[:8], np.uint64), opaque=True))
+    for name, value in sorted(world.params.items()):
+        found.append(Column(name, "", 0, np.zeros(1, np.int64), np.array([value], np.float32)))
+    return {column.key: column for column in found}
+
+
+def _digests(world: World) -> dict[str, bytes]:
+    from hashlib import sha256
+
+    found = {name: volume.digest() for name, volume in world.solids.items()}
+    for name, flow in world.flows.items():
+        state = b"".join(key.encode() + array.tobytes() for key, array in sorted(flow.state().items()))
+        if state:
+            found[name] = sha256(state).digest()
+    return found
+
+
+def _of_agents(world: World, program: Program, population: Population) -> list[Column]:
+    """Columns of what an author knows by a name; all the rest, memories and footings, is folded into one."""
+    rows = population.in_id_order()
+    ids, name = population.ids[rows], population.name
+    species = program.species[name]
+    mine = {a.name: a.type for a in species.attributes}
+    found = [Column(name, "id", 0, ids, ids, opaque=True)]
+    rest = np.zeros(len(ids), np.uint64)
+    for key, register in sorted(population.plan.registers.items()):
+        if register.role == "temp":
+            continue
+        column = _column(name, key, mine, ids, population.now[key][rows])
+        if column is None:
+            rest = rest * _MIX + Column(name, key, 9, ids, population.now[key][rows]).bits()
+        else:
+            found.append(column)
+    kept = [population.born, population.quarantined, *population.position.T]
+    kept += [np.asarray(getattr(population.footing, part)) for part in type(population.footing).__dataclass_fields__]
+    kept += [flags for _, flags in sorted(population.events.items())]
+    for array in kept:
+        for part in array.T if array.ndim == 2 else (array,):
+            rest = rest * _MIX + Column(name, "", 9, ids, np.ascontiguousarray(part)[rows]).bits()
+    return [*found, Column(name, "memory", 9, ids, rest, opaque=True)]
+
+
+def _column(who: str, key: str, mine: dict[str, Type], ids: NDArray[np.int64], values: NDArray[Any]) -> Column | None:
+    machine, _, word = key.rpartition(".")
+    if word == "state" and machine:
+        what = "state" if machine == "main" else key
+        return Column(who, what, 1, ids, values, Type(Kind.STATE, of=f"{who}.{machine}"))
+    base, axis = (machine, f".{word}") if word in ("x", "y", "z") else (key, "")
+    if base in mine or base in GIVEN:
+        type = mine.get(base) or type_from_words(GIVEN[base].type) or _PLAIN
+        rank = 4 + _MOVING.index(base) if base in _MOVING else 1
+        if type.kind is Kind.VECTOR:
+            type = Type(Kind.NUMBER, type.dim)
+        return Column(who, base + axis, rank, ids, values, type, unit_of(type.dim) if type.kind is Kind.NUMBER else "")
+    return None
+
+
+def digest(world: World, population: Population, program: Program) -> str:
+    """Four hexadecimal digits for each of the agents that `sampled` names."""
+    mixed = np.zeros(len(population), np.uint64)
+    for column in _of_agents(world, program, population):
+        mixed = (mixed ^ column.bits()) * _MIX
+    picked = sampled(len(population))
+    return (mixed >> np.uint64(48)).astype(">u2")[picked].tobytes().hex()
+
+
+def sampled(count: int) -> NDArray[np.int64]:
+    """Which of so many agents, by their place in the order of ids, a digest tells apart."""
+    return np.unique(np.arange(SAMPLED) * count // SAMPLED) if count else np.zeros(0, np.int64)

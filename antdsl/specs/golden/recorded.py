@@ -1,0 +1,217 @@
+"""Golden runs: what a run came to, kept as text beside its scene; a later run is held against it frame by frame.
+
+`scene.golden.json` has a hash for every frame, and every so many frames, at most STATIONS times in all, what is in
+`fingerprints`. So the first frame that differs is always known; which attribute of whom, there or at the next of those frames.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal, Protocol
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from antdsl import __version__, limits
+from antdsl.bounded import TooLarge, read_bounded
+from antdsl.outputs.cache.npz import write_whole
+from antdsl.program.model import Program
+from antdsl.runtime import World, state_hash
+from antdsl.specs.cases import Run
+from antdsl.specs.golden.differences import Difference, differences
+from antdsl.specs.golden.fingerprints import columns, digest
+
+STATIONS = 48
+_BYTES = 64 * limits.MIB
+Word = Annotated[str, Field(max_length=2000)]
+Sums = tuple[Word, Word, Word]  # sum and weighted sum of the bits, hexadecimal; what is told of the values
+
+
+class Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", hide_input_in_errors=True)
+
+
+class Frame(Part):
+    """`parts` are those that differ from the frame before that had any; `agents` the digests by species."""
+
+    frame: int
+    hash: Word
+    parts: dict[Word, Sums] = {}
+    agents: dict[Word, Word] = {}
+
+
+class GoldenRun(Part):
+    """A run by its changed params and its seed, with its `summary` at the last frame for people to read."""
+
+    set: dict[Word, Word]
+    seed: int
+    summary: dict[Word, Word]
+    frames: list[Frame]
+
+
+class Golden(Part):
+    golden: Literal[1]
+    made: dict[Word, Word]
+    runs: list[GoldenRun]
+
+
+class GoldenError(Exception):
+    """Why a file is no golden file, in words that stand alone."""
+
+
+@dataclass(slots=True)
+class GoldenResult:
+    """What became of a golden run: same, differs, written, or waiting. `frame` is the first that differs; `seen` the one at which
+    `found` was found out; `made`: where the golden run was made, if not in a place like this."""
+
+    scene: Path
+    changes: Mapping[str, str]
+    seed: int
+    outcome: str = "waiting"
+    frame: int | None = None
+    seen: int | None = None
+    found: list[Difference] = field(default_factory=list)
+    words: str = ""
+    made: str = ""
+    frames: int = 0
+
+    @property
+    def name(self) -> str:
+        return "golden run of " + ", ".join([self.scene.name, *(f"{name} = {text}" for name, text in self.changes.items())])
+
+
+class Watch(Protocol):
+    """Looks at each frame of a run; the run goes on at least until it is over."""
+
+    @property
+    def over(self) -> bool: ...
+    def look(self, world: World) -> None: ...
+    def end(self, world: World) -> None: ...
+
+
+def golden_path(scene: Path) -> Path:
+    """Where the golden runs of a scene are kept."""
+    return scene.with_name(f"{scene.stem}.golden.json")
+
+
+def here() -> dict[str, str]:
+    """What a run is made with."""
+    return {
+        "antdsl": __version__, "python": platform.python_version(), "numpy": np.__version__,
+        "system": f"{platform.system()} {platform.machine()}",
+    }  # fmt: skip
+
+
+def read_golden(path: Path) -> Golden | None:
+    """The golden runs of a file, None where there is no file; GoldenError says what is wrong with one."""
+    try:
+        return Golden.model_validate_json(read_bounded(path, _BYTES))
+    except FileNotFoundError:
+        return None
+    except TooLarge:
+        raise GoldenError(f"`{path.name}` is larger than a file of golden runs can be") from None
+    except OSError as problem:
+        raise GoldenError(f"`{path.name}` cannot be read: {(problem.strerror or str(problem)).lower()}") from None
+    except (ValidationError, RecursionError):
+        raise GoldenError(f"`{path.name}` is damaged, or of another version") from None
+
+
+def write_golden(path: Path, runs: Iterable[GoldenRun]) -> None:
+    """Write golden runs, a line for each frame, so that a comparison of texts shows what changed."""
+    lines = [f'{{"golden": 1,\n"made": {json.dumps(here())},\n"runs": [']
+    ordered = sorted(runs, key=lambda run: (sorted(run.set.items()), run.seed))
+    for number, run in enumerate(ordered):
+        head = f'{{"set": {json.dumps(run.set, ensure_ascii=False)}, "seed": {run.seed},\n"summary": {{\n'
+        told = ",\n".join(f" {json.dumps(k)}: {json.dumps(v, ensure_ascii=False)}" for k, v in run.summary.items())
+        frames = ",\n".join(
+            json.dumps(frame.model_dump(exclude_defaults=True), ensure_ascii=False, separators=(",", ":")) for frame in run.frames
+        )
+        lines.append(f'{head}{told}}},\n"frames": [\n{frames}\n]}}{"," if number + 1 < len(ordered) else ""}')
+    write_whole(path, ("\n".join(lines) + "\n]}\n").encode(), sync=False)
+
+
+class Recorder:
+    """Makes a golden run out of a run of about `frames` frames. It is over whenever the run is."""
+
+    over = True
+
+    def __init__(self, run: Run, result: GoldenResult, frames: int) -> None:
+        self.program, self.result = run.shot.program, result
+        self.every = max(1, -(-frames // STATIONS))
+        self.known: dict[str, Sums] = {}
+        self.frames: list[Frame] = []
+        self.made: GoldenRun | None = None
+
+    def look(self, world: World) -> None:
+        frame = Frame(frame=world.frame, hash=state_hash(world))
+        if len(self.frames) % self.every == 0:
+            found = _sums(world, self.program)
+            frame.parts = {key: sums for key, sums in found.items() if self.known.get(key) != sums}
+            frame.parts |= {key: ("", "", "") for key in self.known.keys() - found.keys()}
+            frame.agents = _digests(world, self.program)
+            self.known = found
+        self.frames.append(frame)
+
+    def end(self, world: World) -> None:
+        """Put the golden run together."""
+        self.result.frames = len(self.frames)
+        summary = {name: f"{len(population)} agents" for name, population in sorted(world.populations.items())}
+        told = {key: column.told(world) for key, column in columns(world, self.program).items()}
+        summary |= {key: words for key, words in told.items() if words}
+        self.made = GoldenRun(set=dict(self.result.changes), seed=self.result.seed, summary=summary, frames=self.frames)
+
+
+class Comparer:
+    """Holds a run against a golden one: `result` says how it came out."""
+
+    def __init__(self, run: Run, result: GoldenResult, golden: GoldenRun, made: Mapping[str, str]) -> None:
+        self.program, self.result, self.golden = run.shot.program, result, golden
+        self.made = ", ".join(f"{name} {text}" for name, text in made.items()) if dict(made) != here() else ""
+        self.known: dict[str, Sums] = {}
+        self.over = False
+
+    def look(self, world: World) -> None:
+        if self.over:
+            return
+        kept = self.golden.frames[self.result.frames]
+        if kept.frame != world.frame:
+            self._differs(world.frame, f"the run begins at frame {world.frame}, it began at frame {kept.frame}")
+            self.over = True
+            return
+        self.result.frames += 1
+        if kept.parts or kept.agents:
+            self.known = {key: sums for key, sums in {**self.known, **kept.parts}.items() if any(sums)}
+        if self.result.frame is None and state_hash(world) != kept.hash:
+            self._differs(world.frame, "")
+        if self.result.frame is not None and kept.agents:
+            self.result.seen = world.frame
+            self.result.found = differences(world, self.program, self.known, kept.agents)
+            self.over = True
+        elif self.result.frames == len(self.golden.frames):
+            self.over = True
+            if self.result.frame is None:
+                self.result.outcome = "same"
+            else:
+                self.result.words = "no frame after that is kept in detail"
+
+    def end(self, world: World) -> None:
+        """All is known."""
+
+    def _differs(self, frame: int, words: str) -> None:
+        self.result.outcome, self.result.frame, self.result.words, self.result.made = "differs", frame, words, self.made
+
+
+def _sums(world: World, program: Program) -> dict[str, Sums]:
+    found = {}
+    for key, column in columns(world, program).items():
+        first, second = column.sums()
+        found[key] = (f"{first:x}", f"{second:x}", column.told(world))
+    return found
+
+
+def _digests(world: World, program: Program) -> dict[str, str]:
+    return {name: digest(world, population, program) for name, population in sorted(world.populations.items())}

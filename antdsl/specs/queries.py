@@ -1,0 +1,142 @@
+"""Asks the agents and items of a world what a spec wants to know of them, in a copy whose registers are the spec's.
+
+The run's own backend answers; nothing of the run changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from math import radians
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.plan import ir
+from antdsl.plan.lowering.spec_blocks import SpecPlan
+from antdsl.plan.traverse import needed, operands, statements
+from antdsl.program.expectations import MOTION
+from antdsl.runtime.backends import BACKENDS
+from antdsl.runtime.effects import Effects
+from antdsl.runtime.lifecycle import find_cells
+from antdsl.runtime.world import AXES, DTYPES, Items, Population, World
+from antdsl.specs.aggregates import value_of, whole
+from antdsl.specs.overlap_measures import measured
+
+_UNKNOWN = 1e300  # what no float32 can be: of agents that were not there yet
+
+
+class Asker:
+    """`ask` at each frame from the first on; `told` are then the numbers about wholes, by name."""
+
+    def __init__(self, plan: SpecPlan, world: World) -> None:
+        self.plan = plan
+        self.backend: Any = BACKENDS[world.options.backend](plan.plan)
+        self.told: dict[str, Any] = {}
+        self.names = [each.name for each in (*plan.wholes, *plan.starts, *plan.others)] + [f"motion.{name}" for name in MOTION]
+        self.starts: dict[str, NDArray[np.float64]] = {}  # by id
+        self.smelling = {name for name, species in plan.plan.species.items() if _smells(species)}
+
+    def value(self, world: World, node: ir.Node) -> Any:
+        """A number of the whole."""
+        return value_of(world, node, self.told)
+
+    def ask(self, world: World, others: Mapping[str, Any]) -> World:
+        """A copy of the world in which every agent and item has answered. `others`: numbers of the run that is compared with."""
+        self._measure(world)
+        self.told |= others
+        for items in world.items.values():
+            items.show()
+        there = copy(world)
+        there.plan, there.backend, there.grids, there.clearances = self.plan.plan, self.backend, {}, {}
+        there.populations = {name: self._judged(there, name) for name in self.plan.plan.species}
+        there.told = dict.fromkeys(self.names, np.float32(0))  # nobody has been asked yet
+        self.backend.begin(there)
+        self.run(there, "decide")
+        for each in self.plan.wholes:
+            self.told[each.name] = whole(world, there.populations, each)
+        for start in self.plan.starts:
+            if start.value is not None:
+                if start.name not in self.told:
+                    self.told[start.name] = value_of(world, start.value, self.told)
+            elif start.species is not None and start.asked is not None:
+                self._remember(there.populations[start.species], start.name, start.asked)
+        there.told |= {name: np.float32(number) for name, number in self.told.items()}
+        self.backend.begin(there)
+        self.run(there, "act")
+        return there
+
+    def run(self, there: World, block: str, species: str | None = None, rows: Any = None) -> None:
+        """Let all agents, or these rows of a species, answer the questions of a block."""
+        for name, population in there.populations.items():
+            if len(population) and getattr(population.plan, block).statements and species in (None, name):
+                self.backend.run(there, population, block, rows)
+
+    def _measure(self, world: World) -> None:
+        for name, number in world.motion.summary().items():
+            unknown = world.motion.ways == 0 and name in ("circling", "straightness")
+            told = radians(number) if MOTION[name] == "angle" else number
+            self.told[f"motion.{name}"] = np.float32(np.nan if unknown else told)
+
+    def _judged(self, there: World, name: str) -> Population:
+        """All agents of a species, all items of a name or all cells of a field, to be asked one by one."""
+        if name in there.items:
+            return self._items(there.items[name])
+        return self._cells(there, name) if name in there.fields else self._agents(there, there.populations[name])
+
+    def _cells(self, there: World, name: str) -> Population:
+        """Cells of a field as if they were agents."""
+        plan, values = self.plan.plan.species[name], np.asarray(there.fields[name].values)
+        start, count = {"value": values.astype(np.float32)}, len(values)
+        nobody, nowhere = np.zeros(count, np.bool_), np.broadcast_to(np.zeros(3), (count, 3))
+        now = _answers(plan.registers, start, count)
+        return Population(plan, np.arange(count), np.zeros(count, np.int64), nobody, start, now, nowhere, None, {}, {})
+
+    def _agents(self, there: World, population: Population) -> Population:
+        """A population with the same agents and registers for answers."""
+        found = copy(population)
+        found.plan, found.effects, found.cells = self.plan.plan.species[population.name], Effects(), {}
+        count = len(population)
+        registers = found.plan.registers
+        found.now = _answers(registers, population.start, count)
+        for name in self.plan.bodily.get(population.name, ()):
+            found.now[f"geometry.{name}"] = measured(there, population, name)
+        found.start = {**population.start, **found.now}
+        if population.name in self.smelling:
+            find_cells(there, found)
+        return found
+
+    def _items(self, items: Items) -> Population:
+        """Items as if they were agents of a species of their own."""
+        plan, count = self.plan.plan.species[items.name], len(items)
+        start = {f"position.{axis}": items.seen[axis] for axis in AXES}
+        start |= {name: items.seen[name] for name in ("radius", *items.amounts)}
+        nobody = np.zeros(count, np.bool_)
+        now = _answers(plan.registers, start, count)
+        return Population(plan, np.arange(count), np.zeros(count, np.int64), nobody, start, now, items.position, None, {}, {})
+
+    def _remember(self, judged: Population, name: str, asked: str) -> None:
+        """What a number was in each agent's first frame, into the register that the conditions read."""
+        ids, now = judged.ids, judged.now[asked]
+        values = self.starts[name] = by_id(self.starts.get(name, np.zeros(0)), ids, _UNKNOWN)
+        values[ids] = np.where(values[ids] == _UNKNOWN, now, values[ids])
+        judged.start[name] = values[ids].astype(np.float32)
+
+
+def by_id(table: NDArray[Any], ids: NDArray[np.int64], unknown: Any) -> NDArray[Any]:
+    """The table, long enough for every id that there is; ids are counted from 0."""
+    more = int(ids.max(initial=-1)) + 1 - len(table)
+    return table if more <= 0 else np.concatenate([table, np.full(max(more, len(table)), unknown, table.dtype)])
+
+
+def _answers(registers: Mapping[str, ir.Register], known: Mapping[str, Any], count: int) -> dict[str, NDArray[Any]]:
+    """Arrays for what the blocks will store; a number that is none stays so."""
+    own = [register for register in registers.values() if register.name not in known]
+    return {r.name: np.full(count, np.nan if r.kind is ir.Kind.F32 else 0, DTYPES[r.kind]) for r in own}
+
+
+def _smells(species: ir.SpeciesPlan) -> bool:
+    """Whether a block asks for the agent's own cell of a field."""
+    asked = (node for block in (species.decide, species.act, species.blend) for _, s in statements(block) for node in operands(s))
+    return any(node.op.startswith("field.") for node in needed(asked))

@@ -1,0 +1,139 @@
+"""Keeps what led up to a failure: a cache whose every frame has a checkpoint, to be looked at and gone on from.
+
+While a spec is judged, only a copy of the state every so many frames is held. When a case has failed, the frames from the last
+such copy before the failure are simulated once more, now into a cache.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from antdsl.loading import shown
+from antdsl.outputs.cache.frames import static_arrays
+from antdsl.outputs.cache.writing import ForeignFolder, InTheWay, prepare_folder
+from antdsl.outputs.recording import Recording, record
+from antdsl.outputs.starting import StartError, source_of, start_hash
+from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.program.model import Const, Expr
+from antdsl.program.tables.units import measure, unit_of
+from antdsl.program.types.folding import constant_behind
+from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, state_hash
+from antdsl.runtime.checkpoints import Arrays
+from antdsl.scene.matching import const_base
+from antdsl.scene.quantities import BadQuantity, parse_quantity
+from antdsl.scene.setting import Setting
+from antdsl.scene.values import FrameRange
+from antdsl.specs.cases import Case, Kept, Run
+
+EVERY = 12  # frames between two copies of the state
+MOST = 5  # cases kept of one `antdsl test`
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """When a case failed, the hash of the state there (none where the step itself did), and the state of a frame before."""
+
+    frame: int
+    hash: str | None
+    arrays: Arrays
+
+    @property
+    def begins(self) -> int:
+        return int(self.arrays["frame"])
+
+
+class Trail:
+    """Copies of a run's state, of which the last one is held. What moves by the scene's own frames goes on from the first
+    alone."""
+
+    def __init__(self, setting: Setting) -> None:
+        self.whole = bool(setting.moves) or (setting.camera is not None and len(setting.camera.at) > 1)
+        self.last: Arrays | None = None
+
+    def keep(self, world: World) -> None:
+        """Called for each frame once it has been judged."""
+        if self.last is None or (not self.whole and world.frame >= int(self.last["frame"]) + EVERY):
+            self.last = checkpoint(world)
+
+    def moment(self, world: World) -> Moment:
+        """What is needed to come to this frame again."""
+        return Moment(world.frame, state_hash(world), checkpoint(world) if self.last is None else self.last)
+
+
+@dataclass(slots=True)
+class Keeper:
+    """Saves failed cases below `folder`, or below `out/failed` beside their scenes."""
+
+    folder: Path | None
+    grants: Mapping[str, Path]
+    options: Options
+    count: int = 0
+
+    def save(self, run: Run, case: Case, moment: Moment) -> Kept:
+        """Simulate up to the failure again, into a cache. What went wrong with that stands in the `Kept`."""
+        self.count += 1
+        if self.count > MOST:
+            return Kept(None, f"not saved: only the first {MOST} are")
+        above = self.folder if self.folder is not None else case.scene.parent / "out" / "failed"
+        folder = above / f"{slug(case.name)}-{case.seed}"
+        params = {change.name: _flag(run.shot, change.value) for change in case.spec.changes}
+        frames = FrameRange(moment.begins, max(run.shot.frames.last, moment.frame + 1))
+        shot, report = open_scene(case.scene, Choices(self.grants, frames, run.seed, params))
+        if shot is None:
+            return Kept(None, f"not saved: {report.errors[0].message}")
+        try:
+            found = self._record(shot, folder, moment)
+        except (OSError, ForeignFolder, InTheWay, StartError, CheckpointError) as why:
+            return Kept(None, f"not saved: {str(why).lower()}")
+        words = [f"--root {shlex.quote(f'{name}={path}')}" for name, path in self.grants.items()]
+        words += [f"--set {shlex.quote(f'{name}={text}')}" for name, text in params.items()]
+        here, scene = shlex.quote(shown(folder)), shlex.quote(shown(case.scene))
+        again = " ".join([f"antdsl run {scene} --frames {frames.first}..{frames.last} --seed {run.seed}", *words])
+        failed = moment.frame + (moment.hash is None)  # a step with a fault is not saved
+        whose = next((f.agents for f in case.failures if f.frame == failed and f.agents), ())
+        agents = f" --agents {','.join(map(str, whose))} --show trail,ids" if whose else ""
+        look = f"antdsl render {here} --frames {max(moment.begins, moment.frame - 1)}..{moment.frame}{agents}"
+        same = moment.hash is None or found == moment.hash
+        note = "" if same else "what was saved came out differently, which is a mistake of antdsl"
+        return Kept(folder, note, moment.begins, moment.frame, look, f"{again} --out {here} --resume")
+
+    def _record(self, shot: Shot, folder: Path, moment: Moment) -> str:
+        """Write the frames from the copy to the failure; gives the hash of the last."""
+        model = shot.scene.model
+        output = model.output.model_copy(update={"checkpoint": 1})
+        short = FrameRange(moment.begins, moment.frame)
+        scene = shot.scene.changed(output=output, frames=short, preroll=0)
+        begins = source_of(shot)
+        if begins is not None and begins.resolve() == folder.resolve():
+            raise ForeignFolder(f"`{folder}` is what the scene begins with")
+        prepare_folder(folder, force=False)
+        world = bind(shot.plan, shot.setting, self.options)
+        restore(world, moment.arrays)
+        inputs = {**shot.inputs, **start_hash(shot)}
+        recording = Recording(replace(shot, scene=scene), folder, world, inputs, static=static_arrays(world, shot.setting))
+        for _ in record(recording):
+            pass
+        return recording.hash
+
+
+def slug(name: str) -> str:
+    """A name as a folder: letters, digits and hyphens."""
+    return "-".join(re.findall("[a-z0-9]+", name.lower()))[:60].strip("-") or "spec"
+
+
+def _flag(shot: Shot, value: Expr) -> str:
+    """A changed value as `--set` takes it: as it is written, or its number with a unit where it was worked out."""
+    text = "".join(value.span.text.split())
+    try:
+        parse_quantity(text)
+    except BadQuantity:
+        known = constant_behind(value)
+        assert isinstance(known, Const)
+        unit = unit_of(known.type.dim)
+        one = measure(unit)
+        return f"{const_base(known, shot.scene) / (1.0 if one is None else one.factor)!r}{unit}"
+    return text

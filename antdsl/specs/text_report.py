@@ -1,0 +1,135 @@
+"""Results in words: a case for each spec and seed, with place, frame, agents and values of what went wrong; golden runs;
+coverage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from antdsl.diagnostics.places import safe
+from antdsl.loading import shown
+from antdsl.specs.cases import Case, Failure, Kept
+from antdsl.specs.coverage import Counted, Coverage
+from antdsl.specs.golden.recorded import GoldenResult
+from antdsl.specs.verdicts import Verdict
+
+_MOST_TOLD = 20  # states and changes that nobody met, in words
+_MOST_DIFFERENCES = 6
+
+
+def one_line(case: Case) -> str:
+    """`passed  "no crumb is lost", seed 3: 240 frames, 1.2 s`."""
+    return f'{case.outcome:<7} "{safe(case.name)}", seed {case.seed}: {case.frames} frames, {case.seconds:.1f} s'
+
+
+def failed(case: Case) -> str:
+    """The case's line, then each failure with its place, when, who, and the values; then how to look at it."""
+    lines = [one_line(case), *(f"  {line}" for failure in case.failures for line in told(failure))]
+    return "\n".join(lines + ([] if case.kept is None else [f"  {line}" for line in _kept(case.kept)]))
+
+
+def told(failure: Failure) -> list[str]:
+    """A failure in lines: what was expected where, when it was not so, by whom, and what the values were."""
+    where = f"{failure.span}: " if failure.span is not None else ""
+    lines = [f"{safe(where)}{safe(failure.message)}"]
+    if failure.frame is not None:
+        when = f"  first at frame {failure.frame}"
+        when += f", {failure.time:.6g} s from the start" if failure.time is not None else ""
+        lines.append(when + (f", by {_whom(failure)}" if failure.agent else ""))
+    if failure.began is not None:
+        lines.append(f"  waiting since frame {failure.began}")
+    if failure.others and (failure.values or failure.whereabouts):
+        lines.append(f"  of {_one(failure)}:")
+    asked = {text for text, _ in failure.values}
+    besides = [pair for pair in failure.whereabouts if pair[0] not in asked]
+    return lines + [f"    {safe(text)} is {safe(value)}" for text, value in (*failure.values, *besides)]
+
+
+def _one(failure: Failure) -> str:
+    return "" if failure.agent is None else f"{failure.agent[0]} {failure.agent[1]}"
+
+
+def _whom(failure: Failure) -> str:
+    assert failure.agent is not None
+    named = failure.agents or (failure.agent[1],)
+    more = failure.others + 1 - len(named)
+    return f"{failure.agent[0]} {', '.join(map(str, named))}" + (f" and {more} more" if more > 0 else "")
+
+
+def _kept(kept: Kept) -> list[str]:
+    if kept.folder is None:
+        return [safe(kept.note)]
+    lines = [f"saved: frames {kept.begins} to {kept.frame} in {safe(shown(kept.folder))}"]
+    lines += [safe(kept.note)] if kept.note else []
+    return [*lines, f"  see it:         {safe(kept.look)}", f"  go on from it:  {safe(kept.again)}"]
+
+
+def settled(verdict: Verdict) -> str:
+    """`"ants come home": 4 of 5 seeds passed, enough for 80 %`."""
+    ends = {True: "enough for", False: "too few for", None: "not all were run, of"}[verdict.holds]
+    share = f"{verdict.spec.share * 100:.6g} %"
+    return f'"{safe(verdict.spec.name)}": {verdict.passed} of {verdict.cases} seeds passed, {ends} {share}'
+
+
+def golden(result: GoldenResult) -> str:
+    """A golden run in words: what differs first, and of whom."""
+    words = {"same": "same", "differs": "differs", "written": "written"}.get(result.outcome, "waiting")
+    line = f"{words:<7} {safe(result.name)}, seed {result.seed}: "
+    if result.outcome != "differs":
+        return line + (result.words or f"{result.frames} frames")
+    lines = [f"{line}first at frame {result.frame}"]
+    lines += [f"  {result.words}"] if result.words else []
+    if result.seen is not None and result.seen != result.frame:
+        lines.append(f"  seen at frame {result.seen}, the next that is kept in detail:")
+    lines += [f"  {safe(str(each))}" for each in result.found[:_MOST_DIFFERENCES]]
+    more = len(result.found) - _MOST_DIFFERENCES
+    lines += [f"  and {more} more attributes"] if more > 0 else []
+    lines += [f"  it was made with {safe(result.made)}, which is not what runs here"] if result.made else []
+    return "\n".join([*lines, "  if that is how it should be now, keep it: the same command with --update"])
+
+
+def counted(cases: Sequence[Case], mistakes: int, goldens: Sequence[GoldenResult] = ()) -> str:
+    """`5 passed, 1 failed, 2 mistakes in files`."""
+    numbers = {word: sum(case.outcome == word for case in cases) for word in ("passed", "failed", "allowed", "waiting")}
+    told = [f"{numbers['passed']} passed"]
+    told += [f"{numbers['failed']} failed"] if numbers["failed"] else []
+    told += [f"{numbers['allowed']} allowed to fail"] if numbers["allowed"] else []
+    told += [f"{numbers['waiting']} not finished"] if numbers["waiting"] else []
+    differ = sum(result.outcome == "differs" for result in goldens)
+    told += [f"{differ} golden run{'s' if differ > 1 else ''} differ{'' if differ > 1 else 's'}"] if differ else []
+    told += [f"{mistakes} mistake{'s' if mistakes > 1 else ''} in files"] if mistakes else []
+    return ", ".join(told)
+
+
+def covered(coverage: Coverage) -> str:
+    """Every state and change with how often it was met, in the order of the text: agents in a state each frame, agents that
+    changed."""
+    both = [(each, "state") for each in coverage.states.values()] + [(each, "change") for each in coverage.changes.values()]
+    both.sort(key=lambda pair: (pair[0].span.source.path, pair[0].span.start, pair[1] == "change"))
+    wide = max((len(f"{each.count:,}") for each, _ in both), default=0)
+    lines = [f"{each.count:>{wide},}  {'  ' if what == 'change' else ''}{_short(each.name)}" for each, what in both]
+    return "\n".join(lines)
+
+
+def uncovered(coverage: Coverage) -> str:
+    """How many states were entered and changes made, and those that never were."""
+    lines = []
+    for what, verb, table in (("states", "entered", coverage.states), ("changes", "made", coverage.changes)):
+        if table:
+            met = sum(each.count > 0 for each in table.values())
+            lines.append(f"{what} {verb}: {met} of {len(table)}")
+    never = _never(coverage)
+    lines += [f"  {each.span}: `{_short(each.name)}` was never {verb}" for each, verb in never[:_MOST_TOLD]]
+    if len(never) > _MOST_TOLD:
+        lines.append(f"  and {len(never) - _MOST_TOLD} more")
+    return "\n".join(lines)
+
+
+def _short(name: str) -> str:
+    """Without what is there for us only: the machine `main`, and the number of a change where it is the first."""
+    return name.replace(".main.", ".").removesuffix("#1").replace("->", " -> ")
+
+
+def _never(coverage: Coverage) -> list[tuple[Counted, str]]:
+    found = [(each, "entered") for each in coverage.states.values() if not each.count]
+    found += [(each, "made") for each in coverage.changes.values() if not each.count]
+    return sorted(found, key=lambda pair: (pair[0].span.source.path, pair[0].span.start))

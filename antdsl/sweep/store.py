@@ -1,0 +1,53 @@
+"""What is finished stays: one small file a run, so that a sweep that was stopped goes on where it was."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from antdsl import __version__, limits
+from antdsl.bounded import read_bounded
+from antdsl.outputs.cache.npz import write_whole
+from antdsl.sweep.jobs import Job
+
+MARK = "sweep.json"
+_BYTES = 16 * limits.MIB  # of what is kept of one run
+
+
+class OtherFiles(Exception):
+    """The folder holds something else than a sweep."""
+
+
+class Keeper:
+    """The folder of a sweep: `runs/` has a file for each run that was finished."""
+
+    def __init__(self, folder: Path) -> None:
+        if folder.is_dir() and any(folder.iterdir()) and not (folder / "runs").is_dir():
+            raise OtherFiles(f"`{folder}` has other files")
+        self.folder = folder
+        self.runs = folder / "runs"
+        self.runs.mkdir(parents=True, exist_ok=True)
+
+    def path(self, job: Job) -> Path:
+        return self.runs / f"{job.key}.json"
+
+    def kept(self, job: Job) -> dict[str, Any] | None:
+        """The measures of a run that was finished before, or None."""
+        try:
+            document = json.loads(read_bounded(self.path(job), _BYTES))
+        except (OSError, ValueError, RecursionError):
+            return None
+        fits = isinstance(document, dict) and document.get("key") == job.key and isinstance(document.get("measures"), dict)
+        return document["measures"] if fits else None
+
+    def keep(self, job: Job, measures: Mapping[str, Any]) -> None:
+        """Write a run's measures; the file is there whole or not at all."""
+        document = about(job) | {"key": job.key, "antdsl": __version__, "measures": measures}
+        write_whole(self.path(job), (json.dumps(document, indent=1) + "\n").encode(), sync=False)
+
+
+def about(job: Job) -> dict[str, Any]:
+    """What a run was, in plain words."""
+    return {"label": job.label, "scene": Path(job.scene).name, "set": dict(job.params), "seed": job.seed}

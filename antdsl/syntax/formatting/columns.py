@@ -1,0 +1,130 @@
+"""Lines of one kind that follow each other → the same with their marks below each other: `->`, `=`, values, helps, comments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+from antdsl.syntax.formatting.brackets import Leaf, Node
+from antdsl.syntax.formatting.items import Block, Statement
+
+MOST = 64  # characters; what is longer before a mark does not push the marks of its neighbours away
+_COMMENT_GAP = 2  # blanks before a comment, at least
+
+
+@dataclass(slots=True)
+class Row:
+    """A statement or a comment on the way to its lines: the cells of its first line, by the kind it is aligned with, and the
+    lines that follow, if there are any. `alone` is true where its neighbours do not mind it."""
+
+    kind: str
+    cells: list[str]
+    rest: list[str]
+    comment: str | None
+    blank_before: bool
+    alone: bool
+
+
+def cells(statement: Statement) -> tuple[str, list[Sequence[Node | Block]]]:
+    """What a statement that fits on one line is aligned with, and its parts cut at the marks. The last cell is the help."""
+    parts, words = statement.parts, statement.words
+    kind, mark = _kind(statement.rule, words)
+    if mark is None:
+        return "plain", [parts]
+    place = mark(parts)
+    if place is None:
+        return "plain", [parts]
+    last = parts[-1]
+    end = len(parts) - 1 if isinstance(last, Leaf) and last.kind == "text" and place < len(parts) - 1 else len(parts)
+    block = place + 1 if kind == "world_item" else end
+    return kind, [parts[:place], parts[place:block], parts[block:end], parts[end:]]
+
+
+Mark = Callable[[Sequence[Node | Block]], int | None]
+
+
+def _at(sign: str) -> Mark:
+    """Where a sign stands outside all brackets."""
+
+    def place(parts: Sequence[Node | Block]) -> int | None:
+        return next((k for k, part in enumerate(parts) if k and isinstance(part, Leaf) and part.text == sign), None)
+
+    return place
+
+
+def _second(parts: Sequence[Node | Block]) -> int | None:
+    return 1 if len(parts) > 1 else None
+
+
+def _kind(rule: str, words: Sequence[str]) -> tuple[str, Mark | None]:
+    """By the rule and the first words of a line: the lines it is aligned with, and the mark."""
+    first = words[0] if words else ""
+    if rule in ("world_item", "setting"):
+        return rule, _second
+    if rule == "rule":
+        return rule, _at("->")
+    if rule in ("declaration", "weight"):
+        return rule, _at("=")
+    if rule in ("member", "machine_member", "statement", "behaviour_line"):
+        if first in ("when", "interrupt", "from"):
+            return "change", _at("->")
+        if first in ("param", "let", "latch", "keep"):
+            return "let" if first == "latch" else first, _at("=")
+    if rule == "member" and "{" not in words:
+        return _member(words)
+    return "plain", None
+
+
+def _member(words: Sequence[str]) -> tuple[str, Mark | None]:
+    """A line of a species that begins with a name: an attribute, or something given."""
+    if words[0] in ("start", "on", "layers", "machine", "state", "fuzzy") and words[1:2] not in (["="], [":"]):
+        return "plain", None
+    return ("declaration", _at("=")) if words[1:2] in (["="], [":"]) else ("given", _second)
+
+
+def aligned(rows: Sequence[Row], indent: int) -> list[str]:
+    """The lines of a block: marks below each other within a run of lines without a blank line or a comment line in between."""
+    lines: list[str] = []
+    for run in _runs(rows):
+        if run[0].blank_before:
+            lines.append("")
+        texts = [text for _, same in groupby(run, key=lambda row: row.kind) for text in _marked(list(same))]
+        column = _column([text for row, text in zip(run, texts, strict=True) if row.comment], _COMMENT_GAP)
+        for row, text in zip(run, texts, strict=True):
+            first = text if row.comment is None or row.rest else _padded(text, column, row.comment, _COMMENT_GAP)
+            lines += [" " * indent + first, *row.rest]
+            if row.rest and row.comment is not None:
+                lines[-1] += " " * _COMMENT_GAP + row.comment
+    return lines
+
+
+def _runs(rows: Sequence[Row]) -> Iterator[list[Row]]:
+    """Rows that stand in lines one below the other; a comment line, and a statement of several lines, stands by itself."""
+    run: list[Row] = []
+    for row in rows:
+        if run and (row.blank_before or row.alone or run[-1].alone):
+            yield run
+            run = []
+        run.append(row)
+    if run:
+        yield run
+
+
+def _marked(rows: Sequence[Row]) -> list[str]:
+    """The texts of rows of one kind, their cells below each other."""
+    texts = [row.cells[0] for row in rows]
+    for k in range(1, max(len(row.cells) for row in rows)):
+        there = [len(row.cells) > k and row.cells[k] != "" for row in rows]
+        column = _column([text for text, has in zip(texts, there, strict=True) if has], 1)
+        texts = [_padded(t, column, r.cells[k], 1) if has else t for t, r, has in zip(texts, rows, there, strict=True)]
+    return texts
+
+
+def _column(texts: Sequence[str], gap: int) -> int:
+    """Where what follows texts begins."""
+    return max((len(text) + gap for text in texts if len(text) <= MOST), default=0)
+
+
+def _padded(text: str, column: int, following: str, gap: int) -> str:
+    return (text + " " * gap).ljust(column) + following if len(text) <= MOST else text + " " * gap + following

@@ -1,0 +1,187 @@
+"""A parsed file → the items that its layout is made of: statements with their blocks, and the comments, each where it belongs.
+
+Tokens and lines are those that the parser is given; the tree only tells which brackets follow a function and which minus has
+nothing on its left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any
+
+from antdsl.diagnostics.model import Report
+from antdsl.source import Source, Span
+from antdsl.syntax import nodes as n
+from antdsl.syntax.blocks import Group, Line, cut
+from antdsl.syntax.brackets import pair
+from antdsl.syntax.formatting.brackets import Bracket, Leaf, Node, Reader
+from antdsl.syntax.scan import Scan, scan
+from antdsl.syntax.words import BODIES
+
+
+@dataclass(slots=True)
+class Remark:
+    """A comment on a line of its own."""
+
+    text: str
+    blank_before: bool
+
+
+@dataclass(slots=True)
+class Block:
+    """What stands between two braces. `one_line` is true where all statements stood on one line; `head` is the comment after
+    `{`."""
+
+    items: list[Item]
+    one_line: bool
+    head: str | None = None
+
+
+@dataclass(slots=True)
+class Statement:
+    """A statement: its words and brackets, with a `Block` in place of each pair of braces. `rule` is that of its block's lines in
+    the grammar, `comment` the one behind it."""
+
+    rule: str
+    parts: list[Node | Block]
+    blank_before: bool
+    comment: str | None = None
+
+    @property
+    def words(self) -> list[str]:
+        """The first words, up to the first bracket or block."""
+        found: list[str] = []
+        for part in self.parts:
+            if not isinstance(part, Leaf):
+                break
+            found.append(part.text)
+        return found
+
+
+Item = Statement | Remark
+
+
+def must_open(part: Node | Block) -> bool:
+    """Whether a part of a statement cannot stand on one line with the rest."""
+    return part.forced if isinstance(part, Bracket) else isinstance(part, Block) and not part.one_line
+
+
+def items(file: n.File) -> list[Item]:
+    """The items of a file that was parsed without an error."""
+    scanned = scan(file.source, Report())
+    tokens = pair(scanned)
+    assert tokens is not None, "a file with too many brackets open was not parsed without an error"
+    return _Sorter(scanned, *_places(file)).items(cut(scanned, tokens), "top", 0, len(file.source.text))
+
+
+def _places(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
+    """Where functions end whose arguments follow, and where a minus stands that has nothing on its left."""
+    calls: set[int] = set()
+    minus: set[int] = set()
+    stack: list[Any] = [file.items]
+    while stack:
+        part = stack.pop()
+        if isinstance(part, tuple):
+            stack.extend(part)
+        elif is_dataclass(part) and not isinstance(part, (Span, Source, type)):
+            if isinstance(part, n.Call):
+                calls.add(part.function.span.end)
+            elif isinstance(part, n.Unary) and part.op == "-":
+                minus.add(part.op_span.start)
+            elif isinstance(part, n.Carve | n.Emit | n.On | n.Behaviour):
+                name = {n.Carve: "solid", n.Emit: "event", n.On: "event", n.Behaviour: "name"}[type(part)]
+                calls.add(getattr(part, name).span.end)
+            stack.extend(getattr(part, each.name) for each in fields(part))
+    return frozenset(calls), frozenset(minus)
+
+
+@dataclass(slots=True)
+class _Sorter:
+    """One walk over the lines of a text; comments are taken in the order of the text."""
+
+    scan: Scan
+    calls: frozenset[int]
+    minus: frozenset[int]
+    taken: int = field(default=0)  # how many comments have found their place
+
+    def next_before(self, offset: int) -> n.Comment | None:
+        """The next comment, if it begins before an offset."""
+        comments = self.scan.comments
+        if self.taken < len(comments) and comments[self.taken].span.start < offset:
+            self.taken += 1
+            return comments[self.taken - 1]
+        return None
+
+    def line_ends(self, start: int, end: int) -> int:
+        return self.scan.source.text.count("\n", start, end)
+
+    def items(self, lines: Sequence[Line], rule: str, start: int, end: int) -> list[Item]:
+        """The statements and comments between two offsets."""
+        found: list[Item] = []
+        last = start  # where the item before ends
+        for line in lines:
+            last = self.remarks(found, last, line.start)
+            found.append(self.statement(line, rule, self.blank(found, last, line.start)))
+            last = line.end
+        self.remarks(found, last, end)
+        return found
+
+    def blank(self, found: list[Item], last: int, start: int) -> bool:
+        return bool(found) and self.line_ends(last, start) > 1
+
+    def remarks(self, found: list[Item], last: int, end: int) -> int:
+        """Puts the comments up to `end` behind the last statement or on lines of their own; gives where the last of them ends."""
+        while (comment := self.next_before(end)) is not None:
+            text = comment.text.rstrip()
+            before = found[-1] if found else None
+            if isinstance(before, Statement) and before.comment is None and not self.line_ends(last, comment.span.start):
+                before.comment = text
+            else:
+                found.append(Remark(text, self.blank(found, last, comment.span.start)))
+            last = comment.span.end
+        return last
+
+    def statement(self, line: Line, rule: str, blank_before: bool) -> Statement:
+        reader = Reader(self.scan, self.calls, self.minus, self.next_before)
+        parts: list[Node | Block] = []
+        groups = iter(line.groups)
+        index = 0
+        while index < len(line.tokens):
+            token = line.tokens[index]
+            if token.kind == "open" and self.scan.clean[token.start] == "{":
+                first = parts[0].text if isinstance(parts[0], Leaf) else ""
+                parts.append(self.block(next(groups), rule, first))
+                index += 2  # the closing brace is the next token: what lies between belongs to the group
+                reader.resume(line.tokens[index - 1])
+            else:
+                node, index = reader.node(line.tokens, index)
+                parts.append(node)
+        return Statement(rule, parts, blank_before)
+
+    def block(self, group: Group, rule: str, first: str) -> Block:
+        inner = "weight" if group.chooses else BODIES.get((rule, first)) or BODIES.get((rule, "*")) or ""
+        start, end = group.open.end, group.close.start
+        head = None
+        comments = self.scan.comments
+        limit = group.lines[0].start if group.lines else end
+        if self.taken < len(comments) and not self.line_ends(start, comments[self.taken].span.start):
+            comment = self.next_before(limit)
+            if comment is not None:
+                head, start = comment.text.rstrip(), comment.span.end
+        found = self.items(group.lines, inner, start, end)
+        return Block(found, self.one_line(group, found, head), head)
+
+    def one_line(self, group: Group, found: list[Item], head: str | None) -> bool:
+        """Whether no statement of a block begins a line, and nothing in it has to."""
+        if not found and head is None:
+            return True
+        for item in found:
+            if isinstance(item, Remark) or item.comment is not None:
+                return False
+            if any(must_open(part) for part in item.parts):
+                return False
+        if head is not None:
+            return False
+        ends = [group.open.end, *(line.end for line in group.lines)]
+        starts = [*(line.start for line in group.lines), group.close.start]
+        return not any(self.line_ends(end, start) for end, start in zip(ends, starts, strict=True))

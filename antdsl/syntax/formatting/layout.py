@@ -1,0 +1,80 @@
+"""A text → the same program in the one layout: comments kept, and what was written is read again before anybody gets it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+from antdsl import limits
+from antdsl.diagnostics.model import Report
+from antdsl.source import Source, Span
+from antdsl.syntax import nodes as n
+from antdsl.syntax.formatting.items import items
+from antdsl.syntax.formatting.lines import text_of_items
+from antdsl.syntax.parser import parse
+
+
+class NotTheSame(RuntimeError):
+    """The layout changed what a text means, or lost a comment. Nobody's text can cause it but by a bug here."""
+
+
+def format(source: Source) -> tuple[str | None, Report]:
+    """The text in the one layout, and what parsing had to say. None where the text has errors: what is not understood is not
+    moved about; and where it would grow beyond the limits of a text. Formatting what comes out gives the same text again.
+    Raises NotTheSame where the result would mean something else."""
+    file, report = parse(source)
+    if not report.ok:
+        return None, report
+    text = text_of_items(items(file))
+    if text == source.text:
+        return text, report
+    if too_long(source, text, report):
+        return None, report
+    again, findings = parse(Source(source.path, text))
+    if not findings.ok or difference(file, again):
+        raise NotTheSame(f"{source.path}: {difference(file, again) or findings.diagnostics[0].message}")
+    return text, report
+
+
+def too_long(source: Source, text: str, report: Report) -> bool:
+    """Complains where a text that could be read could not be read any more once it is laid out: lines that were broken come
+    together before a long help, and blanks take room."""
+    line = max(text.split("\n"), key=len).strip()
+    if len(line) > limits.LINE_CHARACTERS:
+        message = f"line that begins with `{line[:40]}` would have more than {limits.LINE_CHARACTERS} characters"
+        report.error("line-too-long", message, Span(source, 0, 0), "shorten its text, or give parts of it a name with `let`")
+    if len(text.encode("utf-8", "surrogatepass")) > limits.ANT_FILE_BYTES:
+        message = f"laid out, the file would be larger than {limits.ANT_FILE_BYTES // limits.KIB} KiB"
+        report.error("file-too-large", message, Span(source, 0, 0), "split it, and bring the parts in with `use`")
+    return not report.ok
+
+
+def difference(one: n.File, other: n.File) -> str | None:
+    """What differs between two files apart from where it stands, in a few words; None when they are the same program with the
+    same comments."""
+    ours, theirs = ([comment.text.rstrip() for comment in file.comments] for file in (one, other))
+    if ours != theirs:
+        return next((f"comment `{a}` became `{b}`" for a, b in zip(ours, theirs, strict=False) if a != b), "a comment was lost")
+    left, right = parts(one), parts(other)
+    for a, b in zip(left, right, strict=False):
+        if a != b:
+            return f"`{a}` became `{b}`"
+    rest = next(left, None) or next(right, None)
+    return None if rest is None else f"`{rest}` was lost or came in"
+
+
+def parts(node: Any) -> Iterator[str]:
+    """A tree as a flat row of words: each node's kind, and what its leaves say. Places and comments are left out."""
+    stack = [node]
+    while stack:
+        part = stack.pop()
+        if isinstance(part, tuple):
+            yield f"{len(part)} things"
+            stack.extend(reversed(part))
+        elif is_dataclass(part) and not isinstance(part, type):
+            yield type(part).__name__
+            inner = [getattr(part, each.name) for each in fields(part) if each.name not in ("comments", "doubtful", "broken")]
+            stack.extend(reversed([each for each in inner if not isinstance(each, (Span, Source))]))
+        else:
+            yield repr(part)

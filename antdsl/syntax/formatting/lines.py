@@ -1,0 +1,136 @@
+"""The items of a text → its lines. A line that is too long is broken inside its brackets; a block stays on one line where its
+author put it there and it fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from antdsl.syntax.formatting.brackets import Bracket, Leaf, Node, Slot, operands
+from antdsl.syntax.formatting.columns import Row, aligned, cells
+from antdsl.syntax.formatting.items import Block, Item, Remark, Statement, must_open
+
+WIDTH = 120  # characters of a line that can be broken
+STEP = 2  # blanks by which a block is set in
+
+Part = Node | Block
+
+
+def text_of_items(items: Sequence[Item]) -> str:
+    return "".join(f"{line}\n" for line in _block(items, 0))
+
+
+def _block(items: Sequence[Item], indent: int) -> list[str]:
+    """The lines of the items of a block, set in by so many blanks."""
+    rows = [_row(item, indent) for item in items]
+    return aligned(rows, indent)
+
+
+def _row(item: Item, indent: int) -> Row:
+    if isinstance(item, Remark):
+        return Row("remark", [item.text], [], None, item.blank_before, True)
+    lines = _statement(item.parts, indent)
+    if len(lines) > 1:
+        return Row("long", lines[:1], lines[1:], item.comment, item.blank_before, True)
+    kind, parts = cells(item)
+    return Row(kind, [_flat(part).strip(" ") for part in parts], [], item.comment, item.blank_before, False)
+
+
+def _flat(parts: Sequence[Part]) -> str:
+    """Parts on one line."""
+    return "".join(_flat_block(part) if isinstance(part, Block) else part.flat for part in parts)
+
+
+def _flat_block(block: Block) -> str:
+    if not block.items:
+        return " {}"
+    return " { " + "; ".join(_flat(item.parts) for item in block.items if isinstance(item, Statement)) + " }"
+
+
+def _statement(parts: Sequence[Part], indent: int) -> list[str]:
+    """The lines of a statement, the first without its indent."""
+    blocks = [k for k, part in enumerate(parts) if isinstance(part, Block)]
+    opened = [k for k in blocks if must_open(parts[k])]
+    for start, end in zip([-1, *opened], [*opened, len(parts)], strict=True):
+        inner = [k for k in blocks if start < k < end]
+        if inner and indent + len(_piece(parts, start, min(end, inner[-1] + 1))) > WIDTH:
+            opened += inner
+    opened.sort()
+    lines = [""]
+    for start, end in zip([-1, *opened], [*opened, len(parts)], strict=True):
+        block = parts[end] if end < len(parts) else None
+        piece = _sequence(parts[start + 1 : end], indent, len(lines[-1]) or indent, len(" {") if block else 0)
+        lines[-1] += piece[0]
+        lines += piece[1:]
+        if isinstance(block, Block):
+            lines[-1] += " {" + (f"  {block.head}" if block.head else "")
+            lines += _block(block.items, indent + STEP)
+            lines.append(" " * indent + "}")
+    return lines
+
+
+def _piece(parts: Sequence[Part], start: int, end: int) -> str:
+    """What stands on one line between two open blocks, with the brace before and, if one follows, after it."""
+    text = _flat(parts[start + 1 : end])
+    return ("}" if start >= 0 else "") + text + (" {" if end < len(parts) and isinstance(parts[end], Block) else "")
+
+
+def _sequence(parts: Sequence[Part], indent: int, column: int, suffix: int = 0) -> list[str]:
+    """Parts one after the other from a column on; each bracket is broken that does not fit together with what follows up to the
+    next bracket. `suffix` characters follow the last part."""
+    lines = [""]
+    for k, part in enumerate(parts):
+        if isinstance(part, Bracket) and (part.forced or column + _reach(parts, k, suffix) > WIDTH):
+            inside = _bracket(part, indent)
+            lines[-1] += inside[0]
+            lines += inside[1:]
+            column = len(lines[-1])
+        else:
+            text = _flat([part])
+            lines[-1] += text
+            column += len(text)
+    return lines
+
+
+def _reach(parts: Sequence[Part], start: int, suffix: int) -> int:
+    """How many characters must fit on the line if a bracket is not broken. A help at the end may be as long as it likes."""
+    count = len(_flat([parts[start]]))
+    for part in parts[start + 1 :]:
+        if isinstance(part, Bracket):
+            return count + len(part.open.flat)
+        if not (part is parts[-1] and isinstance(part, Leaf) and part.kind == "text"):
+            count += len(_flat([part]))
+    return count + suffix
+
+
+def _bracket(bracket: Bracket, indent: int) -> list[str]:
+    """A bracket with each slot on lines of its own."""
+    if not bracket.slots and not bracket.tail:
+        return [bracket.flat]
+    lines = [bracket.open.flat]
+    for slot in bracket.slots:
+        lines += _slot(slot, indent + STEP * (2 if slot.deeper else 1), STEP if len(bracket.slots) > 1 and not slot.deeper else 0)
+    lines += [" " * (indent + STEP) + comment.text.rstrip() for comment in bracket.tail]
+    lines.append(" " * indent + bracket.close.flat)
+    return lines
+
+
+def _slot(slot: Slot, indent: int, deeper: int) -> list[str]:
+    """The lines of a slot; its operands but the first are set in `deeper`."""
+    lines = [" " * indent + comment.text.rstrip() for comment in slot.lead]
+    parts = slot.operands or operands(slot)
+    flat = slot.flat
+    if (
+        not slot.operands
+        and not any(isinstance(node, Bracket) and node.forced for node in slot.nodes)
+        and indent + len(flat) <= WIDTH
+    ):
+        lines.append(" " * indent + flat)
+    elif len(parts) > 1:
+        for number, operand in enumerate(parts):
+            lines += _slot(operand, indent + (deeper if number else 0), STEP)
+    else:
+        inside = _sequence(slot.nodes, indent, indent)
+        lines += [" " * indent + inside[0].lstrip(" "), *inside[1:]]
+    if slot.trail is not None:
+        lines[-1] += f"  {slot.trail.text.rstrip()}"
+    return lines

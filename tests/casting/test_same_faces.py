@@ -1,0 +1,169 @@
+"""What rays meet and which place is nearest does not depend on the last bits of Open3D, which are another processor's others."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from antdsl.casting import faces_compiled
+from antdsl.casting.faces import Faces, nearest_on_triangle
+from antdsl.casting.rays import RayScene
+from antdsl.numerics import compiled
+from tests.meshes import ball, box, terrain
+
+R = 300.0
+
+
+class Shaken:
+    """Open3D's scene as another processor may have it: all that it is asked about is off by some bits of float32."""
+
+    def __init__(self, scene: Any, seed: int) -> None:
+        self._scene, self._rng = scene, np.random.default_rng(seed)
+
+    def _moved(self, tensor: Any, error: float) -> Any:
+        asked = tensor.numpy().copy()
+        asked[:, :3] += self._rng.uniform(-error, error, (len(asked), 3)).astype(np.float32)
+        if asked.shape[1] == 6:
+            long = np.abs(asked[:, 3:]).max(axis=1, keepdims=True) * 1e-7
+            asked[:, 3:] += (long * self._rng.uniform(-1, 1, (len(asked), 3))).astype(np.float32)
+        return RayScene._tensor(asked)
+
+    def cast_rays(self, rays: Any, nthreads: int = 0) -> Any:
+        return self._scene.cast_rays(self._moved(rays, 1e-7 * R), nthreads=nthreads)
+
+    def test_occlusions(self, rays: Any, **options: Any) -> Any:
+        return self._scene.test_occlusions(self._moved(rays, 1e-7 * R), **options)
+
+    def compute_closest_points(self, points: Any, nthreads: int = 0) -> Any:
+        return self._scene.compute_closest_points(self._moved(points, 1e-7 * R), nthreads=nthreads)
+
+
+def shaken(scene: RayScene, seed: int) -> RayScene:
+    scene._scene = Shaken(scene._scene, seed)
+    scene._exact = Shaken(scene._built(scene._faces.corners.reshape(-1, 3).astype(np.float32)), seed)
+    return scene
+
+
+def meshes() -> list[tuple[np.ndarray, np.ndarray]]:
+    """Hills, a ball and a box: many edges and corners, some borders and some sides that rays go along."""
+    return [terrain(R, 30), ball(30.0, (-80, 40, 60), 12), box((50, 40, -60), (90, 80, 10))]
+
+
+def rays_at_edges() -> tuple[np.ndarray, np.ndarray]:
+    """Rays at all corners and at the middles of all sides of these, from three sides, a third of which end there."""
+    corners = np.concatenate([v[f] for v, f in meshes()])
+    at = np.concatenate([corners[:, 0], (corners[:, 0] + corners[:, 1]) / 2])
+    ways = np.array([(0.31, -60.0, 0.77), (30.7, -50.3, 7.1), (-45.1, -10.9, -50.7)])
+    origin = np.concatenate([at - way * part for way, part in zip(ways, (0.7, 1.0, 0.4), strict=True)])
+    way = np.repeat(ways, len(at), axis=0)
+    # Less those that pass a face at its edge almost along it: no rounding tells on which side.
+    scene = RayScene.of(meshes())
+    first = scene.cast(origin, way)
+    hit = np.flatnonzero(first.hit)
+    face = scene._first_face[first.mesh[hit]] + first.face[hit]
+    weights = np.stack([1 - first.u - first.v, first.u, first.v], axis=1)[hit]
+    which, other = scene._faces.meeting(face, weights)
+    slope = np.abs((scene._faces.normal(other) * way[hit[which]]).sum(axis=1)) / np.sqrt((way[hit[which]] ** 2).sum(axis=1))
+    along = np.zeros(len(origin), bool)
+    along[hit[which[slope < 0.03]]] = True
+    assert along.mean() < 0.1
+    return origin[~along], way[~along]
+
+
+@pytest.fixture(params=["numpy", "compiled"])
+def kernels(request: Any, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setattr(compiled, "wanted", lambda count: request.param == "compiled")
+    return request.param
+
+
+def answers(scene: RayScene) -> dict[str, np.ndarray]:
+    origin, way = rays_at_edges()
+    rows, part, mesh, face = scene.cast_within(origin, way)
+    first = scene.cast(origin, way)
+    x, y, z = (np.ascontiguousarray(v, np.float32) for v in origin.T)
+    size = np.sqrt((way**2).sum(axis=1))
+    dx, dy, dz = (np.ascontiguousarray(v, np.float32) for v in (way / size[:, None]).T)
+    felt = scene.feelers(x, y, z, dx, dy, dz, size.astype(np.float32))
+    away = origin[:: len(origin) // 3000] + np.array([0.0, 3.0, 0.0])
+    _, near, place, distance = scene.closest(away)
+    touched = scene.near(*(np.ascontiguousarray(v, np.float32) for v in away.T), 20.0)
+    return {
+        "rows": rows, "part": part, "mesh": mesh, "face": face, "t": first.t, "first": first.face, "u": first.u,
+        "felt": felt.t, "normal": felt.nx, "near": near, "place": place, "distance": distance, "touched": touched.t,
+        "off": touched.nx,
+    }  # fmt: skip
+
+
+def test_rays_at_edges_and_corners_give_the_same_bits_whatever_open3d_rounds(kernels: str):
+    known = answers(RayScene.of(meshes()))
+    assert len(known["rows"]) > 3000 and np.isfinite(known["felt"]).sum() > 3000
+    for seed in range(4):
+        again = answers(shaken(RayScene.of(meshes()), seed))
+        for name, value in known.items():
+            assert np.array_equal(value, again[name]), f"{name} {(value != again[name]).sum()} of {len(value)}"
+
+
+def test_a_ray_meets_what_float64_says_it_meets():
+    """All triangles asked in float64, at edges too: the least distance, then the first face."""
+    scene = RayScene.of(meshes())
+    origin, way = (v[::41] for v in rays_at_edges())
+    faces = scene._faces
+    every = np.arange(len(faces.corners))
+    hits = scene.cast(origin, way)
+    firsts = np.cumsum([0, *(len(f) for _, f in meshes())])
+    for k in range(len(origin)):
+        t, _, inside, _ = faces.crossing(
+            every, np.repeat(origin[k : k + 1], len(every), 0), np.repeat(way[k : k + 1], len(every), 0)
+        )
+        t = np.where(inside & (t > 1e-4), t, np.inf)
+        assert hits.t[k] == t.min() or (np.isinf(hits.t[k]) and np.isinf(t.min()))
+        if hits.face[k] >= 0:
+            assert firsts[hits.mesh[k]] + hits.face[k] == int(np.argmin(t))
+
+
+def test_open3d_is_shown_triangles_that_miss_none_of_a_face():
+    corners = np.concatenate([v[f] for v, f in meshes()])
+    faces = Faces(corners)
+    wide = faces.widened().reshape(-1, 3, 3).astype(np.float64)
+    outer = Faces(wide)
+    for k in range(3):
+        _, weights, _, _ = outer.crossing(
+            np.arange(len(wide)), corners[:, k] + 0.0, np.cross(*(wide[:, j] - wide[:, 0] for j in (1, 2)))
+        )
+        high = 2 * np.sqrt((np.cross(wide[:, 1] - wide[:, 0], wide[:, 2] - wide[:, 0]) ** 2).sum(axis=1))
+        assert (weights.min(axis=1) * high > 0).all()
+
+
+def test_two_sheets_in_one_place_are_told_apart_by_their_number(kernels: str):
+    sheet = terrain(R, 12)
+    scene = RayScene.of([sheet, sheet, sheet])
+    origin = np.random.default_rng(3).uniform(-100, 100, (500, 3)) + np.array([0, 200, 0])
+    down = np.broadcast_to([0.0, -400.0, 0.0], origin.shape)
+    alone, among = RayScene.of([sheet]).cast(origin, down), scene.cast(origin, down)
+    assert np.array_equal(alone.t, among.t) and np.array_equal(alone.face, among.face)
+    assert (among.mesh == 0).all() and (scene.closest(origin)[0] == 0).all()
+
+
+def test_the_kernels_and_the_arrays_say_the_same(monkeypatch: pytest.MonkeyPatch):
+    found = []
+    for one in (True, False):
+        monkeypatch.setattr(compiled, "wanted", lambda count, one=one: one)
+        found.append(answers(RayScene.of(meshes())))
+    for name, value in found[0].items():
+        assert np.array_equal(value, found[1][name]), name
+    rng = np.random.default_rng(8)
+    corners, points = rng.normal(size=(3000, 3, 3)), rng.normal(size=(3000, 3))
+    corners[::7, 2] = corners[::7, 0]
+    place = nearest_on_triangle(points, corners)
+    for k in range(0, 3000, 3):
+        assert faces_compiled._nearest(corners, k, tuple(points[k])) == tuple(place[k])
+
+
+@pytest.mark.parametrize(
+    "weights",
+    [(1, 2, 3), (3, 2, 1), (2, 3, 1), (2, 2, 1), (1, 2, 2), (2, 1, 2), (np.nan, 1, 2), (1, np.nan, np.nan), (1, 2, np.nan)],
+)
+def test_the_heaviest_corner_is_the_same_one(weights: tuple[float, float, float]):
+    assert faces_compiled._heaviest(*map(float, weights)) == int(np.argmax(weights))

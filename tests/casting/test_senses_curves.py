@@ -1,0 +1,79 @@
+"""Curves: even samples, exact nearest points, tangents as drawn, and ties that fall to the first."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from antdsl.casting.curves import Curve, resampled
+
+
+def spiral(n: int = 60) -> np.ndarray:
+    t = np.linspace(0, 4 * np.pi, n)
+    return np.stack([10 * t * np.cos(t), 3 * t, 10 * t * np.sin(t)], axis=1)
+
+
+def test_samples_are_even_and_keep_the_ends():
+    line = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [1, 0, 9], [4, 0, 9]], np.float64)
+    even = resampled(line, 0.5)
+    assert len(even) == 27 and np.array_equal(even[[0, -1]], line[[0, -1]])
+    assert np.allclose(np.linalg.norm(np.diff(even, axis=0), axis=1), 0.5)
+    assert len(resampled(line, 1e-9)) <= 5000
+    assert len(resampled(np.ones((3, 3)), 1.0)) == 1
+
+
+@pytest.mark.parametrize("reach", [5.0, 200.0, 5000.0])
+def test_nearest_point_and_tangent_against_all_segments(reach):
+    curve = Curve(spiral(), 4.0)
+    places = np.random.default_rng(1).uniform(-reach, reach, (400, 3))
+    found = curve.closest(*places.T)
+    start, step = curve.samples[:-1], np.diff(curve.samples, axis=0)
+    part = np.clip(np.einsum("psk,sk->ps", places[:, None] - start, step) / (step**2).sum(axis=1), 0, 1)
+    point = start + part[:, :, None] * step
+    gap = np.linalg.norm(point - places[:, None], axis=2)
+    best = gap.argmin(axis=1)
+    rows = np.arange(400)
+    assert np.allclose(found.distance, gap[rows, best], rtol=1e-6)
+    assert np.allclose(np.stack([found.px, found.py, found.pz], axis=1), point[rows, best], atol=1e-4)
+    unit = step / np.linalg.norm(step, axis=1, keepdims=True)
+    tangent = np.stack([found.tx, found.ty, found.tz], axis=1)
+    assert np.allclose(np.linalg.norm(tangent, axis=1), 1)
+    # The tangent turns from joint to joint: within half a bend of the segment's own way.
+    bend = np.arccos((unit[1:] * unit[:-1]).sum(axis=1).clip(-1, 1)).max()
+    assert np.arccos((tangent * unit[best]).sum(axis=1).clip(-1, 1)).max() <= bend / 2 + 1e-3
+
+
+def test_the_tangent_turns_steadily():
+    curve = Curve(np.array([[0, 0, 0], [10, 0, 0], [10, 0, 10]], np.float64), 1.0)
+    s = np.linspace(8.0, 12.0, 400)
+    found = curve.closest(np.minimum(s, 10), np.zeros(400), np.maximum(s - 10, 0))
+    angle = np.degrees(np.arctan2(found.tz, found.tx))
+    assert angle[0] == 0 and angle[-1] == 90 and np.diff(angle).min() >= 0 and np.diff(angle).max() < 1.5
+
+
+def test_it_points_as_drawn_and_reverse_turns_it_round():
+    line = np.array([[0, 0, 0], [10, 0, 0]], np.float64)
+    one = np.array([5.2], np.float32), np.array([1.0], np.float32), np.array([0.0], np.float32)
+    assert Curve(line, 1.0).closest(*one).tx[0] == 1 and Curve(line, 1.0, reverse=True).closest(*one).tx[0] == -1
+
+
+def test_a_tie_falls_to_the_first_along_the_curve_whatever_the_batch():
+    hairpin = np.array([[0, 0, -1], [10, 0, -1], [10, 0, 1], [0, 0, 1]], np.float64)
+    curve = Curve(hairpin, 0.5)
+    x = np.linspace(0.1, 8.9, 50)
+    zero = np.zeros(50)
+    found = curve.closest(x, zero, zero)
+    assert (found.tx == 1).all() and (found.pz == -1).all() and (found.distance == 1).all()
+    alone = curve.closest(x[7:8], zero[:1], zero[:1])
+    assert alone.px[0] == found.px[7]
+
+
+def test_one_point_no_number_and_no_curve():
+    dot = Curve(np.array([[1.0, 2, 3]]), 1.0)
+    found = dot.closest(np.array([1.0, np.nan]), np.array([2.0, 0]), np.array([7.0, 0]))
+    assert found.distance.tolist() == [4.0, np.inf] and found.tx.tolist() == [0, 0]
+    for bad in (np.empty((0, 3)), np.array([[0, np.nan, 0]])):
+        with pytest.raises(ValueError, match="at least one point"):
+            Curve(bad, 1.0)
+    with pytest.raises(ValueError, match="more than 0"):
+        Curve(spiral(), 0.0)

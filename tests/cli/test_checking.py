@@ -1,0 +1,61 @@
+"""Many files checked at once: shared out to processes or not, with a process that dies or not, the same is found."""
+
+from __future__ import annotations
+
+import os
+import sys
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import pytest
+
+from antdsl import checking
+from antdsl.pipeline import Choices, find_files
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDERS = [ROOT / "examples", ROOT / "tests" / "cases", ROOT / "tests" / "programs"]
+SHARES = sys.platform == "linux"
+
+
+def found(files: list[Path], monkeypatch: pytest.MonkeyPatch, cores: int) -> tuple[list[tuple[object, ...]], list[str]]:
+    monkeypatch.setattr(checking, "_may_fork", lambda: True)  # whatever other tests have imported
+    checked = checking.check_all(files, Choices(), cores=cores)
+    assert set(checked.reports) == set(files)
+    told = [
+        (file, d.code, d.message, d.help, d.span and (d.span.source.path, d.span.start, d.span.end), len(d.labels))
+        for file in files
+        for d in checked.reports[file].diagnostics
+    ]
+    return told, sorted((source.path, source.text) for source in checked.sources)  # type: ignore[return-value]
+
+
+@pytest.mark.skipif(not SHARES, reason="processes are forked on Linux only")
+def test_processes_find_what_one_finds(monkeypatch: pytest.MonkeyPatch) -> None:
+    files, _ = find_files(FOLDERS)
+    assert len(files) > checking.WORTH_SHARING
+    one = found(files, monkeypatch, 1)
+    assert len(one[0]) > 300
+    assert found(files, monkeypatch, 3) == one
+
+
+@pytest.mark.skipif(not SHARES, reason="processes are forked on Linux only")
+def test_what_a_dead_process_leaves_is_checked_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    files, _ = find_files(FOLDERS[1:])
+    one = found(files, monkeypatch, 1)
+
+    def dies(pipe: Connection, groups: list[list[Path]], claims: int, *given: object) -> None:
+        os.read(claims, 1)  # it has taken a group with it
+        os._exit(9)
+
+    monkeypatch.setattr(checking, "_work", dies)
+    assert found(files, monkeypatch, 2) == one
+
+
+def test_files_that_may_use_each_other_stay_together(tmp_path: Path) -> None:
+    for name in ("a/one.ant", "a/deep/two.ant", "b/three.ant", "ab/four.ant"):
+        file = tmp_path / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("ant 1\n")
+    files = sorted(tmp_path.rglob("*.ant"))
+    groups = {frozenset(file.name for file in group) for group in checking._groups(files)}
+    assert groups == {frozenset({"one.ant", "two.ant"}), frozenset({"three.ant"}), frozenset({"four.ant"})}

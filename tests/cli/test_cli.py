@@ -1,0 +1,262 @@
+"""The command line as people meet it: words, exit codes, machine formats, and never a traceback."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from antdsl.cli import _run as run_in_process
+
+ROOT = Path(__file__).resolve().parents[2]
+GOOD = """ant 1
+use steering
+species walker {
+  max_speed 25 mm/s
+  start stroll
+  state stroll amber { steer wander() }
+  layers { state }
+}
+"""
+SCENE = "antdsl: 1\nframes: 1..4\ncrowd: [{species: walker, from: walker.ant, count: 5, place: {radius: 60 mm}}]\n"
+
+
+def antdsl(*words: str, cwd: Path, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", **(env or {})}
+    command = [sys.executable, "-m", "antdsl", *words]
+    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=60)
+    assert "Traceback" not in done.stderr + done.stdout, done.stderr[-800:]
+    return done
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "walker.ant").write_text(GOOD)
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    return tmp_path
+
+
+def test_check_finds_programs_and_scenes_in_folders(folder: Path) -> None:
+    (folder / "sub").mkdir()
+    (folder / "sub" / "bad.ant").write_text(GOOD.replace("wander", "wonder"))
+    (folder / "other.yaml").write_text("recipe: soup\n")
+    (folder / ".git").mkdir()
+    (folder / ".git" / "x.ant").write_text("nonsense {")
+    (folder / "loop").symlink_to(folder)
+    done = antdsl("check", ".", cwd=folder)
+    assert done.returncode == 1
+    assert "error[unknown-behaviour]: no behaviour `wonder`" in done.stdout and "sub/bad.ant:6:30" in done.stdout
+    assert "nonsense" not in done.stdout and "soup" not in done.stdout
+    assert antdsl("check", "walker.ant", "scene.yaml", cwd=folder).stdout == "checked 2 files, nothing to complain about\n"
+
+
+@pytest.mark.parametrize("format", ["full", "concise", "json", "sarif", "github", "junit"])
+def test_formats_are_written_with_and_without_findings(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], format: str
+) -> None:
+    (folder / "bad.ant").write_text(GOOD.replace("25 mm/s", "25 s"))
+    monkeypatch.chdir(folder)
+    for name, code in (("walker.ant", 0), ("bad.ant", 1)):
+        monkeypatch.setattr(sys, "argv", ["antdsl", "check", name, "--format", format])
+        assert run_in_process() == code
+        printed = capfd.readouterr().out
+        if format in ("json", "sarif"):
+            json.loads(printed)
+        assert ("wrong-unit" in printed or "units" in printed) == (code == 1), printed
+
+
+def test_strict_makes_warnings_errors_and_explain_says_what_a_code_means(folder: Path) -> None:
+    (folder / "walker.ant").write_text(GOOD.replace("start", 'param pace = 3 mm/s in 1 mm/s .. 9 mm/s  "unused"\n  start'))
+    assert antdsl("check", "walker.ant", cwd=folder).returncode == 0
+    assert antdsl("check", "walker.ant", "--strict", cwd=folder).returncode == 1
+    listed = antdsl("check", "walker.ant", "--params", cwd=folder).stdout
+    assert re.search(r"walker\.pace +3 +mm/s +1 \.\. 9 +unused", listed)
+    assert "given twice" in antdsl("check", "--explain", "duplicate-key", cwd=folder).stdout
+    wrong = antdsl("check", "--explain", "duplicate-kee", cwd=folder)
+    assert wrong.returncode == 2 and "did you mean `duplicate-key`?" in wrong.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["run", "none.yaml"], 3, "there is no file `none.yaml`"),
+        (["check", "none.ant"], 3, "none.ant"),
+        (["check", "walker.txt"], 3, "neither a program"),
+        (["check"], 2, "name a file or a folder"),
+        (["run", "scene.yaml", "--frames", "9..1"], 2, "ends before it begins"),
+        (["run", "scene.yaml", "--set", "pace"], 2, "NAME=VALUE"),
+        (["run", "scene.yaml", "--set", "walker.pce=3mm/s"], 1, "no program has a param"),
+        (["run", "scene.yaml", "--seed", "-1"], 2, "--seed"),
+        (["run", "scene.yaml", "--root", "assets=none"], 2, "there is no folder"),
+        (["run", "scene.yaml", "--out", "."], 3, "has files that are not a cache's"),
+        (["run", "scene.yaml", "--out", "walker.ant"], 3, "is a file"),
+        (["info", "."], 3, "is no cache"),
+        (["render", "none"], 3, "is no cache"),
+        (["march"], 2, "march"),
+    ],
+)  # fmt: skip
+def test_mistakes_end_in_words_and_their_exit_code(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], words: list[str], code: int, said: str
+) -> None:
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(sys, "argv", ["antdsl", *words])
+    assert run_in_process() == code
+    printed = "".join(capfd.readouterr())
+    assert said in printed and "Traceback" not in printed
+
+
+def test_a_run_says_how_far_it_is_and_info_what_is_in_it(folder: Path) -> None:
+    done = antdsl("run", "scene.yaml", "--seed", "5", "--frames", "11..13", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"frame 13 of 13, [0-9.]+ fps, stroll 5", done.stdout) and "the cache is in" in done.stdout
+    told = antdsl("info", "out/scene", "--verify", cwd=folder).stdout
+    assert "3 of 3: 11..13" in told and "seed 5" in told and "verified     3 frames" in told
+    assert antdsl("run", "scene.yaml", "--quiet", cwd=folder).stdout == ""
+    assert (
+        antdsl("plan", "walker.ant", cwd=folder).stdout.startswith("species walker")
+        or "walker" in antdsl("plan", "walker.ant", cwd=folder).stdout
+    )
+
+
+def test_new_makes_a_project_that_runs_and_does_not_overwrite(tmp_path: Path) -> None:
+    assert antdsl("new", "ants", cwd=tmp_path).returncode == 0
+    assert antdsl("check", "ants", "--strict", cwd=tmp_path).returncode == 0
+    assert antdsl("run", "ants/scene.yaml", "--frames", "1..5", cwd=tmp_path).returncode == 0
+    again = antdsl("new", "ants", cwd=tmp_path)
+    assert again.returncode == 3 and "not empty" in again.stderr
+
+
+def test_a_reader_that_has_had_enough_causes_no_complaint(folder: Path) -> None:
+    for n in range(40):
+        (folder / f"bad{n}.ant").write_text(GOOD.replace("wander", "wonder"))
+    command = f"{sys.executable} -m antdsl check . | head -1"
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(["bash", "-c", command], cwd=folder, env=env, capture_output=True, text=True, timeout=60)
+    assert done.stdout.startswith("error") and done.stderr == ""
+
+
+def test_words_that_a_terminal_cannot_show_are_replaced(folder: Path) -> None:
+    (folder / "walker.ant").write_text(GOOD.replace("wander", "wänder"))
+    done = antdsl("check", "walker.ant", cwd=folder, env={"PYTHONIOENCODING": "ascii"})
+    assert done.returncode == 1 and "error[" in done.stdout
+
+
+LOOP = "n = 0\nfor i in range(3_000_000): n += i & 7"  # about a quarter of a second
+
+
+def measured(words: list[str], folder: Path) -> tuple[subprocess.CompletedProcess[str], float]:
+    """A command that has run, and how many times the processor time of a plain loop it took: others may use the machine too."""
+
+    def spent(words: list[str]) -> tuple[subprocess.CompletedProcess[str], float]:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        env = {**os.environ, "PYTHONPATH": str(ROOT)}
+        done = subprocess.run(words, cwd=folder, env=env, capture_output=True, text=True, timeout=300)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return done, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    loop = spent([sys.executable, "-c", LOOP])[1]
+    done, seconds = spent(words)
+    return done, seconds / loop
+
+
+@pytest.mark.parametrize("words", [["--help"], ["check", "walker.ant"], ["check", "scene.yaml"]])
+def test_it_starts_fast_and_without_what_it_does_not_need(folder: Path, words: list[str]) -> None:
+    code = "import sys; from antdsl.cli import _run; r = _run(); print(r, sorted(sys.modules), file=sys.stderr)"
+    spent = []
+    for _ in range(2):
+        done, share = measured([sys.executable, "-c", code, *words], folder)
+        assert done.returncode == 0 and done.stderr.startswith("0 "), done.stderr[-300:]
+        spent.append(share)
+    loaded = set(re.findall(r"'([a-z0-9_]+)'", done.stderr))
+    assert not loaded & {"open3d", "scipy", "trimesh", "numpy", "PIL"}
+    assert min(spent) < (0.6 if words == ["--help"] else 4)  # twice what was measured
+
+
+def test_all_programs_and_scenes_of_the_repository_are_checked_in_little_time() -> None:
+    spent = []
+    for _ in range(2):
+        done, share = measured([sys.executable, "-m", "antdsl", "check", ".", "--format", "json"], ROOT)
+        assert done.returncode == 1 and json.loads(done.stdout)["left_out"] > 100  # of the cases that are to be wrong
+        spent.append(share)
+    assert min(spent) < 14, spent  # twice what was measured
+
+
+def test_pictures_sheets_and_films_are_drawn(tmp_path: Path) -> None:
+    from PIL import Image
+
+    assert antdsl("new", "ants", cwd=tmp_path).returncode == 0
+    assert antdsl("run", "ants/scene.yaml", "--frames", "1..6", "--out", "cache", cwd=tmp_path).returncode == 0
+    small = ("--width", "96", "--height", "64")
+    done = antdsl("render", "cache", "--sheet", "--every", "2", *small, cwd=tmp_path)
+    assert done.stdout.split() == ["cache/pictures/sheet.png", "cache/pictures/picture.0005.png"], done.stderr
+    with Image.open(tmp_path / "cache" / "pictures" / "picture.0005.png") as picture:
+        assert picture.size == (96, 64) and len(picture.getcolors(96 * 64) or ()) > 100
+    done = antdsl(
+        "render", "cache", "--agents", "7", "--camera", "eye", "--show", "ids,velocity", "--out", "eye", *small, cwd=tmp_path
+    )
+    assert done.stdout.split() == ["eye/picture.0006.png"], done.stderr
+    wrong = antdsl("render", "cache", "--show", "smell", *small, cwd=tmp_path)
+    assert wrong.returncode == 2 and "cannot show" in wrong.stderr
+
+
+def test_a_mistake_is_told_once_whoever_names_the_file(folder: Path) -> None:
+    (folder / "walker.ant").write_text(GOOD.replace("wander", "wonder"))
+    done = antdsl("check", ".", str(folder), "--format", "concise", cwd=folder)
+    assert done.returncode == 1 and done.stdout.count("unknown-behaviour") == 1
+
+
+def test_strict_tells_what_depends_on_the_frame_rate(folder: Path) -> None:
+    porting = GOOD.replace("wander()", "wander(); size += 0.1 mm/step").replace("  start", "  size 4 mm\n  start")
+    (folder / "walker.ant").write_text(porting)
+    assert antdsl("check", "walker.ant", cwd=folder).returncode == 0
+    done = antdsl("check", "walker.ant", "--strict", "--format", "concise", cwd=folder)
+    assert done.returncode == 1 and "per-step" in done.stdout, done.stdout
+
+
+def test_check_reads_meshes_through_granted_roots_without_rays(tmp_path: Path) -> None:
+    assert antdsl("new", "set", cwd=tmp_path).returncode == 0
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "set" / "ground.ply").rename(tmp_path / "assets" / "ground.ply")
+    scene = tmp_path / "set" / "scene.yaml"
+    scene.write_text(scene.read_text().replace("ground.ply", "'assets:ground.ply'"))
+    assert "root-not-granted" in antdsl("check", "set/scene.yaml", cwd=tmp_path).stdout
+    assert antdsl("check", "set/scene.yaml", "--root", "assets=assets", cwd=tmp_path).returncode == 0
+    mesh = tmp_path / "assets" / "ground.ply"
+    mesh.write_bytes(mesh.read_bytes()[:20_000])
+    done = antdsl("check", "set/scene.yaml", "--root", "assets=assets", cwd=tmp_path)
+    assert done.returncode == 1 and "error[bad-mesh]" in done.stdout and "scene.yaml:8:18" in done.stdout
+
+
+def test_params_are_listed_once(tmp_path: Path) -> None:
+    assert antdsl("new", "ants", cwd=tmp_path).returncode == 0
+    done = antdsl("check", "ants", "--params", cwd=tmp_path)
+    assert len(re.findall(r"walker\.pace +30 +mm/s +5 \.\. 100 +How fast", done.stdout)) == 1
+    assert antdsl("check", "ants", "--params", "--format", "json", cwd=tmp_path).returncode == 2
+
+
+def test_what_cannot_be_read_is_input_and_output_not_a_finding(folder: Path) -> None:
+    for words in (("check", "none.ant"), ("check", "none.yaml"), ("run", "none.yaml"), ("plan", "none.ant"), ("run", ".")):
+        done = antdsl(*words, cwd=folder)
+        assert done.returncode == 3 and "error[" in done.stdout + done.stderr, words
+    (folder / "bad.ant").write_text("ant 1\n")
+    assert antdsl("check", "none.ant", "bad.ant", cwd=folder).returncode == 1
+
+
+def test_wrong_use_is_told_before_anything_is_simulated(folder: Path) -> None:
+    done = antdsl("run", "walker.ant", cwd=folder)
+    assert done.returncode == 2 and "is a program" in done.stderr
+    done = antdsl("run", "scene.yaml", "--summary", "none/summary.json", cwd=folder)
+    assert done.returncode == 2 and "no folder `none`" in done.stderr and not (folder / "out").exists()
+
+
+def test_the_set_up_tells_wrong_words_and_what_failed(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "antdsl.bootstrap", "example", "--ouz", "x"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and "--ouz" in done.stderr

@@ -1,0 +1,97 @@
+"""Files of strangers and their verdicts, from the tables below `cases/hostile`: each is accepted, or refused with a place, within
+seconds and without a traceback."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import islice
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+import pytest
+from cases.hostile import meshes, numbers, runs, usd, volumes
+from cases.hostile.rows import PROJECT, Row
+
+from antdsl.pipeline import check_path, open_scene, simulate
+from antdsl.runtime import FaultStop
+from antdsl.scene.geometry.usd import sandbox
+
+SECONDS = 10.0  # of CPU that one row may take, a busy machine or not
+TABLES = {"meshes": meshes.ROWS, "usd": usd.ROWS, "volumes": volumes.ROWS, "numbers": numbers.ROWS, "runs": runs.ROWS}
+
+
+def project(folder: Path, row: Row) -> Path:
+    folder.mkdir(exist_ok=True)
+    for name, data in {**PROJECT, **row.files}.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data if isinstance(data, bytes) else data())
+    for name, (old, new) in row.edits.items():
+        text = (folder / name).read_text()
+        assert old in text, row.name
+        (folder / name).write_text(text.replace(old, new))
+    if row.make is not None:
+        row.make(folder)
+    return folder / "scene.yaml"
+
+
+def rows(tables: Mapping[str, Sequence[Row]]) -> list[Any]:
+    return [pytest.param(row, id=f"{table}: {row.name}") for table, found in tables.items() for row in found]
+
+
+@pytest.mark.parametrize("row", rows(TABLES))
+def test_the_verdict_on_a_file(row: Row, tmp_path: Path) -> None:
+    scene, began = project(tmp_path, row), process_time()
+    _, report = check_path(scene)
+    found = [d for d in report.sorted() if d.code == row.verdict]
+    told = [f"{d.severity} {d.code}: {d.message}" for d in report.sorted()]
+    if not row.verdict:
+        assert report.ok and (row.warned or not told), told
+    else:
+        assert found and any(row.words in d.message or (row.words in str(d.help)) for d in found), told
+        assert all(d.span is not None and d.span.source.path.endswith((".ant", ".yaml")) for d in found), "it has a place"
+        assert all(text.isprintable() for d in found for text in (d.message, d.help or ""))
+    if report.ok and row.frames:
+        shot, report = open_scene(scene)
+        assert shot is not None, told
+        try:
+            world = list(islice(simulate(shot), row.frames))[-1]
+            assert not row.faults
+            for name, population in world.populations.items():
+                own = [population.now[a.name] for a in shot.program.species[name].attributes if a.name in population.now]
+                assert all(np.isfinite(a).all() for a in (population.position, *own) if a.dtype.kind == "f")
+        except FaultStop as why:
+            assert row.faults, str(why)
+            assert ".ant:" in str(why), "it has a place"
+    else:
+        assert report.ok or row.verdict
+    assert process_time() - began < SECONDS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("row", rows({"usd": usd.SLOW}))
+def test_what_takes_usd_too_long_is_stopped(row: Row, tmp_path: Path) -> None:
+    test_the_verdict_on_a_file(row, tmp_path)
+
+
+def test_what_takes_usd_too_long_is_stopped_soon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same with a second of CPU, which starting the other process takes a part of."""
+    monkeypatch.setattr(sandbox, "CPU", 1)
+    monkeypatch.setattr(sandbox, "_other", sandbox._Other())
+    row = next(each for each in usd.SLOW if "2^23" in each.name)
+    test_the_verdict_on_a_file(row, tmp_path)
+    sandbox._other.end()
+
+
+def test_the_other_process_is_begun_again_and_ends_with_this_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = sandbox._Other()
+    monkeypatch.setattr(sandbox, "_other", made)
+    bad, good = (next(each for each in usd.ROWS if each.name == name) for name in ("A7 50,000 dictionaries", "A5 CRLF"))
+    test_the_verdict_on_a_file(bad, tmp_path / "bad")
+    assert made.process is None
+    test_the_verdict_on_a_file(good, tmp_path / "good")
+    process = made.process
+    assert process is not None and process.poll() is None
+    made.end()
+    assert process.poll() is not None

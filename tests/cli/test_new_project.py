@@ -1,0 +1,139 @@
+"""What `antdsl new` writes passes its own CI: the workflow's commands, the hooks' and the README's are run in it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from antdsl import __version__
+from antdsl.cli import COMMANDS
+from antdsl.cli.project import FILES
+
+ROOT = Path(__file__).resolve().parents[2]
+FILE = dict(FILES)
+WORKFLOW: dict[Any, Any] = yaml.safe_load(FILE[".github/workflows/antdsl.yml"])
+HOOKS: list[dict[str, Any]] = yaml.safe_load(FILE[".pre-commit-config.yaml"])["repos"][0]["hooks"]
+STEPS: list[dict[str, Any]] = WORKFLOW["jobs"]["crowd"]["steps"]
+LINES = [line for step in STEPS for line in step.get("run", "").splitlines()]
+OURS = [line for line in LINES if line.startswith("antdsl ")]
+
+
+@pytest.fixture(scope="module")
+def shell(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """An environment in which `antdsl` is a command of this checkout."""
+    folder = tmp_path_factory.mktemp("bin")
+    script = folder / "antdsl"
+    script.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m antdsl "$@"\n', encoding="utf-8")
+    script.chmod(0o755)
+    return {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
+
+
+def run(line: str, folder: Path, shell: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(["bash", "-c", line], cwd=folder, env=shell, capture_output=True, text=True, timeout=400)
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory, shell: dict[str, str]) -> Path:
+    folder = tmp_path_factory.mktemp("new")
+    done = run("antdsl new walkers", folder, shell)
+    assert done.returncode == 0, done.stderr
+    return folder / "walkers"
+
+
+def test_all_the_files_are_there_and_no_other(project: Path) -> None:
+    found = {str(path.relative_to(project)) for path in project.rglob("*") if path.is_file()}
+    assert {*FILE, "ground.ply"} == found - {"antdsl.sarif", "antdsl-junit.xml", "walker.svg"} - {f for f in found if "out/" in f}
+
+
+def test_the_workflow_passes_in_the_new_project(project: Path, shell: dict[str, str]) -> None:
+    """Every line of the workflow that is ours, as it stands there."""
+    assert [line.split()[1] for line in OURS] == ["fmt", "check", "check", "test"]
+    for line in OURS:
+        done = run(line, project, shell)
+        assert done.returncode == 0, (line, done.stdout, done.stderr)
+    assert json.loads((project / "antdsl.sarif").read_text(encoding="utf-8"))["version"] == "2.1.0"
+    junit = ElementTree.parse(project / "antdsl-junit.xml").getroot()
+    assert int(junit.get("tests", "0")) >= 1 and junit.get("failures") == "0"
+
+
+def test_the_workflow_fails_where_it_should(project: Path, shell: dict[str, str], tmp_path: Path) -> None:
+    """A mistake and a spec that does not hold each fail the step that looks for them, and SARIF is written all the same."""
+    for name, old, new, failing in (
+        ("typo", "-> rest", "-> resst", {"check", "test"}),
+        ("spec", "< 50 %", "< 0 %", {"test"}),
+        ("layout", "  state rest", "  state    rest", {"fmt"}),
+    ):
+        folder = tmp_path / name
+        folder.mkdir()
+        for file in ("walker.ant", "scene.yaml", "ground.ply"):
+            (folder / file).write_bytes((project / file).read_bytes())
+        text = (folder / "walker.ant").read_text(encoding="utf-8")
+        assert old in text
+        (folder / "walker.ant").write_text(text.replace(old, new), encoding="utf-8")
+        codes = {line: run(line, folder, shell).returncode for line in OURS}
+        assert set(codes.values()) == {0, 1}, codes
+        assert {line.split()[1] for line, code in codes.items() if code == 1} == failing, codes
+        found = json.loads((folder / "antdsl.sarif").read_text(encoding="utf-8"))["runs"][0]["results"]
+        assert bool(found) == ("check" in failing)
+
+
+def test_a_step_after_a_failed_one_runs_and_files_are_those_that_are_written() -> None:
+    """GitHub passes over the steps after one that failed, unless they say otherwise."""
+    first = next(n for n, step in enumerate(STEPS) if step.get("run", "").startswith("antdsl"))
+    assert all(step.get("if") == "always()" for step in STEPS[first + 1 :])
+    written = " ".join(OURS)
+    for step in STEPS:
+        for key in ("sarif_file", "path"):
+            assert step.get("with", {}).get(key, "") in written
+    assert WORKFLOW["permissions"]["security-events"] == "write" and WORKFLOW["permissions"]["contents"] == "read"
+    assert WORKFLOW[True] == ["push", "pull_request"]  # YAML 1.1 reads the key `on` as true; GitHub does not
+    assert WORKFLOW["env"].keys() == {"ANTDSL"} and 'pip install "$ANTDSL"' in LINES
+    # no package index has antdsl: what is installed is the wheel that `pip wheel` makes of this version
+    assert WORKFLOW["env"]["ANTDSL"] == f"wheels/antdsl-{__version__}-py3-none-any.whl"
+    assert "pip wheel --no-deps --wheel-dir wheels" in FILE["README.md"] and "/wheels" not in FILE[".gitignore"]
+    for line in LINES:
+        assert line in OURS or re.match(r"(pip install|sudo apt-get update)", line), line
+
+
+def test_the_hooks_pass_in_the_new_project_and_look_at_what_matters(project: Path, shell: dict[str, str]) -> None:
+    for hook in HOOKS:
+        files = [] if hook.get("pass_filenames", True) is False else [f for f in FILE if re.search(hook["files"], f)]
+        done = run(" ".join([hook["entry"], *files]), project, shell)
+        assert done.returncode == 0, (hook["id"], done.stdout, done.stderr)
+        assert re.search(hook["files"], "walker.ant") and not re.search(hook["files"], "README.md")
+    assert [hook["id"] for hook in HOOKS] == ["antdsl-fmt", "antdsl-check", "antdsl-test"]
+    assert (project / "walker.ant").read_text(encoding="utf-8") == FILE["walker.ant"]
+
+
+def test_the_readme_of_the_project_works(project: Path, shell: dict[str, str]) -> None:
+    first = re.findall(r"```sh\n(.*?)```", FILE["README.md"], re.DOTALL)[0]
+    for line in first.splitlines():
+        assert line.split()[1] in dict(COMMANDS)
+        if "render" not in line:  # pictures take their time; tests of their own draw them
+            some = " --frames 1..4" if " run " in line else ""
+            done = run(line + some, project, shell)
+            assert done.returncode == 0, (line, done.stdout, done.stderr)
+    assert (project / "out" / "scene").is_dir()  # what `antdsl render` is told to draw
+    assert not [line for line in FILE[".gitignore"].splitlines() if not line.startswith("/")]
+
+
+@pytest.mark.parametrize(("kind", "name"), [("workflow", ".github/workflows/antdsl.yml"), ("hooks", ".pre-commit-config.yaml")])
+def test_the_page_shows_the_files_as_they_are_written(kind: str, name: str) -> None:
+    page = (ROOT / "docs" / "ci.md").read_text(encoding="utf-8")
+    assert re.findall(rf"```yaml {kind}\n(.*?)```", page, re.DOTALL) == [FILE[name]]
+
+
+def test_the_page_has_every_exit_code() -> None:
+    from antdsl.cli.exits import Exit
+
+    page = (ROOT / "docs" / "ci.md").read_text(encoding="utf-8")
+    assert [int(code) for code in re.findall(r"^\| (\d+) \|", page, re.M)] == [code.value for code in Exit]

@@ -1,0 +1,308 @@
+"""Every code has a page, and every page says what antdsl says: its wrong example gives its code and nothing else, in exactly
+these words and at this place; nothing at all is said of its right one."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import code_pages
+import pytest
+from code_pages import PAGES, ROOT, Page
+
+from antdsl.diagnostics.codes import CODES
+from antdsl.resources import code_page
+from antdsl.source import Source
+from antdsl.syntax.formatting.layout import format
+
+FILES = sorted(path for path in PAGES.glob("*.md") if path.stem != "README")
+# What an example cannot be run without; a package that is not there is not what these pages are about.
+NEEDS = {
+    **dict.fromkeys(("bad-usd", "no-such-prim", "usd-left-out"), "pxr"),
+    **dict.fromkeys(("cannot-write", "no-pictures"), "imageio_ffmpeg"),
+}
+
+
+@pytest.fixture(scope="module")
+def pages() -> dict[str, Page]:
+    return {path.stem: code_pages.read(path) for path in FILES}
+
+
+def test_every_code_has_a_page_and_every_page_a_code(pages: dict[str, Page]) -> None:
+    assert sorted(pages) == sorted(CODES)
+    for name, page in pages.items():
+        assert (page.code, page.meaning) == (name, code_pages.sentence(CODES[name])), f"run `python tests/code_pages.py {name}`"
+
+
+def test_a_page_says_why_in_a_few_words_and_shows_little(pages: dict[str, Page]) -> None:
+    for name, page in pages.items():
+        assert 40 < len(page.why) < 400 and page.why.endswith((".", "?")) and "\n" not in page.why, name
+        blocks = re.findall(r"^```\w*\n(.*?)^```", (PAGES / f"{name}.md").read_text(encoding="utf-8"), flags=re.M | re.S)
+        assert max(block.count("\n") for block in blocks) <= 20, name
+        assert page.wrong.files != page.right.files or page.wrong.command != page.right.command, name
+        assert page.wrong.said and page.right.said is None, name
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_the_examples_do_what_the_page_says(path: Path, tmp_path: Path) -> None:
+    needed = NEEDS.get(path.stem)
+    if needed is not None and importlib.util.find_spec(needed) is None:
+        pytest.skip(f"needs {needed}")
+    page = code_pages.read(path)
+    wrong = code_pages.said(page.wrong, tmp_path / "wrong").rstrip()
+    assert page.wrong.said is not None
+    assert wrong == page.wrong.said.rstrip(), f"run `python tests/code_pages.py {path.stem}` and read what changed"
+    assert code_pages.codes_in(wrong) == {path.stem}
+    assert code_pages.said(page.right, tmp_path / "right") == ""
+    for name, data in page.right.files.items():
+        if name.endswith(".ant"):
+            text = data.decode("utf-8")
+            assert format(Source(name, text))[0] == text, "a right example has the one layout"
+
+
+def test_the_index_has_all_codes_by_their_sections() -> None:
+    text = (PAGES / "README.md").read_text(encoding="utf-8")
+    assert text == code_pages.index(), "run `python tests/code_pages.py`"
+    assert re.findall(r"^\| \[`([a-z0-9-]+)`\]", text, flags=re.MULTILINE) == list(CODES)
+
+
+def test_the_pages_go_with_the_package() -> None:
+    packed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert packed["force-include"]["docs/codes"] == "antdsl/_data/docs/codes"
+    assert code_page("unknown-state") == PAGES / "unknown-state.md" and code_page("no-such-code") is None
+
+
+def test_explain_shows_the_page() -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "antdsl", "check", "--explain", "unknown-state"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, encoding="utf-8")
+    assert done.stdout == (PAGES / "unknown-state.md").read_text(encoding="utf-8")
+
+
+def test_check_leads_to_the_page_once_and_for_people_only(tmp_path: Path) -> None:
+    from typer.testing import CliRunner
+
+    from antdsl.cli import app
+
+    wrong = code_pages.read(PAGES / "unknown-sign.md").wrong  # two complaints of one code
+    with code_pages.laid_out(wrong, tmp_path / "wrong"):
+        full, concise = (
+            CliRunner().invoke(app, ["check", "walker.ant", "--format", kind]).stdout for kind in ("full", "concise")
+        )
+    assert full.count("`antdsl check --explain unknown-sign` says more") == 1 and "--explain" not in concise
+
+
+def test_a_code_without_its_page_is_explained_in_a_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from antdsl.cli.printing import pages
+
+    monkeypatch.setattr(pages, "code_page", lambda code: None)
+    pages.show_page("trap")
+    assert CODES["trap"] in capsys.readouterr().out
+
+
+def test_explain_is_laid_out_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """What rich makes of a page has its words and none of Markdown's signs."""
+    from antdsl.cli.printing import pages
+
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "100")
+    pages.show_page("unknown-state")
+    shown = capsys.readouterr().out
+    assert "did you mean `stroll`?" in shown and "when after 1 s -> strol }" in shown
+    assert "```" not in shown and "## " not in shown
+
+
+def explained(*words: str) -> tuple[int, str]:
+    from typer.testing import CliRunner
+
+    from antdsl.cli import app
+
+    done = CliRunner().invoke(app, ["check", "--explain", *words])
+    said = done.stdout if done.exception is None else f"{done.exception.message}\n{done.exception.hint}"  # type: ignore[attr-defined]
+    return done.exit_code, said
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("wander", ("behaviour wander(swing: angle", "`use steering`", "keep turning")),
+        ("when", ("when meal -> approach", "leads to another state", "this layer counts only")),
+        ("touching", ("touching(x: place) -> bool",)),
+        ("max_speed", ("fastest", "default 30 mm/s")),
+        ("max", ("max(field: field", "max(n in SET: …)")),
+        ("min", ("min(a: number A", "a time", "1 min = 60 s")),
+        ("half_life", ("setting of a field",)),
+        ("spread", ("argument of `feelers`", "argument of `avoid`")),
+        ("frames", ("first and last frame",)),
+        ("amber", ("a colour of a state",)),
+        ("steering", ("`wander`", "`seek`")),
+        ("noise", ("does not work yet",)),
+        ("collision", ("two agents touch",)),
+        ("wander()", ("behaviour wander(",)),
+        ("circle", ("depend on each other in a circle",)),
+    ],
+)
+def test_words_and_behaviours_are_explained_too(word: str, said: tuple[str, ...]) -> None:
+    code, text = explained(word)
+    assert code == 0 and all(each in text for each in said), text
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [("wandr", "wander"), ("unknown-stat", "unknown-state"), ("touchin", "touching"), ("halflife", "half_life")],
+)
+def test_a_word_that_is_not_known_has_one_that_is_like_it(word: str, meant: str) -> None:
+    assert f"did you mean `{meant}`?" in explained(word)[1]
+
+
+def test_all_words_of_the_card_are_explained() -> None:
+    from antdsl.lsp.language import about, words
+
+    rows = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
+    card = set(re.findall(r"(?<![A-Za-z_.])[a-z_]{2,}(?![A-Za-z_0-9])|%", " ".join(re.findall(r"`([^`]+)`", rows))))
+    placeholders = {"attribute", "behaviours", "colour", "comment", "help", "label", "mine", "name", "rate", "scene"}
+    assert sorted(word for word in card - placeholders if about(word) is None) == []
+    assert all(about(word) is not None for word in words())
+
+
+def test_the_last_line_names_the_codes_that_were_shown(tmp_path: Path) -> None:
+    from typer.testing import CliRunner
+
+    from antdsl.cli import app
+
+    program = tmp_path / "a.ant"
+    ignored = "  energy = 0  # antdsl: ignore[unused-attribute] later\n"
+    program.write_text(f"ant 1\nspecies a {{\n{ignored}  max_speed 30\n  size 4 s\n  state go {{ steer heading }}\n}}\n")
+    said = CliRunner().invoke(app, ["check", str(program)]).stdout
+    assert "`antdsl check --explain missing-unit` says more; so for `wrong-unit`\n" in said
+    program.write_text(program.read_text().replace("30\n", "30 mm/s\n").replace("4 s", "4 mm"))
+    assert "--explain" not in CliRunner().invoke(app, ["check", str(program)]).stdout
+
+
+UNITS = (
+    "mm/s",
+    "%/s",
+    "/s",
+    "mm^2",
+    "mm^3",
+    "mm^2/s",
+    "deg/s",
+    "%/step",
+    "/step",
+    "mm/step",
+    "cm/s",
+    "g*mm/s^2",
+    "/s^2",
+    "m",
+    "N",
+)
+
+
+@pytest.mark.parametrize("unit", [*UNITS, "30 mm/s", "10%/s"])
+def test_units_that_are_made_of_others_are_explained(unit: str) -> None:
+    code, text = explained(unit)
+    bare = unit.lstrip("0123456789. ")
+    assert code == 0 and text.startswith(f"# {bare}\n") and f"3 {bare}" in text
+
+
+def test_every_unit_of_the_documents_is_explained() -> None:
+    from antdsl.lsp.language import about
+
+    text = "\n".join(path.read_text(encoding="utf-8") for path in [ROOT / "grammar" / "README.md", *(ROOT / "docs").glob("*.md")])
+    units = set(re.findall(r"(?<![\w./])[0-9][0-9.]* ?((?:%|[a-zA-Z]+)?(?:\^[0-9])?/(?:s|step)(?:\^[0-9])?)(?![\w/])", text))
+    assert len(units) > 4 and sorted(unit for unit in units if about(unit) is None) == []
+
+
+@pytest.mark.parametrize(
+    ("word", "meanings"),
+    [
+        ("by", ("by: area", "`above`", "about: up, by: 15 deg", "argument of `rotate`")),
+        ("place", ("x: place", "anything that is somewhere", "place: {on: ground}", "where they begin")),
+        ("on", ("on collision", "what happens at an event", "field trail on ground", "where it lies")),
+        ("set", ("set forager.smell = 50 mm", "with which values", "set: {forager.smell: 60 mm}", "other values")),
+        ("step", ("`response 1 step`", "`dt`")),
+        ("mass", ("mass 1 g", "inertia", "x: mass", "numbers in `g`")),
+        ("position", ("position(nearest(food))", "let mine = position", "nearest(food).position")),
+    ],
+)
+def test_each_meaning_of_a_word_stands_apart_with_a_sample(word: str, meanings: tuple[str, ...]) -> None:
+    _, text = explained(word)
+    assert all(each in text for each in meanings), text
+    parts = text.split("\n## ")[1:]
+    assert len(parts) >= 2 or word == "step"
+    for part in parts:
+        assert part.count("\n```") >= 2, part
+
+
+def test_a_slip_in_a_unit_is_told() -> None:
+    assert "write `s`" in explained("mm/sec")[1]
+
+
+def test_every_meaning_of_every_word_has_its_sample() -> None:
+    from antdsl.lsp import samples, words
+    from antdsl.program.tables.vocabulary import BUILTINS, REDUCERS, TYPE_WORDS
+
+    pairs = [
+        (samples.INNER_FORMS, words.INNER_HELP), (samples.CALL_FORMS, BUILTINS), (samples.SET_FORMS, REDUCERS),
+        (samples.WHOLE_FORMS, words.WHOLE_HELP), (samples.KIND_FORMS, words.KINDS), (samples.SETTING_FORMS, words.SETTINGS),
+        (samples.SCENE_FORMS, words.SCENE_HELP), (samples.VALUE_FORMS, {**words.STATE_WORD_HELP, **words.WORD_HELP}),
+    ]  # fmt: skip
+    for forms, help in pairs:
+        assert set(forms) == set(help)
+        for word, form in forms.items():
+            assert word in form or word == "other", (word, form)
+    assert {word for word, dim in TYPE_WORDS.items() if isinstance(dim, str)} | {"number"} == set(words.TYPE_HELP)
+
+
+AROUND = """ant 1
+use steering
+world { surface ground; obstacle stones; curve path; items food { load = 0 }; items nest { load = 0 } }
+field trail on ground { cell 4 mm; half_life 8 s }
+species rabbit { load = 0 }
+species forager {
+  load = 0
+  start go
+  state go { deposit trail load * 1 /s; when after 1 s -> go }
+  on spawn { emit alarm(within: 10 mm) }
+  on alarm { load += 1 }
+"""
+
+
+def test_samples_of_calls_and_sets_are_right() -> None:
+    from test_program import checked
+
+    from antdsl.lsp.samples import CALL_FORMS, SET_FORMS
+
+    for form in (*CALL_FORMS.values(), *SET_FORMS.values()):
+        errors = checked(f"{AROUND}  let one = {form}\n}}\n")[1].errors
+        assert not errors, (form, [error.message for error in errors])
+
+
+def test_samples_of_lines_and_scenes_can_be_read() -> None:
+    from antdsl.lsp.samples import INNER_FORMS, KIND_FORMS, SCENE_FORMS, SETTING_FORMS, VALUE_FORMS, WHOLE_FORMS
+    from antdsl.scene.load import load_text
+    from antdsl.scene.paths import Roots
+    from antdsl.syntax import parse
+
+    places = ("{}", "species a {{ {} }}", "species a {{ state s {{ {} }} }}", 'spec "s" on "s.yaml" {{ {} }}')
+    places += ('spec "s" on "s.yaml" {{ each a {{ {} }} }}', "species a {{ let x = {} }}", "species a {{ on e {{ {} }} }}")
+    for form in (
+        *INNER_FORMS.values(),
+        *KIND_FORMS.values(),
+        *SETTING_FORMS.values(),
+        *VALUE_FORMS.values(),
+        *WHOLE_FORMS.values(),
+    ):
+        texts = [f"ant 1\n{place.format(form)}\n" for place in places]
+        assert any(parse(Source("a.ant", text))[1].ok for text in texts), form
+    for form in SCENE_FORMS.values():
+        text = form if form.startswith("antdsl:") else f"antdsl: 1\n{form}"
+        report = load_text(f"{text}\n".encode(), "other.yaml", Roots(Path("."), {}))[1]
+        assert not {error.code for error in report.errors} - {"no-such-file", "unknown-name", "wrong-path"}, (form, report.errors)

@@ -1,0 +1,114 @@
+"""Comments that ignore a warning: which they take away, and what is said about one that takes nothing or gives no reason."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from antdsl.diagnostics.ignoring import comments, judged, without_ignored
+from antdsl.pipeline import check_path, find_files
+from antdsl.source import Source
+
+ROOT = Path(__file__).resolve().parents[2]
+TEXT = """ant 1
+species walker {
+  {above}
+  energy = 0 {beside}
+  start idle
+  state idle { energy += 1 /s; when after 1 s -> rest }
+  state rest { steer heading; when after 1 s -> idle }
+}
+"""
+
+
+def told(tmp_path: Path, above: str = "", beside: str = "", strict: bool = False) -> list[tuple[str, str]]:
+    path = tmp_path / "walker.ant"
+    path.write_text(TEXT.replace("{above}", above).replace("{beside}", beside))
+    _, report = check_path(path, strict=strict)
+    source = Source(str(path), path.read_text())
+    return [(d.code, d.help or "") for d in judged(report, [source], strict=strict).diagnostics]
+
+
+def test_without_a_comment_the_warning_is_told(tmp_path: Path) -> None:
+    assert [code for code, _ in told(tmp_path)] == ["unread-attribute"]
+
+
+@pytest.mark.parametrize(
+    ("above", "beside"),
+    [
+        ("# antdsl: ignore[unread-attribute] the renderer reads it", ""),
+        ("# antdsl: ignore[unread-attribute] the renderer reads it\n\n  # and another comment", ""),
+        ("", "# antdsl: ignore[unread-attribute] the renderer reads it"),
+        ("", "#antdsl:ignore[ unread-attribute ]   the renderer reads it"),
+    ],
+)
+def test_a_comment_with_a_reason_takes_the_warning_away(tmp_path: Path, above: str, beside: str) -> None:
+    assert told(tmp_path, above, beside) == []
+
+
+def test_a_comment_without_a_reason_is_a_finding_itself(tmp_path: Path) -> None:
+    assert [code for code, _ in told(tmp_path, beside="# antdsl: ignore[unread-attribute]")] == ["ignore-without-reason"]
+
+
+def test_a_comment_that_ignores_nothing_is_a_finding_itself(tmp_path: Path) -> None:
+    assert [code for code, _ in told(tmp_path, above="# antdsl: ignore[unread-attribute, flicker] both")] == ["ignored-nothing"]
+    found = told(tmp_path, beside="# antdsl: ignore[unraed-attribute] the renderer reads it")
+    assert ("ignored-nothing", "did you mean `unread-attribute`?") in found and len(found) == 2
+    assert {code for code, _ in told(tmp_path, beside="# antdsl: ignore[] why not")} == {"ignored-nothing", "unread-attribute"}
+
+
+def test_only_warnings_are_ignored(tmp_path: Path) -> None:
+    path = tmp_path / "walker.ant"
+    path.write_text("ant 1\nspecies a { state s { steer headin } }  # antdsl: ignore[unknown-name] no\n")
+    _, report = check_path(path)
+    assert [d.code for d in without_ignored(report).errors] == ["unknown-name"]
+
+
+def test_what_only_strict_tells_is_not_missed_without_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.ant"
+    comment = "# antdsl: ignore[per-step] a port of an old shot"
+    path.write_text(f"ant 1\nspecies a {{ load = 0; state s {{ load += 1 /step {comment}\n when load > 3 -> s }} }}\n")
+    for strict in (False, True):
+        _, report = check_path(path, strict=strict)
+        left = judged(report, [Source(str(path), path.read_text())], strict=strict)
+        assert left.diagnostics == [] and len(report.diagnostics) == strict
+
+
+def test_text_in_quotes_is_no_comment() -> None:
+    assert list(comments(Source("a.ant", 'x "# antdsl: ignore[flicker] why"\n'))) == []
+    (one,) = comments(Source("a.ant", 'x "a # b" # antdsl: ignore[flicker, trap] why\n'))
+    assert (one.line, [code for code, _ in one.codes], one.reason) == (1, ["flicker", "trap"], "why")
+
+
+def test_the_command_ignores_and_takes_patterns(tmp_path: Path) -> None:
+    told(tmp_path, beside="# antdsl: ignore[unread-attribute] the renderer reads it")
+    (tmp_path / "shots" / "deep").mkdir(parents=True)
+    (tmp_path / "shots" / "deep" / "b.ant").write_text("ant 1\nspecies a { state s { steer headin } }\n")
+    command = [sys.executable, "-m", "antdsl", "check", "--strict", "--format", "json"]
+    done = subprocess.run([*command, "*.ant"], cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    assert (done.returncode, json.loads(done.stdout)["diagnostics"]) == (0, []), done.stderr
+    done = subprocess.run([*command, "**/*.ant"], cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    assert done.returncode == 1 and [d["code"] for d in json.loads(done.stdout)["diagnostics"]] == ["unknown-name"]
+
+
+def test_a_pattern_that_matches_nothing_is_told(tmp_path: Path) -> None:
+    (tmp_path / "[odd].ant").write_text("ant 1\n")
+    files, report = find_files([tmp_path / "[odd].ant"])  # a name that is there is no pattern
+    assert len(files) == 1 and report.ok
+    files, report = find_files([tmp_path / "*.yaml"])
+    assert files == [] and [d.code for d in report.errors] == ["no-such-file"]
+
+
+def test_beside_an_error_nobody_says_that_a_comment_ignores_nothing(tmp_path: Path) -> None:
+    """What it ignores is not looked for then."""
+    found = told(tmp_path, beside="# antdsl: ignore[unread-attribute] kept for later")
+    assert found == []
+    file = next(tmp_path.glob("*.ant"))
+    file.write_text(file.read_text().replace("ant 1\n", "ant 1\nuse stearing\n"))
+    report = check_path(file)[1]
+    said = judged(report, [Source(str(file), file.read_text())])
+    assert [d.code for d in said.diagnostics] == ["unknown-library"]

@@ -1,0 +1,83 @@
+"""The shell lines of the documents and of the examples' own pages are run, shots cut down to their first frames."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "grammar" / "README.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted(ROOT.glob("examples/*/README.md")),
+]
+# What is added to a line so that it takes seconds; what is said last goes before what was said first.
+SHORTER = {
+    "run": ["--frames", "1..10", "--quiet"],
+    "sweep": ["--seeds", "1", "--frames", "1..2", "--no-plots"],
+    "render": ["--width", "96", "--height", "54"],
+}
+# The first two commands set up environments: `.ci/run` runs them. The study's specs are runs of 5,000 frames:
+# `test_foraging_study.py` runs them cut down. What asks a registry or an editor cannot be run everywhere; that the
+# extension packs is tested where node is. `test_preview_command.py` starts previews, which do not end by themselves.
+ELSEWHERE = re.compile(
+    r"python3 -m antdsl\.bootstrap (example|test)|antdsl test forager\.ant"
+    r"|antdsl preview .*|pip install .*|pre-commit install .*|npm install|npm run package|code --install-extension .*"
+)
+
+
+def shell_lines(page: Path) -> list[str]:
+    found = re.findall(r"^```bash\n(.*?)^```", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    return [line.split(" #")[0].strip() for block in found for line in block.splitlines() if line.split("#")[0].strip()]
+
+
+LINES = {page: lines for page in PAGES if (lines := shell_lines(page))}
+
+
+@pytest.mark.parametrize("page", LINES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_shell_lines_run(page: Path, tmp_path: Path) -> None:
+    for part in ("examples", "behaviours", "grammar"):
+        (tmp_path / part).symlink_to(ROOT / part, target_is_directory=True)
+    folder = tmp_path
+    if any(line.startswith("antdsl render out/foraging") for line in LINES[page]):
+        done = run(["antdsl", "run", "examples/foraging/scene.yaml", "--out", "out/foraging"], folder)
+        assert done.returncode == 0, done.stderr
+    for line in LINES[page]:
+        words = shlex.split(line)
+        if words[0] == "cd":
+            folder = copied(folder / words[1], tmp_path / "work")
+            continue
+        if ELSEWHERE.fullmatch(line):
+            continue
+        done = run(words, folder)
+        if "--film" in words and importlib.util.find_spec("imageio_ffmpeg") is None:
+            assert "antdsl[video]" in done.stderr
+            continue
+        assert "Traceback" not in done.stderr
+        # a script of an example may find that two frames do not show what the whole shot shows
+        assert done.returncode == 0 or words[0] == "python", f"{line}\n{done.stdout[-1000:]}{done.stderr[-2000:]}"
+
+
+def copied(folder: Path, to: Path) -> Path:
+    """A folder of its own, so that nothing is written among the examples."""
+    to.mkdir()
+    for file in folder.iterdir():
+        if file.is_file():
+            (to / file.name).write_bytes(file.read_bytes())
+    return to
+
+
+def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    commands = {"antdsl": [sys.executable, "-m", "antdsl"], "python": [sys.executable]}
+    assert words[0] in commands, f"{words[0]}: a line that no test can run"
+    command = [*commands[words[0]], *words[1:], *(SHORTER.get(words[1], []) if words[0] == "antdsl" else [])]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1"}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120)

@@ -1,0 +1,88 @@
+"""The tables of the documents are held against the code's own: words, keys, flags, the library, the ids of parity. Those of
+the codes are in test_code_pages.py."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def rows(document: str) -> Iterator[list[str]]:
+    """The cells of all table rows of a document."""
+    for line in (ROOT / document).read_text(encoding="utf-8").splitlines():
+        if line.startswith("|") and not re.fullmatch(r"[|\s:-]+", line):
+            yield [cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip().strip("|"))]
+
+
+def test_the_card_has_all_the_words() -> None:
+    """Units, given names, built-in operations, sets, colours, field settings and the library: whatever the tables have."""
+    from antdsl.program.tables.colours import COLOURS
+    from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
+    from antdsl.syntax.words import FIELD_SETTINGS, LINE_WORDS, WORLD_KINDS
+
+    text = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
+    words = set(re.findall(r"[A-Za-z_]+|%", " ".join(re.findall(r"`([^`]+)`", text))))
+    tables = (UNITS, GIVEN, RUN_NAMES, SENSED_NAMES, BUILTINS, REDUCERS, COLOURS, FIELD_SETTINGS, WORLD_KINDS)
+    missing = {word for table in (*tables, *LINE_WORDS.values()) for word in table} - words
+    assert not missing, f"the card lacks {sorted(missing)}"
+    assert {"noise", "flow", "map", "play"} <= {*RESERVED, *WORLD_KINDS} & words
+
+
+def test_the_library_is_in_the_reference_as_it_is() -> None:
+    """Signature and help of each behaviour; on the card the names alone."""
+    library = (ROOT / "behaviours" / "steering.ant").read_text(encoding="utf-8")
+    heads = re.findall(r'^behaviour (\w+)(\(.*?\)) -> push \{\n  "(.*?)"', library, flags=re.MULTILINE)
+    assert len(heads) == len(re.findall(r"^behaviour ", library, flags=re.MULTILINE))
+    reference = (ROOT / "grammar" / "README.md").read_text(encoding="utf-8")
+    assert [row for row in heads if f"| `{row[0]}{row[1]}` | {row[2]} |" not in reference] == []
+    card = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
+    assert "`" + " ".join(name for name, _, _ in heads) + "`" in card
+
+
+def test_the_scene_page_has_all_the_keys() -> None:
+    from antdsl.scene import model
+
+    text = (ROOT / "docs" / "scene.md").read_text(encoding="utf-8")
+    kinds = [kind for kind in vars(model).values() if isinstance(kind, type) and issubclass(kind, model.Part)]
+    parts = [kind for kind in kinds if kind is not model.Part]
+    keys = {field.alias or name for part in parts for name, field in part.model_fields.items()}
+    assert len(parts) > 8
+    assert sorted(key for key in keys if f"`{key}`" not in text and f"`{key}:" not in text) == []
+
+
+def test_the_page_of_commands_has_all_commands_and_flags() -> None:
+    import typer.main
+
+    from antdsl.cli import app
+
+    text = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("commands.md", "pictures.md"))
+    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+        assert f"`antdsl {name}" in text
+        flags = [flag for part in command.params for flag in part.opts if flag.startswith("--")]
+        assert [flag for flag in flags if flag not in text and flag != "--help"] == [], name
+
+
+PARITY_IDS = [
+    *(f"T{n:02}" for n in (*range(1, 41), *range(50, 61))),
+    *("T60b", "T61", "T62"),
+    *(f"P{n:02}" for n in range(1, 19)),
+    *(f"H{n:02}" for n in range(1, 16)),
+    *(f"R{n:02}" for n in range(1, 17)),
+    *(f"X{n}" for n in range(1, 18)),
+]
+
+
+def test_parity_has_every_id_once_and_names_files_that_exist() -> None:
+    found = [row for row in rows("docs/parity.md") if row[0] != "id"]
+    assert [row[0] for row in found] == PARITY_IDS
+    for name, what, state, shown in found:
+        assert what and state in ("done", "part", "not yet"), name
+        files = [word for word in re.findall(r"`([^`]+)`", shown) if "/" in word and " " not in word]
+        assert files or state == "not yet", f"{name} is {state} and names no file"
+        for file in files:
+            path, _, function = file.partition("::")
+            assert (ROOT / path).exists(), f"{name}: there is no {path}"
+            assert not function or f"def {function}(" in (ROOT / path).read_text(encoding="utf-8"), f"{name}: {file}"

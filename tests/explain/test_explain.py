@@ -1,0 +1,41 @@
+"""`antdsl explain`: what it tells is what happened, and telling changes nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from explained import cached, differences, explanations, facts, shot_of
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+SHORT = {"foraging": 10, "flocking": 14, "moods": 20, "alarm": 54, "tunnel": 10}
+LONG = {"foraging": 400, "flocking": 120, "moods": 200, "alarm": 150, "tunnel": 240, "worth": 200, "flow": 240, "anthill": 120}
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_what_is_explained_is_what_happened(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Transition, push, velocity and draws of 12 random agents and frames each, read off the run itself."""
+    _held_against(name, SHORT[name], 12, tmp_path, monkeypatch)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LONG)
+def test_what_is_explained_is_what_happened_a_thousand_times(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _held_against(name, LONG[name], 125, tmp_path, monkeypatch)
+
+
+def _held_against(name: str, last: int, pairs: int, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = EXAMPLES / name / "scene.yaml"
+    cache = cached(scene, last, folder / "cache")
+    shot = shot_of(scene, last)
+    found = facts(shot, pairs, monkeypatch, seed=len(name))
+    wrong = {}
+    count = 0
+    for fact, told in explanations(cache, scene, found):
+        count += 1
+        differ = differences(shot, fact, told)
+        if differ:
+            wrong[fact.species, fact.agent, fact.frame] = differ
+    assert count == pairs
+    assert not wrong
+    print(name, count, "changes", sum(any(f.pending.values()) for f in found), "draws", sum(len(f.draws) for f in found))

@@ -1,0 +1,300 @@
+"""Fields: cells on all sorts of surfaces, exact deposits, fading, spreading, and what an agent smells of it."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from antdsl.fields.cells import FieldTooFine, SurfaceCells, compatible, facing
+from antdsl.fields.pheromone import LARGEST_DEPOSIT, UNIT, PheromoneField
+from antdsl.numerics import compiled
+from antdsl.scene.stability import largest_stable_diffusion
+from tests.meshes import Mesh, ball, box, grid, terrain
+
+
+def on_surface(mesh: Mesh, n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Points evenly over a mesh, and the normals of their faces."""
+    rng = np.random.default_rng(seed)
+    corners = mesh[0][mesh[1]]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(across, axis=1)
+    face = rng.choice(len(area), n, p=area / area.sum())
+    points = (corners[face] * rng.dirichlet([1, 1, 1], n)[:, :, None]).sum(axis=1)
+    return points, across[face] / area[face][:, None]
+
+
+def flat_field(**options) -> PheromoneField:
+    return PheromoneField(SurfaceCells([grid(80, 4)], 4.0), **options)
+
+
+def cell_at(field: PheromoneField, x: float, z: float) -> np.ndarray:
+    return field.cells.lookup(np.array([[x, 0.0, z]]), np.array([[0, 1.0, 0]]))
+
+
+@pytest.mark.parametrize("cell", [1.7, 5.0, 23.0])
+@pytest.mark.parametrize("mesh", [terrain(200, 25), ball(30, (3, 4, 5)), box((-20, 0, -20), (20, 0.4, 20)), grid(90, 1)])
+def test_every_point_of_a_surface_has_a_cell_around_it_that_faces_its_way(mesh, cell):
+    cells = SurfaceCells([mesh], cell)
+    points, normals = on_surface(mesh, 5000)
+    found = cells.lookup(points, normals)
+    assert (found >= 0).all()
+    assert np.array_equal(cells.side[found], facing(normals))
+    assert np.abs(cells.position[found] - points).max() < 1.6 * cell
+    assert len(np.unique(found)) <= len(cells) <= 3.2 * np.abs(points.max() - points.min() + cell) ** 2 * 6 / cell**2
+
+
+def test_a_cell_lies_where_its_surface_is():
+    cells = SurfaceCells([grid(80, 7)], 4.0)
+    inner = np.abs(cells.position[:, [0, 2]]).max(axis=1) < 36
+    assert np.abs(cells.position[:, 1]).max() < 1e-12
+    off = cells.position[inner] / 4.0
+    assert np.abs(off - np.round(off)).max() < 0.25
+    hilly = SurfaceCells([terrain(200, 60)], 4.0)
+    from antdsl.casting.rays import RayScene
+
+    assert RayScene(*terrain(200, 60)).closest(hilly.position)[3].max() < 1.0
+
+
+def test_a_thin_plate_has_two_sides_that_do_not_smell_through():
+    mesh = box((-20, 0, -20), (20, 0.4, 20))
+    field = PheromoneField(SurfaceCells([mesh], 4.0))
+    place = np.array([[1.0, 0.4, 1.0], [1.0, 0.0, 1.0]])
+    top, bottom = field.cells.lookup(place, np.array([[0, 1.0, 0], [0, -1.0, 0]]))
+    assert top != bottom
+    field.deposit(np.array([top]), np.array([5.0], np.float32))
+    field.step(1.0, 10.0, 1 / 24)
+    for _ in range(3):
+        field.step(1.0, 10.0, 1 / 24)
+    assert field.strongest(np.array([top]))[0] > 1 and field.strongest(np.array([bottom]))[0] == 0
+
+
+def test_several_surfaces_share_a_field_and_the_order_of_faces_is_not_observable():
+    ground, stone = terrain(120, 15), ball(15, (0, 5, 0))
+    cells = SurfaceCells([ground, stone], 5.0)
+    mixed = (ground[0], ground[1][np.random.default_rng(1).permutation(len(ground[1]))])
+    again = SurfaceCells([stone, mixed], 5.0)
+    assert len(cells) == len(again) and np.array_equal(cells.side, again.side)
+    assert np.allclose(cells.position, again.position)
+    assert np.array_equal(cells.links.cell, again.links.cell)
+    for mesh in (ground, stone):
+        assert (cells.lookup(*on_surface(mesh, 500)) >= 0).all()
+
+
+def test_the_table_and_the_search_find_the_same(monkeypatch):
+    from antdsl.fields import cells as module
+
+    mesh = ball(30, (3, 4, 5))
+    points, normals = on_surface(mesh, 2000)
+    points += np.random.default_rng(2).normal(0, 3, points.shape)
+    one = SurfaceCells([mesh], 4.0)
+    monkeypatch.setattr(module, "_DENSE", 0)
+    two = SurfaceCells([mesh], 4.0)
+    assert two._start_table is None and one._start_table is not None
+    assert np.array_equal(one.lookup(points, normals), two.lookup(points, normals))
+    assert np.array_equal(one.block, two.block)
+
+
+def test_a_miss_falls_back_to_a_cell_near_by_that_does_not_face_the_other_way():
+    cells = SurfaceCells([grid(80, 4)], 4.0)
+    up = np.array([[0, 1.0, 0]])
+    near = cells.lookup(np.array([[0.0, 3.0, 0.0]]), up)[0]
+    assert near == cells.lookup(np.array([[0.0, 0.0, 0.0]]), up)[0]
+    assert cells.lookup(np.array([[0.0, 0.0, 0.0]]), -up)[0] == -1
+    assert cells.lookup(np.array([[0.0, 0.0, 0.0]]), np.array([[1.0, 0, 0]]))[0] == near
+    odd = np.array([[0, 30.0, 0], [np.nan, 0, 0], [1e30, 0, 0], [np.inf, 0, 0]])
+    assert (cells.lookup(odd, np.repeat(up, 4, axis=0)) == -1).all()
+    assert (SurfaceCells([], 4.0).lookup(odd, np.repeat(up, 4, axis=0)) == -1).all()
+
+
+def test_a_request_for_a_billion_cells_is_refused_before_it_costs_anything():
+    tracemalloc.start()
+    for cell in (0.02, 1e-9):
+        with pytest.raises(FieldTooFine, match="cells are needed") as told:
+            SurfaceCells([grid(1000, 4)], cell)
+        assert told.value.needed > told.value.cap
+    assert tracemalloc.get_traced_memory()[1] < 1e6
+    tracemalloc.stop()
+    with pytest.raises(FieldTooFine):
+        SurfaceCells([grid(100, 4)], 1.0, cap=9_000)
+    ribbon = (np.array([[0, 0, 0], [0, 0, 0.5], [1e5, 0, 0]]), np.array([[0, 1, 2]], np.int32))
+    with pytest.raises(FieldTooFine) as told:
+        SurfaceCells([ribbon], 0.1)
+    assert told.value.in_a_row and told.value.needed > told.value.cap
+    for cell in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="more than 0"):
+            SurfaceCells([grid(100, 4)], cell)
+
+
+@pytest.mark.parametrize("mesh", [terrain(150, 20), ball(20), box((-20, -20, -20), (20, 20, 20))])
+def test_links_are_mutual_touching_and_hang_the_surface_together(mesh):
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    cells = SurfaceCells([mesh], 4.0)
+    links = cells.links
+    own = np.repeat(np.arange(len(cells)), np.diff(links.start))
+    assert {*zip(own.tolist(), links.cell.tolist(), strict=True)} == {*zip(links.cell.tolist(), own.tolist(), strict=True)}
+    assert (own != links.cell).all() and compatible(cells.side[own], cells.side[links.cell]).all()
+    gap = np.linalg.norm(cells.position[own] - cells.position[links.cell], axis=1)
+    assert gap.max() < 2.5 * 4.0
+    graph = csr_array((np.ones(own.size), links.cell, links.start), shape=(len(cells), len(cells)))
+    assert connected_components(graph)[0] == 1
+
+
+def test_deposits_add_exactly_in_any_order_and_any_parts():
+    rng = np.random.default_rng(3)
+    one, two = flat_field(), flat_field()
+    cells = rng.integers(0, 50, 20_000).astype(np.int32)
+    amounts = (10.0 ** rng.uniform(-6, 4, 20_000)).astype(np.float32)
+    one.deposit(cells, amounts)
+    order = rng.permutation(20_000)
+    for part in np.array_split(order, 17):
+        two.deposit(cells[part], amounts[part])
+    assert not one.values.any()  # lands at the end of the step
+    one.step(0.9, 0.0, 1 / 24)
+    two.step(0.9, 0.0, 1 / 24)
+    assert one.state_bytes() == two.state_bytes()
+    expected = np.bincount(cells, amounts.astype(np.float64), len(one.cells))
+    assert np.abs(one.values - expected).max() < UNIT * 1000
+    one.step(0.9, 0.0, 1 / 24)
+    assert np.allclose(one.values, np.float64(np.float32(0.9)) * two.values, rtol=1e-15)
+
+
+def test_the_greatest_deposit_stays_when_they_are_combined_by_max():
+    field = flat_field(combine="max")
+    field.deposit(np.array([4, 4, 9]), np.array([2.0, 5.0, 1.0], np.float32))
+    field.step(0.5, 0.0, 1.0)
+    field.deposit(np.array([4, 9]), np.array([1.0, 3.0], np.float32))
+    field.step(0.5, 0.0, 1.0)
+    assert field.values[4] == 2.5 and field.values[9] == 3.0
+
+
+def test_what_is_no_amount_is_refused_and_counted_and_what_is_nowhere_is_not_laid():
+    field = flat_field(limit=3.0)
+    amounts = np.array([np.nan, np.inf, 1e30, 2.0, 2.0, 2.0, -9.0], np.float32)
+    assert field.deposit(np.array([1, 1, 2, -1, 3, 3, 5]), amounts) == 3
+    field.step(1.0, 0.0, 1.0)
+    assert field.values[1] == 0 and field.values[2] == 3.0 and field.values[3] == 3.0 and field.values[5] == 0
+    assert field.values.sum() == 6.0
+    crowd = flat_field()
+    crowd.deposit(np.zeros(5000, np.int32), np.full(5000, 1e9, np.float32))
+    crowd.step(1.0, 0.0, 1.0)
+    assert crowd.values[0] == 5000 * LARGEST_DEPOSIT
+
+
+def test_scent_fades_by_its_half_life_and_is_flushed_at_last():
+    field = flat_field()
+    field.deposit(np.array([7]), np.array([8.0], np.float32))
+    field.step(1.0, 0.0, 1 / 24)
+    keep = 0.5 ** (1 / 24 / 2.0)
+    for _ in range(48):
+        field.step(keep, 0.0, 1 / 24)
+    assert field.values[7] == pytest.approx(4.0, rel=1e-5)
+    for _ in range(50 * 48):
+        field.step(keep, 0.0, 1 / 24)
+    assert field.values[7] == 0.0
+
+
+def test_diffusion_keeps_the_sum_stays_positive_and_spreads_as_the_heat_equation_says():
+    cells = SurfaceCells([grid(200, 4)], 2.0)
+    field = PheromoneField(cells)
+    dt, rate = 1 / 24, 6.0
+    field.deposit(cells.lookup(np.zeros((1, 3)), np.array([[0, 1.0, 0]])), np.array([1000.0], np.float32))
+    field.step(1.0, 0.0, dt)
+    for _ in range(240):
+        field.step(1.0, rate, dt)
+        assert field.values.min() >= 0
+    assert field.values.sum() == pytest.approx(1000.0, rel=1e-9)
+    variance = (field.values * cells.position[:, 0] ** 2).sum() / 1000.0
+    assert variance == pytest.approx(2 * rate * 10.0, rel=0.02)
+
+
+@pytest.mark.parametrize("mesh", [terrain(150, 20), ball(20), box((-20, -20, -20), (20, 20, 20))])
+def test_the_limit_of_stability_depends_on_the_cell_alone(mesh):
+    field = PheromoneField(SurfaceCells([mesh], 4.0))
+    most = largest_stable_diffusion(4.0, 1 / 24)
+    assert most == pytest.approx(96.0)
+    with pytest.raises(ValueError, match="the largest that is stable is 96 mm²/s"):
+        field.step(1.0, 96.1, 1 / 24)
+    field.values[:] = np.random.default_rng(4).uniform(0, 1, len(field.cells)) * (np.arange(len(field.cells)) % 7 == 0)
+    total, high = field.values.sum(), field.values.max()
+    for _ in range(30):
+        field.step(1.0, most, 1 / 24)
+        assert field.values.min() >= 0 and field.values.max() <= high + 1e-12
+        high = field.values.max()
+    assert field.values.sum() == pytest.approx(total, rel=1e-9)
+
+
+def test_strongest_of_the_nearest_sixteen_against_plain_search():
+    mesh = terrain(150, 30)
+    cells = SurfaceCells([mesh], 4.0)
+    field = PheromoneField(cells)
+    rng = np.random.default_rng(5)
+    field.values[:] = rng.choice([0.0, 1.0, 2.0, 3.0], len(cells))
+    own = cells.lookup(*on_surface(mesh, 300))
+    value, x, y, z = field.strongest(own)
+    lattice = np.column_stack(np.unravel_index(cells._voxels, cells._size))
+    for k, cell in enumerate(own):
+        near = np.flatnonzero((np.abs(lattice - lattice[cell]).max(axis=1) <= 1) & compatible(cells.side, cells.side[cell]))
+        gap = ((cells.position[near] - cells.position[cell]) ** 2).sum(axis=1)
+        near = np.sort(near[np.lexsort((near, gap))[:16]])
+        best = near[np.argmax(field.values[near])]
+        assert value[k] == field.values[best]
+        assert np.array_equal([x[k], y[k], z[k]], cells.position[best].astype(np.float32))
+
+
+def test_nothing_to_smell():
+    field = flat_field()
+    own = np.array([5, -1])
+    value, x, y, z = field.strongest(own)
+    assert not value.any() and np.allclose([x[0], y[0], z[0]], field.cells.position[5]) and x[1] == y[1] == z[1] == 0
+    assert not field.sample(own).any() and not np.any(field.gradient(own))
+    nothing = PheromoneField(SurfaceCells([], 4.0))
+    nothing.step(0.9, 1.0, 1 / 24)
+    assert nothing.strongest(np.array([-1]))[0] == 0 and nothing.gradient(np.array([-1]))[0] == 0
+    assert nothing.sample(np.array([-1, -1])).tolist() == [0, 0]
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.5, 1.1, 2.8])
+def test_the_gradient_of_a_slope_of_scent_lies_in_the_surface(tilt):
+    vertices, faces = grid(80, 6)
+    turn = np.array([[np.cos(tilt), np.sin(tilt), 0], [-np.sin(tilt), np.cos(tilt), 0], [0, 0, 1]])
+    field = PheromoneField(SurfaceCells([(vertices @ turn, faces)], 3.0))
+    along = np.array([0.6, 0, 0.8]) @ turn
+    field.values[:] = 5.0 + 0.01 * (field.cells.position @ along)
+    inner = np.flatnonzero(np.linalg.norm(field.cells.position, axis=1) < 30)
+    slope = np.stack(field.gradient(inner), axis=1)
+    assert np.allclose(slope, 0.01 * along, atol=4e-4)
+    assert np.abs(slope @ (np.array([0, 1.0, 0]) @ turn)).max() < 1e-4
+
+
+def test_answers_do_not_depend_on_the_batch():
+    mesh = terrain(150, 30)
+    field = PheromoneField(SurfaceCells([mesh], 4.0))
+    field.values[:] = np.random.default_rng(6).random(len(field.cells))
+    points, normals = on_surface(mesh, 400)
+    own = field.cells.lookup(points, normals)
+    together = (*field.strongest(own), *field.gradient(own), field.sample(own))
+    for k in range(0, 400, 29):
+        one = field.cells.lookup(points[k : k + 1], normals[k : k + 1])
+        alone = (*field.strongest(one), *field.gradient(one), field.sample(one))
+        assert [a[k] for a in together] == [a[0] for a in alone]
+
+
+def test_strongest_is_the_same_bits_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    if not compiled.available():
+        pytest.skip("needs numba")
+    mesh = terrain(150, 30)
+    field = PheromoneField(SurfaceCells([mesh], 4.0))
+    rng = np.random.default_rng(8)
+    own = np.concatenate([field.cells.lookup(*on_surface(mesh, 2500)), np.full(10, -1, np.int32)])
+    for share in (0.0, 0.01, 0.6):
+        field.values[:] = np.where(rng.random(len(field.cells)) < share, rng.integers(0, 5, len(field.cells)), 0)
+        for k in (1, 9, 16):
+            monkeypatch.setattr(compiled, "wanted", lambda count: True)
+            fast = field.strongest(own, k)
+            monkeypatch.setattr(compiled, "wanted", lambda count: False)
+            for a, b in zip(fast, field.strongest(own, k), strict=True):
+                assert a.dtype == b.dtype and np.array_equal(a, b)

@@ -1,0 +1,114 @@
+"""What straight ways meet first is what a look at every triangle finds, and the compiled twin says the same to the bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from meshes import ball, terrain
+from numpy.typing import NDArray
+from open_shapes import joined, soup
+
+from antdsl.ground.mesh.boxes import Boxes, first_met
+from antdsl.ground.mesh.surface import Ground
+
+Floats = NDArray[np.float64]
+N = 600
+
+
+def scene(far: float = 0.0) -> Ground:
+    """A soup of triangles beside a ball and hills, slivers and flat faces among them."""
+    vertices, faces = joined([soup(400), ball(6, (9, 2, 0), 9), terrain(60, 20)])
+    squeezed = vertices[faces[:100]]
+    squeezed[:, 2] = squeezed[:, :2].mean(axis=1) + 1e-4
+    made = joined([(vertices, faces), (squeezed.reshape(-1, 3), np.arange(300).reshape(-1, 3))])
+    return Ground({"all": (made[0] + far, made[1])})
+
+
+def ways(ground: Ground, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    corners = ground._vertices[ground._faces[rng.integers(0, len(ground._faces), N)]]
+    aim = (corners * rng.dirichlet((0.4, 0.4, 0.4), N)[:, :, None]).sum(axis=1)
+    step = rng.normal(size=(N, 3)) * rng.choice([0.01, 1.0, 20.0], (N, 1))
+    step[::7] = (corners[:, 1] - corners[:, 0])[::7]  # along an edge
+    return (aim - step * rng.choice([0.0, 0.3, 0.5, 1.0, 1.2], (N, 1))).T, step.T
+
+
+@pytest.mark.parametrize("far", [0.0, 900.0])
+def test_the_first_triangle_of_a_way_is_that_of_a_look_at_all(far: float) -> None:
+    ground, rng = scene(far), np.random.default_rng(2)
+    table = ground.triangles[3]
+    origin, step = ways(ground, rng)
+    face, piece = np.full(N, -1), np.full(N, -1, np.int32)
+    face[::2] = rng.integers(0, table.live.size, N // 2)
+    piece[::3] = table.piece[rng.integers(0, table.live.size, N // 3)]
+    found, part, b1, b2 = first_met(ground._boxes, table, origin, step, 1e-6, face, piece)
+    a, e1, e2 = table.corner.T, table.edge1.T, table.edge2.T
+    met = 0
+    for k in range(N):
+        o, d = origin[:, k], step[:, k]
+        p = np.cross(d, e2)
+        det = (e1 * p).sum(axis=1)
+        with np.errstate(all="ignore"):
+            u, v = ((o - a) * p).sum(axis=1) / det, (np.cross(o - a, e1) @ d) / det
+            t = (e2 * np.cross(o - a, e1)).sum(axis=1) / det
+        slant = np.abs(det) / np.sqrt((d @ d) * (e1 * e1).sum(axis=1) * (e2 * e2).sum(axis=1))
+        asked = table.live & (np.arange(len(a)) != face[k]) & (table.piece != piece[k]) & (slant > 1e-9)
+        surely = asked & (u > 1e-7) & (v > 1e-7) & (u + v < 1 - 1e-7) & (t > 1e-7) & (t < 1 - 1e-7)
+        maybe = asked & (u > -1e-7) & (v > -1e-7) & (u + v < 1 + 1e-7) & (t > -1e-7) & (t < 1 + 1e-3)
+        if found[k] >= 0:
+            assert maybe[found[k]] and abs(t[found[k]] - part[k]) < 1e-7
+            assert abs(u[found[k]] - b1[k]) < 1e-7 and abs(v[found[k]] - b2[k]) < 1e-7
+            assert not surely.any() or part[k] <= t[surely].min() + 1e-9
+            met += 1
+        else:
+            assert not surely.any()
+    assert met > 0.3 * N
+
+
+def test_boxes_that_are_fitted_anew_are_those_that_are_made_anew() -> None:
+    ground, rng = scene(), np.random.default_rng(3)
+    vertices, faces, live = ground._vertices, ground._faces, np.flatnonzero(ground.triangles[3].live)
+    group = (ground._vertices[faces[:, 0], 0] > 0).astype(np.int32)
+    there = vertices @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) * 1.5 + 7.0
+    loose = np.unique(faces[group == 1])
+    there[np.setdiff1d(np.arange(len(vertices)), loose)] = vertices[np.setdiff1d(np.arange(len(vertices)), loose)]
+    faces = faces.copy()
+    held = np.isin(faces, loose).any(axis=1)
+    boxes = Boxes.of(vertices, faces, live, held.astype(np.int32))
+    fresh = Boxes.of(there, faces, live, held.astype(np.int32))
+    boxes.fit(there, faces, int((~held[live]).sum()))
+    moved, corners = there[faces], faces
+    low = rng.uniform(-15, 30, (3, 50))
+    for high in (low + 0.1, low + 8.0):
+        pairs = [np.sort(ray * len(corners) + face) for ray, face in (b.near(low, high) for b in (boxes, fresh))]
+        beside = (moved.min(axis=1)[:, None] <= high.T).all(axis=2) & (moved.max(axis=1)[:, None] >= low.T).all(axis=2)
+        there, ray = np.nonzero(beside & ground.triangles[3].live[:, None])
+        assert np.array_equal(pairs[0], pairs[1]) and np.array_equal(pairs[0], np.sort(ray * len(corners) + there))
+
+
+def test_ground_without_a_triangle_is_met_nowhere() -> None:
+    ground = Ground({"none": (np.zeros((3, 3)), np.array([[0, 1, 2]]))})
+    none = np.full(2, -1, np.int32)
+    found = first_met(ground._boxes, ground.triangles[3], np.zeros((3, 2)), np.ones((3, 2)), 0.0, none.astype(np.int64), none)[0]
+    assert (found == -1).all()
+
+
+def test_the_compiled_twin_meets_the_same_to_the_bit() -> None:
+    pytest.importorskip("numba")
+    from antdsl.ground.mesh.boxes_compiled import first_of, gather
+    from antdsl.ground.mesh.packing import packed
+
+    ground, rng = scene(), np.random.default_rng(4)
+    table = ground.triangles[3]
+    origin, step = ways(ground, rng)
+    face, piece = np.full(N, -1), np.full(N, -1, np.int32)
+    face[::2] = rng.integers(0, table.live.size, N // 2)
+    piece[::3] = table.piece[rng.integers(0, table.live.size, N // 3)]
+    expected = first_met(ground._boxes, table, origin, step, 1e-6, face, piece)
+    rows = packed(table, ground._mesh)
+    boxes = (ground._boxes.order, ground._boxes.first, ground._boxes.bounds)
+    found = np.empty(table.live.size, np.int64)
+    for k in range(N):
+        one, way = tuple(origin[:, k].tolist()), tuple(step[:, k].tolist())
+        end = tuple((origin[:, k] + step[:, k]).tolist())
+        count = gather(table.piece, boxes, one, end, 0.01, face[k], piece[k], found)
+        assert first_of(rows, boxes, found, count, one, way, 1e-6) == tuple(array[k] for array in expected)

@@ -1,0 +1,275 @@
+"""The compiled walk and the compiled passes of moving give the bits of the NumPy code beside them, on every sort of ground."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from open_shapes import WORSE
+from torture_walks import shapes
+
+from antdsl.casting.rays import RayScene
+from antdsl.ground.mesh import clearances
+from antdsl.ground.mesh.surface import Footing, Ground, MoveResult
+from antdsl.ground.moving import MovingGround
+from antdsl.numerics import compiled
+from antdsl.runtime.moving import advance
+from tests.meshes import ball, box, grid, terrain
+
+UP = np.array([0.0, 1.0, 0.0])
+N = 500
+
+
+def rumpled() -> dict:
+    vertices, faces = ball(12, rings=9)
+    odd = faces.copy()
+    odd[::3] = odd[::3][:, ::-1]
+    lines = np.array([[0, 0, 1], [2, 2, 2], [0, 1, 1]], np.int32)
+    return {"ball": (vertices, np.concatenate([odd, faces[:20, [1, 2, 0]], faces[:9, ::-1], lines]).astype(np.int32))}
+
+
+def forked() -> dict:
+    vertices = np.array([[x, 0, z] for x in (-10, 0, 10) for z in (-10, 10)] + [[0, 10, -10], [0, 10, 10]], np.float64)
+    faces = np.array([[0, 1, 3], [0, 3, 2], [2, 3, 5], [2, 5, 4], [2, 3, 7], [2, 7, 6]], np.int32)
+    return {"room": (vertices, faces)}
+
+
+def sheets() -> dict:
+    vertices, faces = box((-10, -10, -10), (10, 10, 10))
+    return {str(k): (vertices[faces[2 * k : 2 * k + 2]].reshape(-1, 3), np.arange(6).reshape(2, 3)) for k in range(6)}
+
+
+GROUNDS = {
+    "hills": lambda: {"hills": terrain(120, 40)},
+    "open sheet": lambda: {"sheet": grid(14, 7)},
+    "thin plate": lambda: {"plate": box((-8, 0, -8), (8, 0.05, 8))},
+    "flipped, doubled and flat faces": rumpled,
+    "a wall on a floor": forked,
+    "loose sheets": sheets,
+    "a hose through itself": lambda: {"eight": shapes().eight(), "floor": grid(60, 9)},
+    **{name: (lambda made=made: {"worse": made()}) for name, made in WORSE.items()},
+    "boulders": lambda: {"hills": terrain(100, 30), "a": ball(14, (8, 4, 3), 9), "b": box((-30, -20, -30), (-18, 15, -14))},
+    "tiles and a fan of slivers": lambda: {
+        "left": grid(30, 6),
+        "right": (grid(30, 5)[0] + np.array([30.0, 0, 0]), grid(30, 5)[1]),
+        "fan": (ball(6, (0, 5, 0), 3)[0] * np.array([1, 0.02, 1]), ball(6, (0, 5, 0), 3)[1]),
+    },
+}
+
+
+def use(monkeypatch: pytest.MonkeyPatch, fast: bool) -> None:
+    monkeypatch.setattr(compiled, "wanted", lambda count: fast)
+
+
+def assert_same(one: MoveResult, two: MoveResult) -> None:
+    for a, b in ((one.footing, two.footing), (one, two)):
+        for name in (f.name for f in fields(a) if f.name != "footing"):
+            first, second = getattr(a, name), getattr(b, name)
+            assert first.dtype == second.dtype and first.shape == second.shape
+            assert np.ascontiguousarray(first).tobytes() == np.ascontiguousarray(second).tobytes(), name
+
+
+def crowd(ground: Ground, rng: np.random.Generator) -> MoveResult:
+    """Agents all over a ground, some below it, as after a step of no length."""
+    footing, _ = ground.nearest(rng.uniform(ground.low - 1, ground.high + 1, (N, 3)))
+    up = ground.normal(footing) * rng.choice([-1.0, 1.0], (N, 1), p=[0.2, 0.8])
+    return ground.move(footing, np.zeros((N, 3)), rng.normal(size=(N, 3)), up, 4.0)
+
+
+@pytest.mark.parametrize("name", GROUNDS)
+def test_the_compiled_walk_gives_the_same_bits(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    ground = Ground(GROUNDS[name]())
+    rng = np.random.default_rng(5)
+    use(monkeypatch, False)
+    at = crowd(ground, rng)
+    slowly: list[int] = []
+    body = rng.uniform(0, 5, N)
+    moved = Ground._moved
+
+    def counting(self: Ground, footing: Footing, *rest: object) -> MoveResult:
+        slowly.append(len(footing))
+        return moved(self, footing, *rest)
+
+    for _ in range(12):
+        length = rng.choice([0.0, 1e-9, 0.4, 1.5, 6.0], (N, 1))
+        heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.5, (N, 1)) + at.up * rng.normal(0, 0.3, (N, 1))
+        inputs = (at.footing, heading * length, heading, at.up, body)
+        use(monkeypatch, False)
+        expected = ground.move(*inputs)
+        use(monkeypatch, True)
+        with monkeypatch.context() as patch:
+            patch.setattr(Ground, "_moved", counting)
+            found = ground.move(*inputs)
+        assert_same(expected, found)
+        at = expected
+    assert sum(slowly) < 0.9 * 12 * N  # the compiled walk did something
+
+
+def test_odd_wishes_and_footings_nowhere_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    ground = Ground(GROUNDS["boulders"]())
+    rng = np.random.default_rng(6)
+    use(monkeypatch, False)
+    at = crowd(ground, rng)
+    values = np.array([0.0, -0.0, np.nan, np.inf, -np.inf, 1e-160, 1e200, 1.0, 30.0])
+    wish, heading, up = (rng.choice(values, (N, 3)) for _ in range(3))
+    up[::2], heading[::3] = at.up[::2], at.heading[::3]
+    lost = rng.random(N) < 0.1
+    footing = Footing(
+        np.where(lost, -1, at.footing.mesh).astype(np.int32),
+        np.where(lost, -1, at.footing.face).astype(np.int32),
+        np.where(rng.random(N) < 0.2, -0.0, at.footing.b1),
+        np.where(rng.random(N) < 0.2, 1.0, at.footing.b2),
+    )
+    results = []
+    for fast in (False, True):
+        use(monkeypatch, fast)
+        results.append(ground.move(footing, wish, heading, up, 4.0))
+    assert_same(*results)
+    assert results[0].lost.sum() == lost.sum()
+
+
+@pytest.mark.parametrize("name", ["boulders", "loose sheets", "tiles and a fan of slivers"])
+def test_clearances_are_below_the_distance_to_other_pieces(name: str) -> None:
+    ground = Ground(GROUNDS[name]())
+    rng = np.random.default_rng(7)
+    corners = ground._vertices[ground._faces]
+    for reach in (0.5, 3.0):
+        parts = ground._clearances.within(reach)
+        assert parts.reach >= reach
+        face = rng.integers(0, len(corners), 2000)
+        b1 = rng.random(2000)
+        b2 = rng.random(2000) * (1 - b1)
+        clear = parts.of(face, b1, b2)
+        a, b, c = (corners[face, k] for k in range(3))
+        place = a + b1[:, None] * (b - a) + b2[:, None] * (c - a)
+        for piece in range(ground._table.pieces):
+            other = corners[(ground._table.piece != piece) & (ground._table.piece >= 0)]
+            scene = RayScene(other.reshape(-1, 3), np.arange(3 * len(other), dtype=np.int32).reshape(-1, 3))
+            own = ground._table.piece[face] == piece
+            distance = scene.closest(place[own])[3]
+            assert (clear[own] <= distance + 1e-9).all()
+        assert (clear > 0).any()
+
+
+def test_looking_out_everywhere_finds_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    use(monkeypatch, False)
+    for name in ("boulders", "loose sheets", "tiles and a fan of slivers"):
+        ground = Ground(GROUNDS[name]())
+        at = crowd(ground, np.random.default_rng(8))
+        for _ in range(10):
+            expected = ground.move(at.footing, at.heading * 1.7, at.heading, at.up, 4.0)
+            with monkeypatch.context() as patch:
+                patch.setattr(clearances.Parts, "of", lambda self, face, b1, b2: np.zeros(face.size))
+                assert_same(ground.move(at.footing, at.heading * 1.7, at.heading, at.up, 4.0), expected)
+            at = expected
+
+
+class People(SimpleNamespace):
+    """What the passes of moving read of a population."""
+
+    def __len__(self) -> int:
+        return N
+
+
+def some(rng: np.random.Generator, *odd: float) -> np.ndarray:
+    values = np.concatenate([rng.uniform(0, 3, 40), np.array(odd)])
+    return rng.choice(values, N).astype(np.float32)
+
+
+def people(rng: np.random.Generator) -> People:
+    unit = rng.normal(size=(N, 3))
+    unit[: N // 4] = [[0, 1, 0]]
+    unit[N // 4 : N // 3] = [[1, 0, 0]]
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    now = {
+        "max_speed": some(rng, 0, -1, -0.0, np.inf, np.nan),
+        "max_force": some(rng, 0, np.inf, np.nan, 1e30),
+        "mass": some(rng, 0, -1, np.inf, np.nan),
+        "response": some(rng, 0, 1 / 24, np.nan),
+        "max_turn": some(rng, 0, -1, 50, np.inf, np.inf, np.nan),
+    }
+    for name in ("push", "velocity", "heading", "position"):
+        vector = rng.normal(size=(N, 3)) * rng.choice([0, 1e-20, 1e-3, 1, 40], (N, 1))
+        vector[rng.random(N) < 0.03] = rng.choice([0, -0.0, np.nan, np.inf, 1e30], 3)
+        now |= {f"{name}.{axis}": vector[:, k].astype(np.float32) for k, axis in enumerate("xyz")}
+    now |= {f"up.{axis}": unit[:, k].astype(np.float32) for k, axis in enumerate("xyz")}
+    return People(now=now, position=rng.normal(size=(N, 3)))
+
+
+def assert_same_arrays(one: dict, two: dict) -> None:
+    for name, array in one.items():
+        nan = np.isnan(array) if array.dtype.kind == "f" else np.zeros(array.shape, bool)  # a NaN's own bits carry no meaning
+        assert np.array_equal(nan, np.isnan(two[name])) and array[~nan].tobytes() == two[name][~nan].tobytes(), name
+
+
+@pytest.mark.parametrize("substep", [0, 1])
+def test_velocities_after_a_push_have_the_same_bits(substep: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    found = []
+    for fast in (False, True):
+        crowd_ = people(np.random.default_rng(9))
+        use(monkeypatch, fast)
+        up = advance._read(crowd_, "up")
+        with np.errstate(all="ignore"):
+            velocity = advance._velocity(SimpleNamespace(dt=1 / 24), crowd_, up, np.float32(1 / 48), substep)
+        found.append(dict(zip("xyz", velocity, strict=True)))
+    assert_same_arrays(*found)
+
+
+def test_arriving_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    found = []
+    for fast in (False, True):
+        rng = np.random.default_rng(10)
+        crowd_ = people(rng)
+        columns = [np.ascontiguousarray(rng.normal(size=(N, 3)).T).T for _ in range(4)]
+        for array in columns[1:]:
+            array /= np.linalg.norm(array, axis=1, keepdims=True)
+        columns[2][: N // 3] = columns[1][: N // 3]  # headings straight up
+        columns[3][: N // 5] = -columns[2][: N // 5]
+        blocked = rng.random(N) < 0.2
+        moved = MoveResult(Footing.nowhere(N), *columns, np.zeros(N), blocked, ~blocked)
+        use(monkeypatch, fast)
+        velocity, step = advance._read(crowd_, "velocity"), advance._read(crowd_, "push")
+        velocity = tuple(v.copy() for v in velocity)
+        with np.errstate(all="ignore"):
+            most, dt = rng.random(N).astype(np.float32), np.float32(1 / 24)
+            hasty = advance._arrive(crowd_, velocity, step, moved, most, dt, dt)
+        assert 0 < hasty.sum() < N
+        found.append({**crowd_.now, "hasty": hasty, "normal": crowd_.normal})
+    assert_same_arrays(*found)
+
+
+def test_finer_distances_of_an_obstacle_are_still_below_the_true_ones() -> None:
+    (one, faces), (two, _) = ball(3, (300, 5, 0), 5), ball(3, (420, 90, 80), 5)
+    scene = RayScene(np.concatenate([one, two]), np.concatenate([faces, faces + len(one)]))
+    places = (
+        one[np.random.default_rng(11).integers(0, len(one), 3000)] * 1.01 + np.random.default_rng(12).normal(size=(3000, 3)) * 2
+    )
+    coarse = np.concatenate([scene.clearance(*some_.T) for some_ in np.split(places, 6)])
+    fine = scene.clearance(*places.T)
+    distance = scene.closest(places)[3]
+    assert (fine <= distance).all() and (fine >= coarse).all() and (fine > coarse).mean() > 0.2
+
+
+def test_the_compiled_walk_gives_the_same_bits_beside_a_mesh_that_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    meshes = {"sheet": grid(30, 12), "stone": ball(5, (0, 1, 0), 7)}
+    ground = MovingGround(meshes, ["stone"])
+    rng = np.random.default_rng(16)
+    use(monkeypatch, False)
+    at = crowd(ground, rng)
+    for frame in range(6):
+        ground.pose({"stone": meshes["stone"][0] + np.array([1.5 * frame, 0.1 * frame, 0])})
+        inputs = (at.footing, at.heading * 1.1, at.heading, at.up, rng.uniform(0, 5, N))
+        results = []
+        for fast in (False, True):
+            use(monkeypatch, fast)
+            results.append(ground.move(*inputs))
+        assert_same(*results)
+        at = results[0]
+    assert at.blocked.any() and (at.footing.mesh == 1).any()

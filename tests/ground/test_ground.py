@@ -1,0 +1,271 @@
+"""Ground: footings exact on their triangle, ways as long as asked over slopes, edges, overhangs, boulders and thin plates."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from antdsl.casting.faces import nearest_on_triangle
+from antdsl.ground.mesh.surface import Footing, Ground, MoveResult
+from tests.meshes import ball, box, grid, terrain
+
+UP = np.array([0.0, 1.0, 0.0])
+
+
+def start(ground: Ground, places: list | np.ndarray, headings: list | np.ndarray, up: np.ndarray = UP) -> MoveResult:
+    """Agents at the nearest points of a ground, as after a step of no length."""
+    places, headings = np.array(places, np.float64), np.array(headings, np.float64)
+    footing, _ = ground.nearest(places)
+    ups = np.broadcast_to(up, places.shape)
+    return ground.move(footing, np.zeros_like(places), headings, ups, 4.0)
+
+
+def step(ground: Ground, at: MoveResult, length: float, threads: int = 1) -> MoveResult:
+    return ground.move(at.footing, at.heading * length, at.heading, at.up, 4.0, threads)
+
+
+def check(ground: Ground, meshes: list, at: MoveResult) -> None:
+    assert not at.lost.any()
+    assert np.isfinite(at.position).all() and np.array_equal(at.position, ground.position(at.footing))
+    corners = np.stack([meshes[m][0][meshes[m][1][f]] for m, f in zip(at.footing.mesh, at.footing.face, strict=True)])
+    assert np.abs(nearest_on_triangle(at.position, corners) - at.position).max() < 1e-9
+    assert np.allclose(np.linalg.norm(at.up, axis=1), 1) and np.allclose(np.linalg.norm(at.heading, axis=1), 1)
+    assert np.abs((at.up * at.heading).sum(axis=1)).max() < 1e-9
+    assert np.abs((ground.normal(at.footing) * at.direction).sum(axis=1)).max() < 1e-9
+    assert (np.abs((ground.normal(at.footing) * at.up).sum(axis=1)) > 0.5).all()
+
+
+def test_place_is_the_first_surface_from_above_or_the_nearest_point():
+    meshes = {"ground": grid(100, 5), "shelf": box((10, 20, -10), (30, 22, 10))}
+    ground = Ground(meshes)
+    points = np.array([[0, -500, 0], [20, 1, 0], [70, 30, 0]], np.float64)
+    footing, found = ground.place(points, UP)
+    assert found.tolist() == [True, True, False]
+    assert np.allclose(ground.position(footing), [[0, 0, 0], [20, 22, 0], [50, 0, 0]], atol=1e-5)
+    assert footing.mesh.tolist() == [0, 1, 0]
+    footing, found = ground.place(points, UP, on=["ground"])
+    assert np.allclose(ground.position(footing)[1], [20, 0, 0], atol=1e-5)
+    with pytest.raises(KeyError, match="no surface `moon`"):
+        ground.place(points, UP, on=["moon"])
+    tilted = Ground({"z up": (grid(100, 4)[0][:, [0, 2, 1]], grid(100, 4)[1])})
+    footing, found = tilted.place(np.array([[3.0, 4.0, 50.0]]), np.array([0, 0, 1.0]))
+    assert found[0] and np.allclose(tilted.position(footing), [[3, 4, 0]], atol=1e-5)
+
+
+@pytest.mark.parametrize("degrees", [0, 30, 60, 85, 120, 180])
+def test_a_slope_neither_speeds_up_nor_slows_down(degrees):
+    turn = np.radians(degrees)
+    vertices, faces = grid(100, 30)
+    vertices = vertices @ np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    ground = Ground({"slope": (vertices, faces)})
+    normal = np.array([-np.sin(turn), np.cos(turn), 0])
+    along = np.array([np.cos(turn), np.sin(turn), 0])
+    at = start(ground, [along * -40], [along], normal)
+    for _ in range(60):
+        before = at
+        at = step(ground, at, 1.25)
+        assert np.linalg.norm(at.position - before.position) == pytest.approx(1.25, abs=1e-9)
+        assert at.travelled[0] == pytest.approx(1.25, abs=1e-12)
+    assert np.allclose(at.position, along * 35, atol=1e-6) and np.allclose(at.heading, along) and np.allclose(at.up, normal)
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_around_a_cube_and_back_outside_and_inside(inside):
+    mesh = box((-10, -10, -10), (10, 10, 10))
+    ground = Ground({"cube": mesh})
+    at = start(ground, [[0.3, 10, 1.0]], [[1, 0, 0]], -UP if inside else UP)
+    first, seen = at.position, set()
+    for _ in range(64):
+        at = step(ground, at, 1.25)
+        seen.add(tuple(np.round(at.up[0]).astype(int)))
+        assert at.travelled[0] == pytest.approx(1.25, abs=1e-12)
+        check(ground, [mesh], at)
+    assert np.allclose(at.position, first, atol=1e-9) and np.allclose(at.heading, [[1, 0, 0]])
+    sign = -1 if inside else 1
+    assert seen == {(0, sign, 0), (sign, 0, 0), (0, -sign, 0), (-sign, 0, 0)}
+
+
+def test_a_plate_thinner_than_a_step_is_walked_round_its_rim():
+    mesh = box((-20, 0, -20), (20, 0.05, 20))
+    ground = Ground({"plate": mesh})
+    at = start(ground, [[0, 0.05, 0.5]], [[1, 0, 0]])
+    for _ in range(20):
+        at = step(ground, at, 1.25)
+    assert at.position[0][0] == pytest.approx(40.05 - 25, abs=1e-6) and at.position[0][1] == pytest.approx(0)
+    assert np.allclose(at.up, [[0, -1, 0]]) and np.allclose(at.heading, [[-1, 0, 0]])
+
+
+def test_a_box_of_six_loose_sheets_is_walked_round_like_one():
+    vertices, faces = box((-10, -10, -10), (10, 10, 10))
+    sheets = {
+        f"side {k}": (vertices[faces[2 * k : 2 * k + 2]].reshape(-1, 3), np.arange(6, dtype=np.int32).reshape(2, 3))
+        for k in range(6)
+    }
+    ground = Ground(sheets)
+    at = start(ground, [[0.3, 10, 1.0]], [[1, 0, 0]])
+    ups = set()
+    for _ in range(70):
+        at = step(ground, at, 1.25)
+        check(ground, list(sheets.values()), at)
+        ups.add(tuple(np.round(at.up[0]).astype(int)))
+    assert ups == {(0, 1, 0), (1, 0, 0), (0, -1, 0), (-1, 0, 0)}
+    assert abs(at.position[0][2] - 1.0) < 1e-3
+
+
+def test_at_an_open_border_an_agent_slides_or_stops_and_says_so():
+    ground = Ground({"sheet": grid(40, 8)})
+    at = start(ground, [[18, 0, 0], [18, 0, 1]], [[1, 0, 0], [0.6, 0, 0.8]])
+    for _ in range(8):
+        at = step(ground, at, 1.0)
+    assert at.blocked.all() and not at.lost.any()
+    assert at.position[0] == pytest.approx([20, 0, 0], abs=1e-4)
+    assert at.position[1][0] == pytest.approx(20, abs=1e-4) and 4 < at.position[1][2] < 10
+    assert at.travelled[0] < 0.01
+    corner = start(ground, [[19.5, 0, 19.5]], [[0.6, 0, 0.8]])
+    for _ in range(6):
+        corner = step(ground, corner, 1.0)
+    assert np.allclose(corner.position, [[20, 0, 20]], atol=0.5) and corner.blocked.all()
+
+
+def test_tiles_laid_edge_to_edge_are_one_ground():
+    left, right = grid(40, 8), grid(40, 10)
+    ground = Ground({"left": left, "right": (right[0] + np.array([40.0, 0, 0]), right[1])})
+    at = start(ground, [[10, 0, 0.3]], [[1, 0, 0.01]])
+    for _ in range(20):
+        at = step(ground, at, 1.25)
+    assert at.position[0][0] == pytest.approx(35, abs=0.3) and at.footing.mesh[0] == 1 and not at.blocked[0]
+
+
+def test_up_a_half_sunk_boulder_over_it_and_down_again():
+    ground_mesh, boulder = grid(200, 40), ball(15, (0, 3, 0), 16)
+    ground = Ground({"ground": ground_mesh, "boulder": boulder})
+    at = start(ground, [[-30, 0, 1.3]], [[1, 0, 0]])
+    path, meshes = [at.position[0]], []
+    for _ in range(100):
+        at = step(ground, at, 1.25)
+        check(ground, [ground_mesh, boulder], at)
+        path.append(at.position[0])
+        meshes.append(int(at.footing.mesh[0]))
+    path = np.array(path)
+    assert path[:, 1].max() == pytest.approx(18, abs=0.3) and path[:, 1].min() > -1e-6
+    first, last = meshes.index(1), len(meshes) - meshes[::-1].index(1)
+    assert set(meshes[first:last]) == {1} and set(meshes[:first] + meshes[last:]) == {0}
+    assert path[-1][0] > 25 and at.up[0][1] == pytest.approx(1)
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    assert steps.max() < 1.25 + 0.25
+
+
+def test_a_wall_that_shares_its_edge_with_the_floor_is_climbed_from_either_side():
+    vertices = np.array([[x, 0, z] for x in (-10, 0, 10) for z in (-10, 10)] + [[0, 10, -10], [0, 10, 10]], np.float64)
+    faces = np.array([[0, 1, 3], [0, 3, 2], [2, 3, 5], [2, 5, 4], [2, 3, 7], [2, 7, 6]], np.int32)
+    ground = Ground({"room": (vertices, faces)})
+    at = start(ground, [[-2, 0, 1], [2, 0, 1], [-2, 0, 1]], [[1, 0, 0], [-1, 0, 0], [1, 0, 0]], UP)
+    below = ground.move(at.footing, at.heading * 0, at.heading, -at.up, 4.0)
+    up, down = step(ground, at, 5.0), step(ground, below, 5.0)
+    assert np.allclose(up.position, [[0, 3, 1]] * 3, atol=1e-9)
+    assert np.allclose(up.up, [[-1, 0, 0], [1, 0, 0], [-1, 0, 0]])
+    assert np.allclose(down.position, [[3, 0, 1], [-3, 0, 1], [3, 0, 1]], atol=1e-9)
+
+
+def test_faces_wound_the_other_way_and_doubled_faces_change_nothing():
+    mesh = box((-10, -10, -10), (10, 10, 10))
+    faces = mesh[1].copy()
+    faces[::3] = faces[::3][:, ::-1]
+    odd = Ground({"cube": (mesh[0], np.concatenate([faces, faces[:, [1, 2, 0]], faces[:4, ::-1], [[0, 0, 1]]]).astype(np.int32))})
+    plain = Ground({"cube": mesh})
+    one, two = (start(g, [[1, 10, 2]], [[0.8, 0, 0.6]]) for g in (plain, odd))
+    for _ in range(80):
+        one, two = step(plain, one, 1.3), step(odd, two, 1.3)
+    assert np.allclose(one.position, two.position, atol=1e-6) and np.allclose(one.up, two.up)
+
+
+def test_a_crowd_on_all_sorts_of_ground_is_never_lost():
+    meshes = [terrain(300, 40), ball(30, (40, 10, 20), 12), box((-80, -30, -80), (-60, 40, -50)), ball(12, (-20, 0, 60), 9)]
+    ground = Ground({str(k): m for k, m in enumerate(meshes)})
+    rng = np.random.default_rng(8)
+    n = 400
+    footing, _ = ground.place(rng.uniform(-150, 150, (n, 3)), UP)
+    at = ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), ground.upright(footing, UP), 4.0)
+    for k in range(100):
+        heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.3, (n, 1))
+        before = at
+        at = ground.move(at.footing, heading / np.linalg.norm(heading, axis=1, keepdims=True) * 1.25, heading, at.up, 4.0)
+        gone = np.linalg.norm(at.position - before.position, axis=1)
+        assert gone.max() < 1.25 + 1.1
+        assert np.allclose(at.travelled[~at.blocked], 1.25, atol=1.1)
+        if k % 20 == 0:
+            check(ground, meshes, at)
+    assert np.unique(at.footing.mesh).size == 4
+
+
+def test_same_bits_in_any_batch_order_and_thread_count():
+    ground = Ground({"ground": terrain(200, 30), "boulder": ball(25, (0, 0, 0), 12)})
+    n = 1500
+    rng = np.random.default_rng(9)
+    footing, _ = ground.place(rng.uniform(-60, 60, (n, 3)), UP)
+    at = ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), ground.upright(footing, UP), 4.0)
+    order = rng.permutation(n)
+    one = step(ground, at, 3.0)
+    two = ground.move(at.footing.take(order), at.heading[order] * 3.0, at.heading[order], at.up[order], 4.0, threads=2)
+    for name in ("position", "up", "heading", "direction", "travelled", "blocked"):
+        assert np.array_equal(getattr(one, name)[order], getattr(two, name)), name
+    for k in range(0, n, 101):
+        alone = ground.move(at.footing.take(np.array([k])), at.heading[[k]] * 3.0, at.heading[[k]], at.up[[k]], 4.0)
+        assert np.array_equal(alone.position[0], one.position[k]) and np.array_equal(alone.heading[0], one.heading[k])
+
+
+def test_odd_wishes_leave_an_agent_where_it_is():
+    ground = Ground({"ground": grid(100, 10)})
+    at = start(ground, [[1, 0, 1]] * 4, [[1, 0, 0]] * 4)
+    wish = np.array([[np.nan, 0, 0], [np.inf, 0, 0], [0, -5, 0], [0, 0, 0]])
+    after = ground.move(at.footing, wish, at.heading, at.up, 4.0)
+    assert np.array_equal(after.position, at.position) and np.allclose(after.heading, at.heading)
+    assert not after.travelled.any() and not after.blocked.any()
+    nowhere = ground.move(Footing.nowhere(2), np.ones((2, 3)), np.ones((2, 3)), np.ones((2, 3)), 4.0)
+    assert nowhere.lost.all() and (nowhere.footing.face == -1).all() and np.isfinite(nowhere.position).all()
+    empty = Ground({})
+    footing, found = empty.place(np.zeros((3, 3)), UP)
+    assert not found.any() and empty.move(footing, np.ones((3, 3)), np.ones((3, 3)), np.ones((3, 3)), 4.0).lost.all()
+
+
+def test_the_smooth_normal_is_steady_on_a_ball_and_flat_on_a_cube():
+    mesh = ball(20, rings=24)
+    ground = Ground({"ball": mesh})
+    points = np.random.default_rng(3).normal(size=(3000, 3)) * 30
+    footing, _ = ground.nearest(points)
+    place = ground.position(footing)
+    out = place / np.linalg.norm(place, axis=1, keepdims=True)
+    smooth = ground.upright(footing, out)
+    assert np.degrees(np.arccos((smooth * out).sum(axis=1).clip(-1, 1))).max() < 1.5
+    assert np.degrees(np.arccos((ground.normal(footing) * out).sum(axis=1).clip(-1, 1))).max() > 3
+    assert np.array_equal(ground.upright(footing, -out), -smooth)
+    cube = Ground({"cube": box((-1, -1, -1), (1, 1, 1))})
+    footing, _ = cube.nearest(np.array([[0.99, 1.5, 0.99]]))
+    assert np.allclose(cube.upright(footing, UP), [[0, 1, 0]])
+
+
+@pytest.mark.parametrize("middle", [-11.0, -5.0, 3.0, 13.0])
+def test_nobody_slips_under_the_ground_or_into_a_boulder_however_deep_it_is_sunk(middle):
+    meshes = [grid(160, 30), ball(15, (0.3, middle, 0.2), 14)]
+    ground = Ground({"ground": meshes[0], "boulder": meshes[1]})
+    rng = np.random.default_rng(2)
+    n = 300
+    turn, rim = rng.uniform(0, 2 * np.pi, n), np.sqrt(225 - middle**2)
+    out = rim + rng.uniform(2, 8, n)
+    footing, _ = ground.place(np.stack([out * np.cos(turn), 0 * out, out * np.sin(turn)], axis=1), UP, on=["ground"])
+    at = ground.move(footing, np.zeros((n, 3)), -ground.position(footing), ground.upright(footing, UP), 4.0)
+    boulder_before, climbs = np.zeros(n, bool), 0
+    for _ in range(120):
+        home = -at.position * np.array([1, 0, 1]) * (np.linalg.norm(at.position, axis=1, keepdims=True) > rim + 8)
+        heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.4, (n, 1)) + 0.02 * home
+        heading -= at.up * (heading * at.up).sum(axis=1, keepdims=True)
+        heading /= np.linalg.norm(heading, axis=1, keepdims=True)
+        at = ground.move(at.footing, heading * 1.25, heading, at.up, 4.0)
+        boulder = at.footing.mesh == 1
+        climbs += np.count_nonzero(boulder != boulder_before)
+        boulder_before = boulder
+        assert (at.position[boulder][:, 1] > -0.1).all()  # looks ahead from a fiftieth of a body above the ground
+        assert (at.up[~boulder][:, 1] > 0.99).all()
+        if middle > -11:
+            assert (np.hypot(*(at.position[~boulder][:, [0, 2]] - [0.3, 0.2]).T) > rim - 0.8).all()
+    assert climbs > 200

@@ -1,0 +1,281 @@
+"""Solids as signed distances: what is inside and how far, what digging takes away in any order, and what is kept."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import meshes
+import numpy as np
+import pytest
+
+from antdsl.ground.solid import Unusable, Volume
+from antdsl.numerics import compiled
+
+Dig = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def made(mesh: meshes.Mesh, voxel: float = 1.0, **more: Any) -> Volume:
+    solid = Volume.from_mesh(*mesh, voxel, **more)
+    assert isinstance(solid, Volume)
+    return solid
+
+
+def ball(radius: float = 12.0, voxel: float = 1.0) -> Volume:
+    return made(meshes.ball(radius, rings=24), voxel)
+
+
+def ways(n: int, seed: int = 1) -> np.ndarray:
+    v = np.random.default_rng(seed).normal(size=(n, 3))
+    return v / np.linalg.norm(v, axis=1)[:, None]
+
+
+def nodes(solid: Volume) -> np.ndarray:
+    """Where all nodes are."""
+    count = np.prod(solid.bricks.nodes)
+    return solid.low + np.stack(np.unravel_index(np.arange(count), solid.bricks.nodes), axis=1) * solid.voxel
+
+
+def digging(n: int = 60, seed: int = 3) -> Dig:
+    """Balls of several sizes around the rim of `ball`, some at one place, some owners several times."""
+    rng = np.random.default_rng(seed)
+    centres = ways(n, seed) * rng.uniform(4, 14, (n, 1))
+    centres[::7] = centres[0]
+    radii = rng.uniform(0.5, 5, n)
+    radii[::7] = 4.0
+    return centres, radii, rng.integers(0, n // 2, n)
+
+
+# ---- from a mesh
+
+
+@pytest.mark.parametrize("voxel", [1.0, 0.7, 2.0])
+def test_a_ball_is_as_far_away_as_it_should_be(voxel: float) -> None:
+    mesh = meshes.ball(24.0, rings=60)
+    solid, way = made(mesh, voxel), ways(2000)
+    inner, outer = solid.band
+    for away, rough in ((0.0, 0.0), (0.2 * outer, 0.0), (0.5 * outer, 0.1 * voxel)):
+        error = solid.sample(way * (24 + away)) - np.float32(away)
+        # Facets lie inside the ball, and the field is straight between nodes.
+        assert np.abs(error).max() < 0.02 + voxel * voxel / 18 + rough
+    assert (solid.sample(way * (24 + 0.6 * inner)) < 0.5 * inner).all()
+    assert (solid.sample(way * 3) == np.float32(inner)).all() and (solid.sample(way * 500) == np.float32(outer)).all()
+    assert abs(solid.volume() / (4 / 3 * np.pi * 24**3) - 1) < 0.01
+
+
+def test_a_box_has_flat_sides_where_they_should_be() -> None:
+    solid = made(meshes.box((-10, -6, -8), (10, 6, 8)))
+    rng = np.random.default_rng(0)
+    for axis, side in ((0, 10.0), (1, 6.0), (2, 8.0)):
+        places = rng.uniform(-3, 3, (500, 3))
+        for away in (-0.5, 0.0, 0.5, 2.0):
+            places[:, axis] = side + away
+            assert np.abs(solid.sample(places) - away).max() < 1e-5
+        # Nodes above the sides know no corner, so the slope is that of the side.
+        slope = solid.gradient(places)
+        assert np.abs(slope - np.eye(3)[axis]).max() < 1e-5
+    assert abs(solid.volume() / (20 * 12 * 16) - 1) < 0.02
+
+
+def test_distances_are_those_to_the_mesh() -> None:
+    from antdsl.casting.rays import RayScene
+
+    vertices, faces = meshes.ball(20.0, rings=9)
+    vertices = vertices * [1.0, 0.4, 0.7] + [3.3, 0.1, -7.7]
+    solid = made((vertices, faces))
+    places = nodes(solid)
+    found = solid.sample(places)
+    near = np.flatnonzero((found > solid.band[0]) & (found < solid.band[1]))
+    truth = RayScene(vertices, faces).closest(places[near])[3]
+    assert near.size > 5000
+    assert np.abs(np.abs(found[near]) - truth)[truth < 1.7].max() < 1e-5
+    assert np.abs(np.abs(found[near]) - truth).max() < 0.2
+
+
+def test_the_gradient_is_that_of_the_samples() -> None:
+    solid, places = ball(), ways(400) * np.random.default_rng(4).uniform(11, 14, (400, 1))
+    step = 1e-3
+    slope = solid.gradient(places)
+    same_cell = np.ones(400, bool)
+    differences = np.empty((400, 3))
+    for axis in range(3):
+        ends = [places + way * step * np.eye(3)[axis] for way in (-1, 1)]
+        cells = [np.floor((end - solid.low) / solid.voxel) for end in ends]
+        same_cell &= (cells[0] == cells[1]).all(axis=1)
+        differences[:, axis] = (solid.sample(ends[1]).astype(float) - solid.sample(ends[0])) / (2 * step)
+    assert same_cell.sum() > 350
+    assert np.abs(differences - slope)[same_cell].max() < 2e-3
+
+
+def test_a_cavity_a_shell_turned_inside_out_and_overlapping_balls_have_the_right_inside() -> None:
+    v1, f1 = meshes.ball(15.0)
+    v2, f2 = meshes.ball(8.0)
+    hollow = made((np.concatenate([v1, v2]), np.concatenate([f1, f2[:, ::-1] + len(v1)])))
+    inward = made((v1, f1[:, ::-1]))
+    twice = made((np.concatenate([v1, v1 + np.array([9.0, 0, 0])]), np.concatenate([f1, f1 + len(v1)])))
+    middle = np.array([[0.0, 0, 0], [4.5, 0, 0], [11.5, 0, 0], [20.0, 0, 0]])
+    assert list(hollow.sample(middle) < 0) == [False, False, True, False]
+    assert list(inward.sample(middle) < 0) == [True, True, True, False]
+    assert list(twice.sample(middle) < 0) == [True, True, True, True]
+
+
+def test_faces_wound_in_disorder_make_the_same_solid() -> None:
+    vertices, faces = meshes.ball(12.0)
+    mixed = np.where((np.arange(len(faces)) % 3 == 0)[:, None], faces[:, ::-1], faces)
+    assert made((vertices, mixed)).volume() == made((vertices, faces)).volume()
+
+
+@pytest.mark.parametrize("voxel", [0.0, -1.0, float("nan"), 1e-6])
+def test_a_voxel_that_cannot_be_is_refused_before_memory_is_taken(voxel: float) -> None:
+    problem = Volume.from_mesh(*meshes.ball(12.0), voxel)
+    assert isinstance(problem, Unusable) and problem.help
+
+
+def test_too_many_voxels_name_a_size_that_will_do() -> None:
+    problem = Volume.from_mesh(*meshes.ball(12.0), 0.5, cap=10_000)
+    assert isinstance(problem, Unusable) and "more than 10,000" in problem.message
+    size = float(problem.help.split("voxel: ")[1].split(" mm")[0])
+    assert isinstance(Volume.from_mesh(*meshes.ball(12.0), size, cap=10_000), Volume)
+
+
+@pytest.mark.parametrize("mesh", [(np.zeros((0, 3)), np.zeros((0, 3), int)), (np.full((3, 3), np.nan), np.array([[0, 1, 2]]))])
+def test_meshes_without_sense_are_no_solids(mesh: meshes.Mesh) -> None:
+    assert isinstance(Volume.from_mesh(*mesh, 1.0), Unusable)
+
+
+def test_an_open_mesh_is_no_solid() -> None:
+    vertices, faces = meshes.ball(12.0)
+    problem = Volume.from_mesh(vertices, faces[:-1], 1.0)
+    assert isinstance(problem, Unusable) and "3 edges" in problem.message
+
+
+# ---- digging
+
+
+def test_what_is_removed_is_what_is_missing_and_what_analysis_says() -> None:
+    solid = ball(20.0)
+    before = solid.volume()
+    removed = solid.carve(np.zeros((1, 3)), np.array([6.0]), np.array([0]))
+    assert removed[0] == before - solid.volume() == solid.removed
+    assert abs(removed[0] / (4 / 3 * np.pi * 216) - 1) < 0.01
+    assert solid.carve(np.zeros((1, 3)), np.array([5.5]), np.array([0]))[0] == 0
+    way = ways(500)
+    places = way * np.random.default_rng(1).uniform(5, 7, (500, 1))
+    assert np.abs(solid.sample(places) - (6 - np.linalg.norm(places, axis=1))).max() < 0.1
+
+
+@pytest.mark.parametrize("voxel", [1.0, 0.3, 0.7])
+def test_sums_are_exact_to_the_last_bit(voxel: float) -> None:
+    solid = ball(voxel=voxel)
+    before = solid.volume()
+    total = 0.0
+    for seed in range(4):
+        removed = solid.carve(*digging(seed=seed))
+        total += removed.sum()
+        assert (removed >= 0).all() and before - solid.volume() == total == solid.removed
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_the_order_of_digging_does_not_matter(fast: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if fast:
+        pytest.importorskip("numba")
+    monkeypatch.setattr(compiled, "wanted", lambda count: fast)
+    centres, radii, owners = digging()
+    a, b = ball(), ball()
+    first = a.carve(centres, radii, owners)
+    order = np.random.default_rng(5).permutation(len(radii))
+    second = b.carve(centres[order], radii[order], owners[order])
+    assert a.digest() == b.digest() and (a.bricks.steps == b.bricks.steps)
+    per_owner = [np.bincount(o, r, len(radii)) for o, r in ((owners, first), (owners[order], second))]
+    assert (per_owner[0] == per_owner[1]).all()
+
+
+def test_digging_in_parts_ends_in_the_same_solid() -> None:
+    centres, radii, owners = digging()
+    a, b = ball(), ball()
+    a.carve(centres, radii, owners)
+    for some in np.array_split(np.random.default_rng(6).permutation(len(radii)), 7):
+        b.carve(centres[some], radii[some], owners[some])
+    assert a.digest() == b.digest() and a.volume() == b.volume()
+    assert (a.sample(centres) == b.sample(centres)).all()
+
+
+def test_what_two_dig_at_once_goes_to_the_deeper_and_at_a_tie_to_the_least_owner() -> None:
+    solid = ball(20.0)
+    at = np.zeros((3, 3))
+    removed = solid.carve(at, np.array([4.0, 4.0, 3.0]), np.array([8, 2, 1]))
+    assert removed[0] == 0 and removed[2] == 0 and removed[1] > 200
+    apart = solid.carve(np.array([[12.0, 0, 0], [13.0, 0, 0]]), np.array([3.0, 3.0]), np.array([1, 2]))
+    alone = ball(20.0).carve(np.array([[12.0, 0, 0]]), np.array([3.0]), np.array([1]))
+    assert 0 < apart[0] < alone[0]
+
+
+def test_compiled_digging_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    solids = []
+    for fast in (False, True):
+        monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
+        solid = ball()
+        removed = [solid.carve(*digging(200, seed)) for seed in range(3)]
+        solids.append((np.concatenate(removed), solid.state(), solid.digest()))
+    (first, state, digest), (second, other, same) = solids
+    assert (first == second).all() and digest == same
+    assert all((state[name] == other[name]).all() for name in state)
+
+
+def test_balls_without_sense_and_far_away_dig_nothing_and_great_ones_everything() -> None:
+    solid = ball()
+    before = solid.digest()
+    centres = np.array([[np.nan, 0, 0], [0.0, 0, 0], [0.0, 0, 0], [900.0, 0, 0], [np.inf, 0, 0]])
+    removed = solid.carve(centres, np.array([2.0, np.nan, -1.0, 5.0, 2.0]), np.arange(5))
+    assert not removed.any() and solid.digest() == before
+    removed = solid.carve(np.zeros((2, 3)), np.array([1e9, 40.0]), np.array([5, 6]))
+    assert removed[1] == 0 or removed[0] == 0
+    assert solid.volume() == 0 and removed.sum() == solid.removed
+
+
+def test_a_great_ball_digs_as_a_small_one() -> None:
+    solid = ball(60.0, 2.0)
+    places = nodes(solid)
+    before = solid.sample(places)
+    solid.carve(np.array([[60.0, 0, 0]]), np.array([70.0]), np.array([0]))
+    brush = 70 - np.linalg.norm(places - [60.0, 0, 0], axis=1)
+    want = np.clip(np.maximum(before, brush), *solid.band)
+    assert (before != want).mean() > 0.1
+    assert np.abs(solid.sample(places) - want).max() < 1e-5
+
+
+# ---- keeping
+
+
+def test_a_state_is_restored_even_where_more_was_dug() -> None:
+    a, b = ball(), ball()
+    first, second = digging(), digging(seed=9)
+    a.carve(*first)
+    state, digest = a.state(), a.digest()
+    a.carve(*second)
+    b.restore(a.state())
+    assert b.digest() == a.digest() != digest and a.volume() == b.volume()
+    for solid in (a, b):
+        solid.restore(state)
+        assert solid.digest() == digest and solid.carve(*first).sum() == 0
+    assert (a.carve(*second) == b.carve(*second)).all() and a.digest() == b.digest()
+
+
+def test_a_state_of_something_else_is_refused() -> None:
+    solid = ball()
+    solid.carve(*digging())
+    state = solid.state()
+    for wrong in (
+        ball(voxel=0.9).state(),
+        state | {"values": state["values"][:-1]},
+        state | {"bricks": state["bricks"] + 10_000},
+        state | {"values": np.full_like(state["values"], np.nan)},
+    ):
+        with pytest.raises(ValueError, match="solid"):
+            solid.restore(wrong)
+
+
+def test_memory_is_that_of_the_surface() -> None:
+    solid = ball(60.0)
+    assert solid.nbytes < 0.6 * np.prod(solid.bricks.nodes) * 4
+    assert solid.sample(np.full((1, 3), np.nan)).shape == (1,)

@@ -1,0 +1,204 @@
+"""Walking on solids: on the zero level for thousands of steps, round edges, through tunnels, never through what is solid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields
+from importlib.util import find_spec
+
+import meshes
+import numpy as np
+import pytest
+
+from antdsl.ground.solid import Moved, Volume, move
+from antdsl.numerics import compiled
+
+BODY = 5.0
+FAST = find_spec("numba") is not None
+
+
+def made(mesh: meshes.Mesh, voxel: float = 1.0) -> Volume:
+    solid = Volume.from_mesh(*mesh, voxel)
+    assert isinstance(solid, Volume)
+    return solid
+
+
+def cube() -> Volume:
+    return made(meshes.box((-20, -20, -20), (20, 20, 20)))
+
+
+def tunnel() -> Volume:
+    """A cube with a hole of radius 4 from side to side along x, dug ball by ball."""
+    solid = cube()
+    x = np.linspace(-23, 23, 80)
+    solid.carve(np.stack([x, 0 * x, 0 * x], axis=1), np.full(80, 4.0), np.arange(80))
+    return solid
+
+
+def cheese() -> Volume:
+    """A cube of thin walls, sharp ridges and narrow grooves."""
+    solid, rng = cube(), np.random.default_rng(2)
+    solid.carve(rng.uniform(-20, 20, (600, 3)), rng.uniform(1, 4, 600), np.arange(600))
+    return solid
+
+
+def unit(v: np.ndarray) -> np.ndarray:
+    return v / np.linalg.norm(v, axis=1)[:, None]
+
+
+def standing(solid: Volume, points: np.ndarray, up: np.ndarray, seed: int = 3) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places on the surface, normals and headings of those who found a place."""
+    there = solid.project(points, up, reach=50.0)
+    assert there.found.mean() > 0.9
+    place, normal = there.points[there.found], there.normals[there.found]
+    return place, normal, unit(np.cross(normal, np.random.default_rng(seed).normal(size=place.shape)))
+
+
+def wandering(
+    solid: Volume, start: tuple[np.ndarray, np.ndarray, np.ndarray], steps: int, step: float = 1.0, turn: float = 0.1
+) -> Iterator[tuple[np.ndarray, Moved]]:
+    """Agents who go on and on, turning a little at random: where each was, and how it moved."""
+    place, up, head = start
+    rng = np.random.default_rng(7)
+    for _ in range(steps):
+        moved = move(solid, place, head * step, head, up, BODY)
+        yield place, moved
+        place, up, head = moved.points, moved.up, moved.heading
+        angle = rng.normal(size=len(place))[:, None] * turn
+        head = head * np.cos(angle) + np.cross(up, head) * np.sin(angle)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> int:
+    """The compiled walk where it can be had, which has the same bits; says how many steps there is time for."""
+    monkeypatch.setattr(compiled, "wanted", lambda count: FAST)
+    return 2000 if FAST else 200
+
+
+@pytest.mark.parametrize("shape", ["ball", "cube", "tunnel", "cheese"])
+def test_walkers_stay_on_the_surface_for_thousands_of_steps(shape: str, quick: int) -> None:
+    ways = unit(np.random.default_rng(1).normal(size=(60, 3)))
+    if shape == "ball":
+        solid = made(meshes.ball(20.0, rings=24))
+        start = standing(solid, ways * 20, ways)
+    elif shape == "cube":
+        solid = cube()
+        start = standing(solid, ways * 18, ways)
+    elif shape == "tunnel":
+        solid = tunnel()
+        start = standing(solid, ways * [15, 1, 1], ways * [0.01, -1, -1])
+    else:
+        solid = cheese()
+        start = standing(solid, ways * 18, ways[::-1])
+    stopped = 0
+    for before, moved in wandering(solid, start, quick):
+        assert np.abs(solid.sample(moved.points)).max() <= 1e-4 * BODY
+        assert not moved.lost.any()
+        assert np.abs((moved.heading * moved.up).sum(axis=1)).max() < 1e-9
+        assert np.abs(np.linalg.norm(moved.heading, axis=1) - 1).max() < 1e-9
+        assert np.linalg.norm(moved.points - before, axis=1).max() < 1.35
+        stopped += int(moved.blocked.sum())
+        assert (moved.blocked | (np.abs(moved.travelled - 1) < 1e-6)).all()
+    assert stopped <= quick * 60 * (1e-3 if shape == "cheese" else 0)
+
+
+def test_who_walks_round_a_cube_comes_back_to_where_it_began(quick: int) -> None:
+    solid = cube()
+    start = standing(solid, np.array([[0.0, 22.0, 0.3]]), np.array([[0.0, 1.0, 0.0]]))
+    place, up, _ = start
+    head = np.array([[1.0, 0, 0]])
+    sides = set()
+    for _ in range(170):
+        moved = move(solid, place, head, head, up, BODY)
+        place, up, head = moved.points, moved.up, moved.heading
+        axis = int(np.abs(up[0]).argmax())
+        sides.add((axis, bool(up[0, axis] > 0)))
+        assert abs(place[0, 2] - 0.3) < 0.01, "the way is straight"
+    assert sides == {(0, True), (0, False), (1, True), (1, False)}
+
+
+def test_who_walks_into_a_hole_goes_through_the_tunnel_and_out(quick: int) -> None:
+    solid = tunnel()
+    # On the left side above the mouth, heading down to it.
+    place, up, head = standing(solid, np.array([[-20.5, 8.0, 0.0]]), np.array([[-1.0, 0, 0]]))
+    head = np.array([[0.0, -1.0, 0]])
+    seen = []
+    for _ in range(60):
+        moved = move(solid, place, head, head, up, BODY)
+        place, up, head = moved.points, moved.up, moved.heading
+        seen.append(place[0])
+        assert solid.sample(place)[0] > -1e-4 * BODY
+    inside = [p for p in seen if abs(p[0]) < 18]
+    assert len(inside) > 25 and all(3.7 < np.hypot(p[1], p[2]) < 4.1 for p in inside)
+    assert max(p[0] for p in seen) > 19.99 and seen[-1][0] > 19.8 and seen[-1][1] > 8, "up the other side"
+
+
+def test_nobody_passes_a_wall_of_less_than_a_voxel(quick: int) -> None:
+    """Two caves beside each other with little between."""
+    solid = cube()
+    middle = -0.37  # where nodes are: between nodes such a wall is not seen at all
+    solid.carve(np.array([[middle - 6.1, 0, 0], [middle + 6.1, 0, 0]]), np.array([5.8, 5.8]), np.array([0, 1]))
+    wall = np.stack(np.meshgrid([middle], np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 9)), axis=-1).reshape(-1, 3)
+    assert (solid.sample(wall) < 0).all() and (solid.sample(wall) > -0.5).all()
+    ways = unit(np.random.default_rng(4).normal(size=(60, 3)))
+    start = standing(solid, ways * 3 - [6.4, 0, 0], -ways)
+    for _, moved in wandering(solid, start, quick // 4, turn=0.3):
+        assert (moved.points[:, 0] < middle).all()
+
+
+def test_a_step_keeps_its_length_and_is_laid_into_the_surface(quick: int) -> None:
+    solid = made(meshes.ball(60.0, rings=60))
+    place, up, head = standing(solid, np.array([[0.0, 60, 0]] * 5), np.array([[0.0, 1, 0]] * 5))
+    wish = head * 2.0 + up * np.array([[0.0], [0.5], [-0.5], [2.0], [50.0]])
+    wish[3] = np.nan
+    moved = move(solid, place, wish, head, up, BODY)
+    long = np.linalg.norm(wish[:3], axis=1)
+    assert np.abs(moved.travelled[:3] - long).max() < 1e-6
+    assert np.abs(np.linalg.norm(moved.points[:3] - place[:3], axis=1) - long).max() < 0.02
+    assert moved.travelled[3] == 0 and moved.travelled[4] < 4.1
+
+
+def test_who_loses_the_ground_goes_to_what_is_left(quick: int) -> None:
+    solid = made(meshes.ball(20.0, rings=24))
+    ways = unit(np.random.default_rng(1).normal(size=(40, 3)))
+    place, up, head = standing(solid, ways * 20, ways)
+    solid.carve(place[:20], np.full(20, 6.0), np.arange(20))
+    assert (solid.sample(place[:20]) > 3).all()
+    for step in (0.0, 1.0):
+        moved = move(solid, place, head * step, head, up, BODY)
+        assert not moved.lost.any() and np.abs(solid.sample(moved.points)).max() <= 1e-4 * BODY
+    solid.carve(np.zeros((1, 3)), np.array([100.0]), np.array([0]))
+    moved = move(solid, place, head, head, up, BODY)
+    assert moved.lost.all() and (moved.points == place).all()
+
+
+def test_the_compiled_walk_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    rng = np.random.default_rng(5)
+    for solid in (cube(), cheese()):
+        ways = unit(rng.normal(size=(300, 3)))
+        place, up, head = standing(solid, ways * rng.uniform(5, 19, (300, 1)), ways[::-1])
+        for turn in range(3):
+            if turn == 2:
+                solid.carve(place[:30], np.full(30, 3.0), np.arange(30))
+            wish = head * rng.uniform(0, 3, (len(place), 1))
+            wish[::9] = 0
+            wish[4] = np.inf
+            results = []
+            for fast in (False, True):
+                monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
+                results.append(move(solid, place, wish, head, up, rng.permutation(1) + BODY))
+            for field in fields(Moved):
+                assert np.array_equal(*(getattr(r, field.name) for r in results)), field.name
+            place, up, head = results[0].points, results[0].up, results[0].heading
+
+
+def test_one_agent_moves_as_it_does_among_many(quick: int) -> None:
+    solid = cheese()
+    ways = unit(np.random.default_rng(1).normal(size=(50, 3)))
+    place, up, head = standing(solid, ways * 15, ways[::-1])
+    everyone = move(solid, place, head, head, up, BODY)
+    for some in (slice(7, 8), slice(20, 33), slice(None, None, -1)):
+        few = move(solid, place[some], head[some], head[some], up[some], BODY)
+        for field in fields(Moved):
+            assert np.array_equal(getattr(everyone, field.name)[some], getattr(few, field.name))

@@ -1,0 +1,96 @@
+"""What reaches a state is made of operations that give one result on every processor: a house rule, and its exceptions."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parents[2] / "antdsl"
+ROOMS = ("runtime", "scene")  # what they give is, or becomes, a state
+# Of NumPy and math: their last bits depend on the processor, by what the library was compiled for or chooses when it runs.
+FUNCTIONS = frozenset([
+    "sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
+    "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "pow", "power", "float_power", "cbrt", "hypot", "dist", "logaddexp",
+    "interp", "sinc", "einsum", "dot", "vdot", "inner", "outer", "matmul", "tensordot", "linalg", "convolve", "correlate", "fft",
+    "polyfit",
+])  # fmt: skip
+LIBRARIES = frozenset(["scipy", "skimage", "trimesh"])
+
+# Where one of these is used all the same, and why no state differs by it.
+ALLOWED = {
+    "runtime/moving/advance.py": {"cos": "only tells who surely turns by less; the rest is done with our own"},
+    "runtime/moving/advance_compiled.py": {"cos": "the same"},
+    "senses/overlaps.py": {"scipy": "a measure beside the state"},
+    "runtime/binding/spacing.py": {"scipy": "a tree that says which places to measure"},
+    "ground/mesh/creases.py": {"scipy": "trees of places and filters of whole numbers, compiled for all x86-64 processors alike"},
+    "runtime/motion_measures.py": {"arcsin": "a measure beside the state, counted in bins"},
+    "runtime/pairs.py": {
+        "log2": "the width of cells: which pairs are found does not depend on it",
+        "scipy": "a tree that says how far to look: which pairs are the nearest does not depend on it",
+    },
+    "fields/pheromone.py": {
+        "@": "a sparse matrix: SciPy adds row by row in the order of the columns, and is compiled for all processors alike",
+        "scipy": "the same",
+    },
+    "fields/cost.py": {"scipy": "Dijkstra's search, compiled alike for all x86-64; only a beginning"},
+    "fields/flow.py": {"scipy": "a tree of places, compiled for all x86-64 processors alike"},
+    "runtime/binding/flows.py": {"scipy": "the same trees"},
+    "casting/curves.py": {
+        "interp": "of one curve when it is bound: products and sums of single numbers",
+        "scipy": "a tree that says which pieces to measure",
+    },
+    "ground/solid_feelers.py": {"scipy": "a tree that says which places to measure"},
+    "ground/mesh/topology.py": {"scipy": "which faces hang together"},
+    "ground/mesh/clearances.py": {"scipy": "the least and greatest of whole numbers"},
+    "casting/distance_grid.py": {"scipy": "distances in cells, of which only a lower bound is taken"},
+    "runtime/lod.py": {"scipy": "which faces hang together"},
+    "ground/solid/meshing.py": {"skimage": "a mesh to look at; its vertices are rounded to a 4096th of a voxel"},
+    "ground/solid/voxelising.py": {"log10": "digits of a size of voxels that is proposed in a message"},
+    "scene/staging/things.py": {"interp": "of curves and moves: products and sums of single numbers"},
+    "scene/geometry/closed.py": {"log2": "how many digits a mesh's places keep while it is told whether it is closed"},
+}
+
+
+def used(path: Path) -> dict[str, int]:
+    """What a file uses of these, with the first line of each."""
+    found: dict[str, int] = {}
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in ("np", "numpy", "math"):
+            if node.attr in FUNCTIONS:
+                found.setdefault(node.attr, node.lineno)
+        elif isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.MatMult):
+            found.setdefault("@", node.lineno)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+            for name in names:
+                if name.split(".")[0] in LIBRARIES:
+                    found.setdefault(name.split(".")[0], node.lineno)
+            if isinstance(node, ast.ImportFrom) and node.module in ("math", "numpy"):
+                for alias in node.names:
+                    if alias.name in FUNCTIONS:
+                        found.setdefault(alias.name, node.lineno)
+        elif isinstance(node, ast.keyword) and node.arg == "fastmath":
+            found.setdefault("fastmath", node.value.lineno)
+    return found
+
+
+def test_states_are_made_of_what_is_the_same_everywhere() -> None:
+    told, exempt = [], set()
+    for room in ROOMS:
+        for path in sorted((PACKAGE / room).rglob("*.py")):
+            name = str(path.relative_to(PACKAGE))
+            for word, line in used(path).items():
+                if word in ALLOWED.get(name, {}):
+                    exempt.add((name, word))
+                else:
+                    told.append(f"antdsl/{name}:{line} uses {word}: take antdsl.numerics.elementary or write the sum out")
+    assert not told, "\n".join(told)
+    stale = {(name, word) for name, words in ALLOWED.items() for word in words} - exempt
+    assert not stale, f"nothing uses {sorted(stale)} any more"
+
+
+def test_the_rule_finds_what_it_forbids(tmp_path: Path) -> None:
+    text = "import math, scipy.spatial\nfrom math import exp\na = np.sin(x) + math.atan2(x, x)\nb = a @ a\nnjit(fastmath=True)\n"
+    path = tmp_path / "a.py"
+    path.write_text(text + "c = np.linalg.norm(a)\n", encoding="utf-8")
+    assert set(used(path)) == {"scipy", "exp", "sin", "atan2", "@", "fastmath", "linalg"}

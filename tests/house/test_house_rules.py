@@ -1,0 +1,264 @@
+"""The rules of the house: who may import whom, what no file may contain, how long a file may be, that every code has a case."""
+
+from __future__ import annotations
+
+import ast
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from antdsl.diagnostics.codes import CODES
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "antdsl"
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+# From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
+ROOMS = (
+    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "bootstrap", "syntax", "program",
+    "highlighting", "graphs", "scene", "loading", "plan", "passes", "runtime", "bodies", "pipeline", "checking", "outputs",
+    "specs", "explain", "sweep", "preview", "lsp", "cli", "__main__",
+)  # fmt: skip
+# Ground floor rooms that import nothing above themselves, whatever their order here.
+GROUND = frozenset(["source", "diagnostics", "limits", "resources", "bounded", "whole"])
+# A list of the tree's node types, one after the other, is read as one thing.
+LONG = frozenset(["syntax/nodes.py"])
+FORBIDDEN_CALLS = frozenset(["eval", "exec", "compile", "__import__"])
+FORBIDDEN_MODULES = frozenset(["pickle", "marshal", "shelve", "dill", "cloudpickle", "numexpr"])
+FORBIDDEN_ATTRIBUTES = frozenset(
+    [("np", "load"), ("numpy", "load"), ("yaml", "load"), ("yaml", "unsafe_load"), ("yaml", "full_load"), ("os", "system")]
+)
+FORBIDDEN_NAMES = frozenset(["utils", "util", "helpers", "common", "base", "manager", "misc"])
+HEAVY = frozenset(["open3d", "pxr", "scipy", "skimage", "trimesh", "PIL", "imageio_ffmpeg", "graphlay"])
+OPEN3D_DOOR = PACKAGE / "runtime" / "senses" / "rays.py"
+
+
+def room(path: Path) -> str:
+    parts = path.relative_to(PACKAGE).parts
+    return parts[0].removesuffix(".py")
+
+
+def imports(tree: ast.AST) -> list[tuple[str, int]]:
+    """Absolute names that a file imports, with their lines; those under TYPE_CHECKING are left out: they are not imported."""
+    hidden = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        for inner in ast.walk(node)
+    }
+    found: list[tuple[str, int]] = []
+    for node in ast.walk(tree):
+        if id(node) in hidden:
+            continue
+        if isinstance(node, ast.Import):
+            found += [(alias.name, node.lineno) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [f"{node.module}.{alias.name}" for alias in node.names] if node.module == "antdsl" else [node.module]
+            found += [(name, node.lineno) for name in names]
+    return found
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def test_rooms_import_lower_rooms_only() -> None:
+    offenders = []
+    for path in FILES:
+        own = room(path)
+        assert own in ROOMS, f"{own} has no place among the rooms"
+        for name, line in imports(parsed(path)):
+            if name.split(".")[0] != "antdsl" or name == "antdsl":
+                continue
+            other = name.split(".")[1]
+            if other not in ROOMS or other == own:  # a name of the package itself, such as __version__
+                continue
+            lower = other in GROUND if own in GROUND else own == "__init__" or ROOMS.index(other) < ROOMS.index(own)
+            if not lower:
+                offenders.append(f"{path}:{line} imports {name}")
+    assert not offenders
+
+
+def test_no_file_runs_text_or_reads_what_could() -> None:
+    offenders = []
+    for path in FILES:
+        tree = parsed(path)
+        for name, line in imports(tree):
+            if name.split(".")[0] in FORBIDDEN_MODULES:
+                offenders.append(f"{path}:{line} imports {name}")
+            if name.split(".")[0] == "open3d" and path != OPEN3D_DOOR:
+                offenders.append(f"{path}:{line}: Open3D has one door")
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in FORBIDDEN_CALLS:
+                offenders.append(f"{path}:{node.lineno} calls {node.func.id}")
+            if (
+                isinstance(node, ast.Attribute)
+                and isinstance(node.value, ast.Name)
+                and (node.value.id, node.attr) in FORBIDDEN_ATTRIBUTES
+            ):
+                offenders.append(f"{path}:{node.lineno} uses {node.value.id}.{node.attr}")
+    assert not offenders
+
+
+# Who else opens files to read them, and which.
+OWN_FILES = {
+    "bootstrap.py": "what antdsl needs, and which system this is",
+    "cli/__init__.py": "the null device",
+    "cli/printing/pages.py": "pages that come with antdsl",
+    "diagnostics/sarif.py": "pages that come with antdsl",
+    "lsp/tokens.py": "the grammar",
+    "outputs/writer/background.py": "the null device",
+    "outputs/cache/lock.py": "its own lock, and what the system tells about a process",
+    "outputs/writer/memory.py": "what the system tells about memory",
+    "outputs/cache/npz.py": "files and folders just written, to see them on the disk",
+    "preview/serving/pages.py": "the page that comes with antdsl",
+    "preview/serving/returning.py": "its own keys, of the last starts",
+    "scene/paths.py": "folders, part by part",
+    "scene/geometry/usd/trial.py": "the null device",
+    "syntax/grammar.py": "the grammar",
+    "syntax/tables.py": "the grammar and its tables",
+    "whole.py": "its own files, to write them",
+}
+READING = frozenset(["open", "read_text", "read_bytes", "fromfile", "memmap", "loadtxt", "genfromtxt"])
+
+
+def test_files_that_a_person_can_name_are_opened_by_one_module() -> None:
+    """Elsewhere a pipe would be waited for, and an endless device read until no memory is left."""
+    for path in FILES:
+        if path.relative_to(PACKAGE).as_posix() in ("bounded.py", *OWN_FILES):
+            continue
+        for node in ast.walk(parsed(path)):
+            if not isinstance(node, ast.Call) or ast.unparse(node.func).rpartition(".")[2] not in READING:
+                continue
+            called = ast.unparse(node.func)
+            other = called.endswith(".open") and called not in ("os.open", "io.open")  # a session, a solid's bricks
+            written = any(getattr(each, "value", None) in ("ab", "wb", "xb") for each in node.args)
+            if other or written or called in ("read_bytes", "syntax.read_bytes", "reading.read_bytes"):
+                continue
+            raise AssertionError(f"{path}:{node.lineno} opens a file by `{called}`, not by antdsl/bounded.py")
+
+
+def test_files_are_put_in_their_place_by_one_module() -> None:
+    """Elsewhere the name under which one is written first might be that of somebody's file."""
+    moving = ("os.replace", "os.rename", "tempfile.mkstemp", "tempfile.mkdtemp", "tempfile.NamedTemporaryFile")
+    for path in FILES:
+        if path.name == "whole.py":
+            continue
+        for node in ast.walk(parsed(path)):
+            if isinstance(node, ast.Call) and (ast.unparse(node.func) in moving or ast.unparse(node.func).endswith(".rename")):
+                raise AssertionError(f"{path}:{node.lineno} moves a file into its place, not by antdsl/whole.py")
+
+
+def test_files_are_short_named_for_what_they_do_and_say_what_they_are() -> None:
+    offenders = []
+    for path in FILES:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        if str(path.relative_to(PACKAGE)) not in LONG and len(lines) > 400:
+            offenders.append(f"{path} has {len(lines)} lines: it is usually two things")
+        if path.stem in FORBIDDEN_NAMES:
+            offenders.append(f"{path} is not named for what it does")
+        if lines and not ast.get_docstring(parsed(path)):
+            offenders.append(f"{path} does not say what it takes and gives")
+    assert not offenders
+
+
+def test_heavy_packages_are_imported_late_below_the_pictures() -> None:
+    """`check` and `--help` never wait for them: they are imported inside functions wherever checking comes by."""
+    for path in FILES:
+        if room(path) in ("bodies", "outputs", "runtime"):
+            continue
+        for node in parsed(path).body:
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+                for name in names:
+                    assert name.split(".")[0] not in HEAVY, f"{path}:{node.lineno} imports {name} at once"
+
+
+def test_the_plan_and_what_is_below_never_see_numpy() -> None:
+    for path in FILES:
+        if room(path) in ("source", "diagnostics", "limits", "resources", "syntax", "program", "plan", "passes"):
+            for name, line in imports(parsed(path)):
+                assert name.split(".")[0] != "numpy", f"{path}:{line}"
+
+
+def test_text_with_words_that_do_not_belong_is_not_shipped() -> None:
+    folders = [PACKAGE, ROOT / "tests", ROOT / "docs", ROOT / "grammar", ROOT / "behaviours", ROOT / "examples"]
+    texts = [p for f in folders for p in f.rglob("*") if p.suffix in (".py", ".md", ".ant", ".yaml", ".lark", ".toml")]
+    outside = re.compile("/" + "work/|" + "shared/" + "(design|meshes|seeds)|\\bTO" + "DO\\b|\\bFIX" + "ME\\b")
+    texts = [path for path in texts if "node_modules" not in path.parts]  # others' words, beside the extension for VS Code
+    for path in [*texts, ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "pyproject.toml"]:
+        found = outside.search(path.read_text(encoding="utf-8"))
+        assert not found, f"{path} has {found[0]!r}"
+
+
+def test_codes_are_kebab_case_and_given_once() -> None:
+    tree = parsed(PACKAGE / "diagnostics" / "codes.py")
+    keys = [k.value for node in ast.walk(tree) if isinstance(node, ast.Dict) for k in node.keys if isinstance(k, ast.Constant)]
+    assert sorted(keys) == sorted(set(keys)), sorted({k for k in keys if keys.count(k) > 1})
+    for code, meaning in CODES.items():
+        assert re.fullmatch("[a-z0-9]+(-[a-z0-9]+)*", code)
+        assert meaning and not meaning.endswith(".") and "\n" not in meaning
+
+
+def test_every_code_is_used_and_every_code_used_has_a_meaning() -> None:
+    """A code is the first word of a complaint, so it is written out in the source of the room that complains."""
+    written: set[str] = set()
+    for path in FILES:
+        if path.name != "codes.py":
+            for node in ast.walk(parsed(path)):
+                if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                    written.add(node.value)
+    parts = {text for text in written if re.fullmatch("[a-z]+-", text)}  # `unused-` and the kind of what is not used
+    unused = {code for code in CODES if code not in written and not any(code.startswith(part) for part in parts)}
+    assert not unused, sorted(unused)
+    complained = re.compile(
+        r"(?:\.error|\.warning|PathRefused|complain|refuse|_error|_refuse)\(\s*(?:[a-z_.]+,\s*)?\"([a-z0-9]+(?:-[a-z0-9]+)+)\""
+    )
+    for path in FILES:
+        for code in complained.findall(path.read_text(encoding="utf-8")):
+            assert code in CODES, f"{path}: `{code}`"
+
+
+def test_every_code_has_a_case() -> None:
+    files = [p for p in (ROOT / "tests").rglob("*") if p.suffix in (".py", ".ant", ".yaml", ".txt")]
+    files += [ROOT / "grammar" / "README.md", ROOT / "docs" / "scene.md"]
+    tests = "\n".join(path.read_text(encoding="utf-8") for path in files)
+    missing = [code for code in CODES if not re.search(rf"(?<![\w-]){code}(?![\w-])", tests)]
+    assert not missing
+
+
+@pytest.mark.parametrize(
+    "path",
+    [p for f in ("behaviours", "examples") for p in sorted((ROOT / f).rglob("*.ant"))],
+    ids=lambda p: str(p.relative_to(ROOT)),
+)
+def test_everything_that_ships_checks_clean(path: Path) -> None:
+    from antdsl.pipeline import check_path
+
+    _, report = check_path(path)
+    assert not report.diagnostics, [(d.code, d.message, str(d.span)) for d in report.diagnostics]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [p for f in ("behaviours", "examples", "tests/programs") for p in sorted((ROOT / f).rglob("*.ant"))],
+    ids=lambda p: str(p.relative_to(ROOT)),
+)
+def test_everything_that_ships_is_formatted(path: Path) -> None:
+    from antdsl import syntax
+
+    source, report = syntax.read(path)
+    assert source is not None, report.diagnostics
+    text, _ = syntax.format(source)
+    assert text == path.read_bytes().decode(), f"run `antdsl fmt {path.relative_to(ROOT)}`"
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").rglob("scene.yaml")), ids=lambda p: p.parent.name)
+def test_scenes_of_the_examples_check_clean(path: Path) -> None:
+    from antdsl.pipeline import check_path
+
+    program, report = check_path(path)
+    assert program is not None and not report.diagnostics, [(d.code, d.message, str(d.span)) for d in report.diagnostics]

@@ -1,0 +1,84 @@
+"""The same bits on other processors: few frames of examples in processes that lack instructions, or that qemu gives others."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+# One of each example; what lies beside them has the same program and ground.
+SCENES = (
+    "alarm/scene", "anthill/scene", "flocking/scene", "flow/scene", "foraging/scene", "foraging_study/default",
+    "minimal/scene", "moods/scene", "thesis/tunnel_and_can", "torture/scene", "tunnel/led", "tunnel/scene", "worth/scene",
+)  # fmt: skip
+SOME = ("moods/scene", "worth/scene")
+PLAIN = {"NUMBA_DISABLE_JIT": "1"}
+# What NumPy chooses between at run time, libm's versions with AVX2 and FMA, and BLAS for the oldest processor that it knows.
+WITHOUT = {
+    "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR",
+    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX,-AVX2,-FMA,-FMA4,-AVX2_Usable,-FMA_Usable",
+    "OPENBLAS_CORETYPE": "Prescott",
+}
+
+
+def disabled() -> str:
+    """All features that this NumPy chooses between and can do without; it refuses those that it does not know."""
+    from numpy._core._multiarray_umath import __cpu_dispatch__
+
+    return " ".join(__cpu_dispatch__)
+
+
+def hashes(scenes: tuple[str, ...], frames: int, most: int, settings: dict[str, str], before: tuple[str, ...] = ()) -> str:
+    clean = {k: v for k, v in os.environ.items() if not k.startswith(("NPY_", "NUMBA_", "GLIBC_", "OPENBLAS_"))}
+    paths = [str(ROOT / "examples" / f"{scene}.yaml") for scene in scenes]
+    made = subprocess.run(
+        [*before, sys.executable, str(ROOT / "tests" / "state_hashes.py"), "--frames", str(frames), "--most", str(most), *paths],
+        env={**clean, "PYTHONPATH": str(ROOT), **settings}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert made.returncode == 0, made.stderr[-3000:]
+    return made.stdout
+
+
+@cache
+def here(scenes: tuple[str, ...], frames: int, most: int) -> str:
+    found = hashes(scenes, frames, most, PLAIN)
+    assert len(found.splitlines()) == len(scenes)
+    return found
+
+
+def test_examples_without_the_instructions_that_libraries_choose_between() -> None:
+    settings = {**PLAIN, **WITHOUT, "NPY_DISABLE_CPU_FEATURES": disabled()}
+    assert hashes(SOME, 2, 60, settings) == here(SOME, 2, 60)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["NPY_DISABLE_CPU_FEATURES", "GLIBC_TUNABLES", "OPENBLAS_CORETYPE", "all"])
+def test_every_example_without_them(name: str) -> None:
+    settings = {**WITHOUT, "NPY_DISABLE_CPU_FEATURES": disabled()}
+    chosen = settings if name == "all" else {name: settings[name]}
+    assert hashes(SCENES, 4, 200, {**PLAIN, **chosen}) == here(SCENES, 4, 200)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("processor", ["host", "nehalem"])
+def test_every_example_with_kernels_compiled_for_another_processor(processor: str, tmp_path: Path) -> None:
+    pytest.importorskip("numba")
+    chosen = (
+        {} if processor == "host" else {"NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
+    )
+    assert hashes(SCENES, 4, 200, {"COMPILED": "1", **chosen}) == here(SCENES, 4, 200)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("processor", ["Haswell", "SandyBridge"])
+def test_every_example_on_an_older_processor(processor: str) -> None:
+    qemu = shutil.which("qemu-x86_64")
+    if qemu is None:
+        pytest.skip("there is no qemu-x86_64 here (the package qemu-user)")
+    assert hashes(SCENES, 2, 100, PLAIN, (qemu, "-cpu", processor)) == here(SCENES, 2, 100)

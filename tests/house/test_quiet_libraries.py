@@ -1,0 +1,62 @@
+"""What libraries have to say to programmers does not reach the terminal, and `doctor` knows every extra."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from antdsl.cli.doctor import EXTRAS
+from antdsl.cli.run import at_once
+
+ROOT = Path(__file__).resolve().parents[2]
+FOR_DEVELOPERS = {"test", "quality"}
+LOUD = "import warnings\nwarnings.warn('a library warns', DeprecationWarning, stacklevel=1)\nwarnings.warn('and again')\n"
+
+
+@pytest.mark.parametrize(("flags", "heard"), [((), False), (("-W", "default"), True)])
+def test_warnings_of_libraries_do_not_reach_the_terminal(tmp_path: Path, flags: tuple[str, ...], heard: bool) -> None:
+    """A library that warns when it is imported: `antdsl graph` imports graphlay."""
+    (tmp_path / "graphlay.py").write_text(LOUD + "raise ImportError('none')\n", encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
+    environment.pop("PYTHONWARNINGS", None)
+    program = ROOT / "examples" / "minimal" / "walker.ant"
+    done = subprocess.run(
+        [sys.executable, *flags, "-m", "antdsl", "graph", str(program), "--format", "svg", "--out", "-"],
+        env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert "missing-extra" in done.stderr  # it was imported
+    assert ("and again" in done.stderr) == heard
+
+
+def test_doctor_lists_every_extra() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    told = {found for words in EXTRAS.values() for found in re.findall(r"antdsl\[(\w+)\]", words)}
+    assert told == set(extras) - FOR_DEVELOPERS
+
+
+@pytest.mark.parametrize(
+    ("there", "asked", "taken", "told"),
+    [(2, 4, 2, "there are 2 cores here"), (1, 4, 1, "there is 1 core"), (2, 0, 2, ""), (2, 2, 2, ""), (8, 3, 3, "")],
+)
+def test_more_threads_than_cores_are_not_started_and_that_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], there: int, asked: int, taken: int, told: str
+) -> None:
+    """Embree's scheduler writes to the terminal where it is asked for more workers than there are cores."""
+    monkeypatch.setattr("antdsl.cli.run.cores", lambda: there)
+    assert at_once(asked) == taken
+    said = capsys.readouterr().err
+    assert told in said and bool(said) == bool(told)
+    assert at_once(asked, quiet=True) == taken and not capsys.readouterr().err
+
+
+def test_every_command_with_threads_takes_no_more_than_there_are_cores() -> None:
+    """All go by `at_once`."""
+    for path in sorted((ROOT / "antdsl" / "cli").glob("*.py")):
+        if '"--threads"' in (text := path.read_text(encoding="utf-8")):
+            assert "at_once(threads" in text and "threads or cores" not in text, path.name

@@ -1,0 +1,125 @@
+"""A text that is edited is checked in parts: it must say the same as a check of the whole text, after every edit."""
+
+from __future__ import annotations
+
+import random
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from antdsl import syntax
+from antdsl.diagnostics import Diagnostic, Report
+from antdsl.diagnostics.ignoring import judged
+from antdsl.lsp.text import Text
+from antdsl.lsp.workspace import Workspace
+from antdsl.pipeline import compile_files
+from antdsl.source import Source
+from antdsl.syntax.parts import Parts, cuts
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = sorted((ROOT / "examples").rglob("*.ant"))
+INSERTED = ["{", "}", "(", ")", '"', "#", "\n", "\n\n", " ", ";", "x", "->", "when true -> search", "0.5 s", "state", "let a = b",
+            "species two {\n  state a { steer heading }\n}\n", "  state extra { steer heading }\n", "Foo", "é", "// no", "-", "=",
+            "use steering\n", "param p = 1\n", "world { surface other }\n", "\t", "\r"]  # fmt: skip
+
+
+def said(found: list[Diagnostic]) -> list[tuple[object, ...]]:
+    """All of each complaint, by places in the whole text."""
+
+    def place(span: object) -> tuple[int, int] | None:
+        return None if span is None else (span.start, span.end)  # type: ignore[attr-defined]
+
+    return sorted(
+        (d.code, d.message, d.help or "", d.severity, place(d.span), *((place(each.span), each.text) for each in d.labels),
+         (place(d.fix.span), d.fix.text) if d.fix is not None else None)
+        for d in found
+    )  # fmt: skip
+
+
+def whole(path: Path, text: str) -> list[tuple[object, ...]]:
+    """What the chain says about a text that nobody has seen before."""
+    source = Source(str(path), text)
+    _, report = compile_files([path], parsed={str(path): syntax.parse(source)})
+    own = [d for d in report.diagnostics if d.span is None or d.span.source.path == str(path)]
+    return said(judged(Report(own), [source]).diagnostics)
+
+
+def edited(text: str, rng: random.Random) -> str:
+    """A text with one edit: something typed, deleted, or a line moved."""
+    place = rng.randrange(len(text) + 1)
+    kind = rng.randrange(4)
+    if kind == 0:
+        return text[:place] + rng.choice(INSERTED) + text[place:]
+    if kind == 1:
+        return text[:place] + text[place + rng.choice([1, 1, 2, 5, 40, 200]) :]
+    lines = text.split("\n")
+    line = rng.randrange(len(lines))
+    if kind == 2:
+        lines.insert(rng.randrange(len(lines)), lines.pop(line))
+    else:
+        lines.insert(line, lines[line])
+    return "\n".join(lines)
+
+
+def run(path: Path, seed: int, edits: int) -> None:
+    rng = random.Random(seed)
+    original = path.read_text(encoding="utf-8")
+    workspace, text = Workspace(), original
+    workspace.put(path, text)
+    assert said(workspace.complaints(path)) == whole(path, text)
+    for number in range(edits):
+        text = original if number % 5 == 4 else edited(text, rng)
+        text = text.replace("\r", "\n")
+        workspace.change(path, Text(text), number)
+        assert said(workspace.complaints(path)) == whole(path, text), f"seed {seed}, edit {number}:\n{text}"
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: str(path.relative_to(ROOT / "examples")))
+def test_parts_say_what_the_whole_says(path: Path) -> None:
+    run(path, 1, 10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2, 12))
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: str(path.relative_to(ROOT / "examples")))
+def test_parts_say_what_the_whole_says_after_many_edits(path: Path, seed: int) -> None:
+    run(path, seed, 60)
+
+
+def test_only_what_changed_is_parsed_again() -> None:
+    text = (ROOT / "examples" / "foraging" / "forager.ant").read_text(encoding="utf-8")
+    parts = Parts()
+    first, _ = parts.parse(Source("x.ant", text))
+    again, report = parts.parse(Source("x.ant", text.replace("held 0.5 s", "held 0.7 s", 1)))
+    assert report.ok and len(first.parts) > 10
+    assert len(set(again.parts) - set(first.parts)) == 1, "one state"
+
+
+def test_blocks_are_whole_lines_in_order() -> None:
+    for path in EXAMPLES:
+        text = path.read_text(encoding="utf-8")
+        found = cuts(text)
+        assert found is not None and len(found) > 3, path
+        assert all(a.end <= b.start for a, b in pairwise(found))
+        assert all(text[cut.start - 1 : cut.start] in ("", "\n") for cut in found)
+        left = [text[a.end : b.start].partition("#")[0].strip() for a, b in pairwise(found)]
+        assert set(left) <= {"", "}"}, "between blocks there is nothing but what closes a species"
+
+
+def test_nodes_in_parts_have_their_places_in_the_whole() -> None:
+    from antdsl.program.traverse import written
+    from antdsl.syntax import nodes
+
+    for path in EXAMPLES:
+        source = Source(str(path), path.read_text(encoding="utf-8"))
+        plain, _ = syntax.parse(source)
+        parted, _ = Parts().parse(source)
+        assert parted.parts, path
+
+        def names(file: nodes.File) -> list[tuple[str, int, int]]:
+            spans = [(node.text, file.whole(node.span)) for node, _ in written(file.items) if isinstance(node, nodes.Name)]
+            return [(text, span.start, span.end) for text, span in spans]
+
+        assert names(plain) == names(parted), path
+        assert {c.text for c in parted.comments} <= {c.text for c in plain.comments}, path

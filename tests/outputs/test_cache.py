@@ -1,0 +1,619 @@
+"""Caches: arrays survive the way to disk, damage is seen, and a run killed at any instant goes on to the same hashes."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import warnings
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from antdsl.cli import app
+from antdsl.cli.exits import Stop
+from antdsl.cli.new import ground
+from antdsl.outputs.cache.frames import orientation
+from antdsl.outputs.cache.hashes import HASHES, read_lines
+from antdsl.outputs.cache.lock import FolderLock, Locked
+from antdsl.outputs.cache.npz import ArrayFileError, parse_npy, read_npz, to_bytes, write_whole
+from antdsl.outputs.cache.reading import SURFACE_ERROR, CacheError, checkpoint_path, frame_path, open_cache
+from antdsl.outputs.cache.writing import ForeignFolder, prepare_folder
+from antdsl.outputs.recording import begin, record
+from antdsl.pipeline import open_scene
+from antdsl.runtime import CheckpointError, Options, bind, checkpoint, restore
+from antdsl.runtime.checkpoints import Arrays
+
+ROOT = Path(__file__).resolve().parents[2]
+ARRAYS = {
+    "P": np.arange(12, dtype=np.float32).reshape(4, 3),
+    "id": np.arange(4),
+    "on": np.array([True, False, True, False]),
+    "none": np.zeros((0, 3)),
+    "one": np.array(7, np.int64),
+    "species.a->b#1.x": np.arange(3, dtype=np.uint8),
+}
+
+
+def test_arrays_come_back_as_they_were_and_numpy_reads_them(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    write_whole(path, to_bytes(ARRAYS), sync=True)
+    back = read_npz(path)
+    plain = np.load(io.BytesIO(to_bytes(ARRAYS)))
+    for name, array in ARRAYS.items():
+        for found in (back[name], plain[name]):
+            assert found.dtype == array.dtype and np.array_equal(found, array)
+    assert to_bytes(ARRAYS) == to_bytes(ARRAYS)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+
+
+def read_hashes(path: Path) -> dict[int, str]:
+    return {frame: line.hash for frame, line in read_lines(path).items()}
+
+
+def zipped(entries: list[tuple[str, bytes]], compression: int = zipfile.ZIP_STORED) -> bytes:
+    buffer = io.BytesIO()
+    with warnings.catch_warnings(action="ignore"), zipfile.ZipFile(buffer, "w", compression) as file:
+        for name, data in entries:
+            file.writestr(name, data)
+    return buffer.getvalue()
+
+
+def npy(header: str, body: bytes = b"") -> bytes:
+    data = header.encode()
+    return b"\x93NUMPY\x01\x00" + len(data).to_bytes(2, "little") + data + body
+
+
+BOMB = npy("{'descr': '|u1', 'fortran_order': False, 'shape': (10000000,), }\n", b"\0" * 10_000_000)
+GOOD = npy("{'descr': '<f4', 'fortran_order': False, 'shape': (2,), }\n", b"\0" * 8)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        pytest.param(b"", id="empty"),
+        pytest.param(b"PK" + b"\0" * 100, id="not a zip"),
+        pytest.param(to_bytes(ARRAYS)[:-40], id="cut off"),
+        pytest.param(zipped([("a.npy", GOOD), ("a.npy", GOOD)]), id="one name twice"),
+        pytest.param(zipped([("../a.npy", GOOD)]), id="a name that leaves the folder"),
+        pytest.param(zipped([("a.txt", GOOD)]), id="no array"),
+        pytest.param(zipped([("a.npy", BOMB)], zipfile.ZIP_DEFLATED), id="bomb"),
+    ],
+)  # fmt: skip
+def test_strange_files_are_refused(tmp_path: Path, bad: bytes) -> None:
+    path = tmp_path / "a.npz"
+    path.write_bytes(bad)
+    with pytest.raises(ArrayFileError):
+        read_npz(path)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }\n",
+        "{'descr': '<U2147483647', 'fortran_order': False, 'shape': (1,), }\n",
+        "{'descr': '>f4', 'fortran_order': False, 'shape': (2,), }\n",
+        "{'descr': '<f4', 'fortran_order': True, 'shape': (2,), }\n",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (65536, 65536), }\n",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (-2,), }\n",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (True,), }\n",
+        "{'descr': [('a', '<f4')], 'fortran_order': False, 'shape': (2,), }\n",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (4611686018427387904, 4), }\n",
+        "__import__('os').system('true')\n",
+    ],
+)
+def test_strange_headers_are_refused(header: str) -> None:
+    assert parse_npy(GOOD, "a").tolist() == [0, 0]
+    with pytest.raises(ArrayFileError):
+        parse_npy(npy(header, b"\0" * 8), "a")
+
+
+def test_every_flipped_byte_of_the_values_is_seen(tmp_path: Path) -> None:
+    whole = to_bytes({"P": np.arange(64, dtype=np.float32)})
+    path = tmp_path / "a.npz"
+    start = whole.index(np.float32(1).tobytes())
+    for place in range(start, start + 200, 7):
+        data = bytearray(whole)
+        data[place] ^= 0x10
+        path.write_bytes(data)
+        with pytest.raises(ArrayFileError):
+            read_npz(path)
+
+
+def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work")
+    with pytest.raises(ForeignFolder, match=r"thesis\.txt"):
+        prepare_folder(tmp_path, force=False)
+    prepare_folder(tmp_path, force=True)
+    assert (tmp_path / "thesis.txt").read_text() == "years of work"
+    prepare_folder(tmp_path, force=False)
+
+
+def test_two_runs_do_not_write_to_one_folder(tmp_path: Path) -> None:
+    with FolderLock(tmp_path), pytest.raises(Locked, match=str(os.getpid())), FolderLock(tmp_path):
+        pass
+    with FolderLock(tmp_path):
+        pass
+
+
+def test_hash_lines_that_were_cut_off_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "hashes.jsonl"
+    path.write_text('{"frame": 1, "hash": "aa"}\n{"frame": 2, "hash": "bb"}\n{"frame": 3, "ha')
+    assert read_hashes(path) == {1: "aa", 2: "bb"}
+
+
+def test_orientations_turn_the_axes_as_they_say() -> None:
+    draw = np.random.Generator(np.random.Philox(4))
+    heading = draw.normal(size=(500, 3))
+    up = np.cross(heading, draw.normal(size=(500, 3)))
+    heading[:4], up[:4] = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, 0, -1)), ((0, 1, 0), (0, 1, 0), (0, 0, 1), (0, -1, 0))
+    heading /= np.linalg.norm(heading, axis=1, keepdims=True)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    x, y, z, w = orientation(heading.astype(np.float32), up.astype(np.float32)).astype(np.float64).T
+    along = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)], axis=1)
+    above = np.stack([2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)], axis=1)
+    assert np.abs(along - heading).max() < 1e-5 and np.abs(above - up).max() < 1e-5
+
+
+def test_feelers_of_a_program_are_found_and_turned_into_rays(tmp_path: Path) -> None:
+    from antdsl.outputs.feelers import feelers_of, rays
+    from antdsl.pipeline import compile_files
+
+    path = tmp_path / "a.ant"
+    text = PROGRAM.replace("WORLD", "world { surface ground; obstacle stones }")
+    path.write_text(text.replace("layers {", "layers { avoid(stones, feelers: 3, spread: 90 deg, reach: 2 mm + 1.5 * size);"))
+    program, report = compile_files([path])
+    assert program is not None and report.ok, report.errors
+    (entry,) = feelers_of(program, "walker", {}, 10.0, 0.04)
+    assert entry.count == 3 and entry.spread == pytest.approx(np.pi / 2)
+    assert entry.reach == pytest.approx(0.2) and entry.per_length == pytest.approx(1.5)
+    found = rays(entry, np.zeros((1, 3)), np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]]), np.array([0.4]))
+    ends = found[np.argsort(found[:, 1, 2]), 1]
+    assert np.abs(ends - 0.8 * np.array([[0, 0, -1], [1, 0, 0], [0, 0, 1]])).max() < 1e-12
+
+
+# --- whole runs, in processes of their own -------------------------------------------------------------------------------
+
+
+PROGRAM = """ant 1
+use steering
+WORLD
+species walker {
+  size 4 mm
+  max_speed 25 mm/s
+  start stroll
+  state stroll amber {
+    steer wander(swing: 40 deg)
+    when chance 50 %/s -> rest
+  }
+  state rest blue { when after 0.5 s -> stroll }
+  layers { separate(radius: 2 * size); state }
+}
+"""
+SCENE = """antdsl: 1
+frames: 1..60
+seed: 1
+crowd: [{species: walker, from: walker.ant, count: 40, place: {radius: 60 mm}}]
+output: {checkpoint: 8}
+"""
+
+
+def project(folder: Path, hills: bool = False) -> Path:
+    """Walkers, by themselves on the endless plane, which starts faster than a mesh."""
+    folder.mkdir(exist_ok=True)
+    (folder / "walker.ant").write_text(PROGRAM.replace("WORLD", "world { surface ground }" if hills else ""))
+    (folder / "ground.ply").write_bytes(ground(17))
+    scene = folder / "scene.yaml"
+    scene.write_text(SCENE + ("world: {ground: {mesh: ground.ply}}\n" if hills else ""))
+    return scene
+
+
+# How runs are started that write by a process of its own where that can be, and that never do.
+WAYS = {
+    "process": ["-m", "antdsl"],
+    "thread": ["-c", "from antdsl.outputs import behind; behind.OWN_PROCESS = False; from antdsl.cli import main; main()"],
+}
+both_ways = pytest.mark.parametrize("way", WAYS)
+
+
+def start(scene: Path, *words: str, way: str = "process") -> subprocess.Popen[str]:
+    command = [sys.executable, *WAYS[way], "run", str(scene), "--threads", "1", *words]
+    env = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1"}
+    return subprocess.Popen(
+        command, env=env, cwd=scene.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+
+
+def finished(run: subprocess.Popen[str]) -> tuple[int, str]:
+    out, problems = run.communicate(timeout=60)
+    assert "Traceback" not in problems, problems[-600:]
+    return run.returncode, out + problems
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, str]]:
+    scene = project(tmp_path_factory.mktemp("project"))
+    code, words = finished(start(scene))
+    assert code == 0, words
+    hashes = read_hashes(scene.parent / "out" / "scene" / "hashes.jsonl")
+    assert sorted(hashes) == list(range(1, 61))
+    return scene, hashes
+
+
+def test_the_summary_has_its_keys_and_the_last_hash(tmp_path: Path) -> None:
+    scene = project(tmp_path / "p", hills=True)
+    assert finished(start(scene, "--summary", "summary.json"))[0] == 0
+    hashes = read_hashes(scene.parent / "out" / "scene" / "hashes.jsonl")
+    found = json.loads((scene.parent / "summary.json").read_text())
+    wanted = "agents frames fps seconds states transitions items faults max_surface_error motion state_hash peak_memory"
+    assert set(wanted.split()) <= set(found)
+    assert found["agents"] == 40 == sum(found["states"].values()) and found["frames"] == 60
+    static = open_cache(scene.parent / "out" / "scene").static()
+    assert static["mesh.ground.faces"].max() + 1 == len(static["mesh.ground.vertices"]) == 17 * 17
+    assert found["state_hash"] == hashes[60] and found["max_surface_error"] < 1e-3 and found["faults"] == 0
+
+
+def test_the_summary_of_a_run_that_goes_on_is_of_all_frames(tmp_path: Path) -> None:
+    scene = project(tmp_path / "p", hills=True)
+    folder, summary = scene.parent / "out" / "scene", scene.parent / "summary.json"
+
+    def worst(*words: str) -> float | None:
+        assert finished(start(scene, "--frames", "1..12", "--summary", summary.name, *words))[0] == 0
+        found: float | None = json.loads(summary.read_text())["max_surface_error"]
+        return found
+
+    unbroken = worst()
+    assert unbroken is not None and unbroken > 0 and worst("--resume") == unbroken == worst("--resume")
+    checkpoint_path(folder, 12).unlink()
+    assert worst("--resume") == unbroken
+    line = read_lines(folder / HASHES)[12]
+    arrays = dict(read_npz(checkpoint_path(folder, 12)))
+    arrays.pop(SURFACE_ERROR)  # as before it was kept
+    checkpoint_path(folder, 12).write_bytes(to_bytes(arrays))
+    with open(folder / HASHES, "ab") as hashes:
+        hashes.write(replace(line, checkpoint="").text(12))
+    assert worst("--resume") is None is worst("--resume")
+
+
+def test_frames_hold_what_the_manifest_says(unbroken: tuple[Path, dict[int, str]]) -> None:
+    cache = open_cache(unbroken[0].parent / "out" / "scene")
+    arrays = cache.frame(30)
+    assert set(cache.manifest.attributes) <= set(arrays)
+    assert arrays["P"].shape == (40, 3) and arrays["P"].dtype == np.float32
+    assert arrays["id"].tolist() == sorted(arrays["id"].tolist())
+    assert np.linalg.norm(arrays["orient"], axis=1) == pytest.approx(1, abs=1e-5)
+    step = np.linalg.norm(cache.frame(31)["P"] - arrays["P"], axis=1)
+    assert 0 < step.max() <= 25 / 24 * 1.01
+
+
+def flipped(path: Path, at: float) -> None:
+    """A bit of a file turned over; `at` from 0, the first byte, to 1."""
+    data = bytearray(path.read_bytes())
+    data[int(at * (len(data) - 1))] ^= 4
+    path.write_bytes(data)
+
+
+def swapped(one: Path, other: Path) -> None:
+    data = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(data)
+
+
+def lines_changed(folder: Path, frame: int, **change: str) -> None:
+    """The line of a frame with other values, in good JSON."""
+    entries = [json.loads(line) for line in (folder / HASHES).read_text().splitlines()]
+    for entry in entries:
+        entry |= change if entry["frame"] == frame else {}
+    (folder / HASHES).write_text("".join(json.dumps(entry) + "\n" for entry in entries))
+
+
+def renumbered(folder: Path, number: int) -> None:
+    """A whole frame of another number, written as that of `number`."""
+    arrays = {**read_npz(frame_path(folder, 30)), "frame": np.array(number, np.int64)}
+    frame_path(folder, number).write_bytes(to_bytes(arrays))
+
+
+def of_another_run(path: Path) -> None:
+    """Another whole checkpoint of the same frame: the state is the same, what was counted on the way is not."""
+    arrays = dict(read_npz(path))
+    path.write_bytes(to_bytes(arrays | {"world.faults": arrays["world.faults"] + 5}))
+
+
+# What may happen to a cache of 60 frames with checkpoints at 1, 9, 17, …; the frame that a run goes on after; what is told.
+DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
+    "nothing": (lambda f: None, 60, ""),
+    "a frame cut off": (lambda f: os.truncate(frame_path(f, 12), 100), 9, "frame.0012.npz` is not what was written there"),
+    "an empty frame": (lambda f: os.truncate(frame_path(f, 30), 0), 25, "frame.0030.npz` is not what was written there"),
+    "a bit of a frame": (lambda f: flipped(frame_path(f, 47), 0.5), 41, "frame.0047.npz` is not what was written there"),
+    "a bit of a name in a frame": (lambda f: flipped(frame_path(f, 47), 0.999), 41, "frame.0047.npz` is not what was written"),
+    "the first frame": (lambda f: flipped(frame_path(f, 1), 0.7), None, "frames 1 to 60 are made again"),
+    "two frames swapped": (lambda f: swapped(frame_path(f, 20), frame_path(f, 22)), 17, "frames 18 to 60 are made again"),
+    "a whole frame with another's number": (lambda f: renumbered(f, 34), 33, "frame.0034.npz` is not what was written there"),
+    "a missing frame": (lambda f: frame_path(f, 26).unlink(), 25, "frame.0026.npz` is not there"),
+    "missing frames": (lambda f: [frame_path(f, n).unlink() for n in range(20, 50)], 17, "frame.0020.npz` is not there"),
+    "a pipe for a frame": (lambda f: (frame_path(f, 40).unlink(), os.mkfifo(frame_path(f, 40))), 33, "not a regular file"),
+    "a link for a frame": (
+        lambda f: (frame_path(f, 40).rename(f / "x"), frame_path(f, 40).symlink_to(f / "x")), 33, "it is a link",
+    ),
+    "a bit of a checkpoint": (lambda f: flipped(checkpoint_path(f, 60), 0.5), 57, "checkpoint.0060.npz"),
+    "a checkpoint cut off": (lambda f: os.truncate(checkpoint_path(f, 60), 5000), 57, "frames 58 to 60 are made again"),
+    "an early checkpoint": (lambda f: flipped(checkpoint_path(f, 9), 0.5), 60, "and is removed"),
+    "two checkpoints swapped": (
+        lambda f: swapped(checkpoint_path(f, 60), checkpoint_path(f, 49)), 57, "0060.npz` is not what was written",
+    ),
+    "a checkpoint of another run": (lambda f: of_another_run(checkpoint_path(f, 60)), 57, "checkpoint.0060.npz` is not what was"),
+    "an early one of another run": (lambda f: of_another_run(checkpoint_path(f, 9)), 60, "checkpoint.0009.npz` is not what was"),
+    "other meshes": (lambda f: swapped(f / "static.npz", checkpoint_path(f, 9)), 60, "static.npz` is not what was written there"),
+    "no meshes": (lambda f: (f / "static.npz").unlink(), 60, "static.npz` is not there; it is written again"),
+    "no checkpoints": (lambda f: [p.unlink() for p in (f / "checkpoints").iterdir()], None, "no checkpoint from which"),
+    "a hash of another state": (lambda f: lines_changed(f, 33, hash="0" * 32), 25, "frame.0033.npz` is not what was written"),
+    "a hash of another file": (lambda f: lines_changed(f, 12, file="0" * 32), 9, "frame.0012.npz` is not what was written"),
+    "a cut line": (lambda f: os.truncate(f / HASHES, 3321), 25, "has no hash in `hashes.jsonl`"),
+    "no hashes": (lambda f: (f / HASHES).unlink(), None, "frame.0001.npz` has no hash in `hashes.jsonl`"),
+}  # fmt: skip
+
+
+def verified(folder: Path) -> tuple[int, str]:
+    done = CliRunner().invoke(app, ["info", str(folder), "--verify"])
+    return done.exit_code, done.output
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_what_is_damaged_in_a_cache_is_told_and_made_again(
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, kind: str
+) -> None:
+    damage, after, told = DAMAGE[kind]
+    shutil.copytree(unbroken[0].parent, tmp_path / "p")
+    scene = tmp_path / "p" / "scene.yaml"
+    folder, whole = scene.parent / "out" / "scene", unbroken[0].parent / "out" / "scene"
+    shot, _ = open_scene(scene)
+    assert shot is not None
+    damage(folder)
+    code, words = verified(folder)
+    assert (code == 0) == (kind in ("nothing", "no checkpoints")), words
+    recording = begin(shot, folder, Options(), resume=True, force=False)
+    assert recording.resumed_from == after
+    assert told in " ".join(recording.notes) and bool(recording.notes) == (kind != "nothing"), recording.notes
+    for _ in record(recording):
+        pass
+    for frame in range(1, 61):
+        assert frame_path(folder, frame).read_bytes() == frame_path(whole, frame).read_bytes()
+    assert read_lines(folder / HASHES) == read_lines(whole / HASHES)
+    assert verified(folder)[0] == 0
+
+
+def test_a_cache_from_before_checkpoints_had_hashes_is_read_and_said_to_be_not_checked(
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path
+) -> None:
+    shutil.copytree(unbroken[0].parent, tmp_path / "p")
+    folder = tmp_path / "p" / "out" / "scene"
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest.pop("static")
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    lines = {frame: replace(line, checkpoint="") for frame, line in read_lines(folder / HASHES).items()}
+    (folder / HASHES).write_bytes(b"".join(line.text(frame) for frame, line in lines.items()))
+    code, words = verified(folder)
+    assert code == 0 and "60 frames, 0 checkpoints" in words
+    assert "not checked  `static.npz`, checkpoints 1 9 17 25 33 41 49 57 60" in words
+    swapped(checkpoint_path(folder, 60), checkpoint_path(folder, 49))
+    assert verified(folder)[0] == 1
+    shot, _ = open_scene(tmp_path / "p" / "scene.yaml")
+    assert shot is not None
+    recording = begin(shot, folder, Options(), resume=True, force=False)
+    assert recording.resumed_from == 57 and "does not hold frame 60" in recording.notes[0]
+    for _ in record(recording):
+        pass
+    code, words = verified(folder)
+    assert code == 0 and "60 frames, 1 checkpoint\n" in words and "not checked  checkpoints 1 9 17 25 33 41 57" in words
+
+
+def test_only_the_written_form_of_a_name_is_a_frame(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:
+    shutil.copytree(unbroken[0].parent, tmp_path / "p")
+    folder = tmp_path / "p" / "out" / "scene"
+    for name in ("frames/frame.12.npz", "frames/frame.00012.npz", "frames/checkpoint.0012.npz", "checkpoints/checkpoint.9.npz"):
+        shutil.copy(frame_path(folder, 12), folder / name)
+    cache = open_cache(folder)
+    assert (
+        cache.frames() == list(range(1, 61)) and cache.checkpoints() == open_cache(unbroken[0].parent / "out/scene").checkpoints()
+    )
+    stopped = CliRunner().invoke(app, ["info", str(folder), "--verify"]).exception
+    assert isinstance(stopped, Stop) and stopped.code == 1 and "move away" in stopped.hint and "--resume" not in stopped.hint
+    shutil.copy(frame_path(folder, 12), frame_path(folder, 70))
+    shot, _ = open_scene(tmp_path / "p" / "scene.yaml")
+    assert shot is not None
+    told = "\n".join(begin(shot, folder, Options(), resume=True, force=False).notes)
+    for name in ("frame.12.npz", "frame.00012.npz", "frames/checkpoint.0012.npz", "checkpoint.9.npz"):
+        assert f"{name}` is no " in stopped.message and f"{name}` is no " in told
+    assert "frame 70 lies beyond frame 60, the last, and is removed" in told and "made again" not in told
+
+
+def test_a_damaged_frame_is_told_and_written_again(tmp_path: Path) -> None:
+    scene = project(tmp_path / "p")
+    assert finished(start(scene, "--frames", "1..20"))[0] == 0
+    folder = scene.parent / "out" / "scene"
+    whole = frame_path(folder, 12).read_bytes()
+    frame_path(folder, 12).write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(CacheError):
+        open_cache(folder).frame(12)
+    code, words = finished(start(scene, "--frames", "1..20", "--resume"))
+    assert code == 0 and "goes on after frame 9" in words, words
+    assert "frame.0012.npz` is not what was written there" in words and "frames 10 to 20 are made again" in words
+    assert frame_path(folder, 12).read_bytes() == whole
+
+
+def test_a_link_where_a_file_is_being_written_is_not_followed(tmp_path: Path) -> None:
+    """A cache of somebody else may have one, and it would lead to a file of whoever goes on with it."""
+    mine = tmp_path / "mine.txt"
+    mine.write_text("mine")
+    (tmp_path / ".a.npz.part").symlink_to(mine)
+    write_whole(tmp_path / "a.npz", to_bytes(ARRAYS), sync=False)
+    assert mine.read_text() == "mine" and not (tmp_path / "a.npz").is_symlink() and (tmp_path / ".a.npz.part").is_symlink()
+    assert read_npz(tmp_path / "a.npz").keys() == ARRAYS.keys()
+
+
+STRANGE: dict[str, Callable[[Arrays], dict[str, object]]] = {
+    "a face that is not there": lambda a: {"species.walker.footing.face": np.full_like(a["species.walker.footing.face"], 10**6)},
+    "a mesh that is not there": lambda a: {"species.walker.footing.mesh": np.full_like(a["species.walker.footing.mesh"], 99)},
+    "other numbers of rows": lambda a: {"species.walker.ids": a["species.walker.ids"][:7]},
+    "a number of another kind": lambda a: {"species.walker.ids": a["species.walker.ids"].astype(np.float64)},
+    "a frame that is a list": lambda a: {"frame": np.arange(3)},
+    "a frame that is no number": lambda a: {"frame": np.array(np.nan)},
+    "names that are no text": lambda a: {"transitions.names": np.full(3, 255, np.uint8)},
+    "more names than counts": lambda a: {"transitions.counts": np.arange(99)},
+    "counts that are no numbers": lambda a: {"transitions.counts": np.array([np.inf])},
+    "next of all ids": lambda a: {"species.walker.next_id": np.array([[1, 2]])},
+}
+
+
+@pytest.mark.parametrize("kind", STRANGE)
+def test_a_checkpoint_that_somebody_has_made_is_refused_and_reads_no_other_memory(
+    unbroken: tuple[Path, dict[int, str]], kind: str, tmp_path: Path
+) -> None:
+    scene = project(tmp_path / "p", hills=True)
+    shot, _ = open_scene(scene)
+    assert shot is not None
+    world = bind(shot.plan, shot.setting, Options())
+    arrays = checkpoint(world)
+    restore(world, arrays)
+    with pytest.raises(CheckpointError):
+        restore(world, {**arrays, **STRANGE[kind](arrays)})  # type: ignore[dict-item]
+
+
+@pytest.mark.parametrize(("way", "after"), [("process", 0), ("process", 7), ("process", 43), ("thread", 0), ("thread", 22)])
+def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, way: str, after: int
+) -> None:
+    """Killed as soon as some frame is there, in the midst of whatever comes next; a half-written file is left behind as well."""
+    scene = project(tmp_path / "p")
+    folder = scene.parent / "out" / "scene"
+    run = start(scene, way=way)
+    began = time.monotonic()
+    wanted = folder if after == 0 else frame_path(folder, after)
+    while not wanted.exists() and run.poll() is None and time.monotonic() - began < 30:
+        time.sleep(0.0005)
+    run.send_signal(signal.SIGKILL)
+    run.communicate()
+    if (folder / "hashes.jsonl").exists():
+        (folder / "frames" / ".frame.0044.npz.part").write_bytes(b"PK half")
+        with open(folder / "hashes.jsonl", "ab") as hashes:
+            hashes.write(b'{"frame": 44, "ha')
+    code, words = finished(start(scene, "--resume"))
+    assert code == 0, words
+    assert read_hashes(folder / "hashes.jsonl") == unbroken[1]
+    mine, whole = open_cache(folder), open_cache(unbroken[0].parent / "out" / "scene")
+    for frame in range(1, 61):
+        assert frame_path(mine.folder, frame).read_bytes() == frame_path(whole.folder, frame).read_bytes()
+    assert not list((folder / "frames").glob(".*"))
+
+
+@both_ways
+def test_ctrl_c_leaves_a_cache_that_goes_on(unbroken: tuple[Path, dict[int, str]], tmp_path: Path, way: str) -> None:
+    """Ctrl-C in a terminal, which reaches all processes of the run."""
+    scene = project(tmp_path / "p")
+    folder = scene.parent / "out" / "scene"
+    run = start(scene, "--frames", "1..4000", way=way)
+    while not frame_path(folder, 12).exists() and run.poll() is None:
+        time.sleep(0.001)
+    os.killpg(run.pid, signal.SIGINT)
+    code, words = finished(run)
+    assert code == 130 and "--resume" in words, words
+    cache = open_cache(folder)
+    assert cache.checkpoints()[-1] == cache.frames()[-1]
+    if cache.frames()[-1] < 60:
+        assert finished(start(scene, "--resume"))[0] == 0
+    assert {f: h for f, h in read_hashes(folder / "hashes.jsonl").items() if f <= 60} == unbroken[1]
+
+
+def test_other_inputs_are_named_and_not_continued(tmp_path: Path) -> None:
+    scene = project(tmp_path / "p")
+    assert finished(start(scene, "--frames", "1..10"))[0] == 0
+    program = scene.parent / "walker.ant"
+    program.write_text(program.read_text().replace("40 deg", "41 deg"))
+    code, words = finished(start(scene, "--frames", "1..20", "--resume"))
+    assert code == 1 and "`walker.ant`" in words and "`scene`" not in words, words
+
+
+def test_a_run_begins_where_another_cache_was(unbroken: tuple[Path, dict[int, str]]) -> None:
+    scene, _ = unbroken
+    second = scene.with_name("second.yaml")
+    second.write_text(scene.read_text().replace("1..60", "101..105") + "from: {cache: out/scene, frame: 57}\n")
+    assert finished(start(second))[0] == 0
+    there, here = open_cache(scene.parent / "out" / "scene"), open_cache(scene.parent / "out" / "second")
+    assert np.array_equal(there.frame(57)["P"], here.frame(101)["P"])
+    assert not np.array_equal(here.frame(105)["P"], here.frame(101)["P"])
+    second.write_text(second.read_text().replace("frame: 57", "frame: 56"))
+    code, words = finished(start(second))
+    assert code == 1 and "write one of" in words and "57" in words
+
+
+@pytest.mark.parametrize("words", [(), ("--profile", "--summary", "s.json")])
+def test_a_run_whose_words_nobody_reads_any_more_goes_on_to_its_end(tmp_path: Path, words: tuple[str, ...]) -> None:
+    """As with `| head -1`."""
+    scene = project(tmp_path / "p")
+    run = start(scene, "--frames", "1..6", *words)
+    assert run.stdout is not None and run.stderr is not None
+    run.stdout.close()
+    assert run.stderr.read() == "" and run.wait(60) == 0
+    assert open_cache(scene.parent / "out" / "scene").frames() == [1, 2, 3, 4, 5, 6]
+    assert not words or (scene.parent / "s.json").is_file()
+
+
+@pytest.mark.parametrize(
+    "kind", ["frames/frame.0012.npz", "frames/frame.0099.npz", "static.npz", "checkpoints/checkpoint.0009.npz"]
+)
+def test_a_folder_in_the_place_of_a_file_is_told_before_anything_is_removed(
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, kind: str
+) -> None:
+    shutil.copytree(unbroken[0].parent, tmp_path / "p")
+    scene = tmp_path / "p" / "scene.yaml"
+    folder = scene.parent / "out" / "scene"
+    (folder / kind).unlink(missing_ok=True)
+    (folder / kind / "work").mkdir(parents=True)
+    before = sorted(path for path in folder.rglob("*"))
+    for words in ([], ["--resume"]):
+        stopped = CliRunner().invoke(app, ["run", str(scene), *words]).exception
+        assert isinstance(stopped, Stop) and f"{kind}` is a folder" in stopped.message and "move it away" in stopped.hint
+        assert sorted(path for path in folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize(("number", "advice"), [("ENOSPC", "make room, then go on"), ("EIO", "once that is mended, go on")])
+def test_only_a_full_disk_is_to_be_made_room_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: str, advice: str
+) -> None:
+    def broken(*_: object) -> None:
+        raise OSError(getattr(errno, number), os.strerror(getattr(errno, number)))
+
+    scene = project(tmp_path / "p")
+    monkeypatch.setattr("antdsl.whole._replace", broken)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / ".antdsl-cache").write_text("")
+    stopped = CliRunner().invoke(app, ["run", str(scene), "--out", str(tmp_path / "out"), "--frames", "1..2"]).exception
+    assert isinstance(stopped, Stop) and advice in stopped.hint and f"`{tmp_path / 'out' / 'hashes.jsonl'}`" in stopped.message
+
+
+@both_ways
+def test_a_full_disk_ends_in_words_and_the_run_goes_on_later(
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, way: str
+) -> None:
+    """The system refuses to let any file grow beyond what a few frames' hashes need."""
+    scene = project(tmp_path / "p")
+    scene.write_text(SCENE.replace("count: 40", "count: 400"))
+    command = [sys.executable, *WAYS[way], "run", "scene.yaml", "--threads", "1"]
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    limit = f"import resource as r, os; r.setrlimit(r.RLIMIT_FSIZE, (20000, 20000)); os.execv({sys.executable!r}, {command!r})"
+    done = subprocess.run([sys.executable, "-c", limit], env=env, cwd=scene.parent, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 3 and "Traceback" not in done.stderr, done.stderr[-600:]
+    assert "cannot write the cache: file too large" in done.stderr and "--resume" in done.stderr
+    assert finished(start(scene, "--resume"))[0] == 0
+    assert len(read_hashes(scene.parent / "out" / "scene" / "hashes.jsonl")) == 60

@@ -1,0 +1,279 @@
+"""Pictures show what they are given: light and shadow, agents in their colours, trails, items, lines and words."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from antdsl.bodies.body import orientation
+from antdsl.bodies.shapes import sheet, sphere
+from antdsl.casting.rays import RayScene
+from antdsl.outputs.pictures import (
+    Camera,
+    Crowd,
+    Item,
+    LegendRow,
+    Picture,
+    Renderer,
+    Solid,
+    Trail,
+    camera_at_eye_level,
+    camera_over,
+    contact_sheet,
+    film,
+    looks,
+    render,
+    render_frame,
+    still,
+)
+from antdsl.outputs.pictures.actors import item_mesh
+from antdsl.outputs.pictures.camera import view
+from antdsl.outputs.pictures.setting import is_floor, setting
+from antdsl.outputs.pictures.trails import TrailCloth, cover, robust_full
+
+ABOVE = Camera((0.0, 60.0, 0.01), (0.0, 0.0, 0.0), focal=30.0)
+W, H = 160, 90
+
+
+def floor(reach=40.0, lines=9):
+    line = np.linspace(-reach, reach, lines)
+    return Solid("floor", *sheet(line, line))
+
+
+def crowd(points, colour, **more):
+    n = len(points)
+    orient = orientation(np.tile([1.0, 0, 0], (n, 1)), np.tile([0.0, 1, 0], (n, 1)))
+    more = {"scale": np.full(n, 4.0), "ids": np.arange(n), **more}
+    return Crowd("forager", np.asarray(points, float), orient, colour=np.tile(colour, (n, 1)), **more)
+
+
+def at(image, picture, camera, point):
+    places, _ = view(camera, image.shape[1], image.shape[0], picture.up).project(np.array([point], float))
+    column, row = places[0].astype(int)
+    return image[row, column].astype(int)
+
+
+def test_rays_and_projection_agree():
+    ready = view(Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0), W, H, (0.0, 1.0, 0.0))
+    rays = ready.rays(40, 41, 1)
+    places, ahead = ready.project(ready.eye + 7.0 * rays[[3, 90]].astype(float))
+    assert np.allclose(places, [[3.5, 40.5], [90.5, 40.5]], atol=1e-3) and (ahead > 0).all()
+    assert ready.half[0] == pytest.approx(np.tan(np.radians(25)))
+
+
+def test_a_body_between_sun_and_ground_throws_a_shadow():
+    vertices, faces = sphere(2)
+    ball = Solid("ball", vertices * 6 + [0, 14, 0], faces, "stone")
+    bare, under = render_frame(Picture((floor(),)), ABOVE, W, H), render_frame(Picture((floor(), ball)), ABOVE, W, H)
+    darker = (bare.astype(int) - under).sum(axis=2) > 90
+    outside = np.hypot(*(np.indices((H, W)) - np.array([H / 2, W / 2])[:, None, None])) > 26
+    assert (darker & outside).sum() > 60
+    assert not (under.astype(int) - bare > 40)[outside].any()
+
+
+def test_ants_wear_their_states_colour_and_keep_the_ground_around():
+    scene = floor()
+    red = Picture((scene,), (crowd([[0, 0, 0], [15, 0, 8]], (0.84, 0.19, 0.17)),), grain=4.0)
+    bare, image = render_frame(Picture((scene,), grain=4.0), ABOVE, W, H), render_frame(red, ABOVE, W, H)
+    for point in ([-1.2, 0.5, 0], [13.8, 0.5, 8]):
+        r, g, b = at(image, red, ABOVE, point)
+        assert r > 1.6 * g and r > 1.6 * b
+    away = np.s_[:, : W // 4]
+    assert np.abs(image[away].astype(int) - bare[away]).max() <= 2
+
+
+def test_small_ants_are_drawn_longer_but_not_more_than_threefold():
+    far = Camera((0.0, 300.0, 0.1), (0.0, 0.0, 0.0), focal=30.0)
+    picture = Picture((floor(400),), (crowd([[0, 0, 0]], (0.1, 0.2, 0.9)),), grain=4.0)
+    bare = render_frame(Picture((floor(400),), grain=4.0), far, W, H)
+    drawn = [Renderer(W, H, least=least).draw(picture, far).astype(int) for least in (0.0, 3.5, 100.0)]
+    changed = [(np.abs(image - bare).max(axis=2) > 12).sum() for image in drawn]
+    assert 0 < changed[0] < changed[1] < changed[2] < 60
+
+
+def test_trails_colour_the_ground_where_they_lie():
+    cells = np.array([[x, 0.0, 0.0] for x in np.arange(-12.0, 13.0, 2.0)])
+    trail = Trail("trail", cells, np.full(len(cells), 3.0), 2.0, colour=(0.1, 0.2, 0.9))
+    picture = Picture((floor(),), trails=(trail,))
+    plain, dyed = (render_frame(picture, ABOVE, W, H, show=show) for show in ((), ("trail",)))
+    on, off = at(dyed, picture, ABOVE, (4, 0, 0)), at(dyed, picture, ABOVE, (4, 0, 12))
+    assert on[2] > 1.5 * on[0]
+    assert np.array_equal(off, at(plain, picture, ABOVE, (4, 0, 12)))
+    assert np.array_equal(plain, render_frame(Picture((floor(),)), ABOVE, W, H))
+
+
+def test_even_scent_on_uneven_cells_shows_no_pattern():
+    draw = np.random.default_rng(5)
+    grid = np.stack(np.meshgrid(np.arange(-30, 31, 3.0), np.arange(-30, 31, 3.0), indexing="ij"), -1).reshape(-1, 2)
+    flat = grid + draw.uniform(-1.4, 1.4, grid.shape)
+    slope = np.array([[1.0, 0.7, 0.2], [0.0, 0.3, 1.0]])  # ground that lies across the lattice
+    trail = Trail("trail", flat @ slope, np.ones(len(flat)), 3.0)
+    places = (draw.uniform(-24, 24, (4000, 2)) @ slope).astype(np.float32)
+    assert np.allclose(TrailCloth(places, 3.0).share(trail), 1.0, atol=1e-3)
+
+
+def test_a_thin_veil_of_scent_everywhere_does_not_hide_a_trail():
+    path = np.geomspace(0.5, 300, 150)
+    alone, veiled = robust_full(path), robust_full(np.concatenate([np.full(30_000, 3e-3), path]))
+    assert veiled == pytest.approx(alone, rel=0.1) and alone > 30
+    assert robust_full(np.zeros(4)) == 0
+    faint, strong = cover(Trail("trail", np.zeros((2, 3)), np.array([3e-3, 300.0]), 6.0, full=alone))
+    assert faint < 0.04 and strong == 1
+
+
+def test_what_closes_on_itself_is_a_figure_that_stands_on_the_table():
+    vertices, faces = sphere(2)
+    up = np.array([0.0, 1.0, 0.0])
+    assert is_floor(floor().vertices, floor().faces, up) and not is_floor(vertices, faces, up)
+    figure, ground = setting((Solid("ground", vertices * 20, faces),), up), setting((floor(),), up)
+    assert figure.base == pytest.approx(-20, abs=0.1) and ground.base < -2
+    assert looks.FIGURE in figure.kind and looks.EDGE not in figure.kind and looks.EDGE in ground.kind
+
+
+def test_the_soil_of_a_nest_follows_the_ground():
+    plain = floor(60.0, 3)
+    up = np.array([0.0, 1.0, 0.0])
+    steep = plain.vertices + up * 0.5 * plain.vertices[:, :1]
+    ground = RayScene(steep, plain.faces)
+    nest = Item("home", (0.0, 0.0, 0.0), 10.0, 1.0, "mound")
+    flat, laid = item_mesh(nest, (0.0, 1.0, 0.0)).vertices, item_mesh(nest, (0.0, 1.0, 0.0), ground).vertices
+    assert np.allclose(laid - flat, up * 0.5 * flat[:, :1], atol=1e-3) and np.ptp(flat[:, 0]) > 20
+
+
+def test_food_shrinks_with_what_is_left():
+    def size(left):
+        picture = Picture((floor(),), items=(Item("apple", (0.0, 0.0, 0.0), 6.0, left, "apple"),))
+        image = render_frame(picture, ABOVE, W, H).astype(int)
+        return ((image[..., 0] > 1.7 * image[..., 1]) & (image[..., 0] > 60)).sum()
+
+    sizes = [size(left) for left in (1.0, 0.5, 0.1, 0.0)]
+    assert sizes[0] > sizes[1] > sizes[2] > 0 == sizes[3]
+
+
+def test_threads_and_kept_rays_change_no_byte(monkeypatch):
+    made = []
+    real = render.stage
+    monkeypatch.setattr(render, "stage", lambda *args: made.append(1) or real(*args))
+    scene = (floor(),)
+    walk = [Picture(scene, (crowd([[x, 0, 0]], (0.9, 0.6, 0.1), walked=np.array([x])),), frame=1) for x in (0.0, 5.0)]
+    one, two = Renderer(W, H, threads=1), Renderer(W, H, threads=2)
+    first = [one.draw(picture, ABOVE) for picture in walk]
+    assert len(made) == 1 and not np.array_equal(first[0], first[1])
+    again = [two.draw(picture, ABOVE) for picture in reversed(walk)]
+    assert np.array_equal(first[0], again[1]) and np.array_equal(first[1], again[0])
+    one.draw(walk[0], Camera((0.0, 61.0, 0.01), (0.0, 0.0, 0.0)))
+    assert len(made) == 3
+
+
+def test_lines_and_ids_are_drawn_where_agents_are_and_others_are_refused():
+    ants = crowd([[0, 0, 0], [10, 0, 5]], (0.9, 0.6, 0.1), velocity=np.tile([0.0, 0, -60.0], (2, 1)))
+    ants = Crowd(**{name: getattr(ants, name) for name in Crowd.__slots__} | {"feelers": np.array([[[0, 1.0, 0], [-20, 1, 0]]])})
+    picture = Picture((floor(),), (ants,))
+    plain = render_frame(picture, ABOVE, W, H).astype(int)
+    for word, point in (("velocity", (0, 1, -10)), ("feelers", (-12, 1, 0))):
+        changed = np.abs(render_frame(picture, ABOVE, W, H, show=("trail", word)) - plain).max(axis=2) > 25
+        row, column = np.nonzero(changed)
+        places, _ = view(ABOVE, W, H, picture.up).project(np.array([point], float))
+        assert 0 < changed.sum() < 300 and np.hypot(column - places[0, 0], row - places[0, 1]).min() < 3
+    assert (np.abs(render_frame(picture, ABOVE, W, H, show=("trail", "ids")) - plain) > 40).sum() > 20
+    with pytest.raises(ValueError, match="`trails`"):
+        render_frame(picture, ABOVE, W, H, show=("trails",))
+
+
+def test_what_is_behind_a_wall_gets_no_line():
+    vertices, faces = sphere(2)
+    wall = Solid("wall", vertices * [30, 2, 30] + [0, 20, 0], faces, "stone")
+    hidden = crowd([[0, 0, 0]], (0.9, 0.6, 0.1), velocity=np.array([[60.0, 0, 0]]))
+    picture = Picture((floor(), wall), (hidden,))
+    assert np.array_equal(
+        render_frame(picture, ABOVE, W, H), render_frame(picture, ABOVE, W, H, show=("trail", "velocity", "ids"))
+    )
+
+
+def test_the_legend_and_the_frame_number_are_written():
+    plain = Picture((floor(),))
+    told = Picture((floor(),), legend=(LegendRow("search", (242, 163, 31), 412),), frame=1042)
+    a, b = render_frame(plain, ABOVE, W, H), render_frame(told, ABOVE, W, H)
+    changed = (a != b).any(axis=2)
+    assert changed[:30, :40].any() and changed[:30, -40:].any() and not changed[40:].any()
+    assert (np.abs(b[:40].astype(int) - [242, 163, 31]).sum(axis=2) < 20).any()
+
+
+def test_cameras_of_their_own_see_the_scene_and_an_ant_that_is_not_hidden():
+    vertices, faces = sphere(2)
+    rock = Solid("rock", vertices * 5 + [-12, 3, 0], faces, "stone")
+    picture = Picture((floor(), rock), (crowd([[x, 0, z] for x in (0, 6, 12) for z in (0, 6)], (0.9, 0.6, 0.1)),))
+    over = view(camera_over(picture), W, H, picture.up)
+    places, ahead = over.project(picture.solids[0].vertices)
+    assert (ahead > 0).all() and (places >= 0).all() and (places <= [W, H]).all()
+    camera = camera_at_eye_level(picture, 3)
+    image = render_frame(picture, camera, W, H).astype(int)
+    assert ((image[..., 0] > 1.5 * image[..., 2]) & (image[..., 0] > 120)).sum() > 100
+    assert np.linalg.norm(np.array(camera.at) - picture.crowds[0].position[3]) < 5 * 4.0
+    assert camera_at_eye_level(picture, 99) is None
+
+
+@pytest.mark.parametrize("up", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+def test_the_sky_is_above_whatever_up_is(up):
+    solid = floor()
+    if up[2]:
+        solid = Solid("floor", solid.vertices[:, [2, 0, 1]], solid.faces)
+    level = Camera((0.0, 8.0, 70.0) if up[1] else (70.0, 0.0, 8.0), (0.0, 0.0, 0.0), up=up)
+    image = render_frame(Picture((solid,), up=up), level, W, H).astype(int)
+    assert image[2, :, 2].mean() > image[2, :, 0].mean() + 8
+    assert image[H // 2, W // 3 : W // 2, 0].mean() > image[H // 2, W // 3 : W // 2, 2].mean() + 8
+
+
+def test_nothing_at_all_and_broken_agents_draw_without_a_fuss():
+    assert render_frame(Picture(), ABOVE, 32, 18).shape == (18, 32, 3)
+    broken = crowd([[np.nan, 0, 0], [np.inf, 0, 0], [0, 0, 0]], (0.9, 0.6, 0.1), scale=np.array([4.0, 4.0, np.nan]))
+    assert np.array_equal(
+        render_frame(Picture((floor(),), (broken,)), ABOVE, 32, 18), render_frame(Picture((floor(),)), ABOVE, 32, 18)
+    )
+    with pytest.raises(ValueError, match="8192"):
+        Renderer(100_000, 10)
+
+
+def test_a_contact_sheet_holds_every_picture():
+    tiles = [np.full((90, 160, 3), shade, np.uint8) for shade in (60, 120, 180, 240, 90)]
+    made = contact_sheet(tiles, [f"frame {k}" for k in range(5)], columns=3, width=600)
+    assert made.shape[1] == 600
+    assert all((np.abs(made.astype(int) - int(tile[0, 0, 0])).max(axis=2) == 0).sum() > 15_000 for tile in tiles)
+    with pytest.raises(ValueError, match="label"):
+        contact_sheet(tiles, ["one"])
+
+
+def test_stills_and_films_reach_the_disk(tmp_path):
+    from PIL import Image
+
+    frames = [np.full((91, 160, 3), shade, np.uint8) for shade in (20, 200)]
+    still(frames[0], tmp_path / "one.png")
+    assert np.array_equal(np.asarray(Image.open(tmp_path / "one.png")), frames[0])
+    pytest.importorskip("imageio_ffmpeg")
+    import imageio_ffmpeg
+
+    assert film(frames, tmp_path / "film.mp4", 24).ok
+    count, _ = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "film.mp4"))
+    assert count == 2 and sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4", "one.png"]
+    assert [d.code for d in film([], tmp_path / "none.mp4", 24).errors] == ["no-pictures"]
+    assert [d.code for d in film(frames, tmp_path / "no" / "such.mp4", 24).errors] == ["cannot-write"]
+
+
+def test_a_film_without_its_extra_names_it(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    report = film([np.zeros((4, 4, 3), np.uint8)], tmp_path / "film.mp4", 24)
+    assert report.errors[0].code == "missing-extra" and "[video]" in report.errors[0].message
+
+
+def test_an_ant_in_the_shade_of_a_rock_is_darker():
+    vertices, faces = sphere(2)
+    roof = Solid("roof", vertices * [14, 1, 14] + [-24.0, 20, 0], faces, "stone")
+    ant = crowd([[0, 0, 0]], (0.9, 0.6, 0.1))
+    low = Camera((8.0, 9.0, 14.0), (0.0, 0.0, 0.0))
+
+    def brightness(solids):
+        image = render_frame(Picture(solids, (ant,), grain=4.0), low, W, H).astype(int)
+        body = (image[..., 0] > 1.7 * image[..., 2]) & (np.hypot(*(np.indices((H, W)) - np.array([45, 80])[:, None, None])) < 25)
+        return image[body][:, 0].mean()
+
+    assert brightness((floor(), roof)) < 0.8 * brightness((floor(),))

@@ -1,0 +1,165 @@
+"""Passes: less work, the same effects; each does what it says and the whole leaves printed plans as they are in `cases/plan`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from plan_text import plan_of
+
+from antdsl.passes import PASSES, optimise
+from antdsl.passes.drop_unused import drop_unused
+from antdsl.passes.fold import fold
+from antdsl.passes.hoist import hoist
+from antdsl.passes.keep import keep
+from antdsl.passes.merge import merge
+from antdsl.passes.narrow import narrow
+from antdsl.pipeline import compile_files
+from antdsl.plan import lower, show, verify
+from antdsl.plan.ir import SENSES, If, Rate, Store
+from antdsl.plan.traverse import needed, operands, roots, statements
+
+CASES = sorted((Path(__file__).parents[1] / "cases" / "plan").glob("*.ant"))
+
+
+def count(plan, op: str) -> int:
+    return sum(node.op == op for node in needed(roots(plan)))
+
+
+def all_of(plan, kind: type, phase: str | None = None) -> list:
+    phases = [phase] if phase else ["born", "decide", "act", "blend"]
+    return [s for p in phases for _, s in statements(getattr(plan.species["a"], p)) if isinstance(s, kind)]
+
+
+def test_fold_takes_regions_of_nobody_away_and_opens_those_of_everybody():
+    plan = plan_of("species a { start s\nstate s { steer heading\nwhen 1 > 2 -> t }\nstate t { when true -> s } }")
+    folded = fold(plan)
+    verify(folded)
+    assert not [s for s in all_of(folded, Store, "decide") if s.register == "~main.pending" and "#1" in str(s.value)]
+    assert len(all_of(folded, If)) <= len(all_of(plan, If))
+    assert len(folded.nodes) <= len(plan.nodes)
+    assert {n for n in roots(folded)} <= set(folded.nodes)
+
+
+def test_drop_unused_leaves_the_state_of_the_world_and_takes_the_rest():
+    plan = plan_of(
+        "species a { n = 0\nstart s\nstate s { n += 1 /s\nsteer heading * 0.5\nwhen n > 1 -> t }\n"
+        "state t { when n > 2 -> s }\nlayers { up * 1; state when 1 > 2 } }"
+    )
+    after = drop_unused(fold(plan))
+    verify(after)
+    registers = after.species["a"].registers
+    assert {"n", "main.time_in_state", "push.x"} <= set(registers)
+    assert "~steer.x" in plan.species["a"].registers and "~steer.x" not in registers
+    assert not [s for s in all_of(after, Store) if s.register.startswith("~steer")]
+
+
+def test_merge_joins_neighbours_with_one_condition_unless_the_first_changes_it():
+    text = (
+        "species a {{ n = 0\nm = 0\non alarm {{ n += 1 }}\non alarm {{ m += {} }}\nstart s\n"
+        "state s {{ steer heading * n * m\nwhen n > 1 -> t {{ emit alarm }} }}\n"
+        "state t {{ when n > 2 -> s }} }}"
+    )
+    plan = plan_of(text.format("2"))
+    merged = merge(plan)
+    verify(merged)
+    events = [s for s in all_of(plan, If, "decide") if s.condition.op == "event"]
+    joined = [s for s in all_of(merged, If, "decide") if s.condition.op == "event"]
+    assert (len(events), len(joined)) == (2, 1)
+    assert [s.register for s in joined[0].then.statements] == ["n", "m"]
+
+
+def test_hoist_takes_what_all_pairs_share_out_of_them():
+    plan = plan_of(
+        "species a { start s\n"
+        "state s { steer sum(n in neighbours(2 * size): direction(n, to: self) * (distance(n) / size) * mass / 1 g * 0.5) } }"
+    )
+    after = hoist(plan)
+    verify(after)
+
+    def pairs(p) -> int:
+        return sum(n.rate is Rate.PAIR and n.op in ("mul", "div") for n in needed(roots(p)))
+
+    assert pairs(after) < pairs(plan)
+    assert not [n for n in needed(roots(after)) if n.op == "div" and n.rate is Rate.PAIR and n.args[1].rate < Rate.PAIR]
+
+
+def test_hoist_shares_among_components_what_is_the_same_for_all():
+    plan = plan_of(
+        "species a { start s\nstate s { steer sum(n in neighbours(2 * size): "
+        "direction(n, to: self) * (1 - distance(n) / size)) } }"
+    )
+    after = hoist(plan)
+    verify(after)
+
+    def products(p) -> int:
+        return sum(n.rate is Rate.PAIR and n.op in ("mul", "neg", "div") for n in needed(roots(p)))
+
+    # 1 / distance, its product with the weight, distance * (1 / size), and one product for each of x, y and z
+    assert products(after) == 6
+    assert products(plan) == 11
+    sums = [n for n in needed(roots(after)) if n.op == "reduce.sum"]
+    assert [n.args[2].args[0].op for n in sums] == ["pair.x", "pair.y", "pair.z"]
+
+
+def test_narrow_asks_the_cheap_half_first():
+    plan = plan_of(
+        "species a { n = 0\nstart s\nstate s { n += 1 /s\nsteer heading }\n"
+        "layers { up * 0.5 when nearest(food, within: 9 mm) is not none and n > 3; state } }"
+    )
+    after = narrow(plan)
+    verify(after)
+    outer = next(s for s in after.species["a"].blend.statements if isinstance(s, If))
+    inner = outer.then.statements[0]
+    assert isinstance(inner, If)
+    assert not [n for n in needed(operands(outer)) if n.op in SENSES]
+    assert [n for n in needed(operands(inner)) if n.op == "reduce.item"]
+
+
+def test_keep_notes_senses_that_several_regions_ask_for():
+    plan = keep(plan_of(
+        
+            "species a { let f = nearest(food)\nlet g = nearest(nest)\nstart s\n"
+            "state s { steer direction(f)\nwhen touching(f) -> t }\nstate t { steer direction(g)\n"
+            "when false -> s } }"
+        
+    ))  # fmt: skip
+    assert [n.args[0].attrs for n in plan.species["a"].lazy] == [("food",)]
+
+
+def test_passes_are_idempotent_together():
+    for case in CASES:
+        once = optimise(plan_of(case.read_text(), world=""))
+        assert show(optimise(once)) == show(once), case.name
+
+
+def test_every_pass_has_a_reason_beside_it():
+    assert [p.__name__ for p in PASSES] == ["fold", "drop_unused", "merge", "hoist", "narrow", "keep"]
+    assert all(p.__doc__ for p in PASSES)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.stem)
+def test_printed_plans(case, request):
+    """`pytest --update` writes them anew; the difference is for a person to read."""
+    text = show(optimise(plan_of(case.read_text(), world="")))
+    golden = case.with_suffix(".plan")
+    if request.config.getoption("--update", default=False):
+        golden.write_text(text)
+    assert golden.read_text() == text
+
+
+EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*/*.ant"))
+
+
+@pytest.mark.parametrize("path", CASES + EXAMPLES, ids=lambda path: path.stem)
+def test_in_a_hurry_the_same_plan_comes_out(path):
+    def nodes(plan):
+        return [(n.op, n.attrs, n.number, n.rate, n.span and str(n.span)) for n in plan.nodes]
+
+    program, report = compile_files([path])
+    assert program is not None and report.ok
+    lowered, report = lower(program)
+    assert report.ok
+    slow, quick = optimise(lowered), optimise(lower(program)[0], thorough=False)
+    assert show(slow) == show(quick)
+    assert nodes(slow) == nodes(quick)

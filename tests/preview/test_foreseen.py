@@ -1,0 +1,128 @@
+"""A reload that was compiled ahead of time: taken as it is while nothing has changed since, and never otherwise."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from preview_page import few
+
+from antdsl.preview import Session, compiling
+
+FORAGING = Path(__file__).parents[2] / "examples" / "foraging"
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Session:
+    """Forty foraging ants; the scene extends one that has the meshes."""
+    scene = few(tmp_path, 40).with_name("shot.yaml")
+    scene.write_text("antdsl: 1\nextends: scene.yaml\nseed: 3\n")
+    session, report = Session.open(scene)
+    assert session is not None, [d.message for d in report.errors]
+    return session
+
+
+@pytest.fixture
+def compiled(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Grows by one for each time that a scene is compiled."""
+    found: list[int] = []
+    opened = compiling.open_scene
+
+    def counted(*words: object, **named: object) -> object:
+        found.append(1)
+        return opened(*words, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(compiling, "open_scene", counted)
+    return found
+
+
+def edit(session: Session, name: str, old: str, new: str) -> None:
+    file = session.compiler.scene.with_name(name)
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+
+
+def pace(session: Session) -> float:
+    return float(session.world.populations["forager"].now["max_speed"][0])
+
+
+def test_a_reload_finds_its_shot_made(session: Session, compiled: list[int]) -> None:
+    session.step()
+    before, hash_ = session.shot, session.hash
+    edit(session, "forager.ant", "30 mm/s", "36 mm/s")
+    session.foresee()
+    assert session.shot is before and session.hash == hash_ and not session.edited
+    done = session.reload()
+    assert done.ok and len(compiled) == 1 and pace(session) == 36
+    session.step()
+    assert session.reload().line == "nothing has changed" and len(compiled) == 2, "it is made use of once"
+
+
+CHANGES: dict[str, Callable[[Session], None]] = {
+    "the program": lambda s: edit(s, "forager.ant", "36 mm/s", "38 mm/s"),
+    "the scene": lambda s: edit(s, "shot.yaml", "seed: 3", "seed: 4"),
+    "a scene that it extends": lambda s: edit(s, "scene.yaml", "count: 40", "count: 41"),
+    "a mesh": lambda s: s.compiler.scene.with_name("stones.ply").write_bytes((FORAGING / "boulder.ply").read_bytes()),
+    "a value set by hand": lambda s: s.set("forager.smell", "60 mm"),
+}
+
+
+@pytest.mark.parametrize("what", CHANGES)
+def test_what_changes_after_it_is_compiled_anew(session: Session, compiled: list[int], what: str) -> None:
+    edit(session, "forager.ant", "30 mm/s", "36 mm/s")
+    session.foresee()
+    CHANGES[what](session)
+    done = session.reload()
+    assert done.ok, [d.message for d in done.report.errors]
+    assert len(compiled) == 2
+    assert pace(session) == (38 if what == "the program" else 36)
+    assert session.shot.setting.seed == (4 if what == "the scene" else 3)
+    assert len(session.world) == (41 if what == "a scene that it extends" else 40)
+
+
+def test_a_mesh_that_is_gone_by_then_is_complained_about(session: Session) -> None:
+    edit(session, "forager.ant", "30 mm/s", "36 mm/s")
+    session.foresee()
+    session.compiler.scene.with_name("stones.ply").unlink()
+    assert [d.code for d in session.reload().report.errors] == ["no-such-file"]
+    assert pace(session) == 30
+
+
+def test_a_file_that_is_half_written_is_no_reason_to_do_anything(session: Session, compiled: list[int]) -> None:
+    program = session.compiler.scene.with_name("forager.ant")
+    whole = program.read_text().replace("30 mm/s", "36 mm/s")
+    program.write_text(whole[: len(whole) // 2])
+    before = session.hash
+    session.foresee()
+    assert session.hash == before
+    program.write_text(whole)
+    assert session.reload().ok and len(compiled) == 2 and pace(session) == 36
+
+
+def test_layers_that_are_off_stay_off(session: Session, compiled: list[int]) -> None:
+    layer = session.shot.plan.species["forager"].layers[0].span.text
+    assert session.layer("forager", layer, on=False).ok
+    edit(session, "forager.ant", "30 mm/s", "36 mm/s")
+    session.foresee()
+    assert session.reload().ok and len(compiled) == 2
+    assert session.shot.plan.species["forager"].layers[0].span.text != layer
+    assert pace(session) == 36
+
+
+def test_the_run_is_the_same_as_without(session: Session, tmp_path: Path) -> None:
+    shutil.copytree(tmp_path / "foraging", tmp_path / "other")
+    other, _ = Session.open(tmp_path / "other" / "shot.yaml")
+    assert other is not None
+    for each in (session, other):
+        for _ in range(3):
+            each.step()
+        edit(each, "forager.ant", "steer wander(swing: swing)", "steer wander(swing: 0.5 * swing)")
+        if each is session:
+            each.foresee()
+        assert each.reload().ok
+        for _ in range(3):
+            each.step()
+    assert session.hash == other.hash

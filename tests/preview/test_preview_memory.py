@@ -1,0 +1,231 @@
+"""What a preview that runs for hours, or is edited again and again, keeps and forgets; and what it tells of it."""
+
+from __future__ import annotations
+
+import json
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_client import Page, places
+from preview_page import few
+
+from antdsl.preview import Live, Session, timeline
+from antdsl.preview.packing import unpack
+from antdsl.preview.spec_judgement import Specs
+from antdsl.preview.viewing.curves import Told
+from antdsl.preview.viewing.scene import Box
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A copy of the foraging ants, forty of them."""
+    return few(tmp_path, 40)
+
+
+def opened(scene: Path, **how: int) -> Session:
+    session, report = Session.open(scene, **how)
+    assert session is not None, [d.message for d in report.errors]
+    return session
+
+
+def test_full_memory_keeps_the_latest_light_frames_and_checkpoints_of_all_times(scene: Path) -> None:
+    session = opened(scene, every=2)
+    one = session.timeline.nbytes
+    session = opened(scene, every=2, budget=10 * one)
+    hashes = {}
+    for _ in range(120):
+        session.step()
+        hashes[session.frame] = session.hash
+    kept = session.timeline
+    assert kept.nbytes <= kept.budget
+    assert list(kept.light)[-20:] == list(range(102, 122))
+    points = sorted(kept.stretches[0].checkpoints)
+    gaps = [b - a for a, b in pairwise(points)]
+    assert points[0] == 1 and points[-1] >= 118 and len(points) > 5
+    assert max(gaps[:-1]) <= 4 * min(gaps[:-1])
+    for frame in (60, 3, 121):
+        session.seek(frame)
+        assert session.hash == hashes[frame]
+
+
+def test_curves_and_branches_do_not_grow_for_ever(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(timeline, "_CURVES", 30)
+    session, told = opened(scene, every=4), Told()
+    for number in range(12):
+        for _ in range(4):
+            session.step()
+        session.seek(session.frame - 1)
+        assert session.set("forager.smell", f"{50 + number} mm").ok
+        message = told.news(session.timeline)
+        assert message is not None and message["branches"][-1]["line"] == f"set: {{forager.smell: {50 + number} mm}}"
+    assert [each.line[-7:-4] for each in session.timeline.branches] == [f" {50 + k}" for k in range(4, 12)]
+    assert len(session.timeline.curves) <= 30 and session.head == session.frame
+    session.step()
+    session.seek(session.head - 5)
+    before = list(session.timeline.curves)
+    for _ in range(5):
+        session.step()
+    assert list(session.timeline.curves) == before
+    for _ in range(60):
+        session.step()
+    session.seek(20)  # of which there is no curve any more
+    assert session.set("forager.smell", "40 mm").ok and (session.frame, session.head) == (20, 20)
+
+
+def test_a_long_history_is_told_in_few_points(scene: Path) -> None:
+    session = opened(scene)
+    one = session.timeline.curves[1]
+    session.timeline.curves = {frame: one for frame in range(1, 20_001)}
+    session.timeline.branches = [timeline.Branch(1, "before", dict(session.timeline.curves)) for _ in range(8)]
+    assert len(json.dumps(Told().all_of_it(session.timeline))) < 2_000_000
+
+
+def test_what_was_judged_at_an_edit_is_still_known_when_one_plays_through_it_again(scene: Path) -> None:
+    session, specs = opened(scene), Specs()
+
+    def go(frames: int) -> None:
+        for _ in range(frames):
+            specs.stepping(session)
+            session.step()
+            specs.stepped(session)
+
+    go(5)
+    program = scene.with_name("forager.ant")
+    program.write_text(program.read_text().replace("36 s", "35 s"))
+    assert session.reload().ok
+    go(3)
+    before = {frame: dict(values) for frame, values in session.timeline.curves.items()}
+    assert any(name.startswith("spec: ") for name in before[6])
+    session.seek(3)
+    go(6)
+    assert session.timeline.curves == before
+
+
+def test_a_layer_of_several_lines_is_told_as_so_many_comments(scene: Path) -> None:
+    program = scene.with_name("forager.ant")
+    program.write_text(program.read_text().replace("give_way(radius: 2.2 * size)", "give_way(\n      radius: 2.2 * size)"))
+    outcome = opened(scene).layer("forager", "give_way(\n      radius: 2.2 * size)", on=False)
+    assert outcome.ok and outcome.text == "# give_way(\n# radius: 2.2 * size)"
+
+
+def test_a_field_that_is_set_to_other_values_is_not_off(scene: Path) -> None:
+    live = Live.open(scene, watch=False)
+    live.start()
+    page = Page(live)
+    assert (
+        page.done("set", name="trail.limit", value="0.5")["ok"] and page.done("set", name="trail.keeps", value="90 %/step")["ok"]
+    )
+    page.ask("step", count=1)
+    page.status(frame=2)
+    assert [each["on"] for each in page.last("scene")["fields"]] == [True]
+    assert page.done("field", name="trail", on=False)["ok"]
+    page.until(lambda: [each["on"] for each in page.last("scene")["fields"]] == [False])
+    assert page.done("field", name="trail", on=True)["ok"]
+    live.stop()
+    assert live.session.choices.params == {"trail.limit": "0.5", "trail.keeps": "90 %/step"}, "it is as it was before"
+
+
+def test_another_pace_holds_at_once(scene: Path) -> None:
+    live = Live.open(scene, watch=False)
+    live.start()
+    page = Page(live)
+    page.ask("speed", times=1e-6)
+    page.status(speed=1e-6)
+    page.ask("play")
+    page.status(playing=True, frame=2)
+    time.sleep(0.1)
+    page.ask("speed", times=0)
+    page.until(lambda: page.last("status")["frame"] > 5)
+    live.stop()
+
+
+def test_frames_of_before_an_edit_are_shown_with_the_words_of_then(scene: Path) -> None:
+    """Where an edit put a state before the others, their numbers are other ones."""
+    live = Live.open(scene, watch=False)
+    live.start()
+    page = Page(live)
+
+    def seen(frame: int, *, light: bool) -> tuple[list[str], set[str]]:
+        """The states that the page knows, and those that it sees ants in."""
+        states = page.shown(frame, light=light)["forager/state/main"]
+        known = next(each for each in page.last("scene")["species"] if each["name"] == "forager")["machines"][0]["states"]
+        return known, {known[state] if state < len(known) else "" for state in set(states.tolist())}
+
+    try:
+        page.ask("step", count=10)
+        page.hash_at(11)
+        before, there = seen(11, light=False)
+        program = scene.with_name("forager.ant")
+        head, sign, rest = program.read_text().partition("  state ")
+        program.write_text(f"{head}  state dance {{ steer wander() }}\n{sign}{rest}")
+        assert page.done("reload")["ok"]
+        page.ask("step", count=5)
+        page.hash_at(16)
+        assert seen(16, light=False)[0] == ["dance", *before]
+        page.ask("seek", frame=5, exact=False)
+        assert seen(5, light=True) == (["dance", *before], there)
+        page.ask("seek", frame=5, exact=True)
+        page.hash_at(5)
+        assert seen(5, light=False) == (before, there)
+        page.ask("seek", frame=14, exact=False)
+        assert seen(14, light=True) == (before, there)
+        page.ask("step", count=1)
+        page.hash_at(15)
+        assert seen(15, light=False) == (["dance", *before], there)
+    finally:
+        live.stop()
+
+
+def test_sliders_stand_where_they_stood_at_the_frame_one_goes_to(scene: Path) -> None:
+    live = Live.open(scene, watch=False)
+    live.start()
+    page = Page(live)
+
+    def smell() -> str:
+        return next(each["value"] for each in page.last("scene")["params"] if each["name"] == "forager.smell")
+
+    page.ask("step", count=3)
+    page.hash_at(4)
+    assert page.done("set", name="forager.smell", value="55 mm")["ok"]
+    page.ask("step", count=3)
+    page.hash_at(7)
+    assert smell() == "55 mm"
+    page.ask("seek", frame=2, exact=True)
+    page.until(lambda: smell() == "40 mm")
+    page.ask("seek", frame=6, exact=True)
+    page.until(lambda: smell() == "55 mm")
+    live.stop()
+
+
+def test_the_box_about_all_stays_while_agents_fly_out_of_it(scene: Path) -> None:
+    """The page looks at the whole again where the box is another one: not each time that a slider is moved."""
+    session, box = opened(scene), Box()
+    first = box.of(session)
+    ants = session.world.populations["forager"]
+    ants.position[0] = 1e5
+    assert box.of(session) == first and Box().of(session)[1] == pytest.approx([1e5] * 3)
+    scene.write_text(scene.read_text().replace("mesh: boulder.ply", "mesh: boulder.ply, at: [0, 900, 0]"))
+    assert session.reload().ok
+    assert box.of(session) != first
+
+
+def test_each_page_is_told_whose_feelers_are_whose(scene: Path) -> None:
+    live = Live.open(scene, watch=False)
+    live.start()
+    pages = [Page(live), Page(live)]
+    for page, agent in zip(pages, (3, 7), strict=True):
+        page.ask("look", columns=(), fields=(), flows=(), solids=True, follow={"species": "forager", "agent": agent})
+    pages[0].ask("step", count=2)
+    arrays = pages[0].shown(3)
+    live.stop()
+    header, _ = unpack(pages[0].packets["frame"])
+    assert [each[:2] for each in header["felt"]] == [["forager", 3], ["forager", 7]]
+    lines, at = arrays["feelers"].reshape(-1, 2, 3), 0
+    for _, agent, count in header["felt"]:
+        place = places(arrays, "forager")[list(arrays["forager/id"]).index(agent)]
+        assert count > 0 and np.allclose(lines[at : at + count, 0], place, atol=1e-3)
+        at += count
+    assert at == len(lines) == len(arrays["feelers/hit"])

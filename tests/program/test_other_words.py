@@ -1,0 +1,95 @@
+"""Words of other tools are told with what is written here, and what is written here means something."""
+
+from __future__ import annotations
+
+import pytest
+from test_program import checked, complaints
+
+from antdsl.diagnostics import Diagnostic
+from antdsl.program.tables.other_words import CALLS, NAMES
+from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, OTHER_SENSES, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
+
+TEXT = """ant 1
+use steering
+world {{ surface ground }}
+species a {{
+  param gain = 0.5 in 0 .. 1
+  x = 0.5
+  turned = 30 deg
+  yes = true
+  waited = 0 s
+  start go
+  state go {{ steer wander(); {line}; when after 1 s -> go }}
+  layers {{ state }}
+}}
+"""
+GIVEN_TO = {
+    "if {a}": "yes, 1, 0", "length": "heading", "unit": "heading", "angle": "heading, up", "vector": "1, 2, 3",
+    "sin({a}": "turned", "normal(0": "", "mean": "",
+}  # fmt: skip
+
+
+def told(line: str) -> tuple[str, list[Diagnostic]]:
+    text = TEXT.format(line=line)
+    return text, [each for each in checked(text)[1].sorted() if each.severity == "error"]
+
+
+def mended(text: str, error: Diagnostic) -> str:
+    assert error.fix is not None
+    return text[: error.fix.span.start] + error.fix.text + text[error.fix.span.end :]
+
+
+@pytest.mark.parametrize("word", CALLS)
+def test_a_call_of_another_tool_is_told_with_what_is_written_here(word: str) -> None:
+    form = CALLS[word]
+    many = len({letter for letter in "abcde" if "{" + letter in form.lower()})
+    usual = ", ".join(("x", "0.2", "gain + 1", "0", "1")[:many])
+    arguments = next((given for begins, given in GIVEN_TO.items() if begins in form), usual)
+    name, call = ("turned" if "angle" in form or "1 deg" in form or "1 rad" in form else "x"), f"{word}({arguments})"
+    target = f"steer heading * length({call})" if "unit(" in form or "vector(" in form else f"{name} = {call}"
+    text, (error, *rest) = told(target)
+    assert error.code == "unknown-behaviour" and not rest and "`" in (error.help or "")
+    if many or word in NAMES:
+        assert error.fix is not None and f"`{error.fix.text}`" in (error.help or "")
+        assert not checked(mended(text, error))[1].errors, complaints(checked(mended(text, error))[1])
+
+
+@pytest.mark.parametrize("word", NAMES)
+def test_a_name_of_another_tool_is_told_with_what_is_written_here(word: str) -> None:
+    target = {"dt": "waited = waited + ", "0.5 turn": "turned = ", "1 turn": "turned = ", "time": "waited = "}
+    text, (error, *rest) = told(f"{target.get(NAMES[word], 'x = ')}{word}")
+    assert error.code == "unknown-name" and not rest and f"write `{NAMES[word]}`" in (error.help or "")
+    assert not checked(mended(text, error))[1].errors
+
+
+@pytest.mark.parametrize(
+    ("line", "instead"),
+    [
+        ("x = lerp(x, 1, 0.1)", "x = mix(x, 1, 0.1)"),
+        ("x = 2 * pow(x + 1, 2)", "x = 2 * (x + 1) ^ 2"),
+        ("x = 1 - fract(x)", "x = 1 - (x - floor(x))"),
+        ("x = step(0.5, x)", "x = (if x > 0.5 then 1 else 0)"),
+        ("x += x * step * 1 /s^2", "x += x * dt * 1 /s^2"),
+        ("waited += step() * 1 /s", "waited += dt * 1 /s"),
+    ],
+)
+def test_what_is_written_instead_has_the_arguments_as_they_were(line: str, instead: str) -> None:
+    text, (error,) = told(line)
+    assert instead in mended(text, error)
+
+
+def test_another_number_of_arguments_shows_the_form() -> None:
+    _, (error,) = told("x = lerp(x, 1)")
+    assert error.fix is None and "here that is `mix(a, b, c)`" in (error.help or "")
+
+
+def test_a_step_and_other_units_say_where_they_stand() -> None:
+    _, (step,) = told("x += x * step * 1 /s^2")
+    assert "how long a step lasts" in (step.help or "") and "`1 step`" in (step.help or "")
+    _, (unit,) = told("x = x * mm")
+    assert "behind its number" in (unit.help or "") and "`1 mm`" in (unit.help or "") and unit.fix is None
+
+
+def test_no_word_of_the_language_stands_in_the_tables() -> None:
+    own = {*BUILTINS, *REDUCERS, *GIVEN, *RUN_NAMES, *SENSED_NAMES, *RESERVED}
+    assert not own & {*CALLS, *NAMES} and not {*CALLS} & {*OTHER_SENSES}

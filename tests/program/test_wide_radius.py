@@ -1,0 +1,167 @@
+"""A radius that reaches a large crowd stops at its line before much is spent; a world is not left in the middle of a step."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_program import checked
+
+from antdsl import limits
+from antdsl.pipeline import open_scene
+from antdsl.preview.session import Session
+from antdsl.runtime import LimitStop, Options, World, bind, state_hash, step
+from antdsl.senses.neighbours import CellGrid, TooManyWithin
+
+MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
+CROWD = limits.WITHIN_RADIUS + 2
+PROGRAM = """ant 1
+use steering
+world {{ surface ground }}
+species walker {{
+  param sight = {sight} in 0 mm .. 900 mm
+  state stroll {{ steer wander() + separate(radius: sight) * 0.1 }}
+  layers {{ state }}
+}}
+"""
+
+
+def crowd(folder: Path, sight: str) -> Path:
+    shutil.copytree(MINIMAL, folder, dirs_exist_ok=True)
+    (folder / "walker.ant").write_text(PROGRAM.format(sight=sight))
+    scene = folder / "scene.yaml"
+    scene.write_text(scene.read_text().replace("count: 50", f"count: {CROWD}"))
+    return scene
+
+
+def test_a_radius_with_the_whole_crowd_in_it_stops_at_its_line(tmp_path: Path) -> None:
+    shot, report = open_scene(crowd(tmp_path, "900 mm"))
+    assert shot is not None, report.errors
+    world = bind(shot.plan, shot.setting, Options())
+    with pytest.raises(LimitStop) as stop:
+        step(world)
+    words = str(stop.value)
+    assert (
+        "walker.ant:6:35: walker at frame 1: `separate(radius: sight)" in words
+        and "more than 8,192 others in its radius" in words
+    ), words
+
+
+def test_a_preview_is_whole_again_after_such_a_step(tmp_path: Path) -> None:
+    session, report = Session.open(crowd(tmp_path, "3 mm"))
+    assert session is not None, report.errors
+    session.step()
+    before, frame = session.hash, session.frame
+    session.set("walker.sight", "900 mm")
+    session.step()
+    assert session.fault is not None and "8,192" in session.fault and session.frame == frame and not session.playing
+    session.set("walker.sight", "3 mm")
+    assert session.hash == before
+    session.step()
+    assert session.fault is None and session.frame == frame + 1
+
+
+def test_neighbours_are_counted_within_the_radius_and_not_in_its_cells() -> None:
+    x = np.concatenate([np.zeros(30), np.full(50, 2.0)]).astype(np.float32)
+    grid = CellGrid(x, np.zeros_like(x), np.zeros_like(x), np.arange(x.size), 300.0)
+    # a cap of 256 is where they begin to be counted, so the crowd is repeated
+    many = CellGrid(*(np.tile(a, 10) for a in (x, x * 0, x * 0)), np.arange(10 * x.size), 300.0)
+    assert grid.pairs(None, 1.0, limit=10).i.size == 30 * 29 + 50 * 49
+    assert many.pairs(None, 1.0, limit=499).i.size == 800 * limits.NEIGHBOURS
+    with pytest.raises(TooManyWithin):
+        many.pairs(None, 1.0, limit=498)
+    assert many.pairs(np.arange(30), 1.0, limit=299).i.size == 30 * limits.NEIGHBOURS
+
+
+FEW, ENOUGH = 400, 300  # agents, and what the limit is lowered to: still more than count
+ASKING = """ant 1
+use steering
+world {{ surface ground }}
+species walker {{
+  seen = 0 mm
+  let far = {asked}
+  start stroll
+  state stroll {{ steer wander(); seen += 1 mm/s; when far -> rest }}
+  state rest {{ steer halt(); when after 2 step -> stroll }}
+  layers {{ state }}
+}}
+"""
+
+
+def asking(folder: Path, asked: str, place: str = "{on: ground}") -> World:
+    shutil.copytree(MINIMAL, folder, dirs_exist_ok=True)
+    (folder / "walker.ant").write_text(ASKING.format(asked=asked))
+    scene = folder / "scene.yaml"
+    scene.write_text(re.sub("count: 50, place: {.*?}", f"count: {FEW}, place: {place}", scene.read_text()))
+    shot, report = open_scene(scene)
+    assert shot is not None, report.errors
+    return bind(shot.plan, shot.setting, Options())
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        "distance(nearest(walker, within: 900 m)) > 6 mm",
+        "distance(nearest(walker, with: time_in_state > 0.1 s, within: 900 m)) > 9 mm",
+        "distance(nearest(neighbours(900 m, 40 deg))) > 20 mm",
+    ],
+)
+def test_the_nearest_one_is_found_however_many_are_within(tmp_path: Path, asked: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    hashes = []
+    for limit in (limits.WITHIN_RADIUS, ENOUGH):
+        monkeypatch.setattr(limits, "WITHIN_RADIUS", limit)
+        world = asking(tmp_path, asked)
+        for _ in range(6):
+            step(world)
+        hashes.append(state_hash(world))
+    assert hashes[0] == hashes[1] and world.transitions
+
+
+@pytest.mark.parametrize(
+    ("asked", "place", "marked", "advice"),
+    [
+        (
+            "count(neighbours(900 m)) > 5",
+            "{on: ground}",
+            "count(neighbours(900 m))",
+            "others in its radius, of whom the 256 nearest",
+        ),
+        ("count(all(walker, within: 900 m)) > 5", "{on: ground}", "count(all(walker, within: 900 m))", "write a smaller one"),
+        (
+            "count(neighbours(30 mm)) > 5",
+            "{on: ground, radius: 10 mm}",
+            "count(neighbours(30 mm))",
+            "they stand in each other, so give them more room, or write a smaller radius",
+        ),
+    ],
+)
+def test_what_is_refused_is_marked_itself(
+    tmp_path: Path, asked: str, place: str, marked: str, advice: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "WITHIN_RADIUS", ENOUGH)
+    with pytest.raises(LimitStop) as stop:
+        step(asking(tmp_path, asked, place))
+    fault = stop.value.fault
+    assert fault.span is not None and fault.span.text == fault.what == marked and advice in fault.why
+
+
+@pytest.mark.parametrize(
+    ("asked", "marked"),
+    [
+        ("count(all(walker, within: 900 m)) > 5", ["900 m"]),
+        ("distance(nearest(walker, with: speed > 1 mm/s, within: 900 m)) > 5 mm", ["900 m"]),
+        ("distance(nearest(walker, within: 900 m)) > 5 mm", []),
+        ("distance(nearest(home, within: 900 m)) > 5 mm", []),
+        ("count(neighbours(sight)) > 5", ["sight"]),
+        ("count(neighbours(reach)) > 5", ["sight"]),
+        ("count(neighbours(near)) > 5", []),
+    ],
+)
+def test_a_check_tells_of_every_radius_that_reaches_all(asked: str, marked: list[str]) -> None:
+    given = "param sight = 900 m in 0 m .. 900 m\n  param near = 9 mm in 0 m .. 900 m\n  let reach = sight\n  let far ="
+    text = ASKING.format(asked=asked).replace("let far =", given).replace("surface ground", "surface ground; items home")
+    _, report = checked(text)
+    assert [d.span.text for d in report.diagnostics if d.code == "wide-radius" and d.span is not None] == marked

@@ -1,0 +1,267 @@
+"""One world goes on in another: with nothing edited to the same bits, with edits as the page on previews says."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from digging_shots import folder as digging
+from meshes import grid
+
+from antdsl.pipeline import Shot, open_scene
+from antdsl.reload import Taken, take_over, taken_line
+from antdsl.runtime import BindError, Built, World, bind, state_hash, step
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+PROGRAM = """ant 1
+use steering
+world { surface ground; items food { load = 0 } }
+field trail on ground { cell 20 mm; half_life 8 s }
+species ant {
+  param quick = 30 mm/s in 1 mm/s .. 90 mm/s
+  size      uniform(3 mm, 5 mm)
+  max_speed quick
+  target = none of food
+  way    = vector(0, 0, 0)
+  load   = 1
+  start search
+  state search {
+    steer wander(swing: 40 deg)
+    target = nearest(food)
+    way    = velocity / max_speed
+    when after 0.2 s -> rest
+  }
+  state rest {
+    steer heading * 0
+    load += 1 /s
+    when after 0.2 s -> search
+  }
+}
+"""
+SCENE = """antdsl: 1
+units: mm
+fps: 24
+frames: 1..100
+seed: 3
+world:
+  ground: {mesh: ground.obj}
+  food:
+    apple: {at: [60, 0, 5], load: 50}
+    bread: {at: [-60, 0, 5], load: 20}
+crowd:
+  - {species: ant, from: life.ant, count: 20, place: {on: ground}}
+"""
+
+
+def save_ground(folder: Path, cells: int = 6, size: float = 300.0, lift: float = 0.0) -> None:
+    vertices, faces = grid(size, cells)
+    lines = [f"v {x} {y + lift} {z}" for x, y, z in vertices] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    (folder / "ground.obj").write_text("\n".join(lines) + "\n")
+
+
+def opened(scene: Path) -> Shot:
+    shot, report = open_scene(scene)
+    assert shot is not None, [d.message for d in report.errors]
+    return shot
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    save_ground(tmp_path)
+    (tmp_path / "life.ant").write_text(PROGRAM)
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    return tmp_path / "scene.yaml"
+
+
+def started(scene: Path, steps: int = 9) -> World:
+    shot = opened(scene)
+    world = bind(shot.plan, shot.setting)
+    for _ in range(steps):
+        step(world)
+    return world
+
+
+def taken(world: World, main: Path, **texts: str) -> tuple[World, Taken]:
+    """Edit files of the scene (`life`, `scene`: old -> new, as `old => new`) and take over; the old world must stay as it was."""
+    for name, change in texts.items():
+        path = main.with_name({"life": "life.ant", "scene": "scene.yaml"}[name])
+        old, new = change.split(" => ")
+        assert old in path.read_text()
+        path.write_text(path.read_text().replace(old, new))
+    before = state_hash(world)
+    shot = opened(main)
+    now, what = take_over(world, shot.plan, shot.setting)
+    assert state_hash(world) == before
+    return now, what
+
+
+@pytest.mark.parametrize(
+    "name", ["foraging/scene.yaml", "moods/scene.yaml", "alarm/scene.yaml", "flow/scene.yaml", "tunnel/led.yaml", "digging"]
+)
+def test_with_nothing_edited_a_world_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> None:
+    shot = opened(digging(tmp_path) if name == "digging" else EXAMPLES / name)
+    built = Built()
+    world = bind(shot.plan, shot.setting, built=built)
+    for _ in range(20 if name == "digging" else 5):
+        step(world)
+    if name == "digging":
+        assert world.solids["hill"].removed > 0
+    other, what = take_over(world, shot.plan, shot.setting, built)
+    assert taken_line(what) == f"kept {len(world):,} agents"
+    for _ in range(4):
+        assert state_hash(other) == state_hash(world)
+        step(world)
+        step(other)
+    assert state_hash(other) == state_hash(world)
+    assert other.transitions == world.transitions
+    assert other.motion.summary() == world.motion.summary()
+
+
+def test_what_was_dug_stays_dug_while_the_mesh_is_the_same(tmp_path: Path) -> None:
+    scene = digging(tmp_path)
+    world = started(scene, 20)
+    program = scene.with_name("dig.ant")
+    program.write_text(program.read_text().replace("state dig", "state burrow").replace("-> dig", "-> burrow"))
+    shot = opened(scene)
+    other, what = take_over(world, shot.plan, shot.setting)
+    assert other.solids["hill"].digest() == world.solids["hill"].digest()
+    assert np.array_equal(other.fields["trail"].values, world.fields["trail"].values)
+    assert re.search(r"\d of removed state `digger.dig` begins? anew in `digger.go`", taken_line(what))
+    for _ in range(3):
+        step(other)
+    scene.write_text(scene.read_text().replace("voxel: 1 mm", "voxel: 1.25 mm"))
+    shot = opened(scene)
+    other, what = take_over(world, shot.plan, shot.setting)
+    assert other.solids["hill"].removed == 0
+    assert "`solid hill` is whole" in taken_line(what)
+    for _ in range(3):
+        step(other)
+
+
+def test_what_only_birth_sets_follows_the_text_and_its_params(scene: Path) -> None:
+    world = started(scene)
+    size = world.populations["ant"].now["size"].copy()
+    now, what = taken(world, scene, life="quick = 30 mm/s => quick = 45 mm/s")
+    assert (now.populations["ant"].now["max_speed"] == 45).all()
+    assert np.array_equal(now.populations["ant"].now["size"], size)  # drawn at birth, and not again
+    assert taken_line(what) == "kept 20 agents · `max_speed` is as written now"
+    now, _ = taken(world, scene, life="uniform(3 mm, 5 mm) => uniform(7 mm, 9 mm)")
+    assert now.populations["ant"].now["size"].min() >= 7
+
+
+def test_a_value_of_another_dimension_begins_anew(scene: Path) -> None:
+    world = started(scene)
+    assert world.populations["ant"].now["load"].max() > 1
+    scene.with_name("life.ant").write_text(PROGRAM.replace("load   = 1", "load   = 3 g").replace("load += 1 /s", "load += 1 g/s"))
+    now, what = taken(world, scene)
+    assert (now.populations["ant"].now["load"] == 3).all()
+    assert taken_line(what) == "kept 20 agents · `load` is another type, begun anew"
+
+
+COUNTING = """
+behaviour counted() -> number {
+  "How often it was asked."
+  keep times = 5 then times + 1
+  times
+}
+species ant {"""
+
+
+def test_a_memory_goes_on_by_its_identity_and_begins_anew_as_another_type(scene: Path) -> None:
+    program = PROGRAM.replace("species ant {", COUNTING).replace("load += 1 /s", "load = counted()")
+    program = program.replace("target = nearest(food)", "load = counted()").replace("after 0.2 s -> rest", "after 60 s -> rest")
+    scene.with_name("life.ant").write_text(program)
+    world = started(scene, 3)
+    now, what = taken(world, scene, life="    way    = =>     # in another line\n    way    =")
+    step(now)
+    assert (now.populations["ant"].now["load"] == 8).all()
+    assert taken_line(what) == "kept 20 agents"
+    scene.with_name("life.ant").write_text(program.replace("5 then times + 1\n  times", "5 s then times + 1 s\n  times / 1 s"))
+    now, what = taken(world, scene)
+    assert taken_line(what) == "kept 20 agents · 2 memories forgotten"
+    step(now)
+    assert (now.populations["ant"].now["load"] == 5).all()
+
+
+def test_items_that_agents_hold_are_known_by_name(scene: Path) -> None:
+    world = started(scene)
+    names = world.items["food"].names
+    held = [names[k] for k in world.populations["ant"].now["target"]]
+    assert {"apple", "bread"} <= set(held)
+    now, what = taken(world, scene, scene="    apple: => \n    donut: {at: [0, 0, 90], load: 7}\n    apple:")
+    assert now.items["food"].names == ("donut", "apple", "bread")
+    assert [now.items["food"].names[k] for k in now.populations["ant"].now["target"]] == held
+    assert "`donut.load` has its amount from the scene" in taken_line(what)
+    now, _ = taken(world, scene, scene="    apple: {at: [60, 0, 5], load: 50}\n => ")
+    assert set(now.populations["ant"].now["target"]) == {-1, 1}
+
+
+def test_agents_go_with_a_ground_whose_vertices_move(scene: Path) -> None:
+    world = started(scene)
+    before = world.populations["ant"].position.copy()
+    save_ground(scene.parent, lift=40.0)
+    now, what = taken(world, scene)
+    assert np.allclose(now.populations["ant"].position, before + np.array([0, 40, 0]), atol=1e-9)
+    assert taken_line(what) == "kept 20 agents · 20 agents moved with the ground · `field trail` begins anew"
+    step(now)
+
+
+def test_meshes_that_are_the_same_are_worked_out_once_and_others_forgotten(scene: Path) -> None:
+    built, shot = Built(), opened(scene)
+    world = bind(shot.plan, shot.setting, built=built)
+    built.forget()
+    now, _ = take_over(world, shot.plan, shot.setting, built)
+    assert now.ground is world.ground
+    assert now.fields["trail"].cells is world.fields["trail"].cells
+    save_ground(scene.parent, lift=40.0)
+    shot = opened(scene)
+    other, _ = take_over(now, shot.plan, shot.setting, built)
+    assert other.ground is not now.ground
+    built.forget()
+    shot_before = world.setting
+    assert take_over(other, shot.plan, shot.setting, built)[0].ground is other.ground
+    built.forget()
+    assert take_over(other, shot.plan, shot_before, built)[0].ground is not world.ground
+
+
+def test_agents_come_to_the_nearest_place_of_a_ground_of_other_faces(scene: Path) -> None:
+    world = started(scene)
+    before = world.populations["ant"].position.copy()
+    save_ground(scene.parent, cells=7, size=100.0)
+    now, what = taken(world, scene)
+    nearest = np.clip(before, [-50, 0, -50], [50, 0, 50])
+    assert np.abs(now.populations["ant"].position - nearest).max() < 0.05
+    assert what.species[0].moved == np.count_nonzero((np.abs(before) > 50.05).any(axis=1))
+    step(now)
+
+
+def test_newcomers_get_new_ids_and_who_came_last_goes(scene: Path) -> None:
+    world = started(scene)
+    more, what = taken(world, scene, scene="count: 20 => count: 26")
+    ants = more.populations["ant"]
+    assert sorted(ants.ids) == list(range(26))
+    assert (ants.born[ants.ids >= 20] == world.frame).all()
+    assert taken_line(what) == "kept 20 agents · 6 more of `ant`"
+    for _ in range(3):
+        step(more)
+    fewer, what = taken(more, scene, scene="count: 26 => count: 9")
+    assert sorted(fewer.populations["ant"].ids) == list(range(9))
+    assert taken_line(what) == "kept 9 agents · 17 of `ant` gone"
+    again, _ = taken(fewer, scene, scene="count: 9 => count: 11")
+    assert sorted(again.populations["ant"].ids) == [*range(9), 26, 27]
+
+
+def test_what_cannot_be_bound_leaves_the_old_world_alone(scene: Path) -> None:
+    world = started(scene)
+    scene.with_name("life.ant").write_text(PROGRAM.replace("half_life 8 s", "half_life 8 s; diffuse 300 mm^2/s"))
+    shot = opened(scene)
+    before = state_hash(world)
+    with pytest.raises(BindError, match="spreads faster than its cells"):
+        take_over(world, shot.plan, replace(shot.setting, fps=Fraction(1)))
+    assert state_hash(world) == before
+    step(world)

@@ -1,0 +1,278 @@
+"""What a run spends its time on: every moment is counted once, for the line and the layer that it belongs to, and watching the
+clock changes nothing."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from antdsl.cli.printing.profile_table import MOST, show
+from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.preview import Session
+from antdsl.runtime import Options, World, bind, state_hash, step, stepping
+from antdsl.runtime.backends import metering, numpy_backend, numpy_calls
+from antdsl.runtime.motion_measures import Motion
+from antdsl.runtime.profiling import Meter, Profile
+
+ROOT = Path(__file__).parents[2]
+FORAGING = ROOT / "examples" / "foraging" / "scene.yaml"
+BLOCKS = ("decide", "act", "blend", "births")
+PROGRAM = """ant 1
+use steering
+use "./mine.ant" as mine
+world { surface ground; obstacle stones }
+field scent on ground { cell 10 mm }
+species ant {
+  max_speed 20 mm/s
+  size 4 mm
+  start stroll
+  state stroll amber {
+    when scent > 0.5 -> rest
+    steer wander()
+  }
+  state rest grey { when after 1 s -> stroll }
+  layers {
+    mine.keep_off(stones, reach: 8 mm)
+    state  # "what a state wants"
+  }
+}
+"""
+MINE = """ant 1
+behaviour keep_off(on: obstacle, reach: length) -> push {
+  "Away from what a ray meets."
+  let seen = feelers(on, count: 1, reach: reach)
+  sum(hit in seen: hit.normal)
+}
+"""
+SCENE = """antdsl: 1
+frames: 1..40
+world: {{ground: {{mesh: {ground}}}, stones: {{mesh: {stones}}}}}
+crowd: [{{species: ant, from: life.ant, count: 60, place: {{on: ground, radius: 60 mm}}}}]
+"""
+
+
+@pytest.fixture
+def shot(tmp_path: Path) -> Shot:
+    for name in ("terrain.ply", "stones.ply"):
+        (tmp_path / name).write_bytes((FORAGING.parent / name).read_bytes())
+    (tmp_path / "life.ant").write_text(PROGRAM)
+    (tmp_path / "mine.ant").write_text(MINE)
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(SCENE.format(ground="terrain.ply", stones="stones.ply"))
+    return opened(scene)
+
+
+def opened(scene: Path, count: int | None = None) -> Shot:
+    shot, report = open_scene(scene, Choices())
+    assert shot is not None, [d.message for d in report.errors]
+    if count is None:
+        return shot
+    crowds = tuple(replace(each, count=count) for each in shot.setting.crowds)
+    return replace(shot, setting=replace(shot.setting, crowds=crowds))
+
+
+def measured(world: World, frames: int, meter: Meter | None = None) -> Profile:
+    meter = meter or Meter(None)
+    for _ in range(frames):
+        meter.begin(world)
+        step(world)
+        meter.end(world)
+    return meter.profile()
+
+
+class Clock:
+    """A clock that stands still but for what is told to take time."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def slow(self, call: Callable[..., Any], seconds: float) -> Callable[..., Any]:
+        def run(*words: Any, **more: Any) -> Any:
+            self.now += seconds
+            return call(*words, **more)
+
+        return run
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    found = Clock()
+    for module in (metering, numpy_backend, stepping):
+        monkeypatch.setattr(module, "perf_counter", found)
+    return found
+
+
+def test_what_a_behaviour_takes_is_told_of_its_own_line_and_of_the_layer_that_calls_it(
+    shot: Shot, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(numpy_calls.SENSES, "ray", clock.slow(numpy_calls.SENSES["ray"], 0.25))
+    monkeypatch.setitem(numpy_calls.SENSES, "field.value", clock.slow(numpy_calls.SENSES["field.value"], 0.05))
+    found = measured(bind(shot.plan, shot.setting), 4)
+    assert found.frames == 4
+    assert [(each.line, each.text, round(each.ms, 6)) for each in found.lines] == [
+        (4, "let seen = feelers(on, count: 1, reach: reach)", 250.0),
+        (11, "when scent > 0.5 -> rest", 50.0),
+    ]
+    assert [Path(each.file).name for each in found.lines] == ["mine.ant", "life.ant"]
+    assert [(each.species, each.span.text, round(each.ms, 6)) for each in found.layers] == [
+        ("ant", "mine.keep_off(stones, reach: 8 mm)", 250.0),
+        ("ant", "state", 0.0),
+    ]
+    assert round(found.total, 6) == 300.0
+    assert {name: round(ms, 6) for name, ms in found.phases.items() if ms} == {"decide": 50.0, "blend": 250.0}
+
+
+def test_where_threads_go_side_by_side_lines_share_the_time_that_passed(
+    shot: Shot, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each chunk takes a quarter second of its thread's own time; by the clock of all, they take half a second together."""
+    monkeypatch.setattr(numpy_backend, "perf_counter", lambda: 2.0 * clock.now / 4)
+    monkeypatch.setitem(numpy_calls.SENSES, "field.value", clock.slow(numpy_calls.SENSES["field.value"], 0.25))
+    found = measured(bind(shot.plan, shot.setting, Options(chunk=15)), 3)
+    assert [round(each.ms, 6) for each in found.lines] == [500.0]
+
+
+@pytest.mark.parametrize("options", [Options(), Options(threads=2, chunk=64)])
+def test_the_lines_add_up_to_nearly_all_of_the_blocks(options: Options) -> None:
+    """By the real clock; what is left is what a block is set up with, the less of it the more agents there are."""
+    shot = opened(FORAGING.with_name("scene.yaml"), 2000)
+    world = bind(shot.plan, shot.setting, options)
+    step(world)
+    found = measured(world, 6)
+    lines, blocks = sum(each.ms for each in found.lines), sum(found.phases[name] for name in BLOCKS)
+    assert 0.6 * blocks < lines <= blocks
+    assert sum(each.ms for each in found.layers) <= found.phases["blend"]
+    assert found.total == pytest.approx(sum(found.phases.values()))
+    assert [each.ms for each in found.lines] == sorted((each.ms for each in found.lines), reverse=True)
+
+
+@pytest.mark.parametrize("options", [Options(), Options(threads=2, chunk=16)])
+def test_a_run_is_the_same_to_the_bit_while_it_is_measured(options: Options) -> None:
+    shot = opened(FORAGING, 120)
+    plain, watched = (bind(shot.plan, shot.setting, options) for _ in range(2))
+    meter = Meter()
+    for frame in range(16):
+        step(plain)
+        if frame // 5 % 2:  # on and off again
+            meter.begin(watched)
+        else:
+            meter.stop()
+        step(watched)
+        meter.end(watched)
+        assert state_hash(watched) == state_hash(plain)
+    assert meter.profile().frames
+
+
+def test_a_world_that_is_not_measured_any_more_has_its_own_calls_again() -> None:
+    shot = opened(FORAGING, 10)
+    world = bind(shot.plan, shot.setting)
+    compilers = world.backend._blocks.values()
+    before = [list(compiler.root.calls) for compiler in compilers]
+    meter = Meter()
+    measured(world, 1, meter)
+    assert [list(compiler.root.calls) for compiler in compilers] != before
+    meter.stop()
+    assert [list(compiler.root.calls) for compiler in compilers] == before
+    assert world.backend.metered == {}
+    assert meter.profile().frames == 1, "what was measured stays"
+
+
+def test_a_profile_is_of_the_last_second(shot: Shot, clock: Clock) -> None:
+    meter = Meter(1.0, clock=clock)
+    world = bind(shot.plan, shot.setting)
+    frames = []
+    for _ in range(8):
+        meter.begin(world)
+        step(world)
+        clock.now += 0.3
+        meter.end(world)
+        frames.append(meter.profile().frames)
+    assert frames == [1, 2, 3, 4, 4, 4, 4, 4]
+
+
+def test_the_reference_backend_tells_of_phases(shot: Shot) -> None:
+    found = measured(bind(shot.plan, shot.setting, Options(backend="reference")), 1)
+    assert found.total > 0 and found.phases["act"] > 0 and not found.lines
+    assert [each.ms for each in found.layers] == [0.0, 0.0]
+
+
+def test_a_session_is_measured_across_edits_and_back_in_time(shot: Shot) -> None:
+    session, _ = Session.open(Path(shot.scene.source.path))
+    plain, _ = Session.open(Path(shot.scene.source.path))
+    assert session is not None and plain is not None
+    session.measure(True)
+    assert session.meter is not None
+    session.meter = Meter(None)  # however slow the machine is
+    for _ in range(3):
+        session.step()
+    assert session.meter.profile().frames == 3
+    program = Path(shot.scene.source.path).with_name("life.ant")
+    program.write_text(PROGRAM.replace("steer wander()", "steer wander() * 0.5"))
+    assert session.reload().ok
+    session.step()
+    found = session.meter.profile()
+    assert found.frames == 1, "what was measured of the old program is forgotten"
+    assert any(each.text == "steer wander() * 0.5" for each in found.lines)
+    session.seek(2)
+    session.measure(False)
+    assert session.meter is None
+    for _ in range(2):
+        plain.step()
+    assert plain.reload().ok is True
+    plain.seek(2)
+    assert plain.hash == session.hash
+
+
+def test_run_tells_where_the_time_went(shot: Shot, tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "antdsl", "run", "scene.yaml", "--frames", "1..6"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "120"}
+    hashes = []
+    for more in ([], ["--profile"]):
+        done = subprocess.run(
+            [*words, "--out", f"out{len(more)}", "--quiet", *more, "--summary", "summary.json"],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert done.returncode == 0, done.stderr
+        hashes.append([line for line in (tmp_path / "summary.json").read_text().splitlines() if "state_hash" in line])
+    assert hashes[0] == hashes[1] and hashes[0]
+    assert re.match(r"[0-9.]+ ms a frame, [0-9.]+ ms of processors, over 4 frames\n", done.stdout)
+    parts = done.stdout.split("\n\n")
+    heads = [re.split(r"  +", part.splitlines()[0].strip()) for part in parts[1:]]
+    assert heads == [["ms", "cpu ms", "%", "phase"], ["ms", "%", "of", "layer"], ["ms", "%", "in", "line"]]
+    assert "mine.keep_off(stones, reach: 8 mm)" in parts[2] and "ant" in parts[2]
+    assert len(parts[3].strip().splitlines()) == MOST + 1
+
+
+def test_a_profile_tells_processor_time_and_keeps_its_figures_at_eighty_columns(
+    shot: Shot, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    found = measured(bind(shot.plan, shot.setting), 3)
+    assert set(found.worked) == set(found.phases) and sum(found.worked.values()) > 0
+    show(found, lines=True)
+    told = capsys.readouterr().out.splitlines()
+    figures = re.compile(r" *\d+\.\d\d( +\d+\.\d\d)? +\d+  ")
+    for line in told[1:]:
+        assert len(line) <= 80 and (not line.strip() or " ms  " in line or figures.match(line)), line
+    assert "cpu ms" in told[2]
+
+
+def test_measuring_motion_is_no_part_of_births(shot: Shot, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = bind(shot.plan, shot.setting)
+    monkeypatch.setattr(Motion, "observe", clock.slow(Motion.observe, 0.5))
+    found = measured(world, 2)
+    assert {name: round(ms) for name, ms in found.phases.items() if ms} == {"motion": 500}

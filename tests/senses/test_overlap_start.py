@@ -1,0 +1,82 @@
+"""`overlap_start`: who stands in another where the crowd begins, of whatever species, before anybody has moved."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_placing_apart import world
+
+from antdsl.runtime import Options, bind, checkpoint, restore, step
+from antdsl.runtime.world import World
+from antdsl.scene.setting import CrowdData, PlaceData
+from antdsl.senses import overlaps
+from antdsl.senses.overlaps import worst_overlaps
+
+TEXT = """ant 1
+use steering
+world { surface hill }
+species ant { size 4 mm; state go { steer coast() } }
+species giant { size 20 mm; state go { steer coast() } }
+species ghost { radius 0 mm; state go { steer coast() } }
+"""
+SPOTS = np.array([[0.0, 0, 0], [60.0, 0, 0], [-60.0, 0, 0], [0, 0, 60.0]])
+
+
+def begun(*crowds: CrowdData, options: Options | None = None) -> World:
+    return world(*crowds, text=TEXT, options=options, obstacles={}, maps={})
+
+
+def at(species: str, count: int, group: int = 0, spots: np.ndarray = SPOTS) -> CrowdData:
+    return CrowdData(species, count, PlaceData(points=spots), group)
+
+
+def share(made: World) -> float:
+    return made.motion.summary()["overlap_start"]
+
+
+def test_it_is_known_before_the_first_step() -> None:
+    assert share(begun(at("ant", 4))) == 0
+    assert share(begun(at("ant", 6))) == pytest.approx(4 / 6)
+
+
+def test_all_species_are_seen_and_who_takes_no_room_is_in_nobody() -> None:
+    assert share(begun(at("ant", 4), at("giant", 1, 1))) == pytest.approx(2 / 5)
+    assert share(begun(at("ant", 4), at("ghost", 4, 1))) == 0
+
+
+def test_it_is_of_the_crowd_that_was_placed_and_not_of_the_one_after_a_preroll() -> None:
+    made = begun(at("ant", 8))
+    for _ in range(30):
+        step(made)
+    made.motion.reset()
+    assert share(made) == 1 and made.motion.steps == 0
+    other = bind(made.plan, made.setting)
+    restore(other, checkpoint(made))
+    step(other)
+    assert share(other) == 1
+
+
+@pytest.mark.parametrize("spread", [5.0, 50.0, 400.0])
+def test_overlaps_of_very_different_sizes_are_exact(spread: float) -> None:
+    draw = np.random.default_rng(5)
+    place = (draw.random((400, 3)) * spread).astype(np.float32)
+    radius = np.concatenate([0.05 + 0.05 * draw.random(300), 20 * draw.random(60), np.full(40, 200.0)]).astype(np.float32)
+    away = np.sqrt(((place[:, None] - place[None]) ** 2).sum(axis=2))
+    expected = np.clip(1 - away / (radius[:, None] + radius[None]), 0, 1)
+    np.fill_diagonal(expected, 0)
+    assert worst_overlaps(*place.T.copy(), radius) == pytest.approx(expected.max(axis=1), abs=1e-6)
+
+
+def test_small_ones_among_large_ones_are_not_measured_pair_by_pair(monkeypatch: pytest.MonkeyPatch) -> None:
+    measured, inside = [0], overlaps._inside
+
+    def counted(distance: np.ndarray, *radii: np.ndarray) -> np.ndarray:
+        measured[0] += distance.size
+        return inside(distance, *radii)
+
+    monkeypatch.setattr(overlaps, "_inside", counted)
+    n = 4000
+    place = (np.random.default_rng(6).random((3, 2 * n)) * 200).astype(np.float32)
+    radius = np.repeat([0.1, 200.0], n).astype(np.float32)
+    assert worst_overlaps(*place, radius)[:n].min() > 0.8
+    assert measured[0] < 100 * n

@@ -1,0 +1,179 @@
+"""Sweeps: what is run, that neither processes nor stopping change a result, what a table says about what never happened."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import multiprocessing
+import os
+import shutil
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from antdsl.cli import _run as run_in_process
+from antdsl.sweep import Job, Keeper, Variation, jobs, rows, run_all, variations
+from antdsl.sweep.measuring import measure
+from antdsl.sweep.store import OtherFiles
+from antdsl.sweep.table import NOT_COMPARED, as_csv, quantile, shown, text
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAM = """ant 1
+use steering
+world { surface ground; items food { load = 0 } }
+species walker {
+  param smell = 60 mm in 0 mm .. 300 mm "How far it smells food"
+  load = 0
+  let meal = nearest(food, with: load > 0, within: smell)
+  start look
+  state look { steer wander(); when meal -> go }
+  state go { steer seek(meal); when touching(meal) take 1 load from meal -> look; when no meal -> look }
+  layers { state }
+}
+"""
+SCENE = """antdsl: 1
+frames: 1..30
+world:
+  ground: {mesh: ground.ply}
+  food: {apple: {at: [15, 0, 0], load: 3}, far: {at: [-190, 0, 20], load: 3}}
+crowd: [{species: walker, from: walker.ant, count: 12, place: {on: ground, radius: 30 mm}}]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "walker.ant").write_text(PROGRAM)
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    shutil.copy(ROOT / "examples" / "minimal" / "ground.ply", tmp_path)
+    return tmp_path
+
+
+def made(folder: Path, seeds: range = range(1, 3), until: tuple[str, ...] = (), **vary: tuple[str, ...]) -> list[Job]:
+    values = {f"walker.{name}": given for name, given in vary.items()}
+    found, report = jobs(variations([folder / "scene.yaml"], values), seeds, frames=None, until=until, grants={})
+    assert report.ok, report.errors
+    return found
+
+
+def same(measures: dict[str, object] | None) -> dict[str, object]:
+    assert measures is not None
+    return {name: value for name, value in measures.items() if name not in NOT_COMPARED}
+
+
+def test_every_combination_with_every_seed_seed_by_seed() -> None:
+    chosen = variations([Path("a.yaml"), Path("b.yaml")], {"x.p": ("1", "2"), "x.q": ("3",)})
+    assert [v.label for v in chosen] == ["a, p 1, q 3", "a, p 2, q 3", "b, p 1, q 3", "b, p 2, q 3"]
+    assert variations([Path("a.yaml")], {}) == [Variation(Path("a.yaml"), {}, "a")]
+
+
+def test_a_key_tells_runs_apart_and_finds_them_again(folder: Path) -> None:
+    first = made(folder, smell=("30mm", "60mm"))
+    assert [(job.seed, job.label) for job in first] == [(s, f"smell {v}") for s in (1, 2) for v in ("30mm", "60mm")]
+    assert len({job.key for job in first}) == 4
+    assert [job.key for job in made(folder, smell=("30mm", "60mm"))] == [job.key for job in first]
+    assert not {job.key for job in made(folder, until=("food.load",), smell=("30mm", "60mm"))} & {job.key for job in first}
+    (folder / "walker.ant").write_text(PROGRAM.replace("touching(meal)", "distance(meal) < 14 mm"))
+    assert not {job.key for job in made(folder, smell=("30mm", "60mm"))} & {job.key for job in first}
+
+
+def test_what_is_wrong_is_told_before_anything_runs(folder: Path) -> None:
+    chosen = variations([folder / "scene.yaml"], {"walker.smell": ("60mm", "4s", "4m")})
+    _, report = jobs(chosen, range(1, 3), frames=None, until=("food.lod",), grants={})
+    assert sorted(d.code for d in report.errors) == ["out-of-range", "unknown-thing", "wrong-unit"]
+
+
+def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: Path) -> None:
+    good = made(folder, until=("food.apple.load",))
+    gone = replace(good[0], scene=str(folder / "gone.yaml"), label="gone", key="0")
+    outcomes = {outcome.job.key: outcome for outcome in run_all([gone, *good], 2, 1)}
+    assert outcomes["0"].measures is None and "there is no file" in outcomes["0"].problem
+    for job in good:
+        assert same(outcomes[job.key].measures) == same(measure(job, 3, lambda frame: None))
+    found = outcomes[good[0].key].measures
+    assert found is not None and found["frames"] == found["empty.food.apple.load"] < 30, "ended once it was empty"
+    assert found["empty.food.far.load"] is None and found["left.food.far.load"] == 3
+    assert found["items.food.load"] == 3 and found["transitions.walker.look->go"] >= 3
+
+
+def test_a_process_that_is_killed_costs_its_own_run_only(folder: Path) -> None:
+    long = replace(made(folder)[0], frames=(1, 900_000), key="long")
+    hit: list[int] = []
+
+    def kill(job: Job, frame: int) -> None:
+        for child in multiprocessing.active_children() if not hit and job.key == "long" else []:
+            assert child.pid is not None
+            hit.append(child.pid)
+            os.kill(child.pid, signal.SIGKILL)
+
+    outcomes = list(run_all([long, made(folder)[1]], 1, 1, kill))
+    assert [outcome.measures is None for outcome in outcomes] == [True, False]
+    assert "SIGKILL" in outcomes[0].problem and hit and not multiprocessing.active_children()
+
+
+def test_what_never_happened_counts_as_later_than_everything() -> None:
+    inf = math.inf
+    assert quantile([1, 2, 4], 0.5) == 2 and quantile([1, 2, 4, inf], 0.5) == 3
+    assert quantile([1, 2, inf, inf], 0.5) == inf and quantile([inf, inf], 0.25) == inf
+    assert quantile([1, 3, 5, 6, inf], 0.75) == 6
+    job = Job("s.yaml", "a", (), 1, (1, 9), (), (), "k")
+    results = [(job, {"empty.food.apple.load": v, "x.y": 2, "fps": 7, "hash": "q"}) for v in (5, None, None)]
+    table = rows([*results, (job, {"empty.food.apple.load": 7})])
+    assert [(r.measure, r.runs, r.happened) for r in table] == [("empty.food.apple.load", 4, 2), ("x.y", 4, 4)]
+    assert table[0].least == 5 and table[0].median == inf and table[1].least == 0, "what a run does not tell is 0"
+    words = text(table, shown(table, ()))
+    assert "never (6.5 – never), 2 of 4" in words and "food.apple.load 0 at" in words and "x.y" not in words
+    lines = list(csv.DictReader(as_csv(table).splitlines()))
+    assert lines[0]["median"] == "" and lines[0]["least"] == "5" and lines[1]["median"] == "2"
+
+
+def test_only_whole_results_of_this_very_run_are_kept(folder: Path) -> None:
+    job = made(folder)[0]
+    keeper = Keeper(folder / "out")
+    assert keeper.kept(job) is None
+    keeper.keep(job, {"frames": 3})
+    assert keeper.kept(job) == {"frames": 3} and Keeper(folder / "out").kept(job) == {"frames": 3}
+    keeper.path(job).write_text(keeper.path(job).read_text()[:-30])
+    assert keeper.kept(job) is None
+    with pytest.raises(OtherFiles):
+        Keeper(folder)
+
+
+def test_the_command_goes_on_where_it_was_stopped(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def sweep(*words: str) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["antdsl", "sweep", str(folder / "scene.yaml"), *words])
+        code = run_in_process()
+        told = capsys.readouterr()
+        return code, told.out, told.err
+
+    monkeypatch.setattr("antdsl.sweep.run_all", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    code, _, err = sweep("--seeds", "2")
+    assert code == 130 and "0 of 2 runs are finished" in err and "the same command goes on" in err
+    monkeypatch.undo()
+    out = folder / "out" / "sweep"
+    (job, _) = made(folder)
+    Keeper(out).keep(job, {"frames": 30, "empty.food.apple.load": 11})
+    code, told, _ = sweep("--seeds", "2", "--jobs", "1", "--no-plots")
+    assert code == 0 and "1 of 2 runs were finished before" in told and "1 of 1: scene, seed 2, 30 frames" in told
+    document = json.loads((out / "sweep.json").read_text())
+    assert [run["seed"] for run in document["runs"]] == [1, 2] and document["runs"][0]["measures"]["frames"] == 30
+    assert (out / "table.txt").read_text() in told and (out / "runs.csv").read_text().count("\n") == 3
+    assert sweep("--seeds", "3..2")[0] == 2 and sweep("--vary", "walker.smell=1mm,,2mm")[0] == 2
+    code, _, err = sweep("--seeds", "2", "--show", "nothing", "--quiet")
+    assert code == 2 and "no measure begins with `nothing`" in err
+
+
+def test_a_table_is_drawn(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    from PIL import Image
+
+    from antdsl.sweep.plots import draw
+
+    job = Job("s.yaml", "a", (), 1, (1, 9), (), (), "k")
+    draw([(replace(job, label=label), {"x": v}) for label, v in (("a", 1), ("a", 4), ("b", None))], ["x"], tmp_path / "t.png")
+    with Image.open(tmp_path / "t.png") as picture:
+        assert picture.width > 600 and len(picture.convert("RGB").getcolors(1 << 20) or ()) > 8

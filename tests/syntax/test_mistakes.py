@@ -1,0 +1,98 @@
+"""Single mistakes in the foraging file, one at a time: one error each, at its place, and what its suggestion does."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from antdsl.diagnostics import Report
+from antdsl.program import check
+from antdsl.resources import library_file
+from antdsl.source import Source
+from antdsl.syntax import nodes, parse
+from antdsl.syntax.scan import scan
+
+ROOT = Path(__file__).resolve().parents[2]
+ROWS: list[dict[str, Any]] = yaml.safe_load((ROOT / "tests/cases/mistakes/foraging.yaml").read_text(encoding="utf-8"))
+FORAGER = (ROOT / "examples/foraging/forager.ant").read_text(encoding="utf-8")
+HERE = "‸"
+
+
+@cache
+def library(name: str) -> nodes.File | None:
+    path = library_file(name)
+    return None if path is None else parse(Source(f"<{name}>", path.read_text(encoding="utf-8")))[0]
+
+
+def told(text: str) -> Report:
+    file, report = parse(Source("forager.ant", text))
+    report.extend(check(file, library)[1])
+    return report
+
+
+def place_of(text: str, within: str) -> int:
+    """Where the mark stands when `text`, with any blanks between its words, is found in `within`."""
+    before, _, after = text.partition(HERE)
+    pattern = r"\s+".join(re.escape(word) for word in before.split())
+    gap = r"\s*" if before[-1:].isspace() or after[:1].isspace() else ""
+    rest = r"\s+".join(re.escape(word) for word in after.split())
+    found = re.search(f"({pattern}{gap}){rest}", within)
+    assert found, text
+    return found.end(1)
+
+
+def test_the_foraging_file_is_clean_and_the_table_is_long() -> None:
+    assert told(FORAGER).diagnostics == []
+    assert len(ROWS) >= 60 and sum(row.get("left") == [] for row in ROWS) >= 60
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row['code']}: {row['new'].replace(HERE, '')}"[:60])
+def test_one_mistake_is_one_error_at_its_place(row: dict[str, Any]) -> None:
+    pattern = r"\s+".join(re.escape(word) for word in row["old"].split())
+    found = re.search(pattern, FORAGER)
+    assert found, row["old"]
+    new = row["new"].replace(HERE, "")
+    text = FORAGER[: found.start()] + new + FORAGER[found.end() :]
+    report = told(text)
+    assert [error.code for error in report.errors] == [row["code"]], [error.message for error in report.errors]
+    (error,) = report.errors
+    assert error.span is not None and error.help
+    wanted = place_of(row["at"], text) if "at" in row else found.start() + row["new"].index(HERE)
+    line, column = error.span.source.line_column(error.span.start)
+    assert (line, column) == error.span.source.line_column(wanted), error.message
+    assert (error.fix is not None) == ("left" in row), error.help
+    if error.fix is not None:
+        mended = text[: error.fix.span.start] + error.fix.text + text[error.fix.span.end :]
+        assert sorted({each.code for each in told(mended).diagnostics}) == row["left"], mended
+
+
+def without_a_token(path: Path, every: int) -> Iterator[tuple[int, int]]:
+    """For each of every so many tokens of a file, where it stands and how many errors the file has without it. None of them is
+    about a value that was complained about already."""
+    text = path.read_text(encoding="utf-8")
+    tokens = [token for token in scan(Source(path.name, text), Report()).tokens if token.end > token.start]
+    for token in tokens[::every]:
+        report = told(text[: token.start] + text[token.end :])
+        assert not [each.message for each in report.diagnostics if "is a bad" in each.message], (path, token.start)
+        yield token.start, len(report.errors)
+
+
+def mean_errors(every: int) -> float:
+    counts = [errors for path in sorted((ROOT / "examples").rglob("*.ant")) for _, errors in without_a_token(path, every)]
+    assert len(counts) * every > 3000
+    return sum(counts) / len(counts)
+
+
+def test_a_lost_token_costs_little_more_than_one_error() -> None:
+    assert mean_errors(every=17) <= 1.3
+
+
+@pytest.mark.slow
+def test_any_lost_token_costs_little_more_than_one_error() -> None:
+    assert mean_errors(every=1) <= 1.3

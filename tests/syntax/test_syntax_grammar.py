@@ -1,0 +1,132 @@
+"""The grammar has no conflict, the shipped tables are those of the grammar, and cutting a text changes nothing of its tree."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from time import process_time
+
+import pytest
+from lark import Lark
+from test_syntax_parse import TEXTS, shape
+
+from antdsl import resources
+from antdsl.diagnostics.model import Report
+from antdsl.source import Source, Span
+from antdsl.syntax import parse
+from antdsl.syntax.brackets import pair
+from antdsl.syntax.builder import Builder
+from antdsl.syntax.scan import scan
+from antdsl.syntax.tables import STARTS, TABLES_FILE, grammar_hash, load_parser
+from antdsl.syntax.words import BELONGS, BODIES, FORMS, LINE_WORDS
+
+
+class Whole(Builder):
+    """Builds a file that is parsed in one go."""
+
+    def file(self, parts: list) -> tuple:
+        return tuple(
+            part for part in parts if not hasattr(part, "start_pos") and part is not None and not hasattr(part, "edition")
+        )
+
+
+@pytest.fixture(scope="module")
+def built() -> Lark:
+    from antdsl.syntax.grammar import build_parser
+
+    return build_parser((*STARTS, "file"))  # raises on every conflict and collision
+
+
+def test_tables_are_fresh(built: Lark) -> None:
+    stored = json.loads(resources.grammar_file(TABLES_FILE).read_text(encoding="utf-8"))
+    assert stored["grammar"] == grammar_hash(), "run `python -m antdsl.syntax.grammar`"
+    shipped = load_parser(Builder())
+    assert _patterns(shipped) == _patterns(built)
+    kept = {str(rule) for rule in shipped.rules}
+    assert kept <= {str(rule) for rule in built.rules} and len(kept) > 150
+
+
+def _patterns(parser: Lark) -> dict[str, tuple[str, str, int]]:
+    return {t.name: (t.pattern.type, t.pattern.value, t.priority) for t in parser.terminals}
+
+
+def test_every_terminal_has_a_name_of_its_own(built: Lark) -> None:
+    assert not [t.name for t in built.terminals if t.name.startswith("__")]
+    patterns = [str(t.pattern) for t in built.terminals]
+    assert len(patterns) == len(set(patterns))
+
+
+def test_every_rule_is_built(built: Lark) -> None:
+    wanted = {rule.alias or rule.options.template_source or rule.origin.name for rule in built.rules if not rule.options.expand1}
+    wanted = {str(name) for name in wanted if not str(name).startswith("_")} - {"file"}
+    assert not [name for name in wanted if not hasattr(Builder, name)]
+
+
+def test_tables_load_fast() -> None:
+    times = []
+    for _ in range(4):
+        begun = process_time()
+        load_parser(Builder())
+        times.append(process_time() - begun)
+    assert min(times) < 0.06
+
+
+def test_reading_a_text_does_not_import_what_builds_a_grammar() -> None:
+    code = (
+        "import sys; from antdsl.syntax import parse; from antdsl.source import Source;"
+        "parse(Source('a', 'ant 1\\nspecies a { load = 0 }'));"
+        "heavy = {'numpy', 'open3d', 'scipy', 'antdsl.syntax.grammar'} & set(sys.modules);"
+        "sys.exit(str(heavy) if heavy else 0)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
+
+
+def test_texts_of_lines_know_their_words() -> None:
+    words = {word for words in LINE_WORDS.values() for word in words}
+    assert words == set(FORMS) and words - {"ant"} <= set(BELONGS)
+    assert set(LINE_WORDS) == set(STARTS) and {body for body in BODIES.values()} <= set(STARTS)
+    terminals = {str(t.pattern.value).partition("(?!")[0] for t in load_parser(Builder()).terminals}
+    assert words <= terminals
+
+
+def test_forms_that_complaints_show_can_be_parsed() -> None:
+    builder = Whole()
+    parser = load_parser(builder)
+    for word, form in FORMS.items():
+        rule = next(rule for rule, words in LINE_WORDS.items() if word in words)
+        for each in form.split("` or `"):
+            source = Source("form", each.replace("…", ""))
+            builder.place = Straight(source)
+            parser.parse(source.text, start=rule)
+
+
+class Straight:
+    """The place of a text that is parsed as it stands."""
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+
+    def span(self, start: int, end: int) -> Span:
+        return Span(self.source, start, end)
+
+
+@pytest.fixture(scope="module")
+def whole() -> tuple[Lark, Whole]:
+    from antdsl.syntax.grammar import build_parser
+
+    builder = Whole()
+    return build_parser(("file",), builder), builder
+
+
+@pytest.mark.parametrize("path", TEXTS, ids=lambda path: path.name)
+def test_cutting_a_text_gives_the_tree_of_the_whole(path: Path, whole: tuple[Lark, Whole]) -> None:
+    parser, builder = whole
+    source = Source(path.name, path.read_text(encoding="utf-8"))
+    scanned = scan(source, Report())
+    assert pair(scanned) is not None  # this blanks the line ends inside parentheses
+    builder.place = Straight(source)
+    items = parser.parse("".join(scanned.clean), start="file")
+    file, report = parse(source)
+    assert report.ok and len(items) > 0 and shape(items) == shape(file.items)
