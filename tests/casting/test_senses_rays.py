@@ -131,7 +131,7 @@ def test_nearest_point_of_a_triangle_against_many_samples():
 def test_a_missing_library_is_named_with_what_to_install():
     code = (
         "import sys; sys.modules['open3d'] = None\n"
-        "from antdsl.runtime.senses import rays, ground\n"
+        "from antdsl.casting import rays\nfrom antdsl.ground.mesh import surface\n"
         "try: rays.RayScene(__import__('numpy').eye(3), __import__('numpy').arange(3).reshape(1, 3))\n"
         "except ImportError as e: print(e)"
     )

@@ -6,7 +6,16 @@ import ast
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[2] / "antdsl"
-ROOMS = ("runtime", "scene")  # what they give is, or becomes, a state
+ROOMS = (
+    "numerics",
+    "casting",
+    "ground",
+    "senses",
+    "fields",
+    "runtime",
+    "reload",
+    "scene",
+)  # what they give is, or becomes, a state
 # Of NumPy and math: their last bits depend on the processor, by what the library was compiled for or chooses when it runs.
 FUNCTIONS = frozenset([
     "sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",

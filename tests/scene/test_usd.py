@@ -22,7 +22,7 @@ from antdsl.pipeline import Choices, Shot, open_scene, simulate  # noqa: E402
 from antdsl.runtime import Options  # noqa: E402
 from antdsl.scene import Roots  # noqa: E402
 from antdsl.scene.geometry.meshes import MeshError, read_mesh  # noqa: E402
-from antdsl.scene.geometry.usd import (
+from antdsl.scene.geometry.usd import (  # noqa: E402
     UsdError,
     UsdStage,
     open_stage,

@@ -1,4 +1,8 @@
-"""Solids: what agents can dig. A sparse signed distance to sample, carve, mesh and walk on."""
+"""Solids: what agents can dig. A sparse signed distance to sample, carve, mesh and walk on.
+
+`voxelising` turns a closed mesh into `bricks` of nodes (inside by `winding` numbers, near distances by `triangles`), `volume`
+is the door: `trilinear` samples between nodes, `carving` digs balls out, `meshing` gives the zero level as triangles,
+`projecting` and `walking` keep feet on it."""
 
 from __future__ import annotations
 

@@ -345,6 +345,7 @@ def _told(w: Writer, e: model.Expr) -> Value:
 _LOWER: dict[type, Callable[[Writer, Any], Value]] = {
     model.Const: _const, model.NoneRef: _none, model.StateConst: _state, model.ParamRef: _param, model.Thing: _thing,
     model.Local: _local, model.Inline: _inline, model.Attribute: _attribute, model.Op: _op,
-    model.SetOf: _set, model.Reduce: _reduce, expectations.Whole: _told, expectations.AtStart: _told, expectations.Measured: _told,
+    model.SetOf: _set, model.Reduce: _reduce,
+    expectations.Whole: _told, expectations.AtStart: _told, expectations.Measured: _told,
     expectations.Other: _told, expectations.Bodily: _told, expectations.CellValue: _told,
 }  # fmt: skip

@@ -1,4 +1,10 @@
-"""How a plan's blocks are run: BACKENDS by name. Both give the same bits."""
+"""How a plan's blocks are run: BACKENDS by name. Both give the same bits.
+
+`reference` takes one agent at a time and one operation at a time, in plain Python: it is the definition of the language, and what
+`explain` runs. `numpy_backend` runs a block over all agents of a species: `compile` turns the block into flat lists of calls over
+slots once, `numpy_calls` and `numpy_statements` have the calls, and a condition becomes the rows where it holds. Elementwise
+operations are one table for both (`numerics.elementwise`), sums over sets are exact, draws are functions of the id: no result
+depends on rows, chunks or threads. A backend fills an `Effects`; the phases of the step apply it."""
 
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 from antdsl.runtime.backends.reference import ReferenceBackend

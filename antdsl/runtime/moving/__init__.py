@@ -1,1 +1,6 @@
-"""."""
+"""From steering forces to places: what the phase `move` does with all agents at once.
+
+`advance` is the order: acceleration, limits of speed and turn, `obstacles` that shorten a step, the ground's own move,
+headings. `falling` lets those drop whose ground was dug away; `moving_geometry` carries agents with things that move;
+`tilting` turns bodies after the ground under their feet, with `rises` and `heads` keeping heads out of what rises before them.
+`clearances` tells how far everybody is from obstacles, at least, so that few have to ask with rays."""
