@@ -14,8 +14,9 @@ from pathlib import Path
 
 from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
+from antdsl.files import sources
 from antdsl.loading import CheckedOnce
-from antdsl.pipeline import Choices, check_path, sources
+from antdsl.pipeline import Choices, check_path
 from antdsl.program.model import Program
 from antdsl.source import Source
 

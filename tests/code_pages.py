@@ -145,8 +145,9 @@ def _checked(words: tuple[str, ...]) -> str:
     from antdsl.diagnostics import Report
     from antdsl.diagnostics.ignoring import judged
     from antdsl.diagnostics.render import render
+    from antdsl.files import sources
     from antdsl.loading import Parsed
-    from antdsl.pipeline import Choices, check_path, sources
+    from antdsl.pipeline import Choices, check_path
 
     strict = "--strict" in words
     grants = dict(word.split("=") for flag, word in pairwise(words) if flag == "--root")

@@ -43,8 +43,8 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _name, _command in COMMANDS:
-    app.command(_name)(_command)
+for _name, _function in COMMANDS:
+    app.command(_name)(_function)
 
 
 def _version(value: bool) -> None:

@@ -53,7 +53,8 @@ def check(
     from antdsl.cli.printing.reports import show, verdict
     from antdsl.cli.run import cores
     from antdsl.diagnostics.ignoring import judged, without_ignored
-    from antdsl.pipeline import Choices, find_files
+    from antdsl.files import find_files
+    from antdsl.pipeline import Choices
 
     files, report = find_files(paths)
     checked = check_all(files, Choices(grants(root)), strict=strict, cores=cores(), programs=params or cost)

@@ -97,12 +97,13 @@ def keeping_inputs(
         if others:
             raise typer.BadParameter(f"`{path}` is named by `{others[0]}` too; name another file", param_hint=flag)
     for flag, (folder, names) in (folders or {}).items():
-        lost = [] if folder is None else [each for each in inputs if each.exists() and _top(each, folder) in names]
+        kept = set(names)
+        lost = [] if folder is None else [each for each in inputs if each.exists() and _top(each, folder) in kept]
         if lost:
             words = f"error: `{lost[0]}` is read here, and would be lost"
             raise Stop(Exit.USAGE, words, f"name another folder with `{flag}`")
         for other, path in results.items():
-            if folder is not None and _top(path, folder) in names:
+            if folder is not None and _top(path, folder) in kept:
                 raise typer.BadParameter(f"`{path}` has a name of what `{flag}` puts there; name another file", param_hint=other)
 
 

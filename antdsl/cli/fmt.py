@@ -59,7 +59,7 @@ class _Work:
     report: Report = field(default_factory=_empty)
 
     def files(self, paths: list[Path]) -> None:
-        from antdsl.pipeline import find_files
+        from antdsl.files import find_files
 
         found, report = find_files(paths)
         self.report.extend(report)

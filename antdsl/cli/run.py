@@ -128,13 +128,13 @@ def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume:
     from antdsl.outputs.cache.writing import DifferentInputs, ForeignFolder, InTheWay
     from antdsl.outputs.recording import NothingToResume, begin
     from antdsl.outputs.starting import StartError
-    from antdsl.pipeline import crowding
     from antdsl.runtime import BindError
+    from antdsl.runtime.binding.crowding import crowding
 
     try:
         recording = begin(shot, folder, options, resume=resume, force=force)
         if recording.resumed_from is None and shot.scene.model.start is None:
-            show(crowding(shot, recording.world), to_stderr=True)
+            show(crowding(shot.scene, recording.world), to_stderr=True)
         for note in recording.notes:
             say(note, err=True)
         return recording

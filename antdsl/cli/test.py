@@ -42,7 +42,7 @@ def test(
     from antdsl.cli.arguments import grants
     from antdsl.cli.printing.reports import show, verdict
     from antdsl.cli.run import at_once
-    from antdsl.pipeline import find_files
+    from antdsl.files import find_files
     from antdsl.runtime import Options
     from antdsl.specs import Work, cases, run_cases
     from antdsl.specs.golden.comparing import Goldens

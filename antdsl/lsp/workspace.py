@@ -15,13 +15,14 @@ from antdsl import limits, syntax
 from antdsl.bounded import real_path
 from antdsl.diagnostics import Diagnostic, Report
 from antdsl.diagnostics.ignoring import judged
+from antdsl.files import find_files
 from antdsl.loading import Parsed
 from antdsl.lsp.index import occurrences
 from antdsl.lsp.names import Names, names_of
 from antdsl.lsp.scenes import SceneIndex, scene_index
 from antdsl.lsp.text import Range, Text, normal
 from antdsl.lsp.uses import Occurrence
-from antdsl.pipeline import check_scene_text, compile_files, find_files
+from antdsl.pipeline import check_scene_text, compile_files
 from antdsl.program.memo import Memo
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from antdsl import limits
 from antdsl.diagnostics import Report
-from antdsl.pipeline import Choices, Shot, crowding
+from antdsl.pipeline import Choices, Shot
 from antdsl.preview.binding_params import asked_before_the_first_step
 from antdsl.preview.compiling import Compiler
 from antdsl.preview.differing import differing
@@ -19,6 +19,7 @@ from antdsl.preview.layers import Off, texts_without
 from antdsl.preview.timeline import Light, Stretch, Timeline, nearest_checkpoint
 from antdsl.reload import taken_line
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step
+from antdsl.runtime.binding.crowding import crowding
 from antdsl.runtime.profiling import Meter
 from antdsl.scene.adjusting import settable
 from antdsl.scene.matching import check_param
@@ -258,7 +259,7 @@ class Session:
             world = bind(shot.plan, shot.setting, self.options, built=self.compiler.built)
         except BindError as why:
             return Outcome(why.report)
-        report.extend(crowding(shot, world))
+        report.extend(crowding(shot.scene, world))
         self.timeline = self.timeline.begun_again(_AGAIN)
         stretch = Stretch(shot, world.frame, "from the first frame", world.origin, choices, off)
         self.timeline.start(stretch, world)
@@ -289,7 +290,7 @@ class Session:
         report.extend(findings)
         if world is None:
             return Outcome(report)
-        report.extend(crowding(shot, world))
+        report.extend(crowding(shot.scene, world))
         line = " · ".join([taken_line(taken), *(f"layer `{layer}` is gone" for _, layer in gone)])
         off = {key: path for key, path in off.items() if key not in gone}
         stretch = Stretch(shot, world.frame, did, world.origin, choices, off)

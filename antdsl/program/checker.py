@@ -81,15 +81,18 @@ def _look(checked: Checked, look: Check, report: Report) -> None:
     def seen(species: model.Species) -> None:
         look(replace(checked, program=replace(program, species={species.name: species})), report)
 
+    def seen_state(species: model.Species, machine: model.Machine, state: model.State) -> None:
+        seen(_with_one_state(species, machine, state))
+
     for species in program.species.values():
         if look not in OF_STATES:
             part(checked.declared, (look, species, params), partial(seen, species))
             continue
-        part(checked.declared, (look, species.layers, params), lambda all=species: seen(replace(all, machines=())))
+        without = replace(species, machines=())
+        part(checked.declared, (look, species.layers, params), partial(seen, without))
         for machine in species.machines:
             for state in machine.states:
-                one = partial(_with_one_state, species, machine, state)
-                part(checked.declared, (look, state, params), lambda one=one: seen(one()))
+                part(checked.declared, (look, state, params), partial(seen_state, species, machine, state))
 
 
 def _with_one_state(species: model.Species, machine: model.Machine, state: model.State) -> model.Species:
@@ -118,7 +121,8 @@ def _outside(declared: Declared, loader: Loader) -> Hashable:
         item for each in loader.known.values() for item in each.node.items if isinstance(item, (nodes.Behaviour, nodes.Use))
     ]
     fields = list(declared.fields.values())
-    return declared.strict, *map(tuple, (things, machines, called, fields, declared.events, declared.unclear))
+    parts: tuple[Iterable[Hashable], ...] = (things, machines, called, fields, declared.events, declared.unclear)
+    return declared.strict, *(tuple(part) for part in parts)
 
 
 def _types(species: SpeciesNames) -> Hashable:

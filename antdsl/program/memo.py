@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from antdsl.program.names.scope import Declared
 
 T = TypeVar("T")
+_Key = tuple[tuple[Any, ...], int]  # what a part is and depends on, and a number for all that it can see of the others
 
 
-def part(declared: Declared, key: Hashable, make: Callable[[], T]) -> T:
+def part(declared: Declared, key: tuple[Any, ...], make: Callable[[], T]) -> T:
     """What `make` gives, or gave in an earlier check of which somebody kept the memo. The key holds all that it depends on
     besides `declared.outside`."""
     return make() if declared.memo is None else declared.memo.part(declared, (key, declared.outside), make)
@@ -54,8 +55,8 @@ class Memo:
     """Results of parts by all that they depend on. What was not asked for in a whole check is forgotten after it."""
 
     def __init__(self) -> None:
-        self.known: dict[tuple[Any, int], _Known] = {}
-        self.asked: set[Hashable] = set()
+        self.known: dict[_Key, _Known] = {}
+        self.asked: set[_Key] = set()
         self.numbers: dict[Hashable, int] = {}
         self.seen: set[int] = set()
         self.given = 0
@@ -68,7 +69,7 @@ class Memo:
         self.seen.add(self.numbers[value])
         return self.numbers[value]
 
-    def part(self, declared: Declared, key: Hashable, make: Callable[[], T]) -> T:
+    def part(self, declared: Declared, key: _Key, make: Callable[[], T]) -> T:
         """What `make` gives, or gave for the same key; with it goes what it complained about, and what it counted as used and
         written."""
         self.asked.add(key)
@@ -81,7 +82,7 @@ class Memo:
         declared.report.extend(known.said)
         return known.result  # type: ignore[no-any-return]
 
-    def _made(self, declared: Declared, key: Hashable, make: Callable[[], T]) -> T:
+    def _made(self, declared: Declared, key: _Key, make: Callable[[], T]) -> T:
         said, expanded, told = len(declared.report.diagnostics), declared.expanded, len(declared.told)
         used, written, names = declared.used, declared.written, declared.told
         declared.used, declared.written, declared.told = set(), set(), _Told(names)
@@ -98,7 +99,7 @@ class Memo:
 
     def keep(self, kinds: Collection[Hashable]) -> None:
         """Count what is known of some kinds of parts, by the first of their key, as asked for: it was left out this time."""
-        self.asked |= {key for key in self.known if isinstance(key, tuple) and key[0][0] in kinds}
+        self.asked |= {key for key in self.known if key[0][0] in kinds}
 
     def forget(self) -> None:
         """Drop what the check that has ended did not ask for."""

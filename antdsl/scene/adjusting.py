@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from antdsl.program.model import Const, Dim, Kind, Program, Rate, Type
+from antdsl.program.model import Const, Dim, Expr, Field, Kind, Program, Rate, Type
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
 
@@ -51,7 +51,12 @@ def with_fields(program: Program, scene: Scene, values: Mapping[str, Quantity]) 
             continue
         field, _, word = name.partition(".")
         place = scene.span("set", name) if name in scene.model.set else fields[field].span
-        faded: dict[str, Any] = dict.fromkeys(FADING) if word in FADING else {}
         const = Const(Type(Kind.NUMBER, dim), Rate.CONST, place, value.number, u=value.u, step=value.step)
-        fields[field] = replace(fields[field], **{**faded, word: const})
+        fields[field] = with_field(fields[field], word, const)
     return replace(program, fields=fields)
+
+
+def with_field(field: Field, word: str, value: Expr) -> Field:
+    """A field with another value of one setting; of the ways to fade there is one."""
+    values: dict[str, Any] = dict.fromkeys(FADING) if word in FADING else {}
+    return replace(field, **{**values, word: value})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import takewhile
@@ -56,6 +57,15 @@ class Scene:
         """The same scene with other values for some keys; None leaves a key as it is."""
         wanted = {name: value for name, value in values.items() if value is not None}
         return replace(self, model=self.model.model_copy(update=wanted)) if wanted else self
+
+    def digest(self) -> str:
+        """One number for the scene less what changes no result: output, a camera that no level of detail goes by, and the last
+        frame, so that a cache can be continued past it."""
+        without = {"output", "frames", "extends"} | ({"camera"} if self.model.lod is None else set())
+        kept = sorted(set(type(self.model).model_fields) - without)
+        values = [(name, getattr(self.model, name)) for name in kept if name != "crowd"]
+        relevant = [*values, *((line.species, line.count, line.place) for line in self.model.crowd), self.model.frames.first]
+        return hashlib.blake2b(repr(relevant).encode(), digest_size=16).hexdigest()
 
 
 def load(path: Path, grants: Mapping[str, Path] | None = None) -> tuple[Scene | None, Report]:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from antdsl.diagnostics import Report
+from antdsl.files import find_files
 from antdsl.loading import CheckedOnce, Parsed
-from antdsl.pipeline import Choices, Shot, check_path, find_files, open_scene
+from antdsl.pipeline import Choices, Shot, check_path, open_scene
 from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
 from antdsl.program.consequences import in_one
 from antdsl.program.expectations import Changed, Spec

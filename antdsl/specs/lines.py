@@ -151,7 +151,7 @@ def _comes(line: Line, seen: Seen) -> Truths:
 def _since_within(line: Line, seen: Seen) -> Ids:
     """Also `eventually`. Of several times under way the first one counts: what ends it ends the others."""
     comes = _comes(line, seen)
-    pending = line.pending[seen.ids]
+    pending: Ids = line.pending[seen.ids]
     pending = np.where(comes & (pending == _NEVER), seen.frame, pending)
     pending[seen.holds | seen.free] = _NEVER
     line.pending[seen.ids] = pending
@@ -161,13 +161,14 @@ def _since_within(line: Line, seen: Seen) -> Ids:
         line.why = LEFT
         return gone
     if line.steps is not None:
-        late = seen.ids[waiting & (seen.frame >= pending + line.steps)]
+        late: Ids = seen.ids[waiting & (seen.frame >= pending + line.steps)]
         if len(late):
             line.why = TIME_OVER
             return late
     elif seen.final and waiting.any():
         line.why = RUN_OVER
-        return seen.ids[waiting]
+        still: Ids = seen.ids[waiting]
+        return still
     return _NOBODY
 
 

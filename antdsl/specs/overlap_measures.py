@@ -45,12 +45,13 @@ def _penetration(world: World, population: Population) -> Floats:
 
 def _off_surface(world: World, population: Population) -> Floats:
     """How far each agent is from where it ought to stand: its clearance over its place on a triangle or a solid."""
-    away = np.linalg.norm(population.position - world.ground.position(population.footing), axis=1)
+    away: NDArray[np.float64] = np.linalg.norm(population.position - world.ground.position(population.footing), axis=1)
     for number, volume in enumerate(world.solids.values(), len(world.setting.surfaces)):
         rows = np.flatnonzero(population.footing.mesh == number)
         away[rows] = np.maximum(away[rows], np.abs(volume.sample(population.position[rows])))
     clearance = population.start.get("clearance", np.zeros(len(population)))
-    return np.abs(away - clearance).astype(np.float32)
+    off: Floats = np.abs(away - clearance).astype(np.float32)
+    return off
 
 
 _MEASURES: Mapping[str, Callable[[World, Population], Floats]] = {

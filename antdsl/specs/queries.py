@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.plan import ir
-from antdsl.plan.lowering.spec_blocks import SpecPlan
+from antdsl.plan.lowering.spec_blocks import OtherPlan, SpecPlan, StartPlan, WholePlan
 from antdsl.plan.traverse import needed, operands, statements
 from antdsl.program.expectations import MOTION
 from antdsl.runtime.backends import BACKENDS
@@ -34,7 +34,8 @@ class Asker:
         self.plan = plan
         self.backend: Any = BACKENDS[world.options.backend](plan.plan)
         self.told: dict[str, Any] = {}
-        self.names = [each.name for each in (*plan.wholes, *plan.starts, *plan.others)] + [f"motion.{name}" for name in MOTION]
+        known: list[WholePlan | StartPlan | OtherPlan] = [*plan.wholes, *plan.starts, *plan.others]
+        self.names = [each.name for each in known] + [f"motion.{name}" for name in MOTION]
         self.starts: dict[str, NDArray[np.float64]] = {}  # by id
         self.smelling = {name for name, species in plan.plan.species.items() if _smells(species)}
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from antdsl import checking
-from antdsl.pipeline import Choices, find_files
+from antdsl.files import find_files
+from antdsl.pipeline import Choices
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = [ROOT / "examples", ROOT / "tests" / "cases", ROOT / "tests" / "programs"]

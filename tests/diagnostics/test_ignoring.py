@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from antdsl.diagnostics.ignoring import comments, judged, without_ignored
-from antdsl.pipeline import check_path, find_files
+from antdsl.files import find_files
+from antdsl.pipeline import check_path
 from antdsl.source import Source
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -19,7 +19,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 ROOMS = (
     "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "bootstrap", "syntax", "program",
     "highlighting", "graphs", "scene", "loading", "plan", "passes", "numerics", "casting", "ground",
-    "senses", "fields", "runtime", "reload", "bodies", "pipeline", "checking", "outputs",
+    "senses", "fields", "runtime", "reload", "bodies", "files", "pipeline", "checking", "outputs",
     "specs", "explain", "sweep", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.

@@ -115,8 +115,8 @@ def test_paths_and_uris_lead_to_each_other(tmp_path: Path) -> None:
 
 
 def test_large_folders_are_not_searched_at_every_question(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from antdsl.files import find_files
     from antdsl.lsp import workspace
-    from antdsl.pipeline import find_files
 
     searched: list[int] = []
     clock = [100.0]

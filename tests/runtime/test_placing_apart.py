@@ -16,10 +16,11 @@ from test_scene_files import folder  # noqa: F401
 
 from antdsl import passes, plan
 from antdsl.cli.new import ground
-from antdsl.pipeline import Choices, Shot, crowding, open_scene
+from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.reload import take_over
 from antdsl.runtime import Options, bind, step
 from antdsl.runtime.binding import spacing
+from antdsl.runtime.binding.crowding import crowding
 from antdsl.runtime.binding.spacing import Draw, Drawn, Room, spread
 from antdsl.runtime.world import World
 from antdsl.scene.setting import CrowdData, MeshData, Painted, PlaceData, Setting, SolidData
@@ -203,7 +204,7 @@ def test_a_place_without_room_says_how_many_fit(folder: Path) -> None:  # noqa: 
     shot, report = _opened(folder, "{on: ground, around: apple, radius: 20 mm}", 200)
     assert shot is not None and report.ok
     made = bind(shot.plan, shot.setting)
-    (told,) = crowding(shot, made).diagnostics
+    (told,) = crowding(shot.scene, made).diagnostics
     (line,) = made.crowded
     place, radius = discs(made)
     assert (line.count, line.radius) == (200, (2.0, 2.0)) and 45 < line.fit < 60
@@ -314,7 +315,7 @@ def test_what_is_said_of_no_room_is_true(
 @pytest.mark.parametrize("by", ["above", "area"])
 def test_nothing_is_said_of_room_beside_all_surfaces(folder: Path, by: str) -> None:  # noqa: F811
     shot, _ = _opened(folder, f"{{on: ground, around: [900, 0, 0], radius: 5 mm, by: {by}}}", 200)
-    assert shot is not None and crowding(shot, bind(shot.plan, shot.setting)).diagnostics == []
+    assert shot is not None and crowding(shot.scene, bind(shot.plan, shot.setting)).diagnostics == []
 
 
 def _square(wide: float, seed: int) -> Draw:

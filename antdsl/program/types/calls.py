@@ -347,9 +347,10 @@ def _clamp(scope: Scope, node: nodes.Call, made: Op) -> None:
 def _uniform(scope: Scope, node: nodes.Call, made: Op) -> None:
     low, high = (constant_behind(a) if a is not None else None for a in made.args)
     if low and high and (low.u, low.step) == (high.u, high.step) and low.number > high.number:
-        lesser, greater = (" ".join(arg.value.span.text.split()) for arg in reversed(node.arguments))
+        written = [arg for arg in node.arguments if isinstance(arg, nodes.Argument)]
+        lesser, greater = (" ".join(arg.value.span.text.split()) for arg in reversed(written))
         better = f"uniform({lesser}, {greater})"
-        fix = None if any(arg.name for arg in node.arguments) else Fix(node.span, better)
+        fix = None if any(arg.name for arg in written) else Fix(node.span, better)
         scope.report.error("empty-range", f"{quoted(node.span)} ends before it begins", node.span, f"write `{better}`", fix=fix)
 
 

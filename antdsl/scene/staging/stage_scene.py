@@ -21,7 +21,8 @@ from antdsl.program.tables.vocabulary import LENGTH
 from antdsl.scene import setting as stage_of
 from antdsl.scene.document import Key
 from antdsl.scene.geometry.closed import check_closed, check_sides
-from antdsl.scene.geometry.meshes import MeshError, RawMesh, placed, read_mesh, within_reach
+from antdsl.scene.geometry.mesh_text import MeshError
+from antdsl.scene.geometry.meshes import RawMesh, placed, read_mesh, within_reach
 from antdsl.scene.geometry.points import POINT_BYTES, PointsError, read_points
 from antdsl.scene.load import Scene
 from antdsl.scene.matching import const_base

@@ -13,7 +13,8 @@ from antdsl import limits
 from antdsl.scene import setting as stage_of
 from antdsl.scene.document import Key
 from antdsl.scene.geometry.matrices import applied, has_inverse
-from antdsl.scene.geometry.meshes import MeshError, RawMesh, mesh_arrays, rotated, sound, turned_up
+from antdsl.scene.geometry.mesh_text import MeshError
+from antdsl.scene.geometry.meshes import RawMesh, mesh_arrays, rotated, sound, turned_up
 from antdsl.scene.model import (
     UNIT_MM,
     CurveThing,

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from functools import reduce
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene.geometry.matrices import applied
@@ -88,9 +91,14 @@ def _cubic(points: Floats, basis: str, wrap: str, prim: Any) -> Floats:
     t = np.arange(_PIECES) / _PIECES
     powers = np.stack([np.ones_like(t), t, t * t, t * t * t], axis=1)
     factors = np.array(weights, np.float64) / divisor
-    share = sum(powers[:, k, None] * factors[k] for k in range(4))
+    share = _summed(powers[:, k, None] * factors[k] for k in range(4))
     control = points[(np.arange(pieces) * step)[:, None] + np.arange(4)]
-    along = sum(share[:, k, None] * control[:, k, None, :] for k in range(4)).reshape(-1, 3)
-    last = sum(factors)
-    end = sum(last[k] * control[-1, k] for k in range(4))
+    along = _summed(share[:, k, None] * control[:, k, None, :] for k in range(4)).reshape(-1, 3)
+    last = _summed(factors)
+    end = _summed(last[k] * control[-1, k] for k in range(4))
     return np.concatenate([along, end[None]])
+
+
+def _summed(terms: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """The sum of arrays from the first to the last, beginning with 0."""
+    return reduce(np.add, terms, np.zeros(()))

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene.geometry.matrices import after, applied, determinant, has_inverse, inverse, still
-from antdsl.scene.geometry.meshes import MeshError, RawMesh, sound
+from antdsl.scene.geometry.mesh_text import MeshError
+from antdsl.scene.geometry.meshes import RawMesh, sound
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 from antdsl.scene.geometry.usd.shapes import BAKE, Placed, check_bytes, other_shapes, placed_meshes
 from antdsl.scene.geometry.usd.stage import Floats, UsdStage

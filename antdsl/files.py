@@ -1,0 +1,75 @@
+"""Which files paths mean, and the texts of checked files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from glob import glob, has_magic
+from pathlib import Path
+
+from antdsl import limits
+from antdsl.bounded import read_start
+from antdsl.diagnostics import Report
+from antdsl.loading import Parsed, shown
+from antdsl.scene.document import decode
+from antdsl.scene.paths import PathRefused, read_named
+from antdsl.source import Source
+
+SKIPPED_FOLDERS = frozenset(["node_modules", "__pycache__", "out", "build", "dist", "_data"])
+
+
+def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
+    """The programs and scenes that paths mean: files as they are, patterns such as `shots/**/*.ant` by what they match, folders
+    searched without following links, hidden ones left out."""
+    found: dict[Path, None] = {}
+    report = Report()
+    for path in _matched(paths, report):
+        if not path.is_dir():
+            if path.suffix in (".ant", ".yaml", ".yml"):
+                found[path] = None
+            else:
+                report.error("no-such-file", f"`{shown(path)}` is neither a program (.ant), a scene (.yaml) nor a folder", None)
+            continue
+        for folder, inner, files in os.walk(path, followlinks=False):
+            inner[:] = sorted(name for name in inner if not name.startswith(".") and name not in SKIPPED_FOLDERS)
+            for name in sorted(files):
+                file = Path(folder, name)
+                if name.endswith(".ant") or (name.endswith((".yaml", ".yml")) and _is_scene(file)):
+                    found[file] = None
+    return list(found), report
+
+
+def _matched(paths: Iterable[Path], report: Report) -> Iterator[Path]:
+    """The paths, patterns replaced by what they match. What is there by that very name is no pattern."""
+    for path in paths:
+        if path.exists() or not has_magic(str(path)):
+            yield path
+            continue
+        found = [Path(name) for name in sorted(glob(str(path), recursive=True))]
+        wanted = [each for each in found if each.is_dir() or each.suffix in (".ant", ".yaml", ".yml")]
+        if not wanted:
+            report.error("no-such-file", f"`{path}` matches no program (.ant), no scene (.yaml) and no folder", None)
+        yield from wanted
+
+
+def sources(files: Iterable[Path], parsed: Parsed) -> list[Source]:
+    """The texts of checked files, as far as they can be read: programs as they were parsed, and scenes."""
+    found = [file.source for file, _ in parsed.values() if not file.source.path.startswith("<")]
+    for path in files:
+        if path.suffix != ".ant":
+            try:
+                source, report = decode(read_named(path, limits.SCENE_BYTES), str(path))
+            except PathRefused:
+                continue
+            found += [source] if report.ok else []
+    return found
+
+
+def _is_scene(path: Path) -> bool:
+    """Whether a YAML file begins like a scene; a folder may hold others."""
+    try:
+        lines = read_start(path, 4096).removeprefix(b"\xef\xbb\xbf").splitlines()
+    except OSError:
+        return False
+    first = next((line for line in lines if line.strip() and not line.lstrip().startswith(b"#")), b"")
+    return first.startswith(b"antdsl:")

@@ -1,0 +1,47 @@
+"""Values that go before the scene's own: params that the person gives who runs it, and what a spec sets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from antdsl.diagnostics import Report
+from antdsl.program.expectations import Changed
+from antdsl.program.model import Program
+from antdsl.program.types.folding import constant_behind
+from antdsl.scene.adjusting import with_field
+from antdsl.scene.load import Scene
+from antdsl.scene.matching import check_param, const_base
+from antdsl.scene.quantities import BadQuantity, Quantity, parse_quantity
+from antdsl.scene.setting import Setting
+
+
+def overrides(scene: Scene, program: Program, params: Mapping[str, str], report: Report) -> Mapping[str, Quantity]:
+    """The values of `--set NAME=TEXT`, by name, each held against what the scene and the program let it be."""
+    found = {}
+    for name, text in params.items():
+        try:
+            found[name] = parse_quantity(text)
+        except BadQuantity as why:
+            usual = "write a number and a unit: `--set NAME=50mm`"
+            report.error("wrong-value", f"`--set {name}={text}`: `{text}` {why}", None, why.help or usual)
+            continue
+        check_param(scene, program, report, name, found[name])
+    return found
+
+
+def with_changed_fields(program: Program, changes: Iterable[Changed]) -> Program:
+    """The program with the settings of its fields that a spec changes."""
+    fields = dict(program.fields)
+    for change in changes:
+        name, _, word = change.name.partition(".")
+        if name in fields and change.name not in program.params:
+            fields[name] = with_field(fields[name], word, change.value)
+    return replace(program, fields=fields)
+
+
+def with_changed_params(setting: Setting, scene: Scene, program: Program, changes: Iterable[Changed]) -> Setting:
+    """The setting with the params that a spec changes."""
+    known = {change.name: constant_behind(change.value) for change in changes if change.name in program.params}
+    changed = {name: const_base(value, scene) for name, value in known.items() if value is not None}
+    return replace(setting, params={**setting.params, **changed}) if changed else setting
