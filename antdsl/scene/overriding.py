@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from antdsl.diagnostics import Report
 from antdsl.program.expectations import Changed
@@ -13,7 +14,9 @@ from antdsl.scene.adjusting import with_field
 from antdsl.scene.load import Scene
 from antdsl.scene.matching import check_param, const_base
 from antdsl.scene.quantities import BadQuantity, Quantity, parse_quantity
-from antdsl.scene.setting import Setting
+
+if TYPE_CHECKING:
+    from antdsl.scene.setting import Setting  # it brings NumPy, which a check does without
 
 
 def overrides(scene: Scene, program: Program, params: Mapping[str, str], report: Report) -> Mapping[str, Quantity]:
