@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.shapes import Mesh
+from antdsl.numerics.vector_rows import unit_or
 
 Array = NDArray[np.float64]
 
@@ -61,10 +62,10 @@ def orientation(heading: Array, up: Array) -> Array:
 
     `up` wins: the heading is first laid flat against it. Where the two give no frame (zero or parallel)
     any level heading is taken."""
-    up = _unit(up, np.array([0.0, 1.0, 0.0]))
+    up = unit_or(up, np.array([0.0, 1.0, 0.0]))
     ahead = heading - up * (heading * up).sum(axis=1, keepdims=True)
     level = np.cross(up, np.where(np.abs(up[:, :1]) < 0.9, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]])))
-    ahead = _unit(ahead, level)
+    ahead = unit_or(ahead, level)
     side = np.cross(ahead, up)
     matrix = np.stack([ahead, up, side], axis=2)
     return _quaternion(matrix)
@@ -87,13 +88,6 @@ def rotation(orient: Array) -> Array:
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
     return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
-
-
-def _unit(vectors: Array, otherwise: Array) -> Array:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    other = np.broadcast_to(otherwise, vectors.shape)
-    other = other / np.linalg.norm(other, axis=1, keepdims=True)
-    return np.asarray(np.where(length > 1e-9, vectors / np.maximum(length, 1e-9), other))
 
 
 def _quaternion(m: Array) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.rays import Vectors
+from antdsl.numerics.vector_rows import unit
 
 _SAMPLES = 4096
 _NEAR = 6  # samples looked at first: settles all but those who stand far from a bend
@@ -44,8 +45,8 @@ class Curve:
         self._step = np.diff(self.samples, axis=0)
         self._size = np.sqrt((self._step * self._step).sum(axis=1))
         self.length = float(self._size.sum())
-        ways = _unit(self._step)
-        self._tangent = _unit(np.concatenate([ways[:1], ways[:-1] + ways[1:], ways[-1:]]))
+        ways = unit(self._step)
+        self._tangent = unit(np.concatenate([ways[:1], ways[:-1] + ways[1:], ways[-1:]]))
         self._tree: Any = None
 
     def closest(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> CurvePoints:
@@ -83,7 +84,7 @@ class Curve:
         part = self._part(place, best)[0][:, None]
         # Between joints the tangent turns evenly, so that nobody who follows the curve jerks at a joint.
         tangent = self._tangent[best] * (1 - part) + self._tangent[best + 1] * part
-        return self.samples[best] + part * self._step[best], _unit(tangent)
+        return self.samples[best] + part * self._step[best], unit(tangent)
 
     def _best(self, place: Vectors, sample: NDArray[np.int64]) -> NDArray[np.int64]:
         """Nearest segment of those beside samples int[n,k], the first of equals."""
@@ -99,11 +100,6 @@ class Curve:
         part = np.clip(along / np.where(square > 0, square, 1.0), 0.0, 1.0)
         away = away - part[:, None] * step
         return part, (away[:, 0] ** 2 + away[:, 1] ** 2) + away[:, 2] ** 2
-
-
-def _unit(v: Vectors) -> Vectors:
-    size = np.sqrt((v * v).sum(axis=1))
-    return v / np.where(size > 0, size, 1.0)[:, None]
 
 
 def resampled(points: Vectors, spacing: float) -> Vectors:

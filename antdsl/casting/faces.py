@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import compiled
+from antdsl.numerics.vector_rows import dot, unit
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -36,20 +37,20 @@ class Faces:
     def widened(self) -> NDArray[np.float32]:
         """Corners float32[3m,3] of triangles each side of which is some hairs further out: float32 rays miss no face."""
         a, b, c = (self.corners[:, k] for k in range(3))
-        normal = _unit(np.cross(b - a, c - a))
-        ab, bc, ca = (np.cross(_unit(side), normal) for side in (b - a, c - b, a - c))
+        normal = unit(np.cross(b - a, c - a))
+        ab, bc, ca = (np.cross(unit(side), normal) for side in (b - a, c - b, a - c))
         moved = []
         for corner, one, two in ((a, ca, ab), (b, ab, bc), (c, bc, ca)):
-            moved.append(corner + (one + two) * (WIDE * self.hair / np.maximum(1.0 + _dot(one, two), _SHARP))[:, None])
+            moved.append(corner + (one + two) * (WIDE * self.hair / np.maximum(1.0 + dot(one, two), _SHARP))[:, None])
         return np.stack(moved, axis=1).reshape(-1, 3).astype(np.float32)
 
     def normal(self, face: Index) -> Floats:
         """Unit normals [k,3] of faces, by how they are wound; 0 without area."""
         if self._brief:
             corners = self.corners.take(face, axis=0)
-            return _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+            return unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
         if self._normals is None:
-            self._normals = _unit(np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0]))
+            self._normals = unit(np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0]))
         return self._normals.take(face, axis=0)
 
     def _known(self, face: Index) -> tuple[Floats, Floats]:
@@ -67,7 +68,7 @@ class Faces:
         rows = planes(corners)
         one, two = rows[:, 1, :3], rows[:, 2, :3]
         both = one + two
-        steepest = np.maximum(np.maximum(_dot(one, one), _dot(two, two)), _dot(both, both))
+        steepest = np.maximum(np.maximum(dot(one, one), dot(two, two)), dot(both, both))
         return rows, _RIM * self.hair * np.sqrt(steepest)
 
     def crossing(self, face: Index, origin: Floats, way: Floats) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.bool_]]:
@@ -134,7 +135,7 @@ class Faces:
             return place, square, face
         place = nearest_on_triangle(points, self.corners.take(face, axis=0))
         gap = place - points
-        square = _dot(gap, gap)
+        square = dot(gap, gap)
         rows, rim = self._known(face)
         weights = ((rows[:, :, 0] * place[:, 0:1] + rows[:, :, 1] * place[:, 1:2]) + rows[:, :, 2] * place[:, 2:]) + rows[:, :, 3]
         weights[:, 0] = (1.0 - weights[:, 1]) - weights[:, 2]
@@ -143,7 +144,7 @@ class Faces:
             which, other = self.meeting(face[beside], weights[beside])
             there = nearest_on_triangle(points[beside[which]], self.corners.take(other, axis=0))
             gap = there - points[beside[which]]
-            apart = _dot(gap, gap)
+            apart = dot(gap, gap)
             order = np.lexsort((other, apart, which))
             first = order[np.concatenate(([True], which[1:] != which[:-1]))]  # `which` is ascending already
             face = face.copy()
@@ -191,12 +192,12 @@ def planes(corners: Floats) -> Floats:
     Intersections by Coordinate Transformation, JCGT 5(3), 2016)."""
     a, one, two = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(one, two)
-    size = _dot(normal, normal)[:, None]
+    size = dot(normal, normal)[:, None]
     over = np.where(size > 0, size, np.inf)
     rows = np.empty((len(corners), 3, 4))
     for k, row in enumerate((normal, np.cross(two, normal) / over, np.cross(normal, one) / over)):
         rows[:, k, :3] = row
-        rows[:, k, 3] = -_dot(row, a)
+        rows[:, k, 3] = -dot(row, a)
     return rows
 
 
@@ -204,7 +205,7 @@ def nearest_on_triangle(points: Floats, corners: Floats) -> Floats:
     """Nearest point of each triangle [n,3,3] to each point [n,3] (Ericson, Real-Time Collision Detection, 2005, p. 136-142)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     u, v, w = b - a, c - a, points - a
-    uu, uv, vv, wu, wv = _dot(u, u), _dot(u, v), _dot(v, v), _dot(w, u), _dot(w, v)
+    uu, uv, vv, wu, wv = dot(u, u), dot(u, v), dot(v, v), dot(w, u), dot(w, v)
     size = uu * vv - uv * uv
     flat = size <= 0
     size = np.where(flat, 1.0, size)
@@ -223,21 +224,11 @@ def _nearest_on_sides(points: Floats, corners: Floats) -> Floats:
     for k in range(3):
         p = corners[:, k]
         side = corners[:, (k + 1) % 3] - p
-        length = _dot(side, side)
-        s = np.minimum(np.maximum(_dot(points - p, side) / np.where(length > 0, length, 1.0), 0.0), 1.0)
+        length = dot(side, side)
+        s = np.minimum(np.maximum(dot(points - p, side) / np.where(length > 0, length, 1.0), 0.0), 1.0)
         place = p + s[:, None] * side
         away = place - points
-        here = _dot(away, away)
+        here = dot(away, away)
         closer = here < gap
         best[closer], gap[closer] = place[closer], here[closer]
     return best
-
-
-def _dot(a: Floats, b: Floats) -> Floats:
-    product = a * b
-    return (product[..., 0] + product[..., 1]) + product[..., 2]
-
-
-def _unit(v: Floats) -> Floats:
-    length = np.sqrt(_dot(v, v))
-    return v / np.where(length > 0, length, 1.0)[..., None]

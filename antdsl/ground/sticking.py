@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.surface import Footing, Ground, MoveResult
-from antdsl.ground.mesh.walk import cross, dot
+from antdsl.numerics.vectors import dot, stacked_cross
 
 Floats = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ def move_by_rays(
 def _laid(vector: Floats, up: Floats, normal: Floats) -> Floats:
     """normal x side, where side = vector x up: a unit vector at right angles to the normal. Where that is nothing, for a wall at
     the agent's side or before it, what the wall leaves of the vector, or of up."""
-    flat = cross(normal, cross(vector, up))
+    flat = stacked_cross(normal, stacked_cross(vector, up))
     for other in (vector, up):
         flat = np.where(dot(flat, flat) > _LEVEL, flat, other - dot(other, normal) * normal)
     flat = flat - dot(flat, normal) * normal

@@ -1,4 +1,4 @@
-"""Vectors float64 (n, 3), one row each."""
+"""Vectors float64 (n, 3), one row each; three numbers are added in one fixed order."""
 
 from __future__ import annotations
 
@@ -33,6 +33,26 @@ def within(place: Floats, low: Floats, high: Floats) -> Rows:
 def length(v: Floats) -> Floats:
     length: Floats = np.sqrt((v * v).sum(axis=1))
     return length
+
+
+def dot(a: Floats, b: Floats) -> Floats:
+    """Products (…) of vectors (…, 3)."""
+    product = a * b
+    total: Floats = (product[..., 0] + product[..., 1]) + product[..., 2]
+    return total
+
+
+def unit(v: Floats) -> Floats:
+    """Vectors (…, 3) made one long; zero stays zero."""
+    size = np.sqrt(dot(v, v))
+    made: Floats = v / np.where(size > 0, size, 1.0)[..., None]
+    return made
+
+
+def unit_or(v: Floats, otherwise: Floats) -> Floats:
+    """Vectors (…, 3) made one long; the direction of another vector, which broadcasts against them, where one has none."""
+    size = np.sqrt(dot(v, v))[..., None]
+    return np.where(size > 1e-9, v / np.maximum(size, 1e-9), unit(np.broadcast_to(np.asarray(otherwise, np.float64), v.shape)))
 
 
 def level(v: Floats, normal: Floats) -> Floats:

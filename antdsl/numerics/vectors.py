@@ -1,4 +1,5 @@
-"""Vectors as three arrays. Sums of three products are added in one fixed order, so that every machine gives the same bits."""
+"""Vectors by component: three arrays, or one array (3, n). Sums of three products are added in one fixed order, so that every
+machine gives the same bits."""
 
 from __future__ import annotations
 
@@ -9,15 +10,21 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 Vector = tuple[Array, Array, Array]
+Columns = Vector | list[Array] | Array
 
 
-def dot(a: Vector, b: Vector) -> Array:
+def dot(a: Columns, b: Columns) -> Array:
     total: Array = (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
     return total
 
 
-def cross(a: Vector, b: Vector) -> Vector:
+def cross(a: Columns, b: Columns) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def stacked_cross(a: Columns, b: Columns) -> Array:
+    """`cross` as one array (3, n)."""
+    return np.stack(cross(a, b))
 
 
 def add(a: Vector, b: Vector) -> Vector:
@@ -49,10 +56,10 @@ def flat(a: Vector, up: Vector) -> Vector:
     return sub(a, scale(up, dot(a, up)))
 
 
-def unit(a: Vector, otherwise: Vector) -> Vector:
-    """Length 1, or another vector where there is no direction."""
+def unit(a: Vector, otherwise: Vector, least: float = 1e-12) -> Vector:
+    """Length 1, or another vector where there is no direction: where one is shorter than `least`."""
     size = length(a)
-    good = (size > 1e-12) & np.isfinite(size)
+    good = (size > least) & np.isfinite(size)
     return choose(good, scale(a, 1 / np.where(good, size, 1)), otherwise)
 
 

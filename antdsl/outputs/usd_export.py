@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from antdsl import __version__
 from antdsl.bodies.catalogue import body
 from antdsl.bodies.placed import placed
+from antdsl.numerics.vector_rows import unit_or
 from antdsl.outputs.cache.reading import Arrays
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decoded
@@ -121,10 +122,10 @@ class _Writer:
             assert camera is not None
             eye, aim = np.asarray(camera.at), np.asarray(camera.look_at)
             upward = camera.up or ((0.0, 1.0, 0.0) if self.gallery.manifest.up == "y" else (0.0, 0.0, 1.0))
-            back, up = _unit(eye - aim), np.asarray(upward, np.float64)
+            back, up = unit_or(eye - aim, np.array([0.0, 0.0, 1.0])), np.asarray(upward, np.float64)
             if np.linalg.norm(np.cross(up, back)) < 1e-6:
                 up = np.roll(up, 1)
-            side = _unit(np.cross(up, back))
+            side = unit_or(np.cross(up, back), np.array([0.0, 0.0, 1.0]))
             rows = np.zeros((4, 4))
             rows[0, :3], rows[1, :3], rows[2, :3], rows[3] = side, np.cross(back, side), back, (*eye, 1)
             move.set(frame, rows)
@@ -273,11 +274,6 @@ def _vectors(values: NDArray[Any]) -> Any:
 
 def _box(points: NDArray[Any]) -> NDArray[Any]:
     return np.stack([points.min(axis=0), points.max(axis=0)]) if len(points) else np.zeros((2, 3))
-
-
-def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    length = float(np.linalg.norm(vector))
-    return vector / length if length > 0 else np.array([0.0, 0.0, 1.0])
 
 
 def identifier(name: str) -> str:

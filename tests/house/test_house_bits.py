@@ -32,6 +32,7 @@ ALLOWED = {
     "senses/overlaps.py": {"scipy": "a measure beside the state"},
     "runtime/binding/spacing.py": {"scipy": "a tree that says which places to measure"},
     "ground/mesh/creases.py": {"scipy": "trees of places and filters of whole numbers, compiled for all x86-64 processors alike"},
+    "runtime/binding/crowding.py": {"log10": "digits of a radius that is proposed in a message"},
     "runtime/motion_measures.py": {"arcsin": "a measure beside the state, counted in bins"},
     "runtime/pairs.py": {
         "log2": "the width of cells: which pairs are found does not depend on it",

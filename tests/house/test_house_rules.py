@@ -18,7 +18,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
 ROOMS = (
     "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "bootstrap", "syntax", "program",
-    "highlighting", "graphs", "scene", "loading", "plan", "passes", "numerics", "casting", "ground",
+    "highlighting", "graphs", "numerics", "scene", "loading", "plan", "passes", "casting", "ground",
     "senses", "fields", "runtime", "reload", "bodies", "files", "pipeline", "checking", "outputs",
     "specs", "explain", "sweep", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.topology import Topology
-from antdsl.ground.mesh.walk import cross, dot
+from antdsl.numerics.vectors import dot, stacked_cross
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -98,11 +98,11 @@ def first_met(
         ray, there = ray[kept], there[kept]
         e1, e2 = table.edge1.take(there, axis=1), table.edge2.take(there, axis=1)
         way, s = d.take(ray, axis=1), o.take(ray, axis=1) - table.corner.take(there, axis=1)
-        p = cross(way, e2)
+        p = stacked_cross(way, e2)
         det = dot(e1, p)
         level = np.abs(det) <= LEVEL * np.sqrt(square.take(ray) * dot(e1, e1) * dot(e2, e2))
         safe = np.where(level, 1.0, det)
-        q = cross(s, e1)
+        q = stacked_cross(s, e1)
         u, v, t = dot(s, p) / safe, dot(way, q) / safe, dot(e2, q) / safe
         hit = ~level & (u >= -EDGE) & (v >= -EDGE) & (u + v <= 1.0 + EDGE) & (t >= 0) & (t <= long.take(ray))
         ray, there, u, v, t = (a[hit] for a in (ray, there, u, v, t))

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.topology import NO_LINK, Topology
-from antdsl.ground.mesh.walk import Walkers, dot, in_frame, inside
+from antdsl.ground.mesh.walk import Walkers, in_frame, inside
+from antdsl.numerics.vectors import dot
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -15,8 +15,9 @@ from antdsl.ground.mesh.clearances import Clearances, Parts
 from antdsl.ground.mesh.crossings import weights
 from antdsl.ground.mesh.surroundings import LIFT, Around, Scale
 from antdsl.ground.mesh.topology import Topology, build, facing
-from antdsl.ground.mesh.walk import Walkers, dot, inside, laid_down, turned, walk
+from antdsl.ground.mesh.walk import Walkers, inside, laid_down, turned, walk
 from antdsl.numerics import compiled
+from antdsl.numerics.vectors import dot
 
 if TYPE_CHECKING:
     from antdsl.ground.mesh.walk_events import Walk

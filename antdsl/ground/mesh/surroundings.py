@@ -11,7 +11,8 @@ from antdsl.ground.mesh.boxes import Boxes, first_met
 from antdsl.ground.mesh.clearances import Parts
 from antdsl.ground.mesh.crossings import Met, crossed
 from antdsl.ground.mesh.topology import Topology
-from antdsl.ground.mesh.walk import Landing, Walkers, dot, in_space, inside, nearest
+from antdsl.ground.mesh.walk import Landing, Walkers, in_space, inside, nearest
+from antdsl.numerics.vectors import dot
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.topology import NO_LINK, Topology
+from antdsl.numerics.vectors import dot, stacked_cross
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -109,14 +110,6 @@ def laid_down(axes: tuple[Floats, Floats], v: Floats, c0: Floats | float, s0: Fl
     # Up to 60 degrees off the surface the length is kept; beyond, it falls steadily to nothing.
     length = np.minimum(np.sqrt(dot(v, v)), 2 * flat)
     return np.where(usable, c / size, c0), np.where(usable, s / size, s0), np.where(usable, length, 0.0)
-
-
-def dot(a: Floats, b: Floats) -> Floats:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def cross(a: Floats, b: Floats) -> Floats:
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def walk(table: Topology, walkers: Walkers, near: NDArray[np.bool_], around: Surroundings) -> None:
@@ -251,10 +244,10 @@ def turned(v: Floats, before: Floats, after: Floats, direction: Floats) -> Float
     """Vectors turned by the least turn that takes one unit normal into another; half a turn goes over `direction`."""
     cosine = dot(before, after)
     opposite = cosine < -1 + 1e-9
-    axis = cross(before, after)
+    axis = stacked_cross(before, after)
     part = dot(axis, v) / np.where(opposite, 1.0, 1 + cosine)
-    around = cosine * v + cross(axis, v) + part * axis
-    hinge = cross(before, direction)
+    around = cosine * v + stacked_cross(axis, v) + part * axis
+    hinge = stacked_cross(before, direction)
     return np.where(opposite, 2 * dot(hinge, v) * hinge - v, around)
 
 

@@ -12,6 +12,7 @@ from antdsl.ground.solid.projecting import CLOSE, FLAT, SETTLING, settle
 from antdsl.ground.solid.trilinear import LEAN, distance, field, smooth
 from antdsl.ground.solid.volume import Volume
 from antdsl.numerics import compiled
+from antdsl.numerics.vectors import Vector, cross, dot, unit
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -96,8 +97,8 @@ def stance(bricks: Bricks, body: Floats) -> Floats:
 def upright(bricks: Bricks, place: Columns, lean: Floats, otherwise: Columns) -> Columns:
     """Unit normals to stand by, evened over `lean` voxels; where walls on both sides leave none, `otherwise`."""
     slope = smooth(bricks, *place, lean)
-    clear = _dot(slope, slope) > THIN * THIN
-    return [np.where(clear, s, o) for s, o in zip(_unit(slope, otherwise), otherwise, strict=True)]
+    clear = dot(slope, slope) > THIN * THIN
+    return [np.where(clear, s, o) for s, o in zip(_normal_of(slope, otherwise), otherwise, strict=True)]
 
 
 def _moved(bricks: Bricks, columns: list[Floats], close: Floats, lean: Floats) -> Moved:
@@ -106,10 +107,10 @@ def _moved(bricks: Bricks, columns: list[Floats], close: Floats, lean: Floats) -
     count = close.size
     sound = np.isfinite(wish[0] + wish[1] + wish[2])
     wish = [np.where(sound, w, 0.0) for w in wish]
-    normal = _unit(smooth(bricks, *place), above)
+    normal = _normal_of(smooth(bricks, *place), above)
     wish = _turned(wish, above, normal, head)
     way, flat = _laid(wish, normal)
-    left = np.minimum(np.sqrt(_dot(wish, wish)), 2 * flat)
+    left = np.minimum(np.sqrt(dot(wish, wish)), 2 * flat)
     no = np.zeros(count, bool)
     w = _Walk(place, normal, way, left, np.zeros(count), np.full(count, STRIDE), close, no, no.copy(), no.copy())
     _settle(bricks, w, np.flatnonzero(~(left > 0)))
@@ -145,14 +146,12 @@ def _step(bricks: Bricks, w: _Walk, rows: Index) -> Index:
     length = np.minimum(w.left[rows], reach)
     at = [p + v * length for p, v in zip(start, way, strict=True)]
     at, slope, off = _onto(bricks, at, start, before, length, w.close[rows])
-    normal = _unit(slope, before)
+    normal = _normal_of(slope, before)
     middle = distance(bricks, *((p + q) * 0.5 for p, q in zip(start, at, strict=True)))
     edge = length <= EDGE * bricks.voxel
     went = [q - p for p, q in zip(start, at, strict=True)]
-    whole = _dot(went, went) <= (FARTHER * length) ** 2
-    good = (
-        whole & (np.abs(off) <= w.close[rows]) & (np.abs(middle) <= OFF * bricks.voxel) & (edge | (_dot(normal, before) > BACK))
-    )
+    whole = dot(went, went) <= (FARTHER * length) ** 2
+    good = whole & (np.abs(off) <= w.close[rows]) & (np.abs(middle) <= OFF * bricks.voxel) & (edge | (dot(normal, before) > BACK))
     walked = np.flatnonzero(good)
     on = rows[walked]
     _turn(w, on, [c[walked] for c in before], [c[walked] for c in normal])
@@ -186,9 +185,16 @@ def _over(bricks: Bricks, w: _Walk, rows: Index) -> None:
     """Turn `rows`, who stand at the very bottom of a groove or the tip of a ridge, to its other wall, once in a move."""
     before, way = [c[rows] for c in w.normal], [c[rows] for c in w.way]
     ahead = [p[rows] + v * (2 * LEAST * bricks.voxel) for p, v in zip(w.place, way, strict=True)]
-    _turn(w, rows, before, _unit(list(field(bricks, *ahead)[1:]), before))
+    _turn(w, rows, before, _normal_of(field(bricks, *ahead)[1:], before))
     w.stride[rows] = EDGE
     w.blocked[rows] = True
+
+
+def _normal_of(slope: Columns | Vector, otherwise: Columns) -> Columns:
+    """The direction of a gradient; another one where the field is flat."""
+    x, y, z = slope
+    a, b, c = otherwise
+    return list(unit((x, y, z), (a, b, c), 1e-6))
 
 
 def _turn(w: _Walk, rows: Index, before: Columns, normal: Columns) -> None:
@@ -232,7 +238,7 @@ def _onto(
         if not rows.size:
             return at, slope, d
         g = [s[rows] for s in slope]
-        square = np.maximum(_dot(g, g), 1e-4)
+        square = np.maximum(dot(g, g), 1e-4)
         step = -d[rows] / square
         size = np.abs(step) * np.sqrt(square)
         step = np.where(size > limit, step * (limit / np.maximum(size, limit)), step)
@@ -282,49 +288,33 @@ def _rows(v: Columns) -> Floats:
     return np.stack(v).T
 
 
-def _dot(a: Columns, b: Columns) -> Floats:
-    total: Floats = (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
-    return total
-
-
-def _unit(v: Columns, otherwise: Columns) -> Columns:
-    size = np.sqrt(_dot(v, v))
-    clear = size > 1e-6
-    over = 1.0 / np.where(clear, size, 1.0)
-    return [np.where(clear, c * over, o) for c, o in zip(v, otherwise, strict=True)]
-
-
 def _laid(v: Columns, normal: Columns) -> tuple[Columns, Floats]:
     """Unit vectors across the normal, as near to v as can be, and how long v is across it."""
-    along = _dot(v, normal)
+    along = dot(v, normal)
     flat = [c - along * n for c, n in zip(v, normal, strict=True)]
-    size = np.sqrt(_dot(flat, flat))
+    size = np.sqrt(dot(flat, flat))
     clear = size > 1e-9
     if not clear.all():
         steep = np.abs(normal[0]) > 0.9
         axis = [np.where(steep, 0.0, 1.0), np.where(steep, 1.0, 0.0), np.zeros_like(size)]
-        off = _dot(axis, normal)
+        off = dot(axis, normal)
         side = [a - off * n for a, n in zip(axis, normal, strict=True)]
         flat = [np.where(clear, f, s) for f, s in zip(flat, side, strict=True)]
-        size = np.where(clear, size, np.sqrt(_dot(side, side)))
+        size = np.where(clear, size, np.sqrt(dot(side, side)))
         return [f / size for f in flat], np.where(clear, size, 0.0)
     return [f / size for f in flat], size
 
 
 def _turned(v: Columns, before: Columns, after: Columns, way: Columns) -> Columns:
     """Vectors turned by the least turn that takes one unit normal into the other; half a turn goes over `way`."""
-    cosine = _dot(before, after)
-    axis = _cross(before, after)
+    cosine = dot(before, after)
+    axis = cross(before, after)
     opposite = cosine < -1 + 1e-9
-    part = _dot(axis, v) / np.where(opposite, 1.0, 1.0 + cosine)
-    swept = _cross(axis, v)
+    part = dot(axis, v) / np.where(opposite, 1.0, 1.0 + cosine)
+    swept = cross(axis, v)
     result = [cosine * c + s + part * a for c, s, a in zip(v, swept, axis, strict=True)]
     if opposite.any():
-        hinge = _cross(before, way)
-        twice = 2 * _dot(hinge, v)
+        hinge = cross(before, way)
+        twice = 2 * dot(hinge, v)
         result = [np.where(opposite, twice * h - c, r) for h, c, r in zip(hinge, v, result, strict=True)]
     return result
-
-
-def _cross(a: Columns, b: Columns) -> Columns:
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]

@@ -12,7 +12,7 @@ from antdsl.casting.rays import RayScene
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd, Item, Picture
-from antdsl.outputs.pictures.vectors import Floats
+from antdsl.outputs.pictures.shading_rows import Floats
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.vector_rows import unit_or
 from antdsl.outputs.pictures.model import Camera
-from antdsl.outputs.pictures.vectors import Floats
+from antdsl.outputs.pictures.shading_rows import Floats
 
 Array = NDArray[np.float64]
 
@@ -52,12 +53,12 @@ class View:
 def view(camera: Camera, width: int, height: int, up: tuple[float, float, float]) -> View:
     """`camera` for a picture of `width` × `height` pixels. One that looks at its own place looks along x."""
     eye = np.asarray(camera.at, np.float64)
-    ahead = _unit(np.asarray(camera.look_at, np.float64) - eye, np.array([1.0, 0.0, 0.0]))
-    upward = _unit(np.asarray(camera.up or up, np.float64), np.array([0.0, 1.0, 0.0]))
+    ahead = unit_or(np.asarray(camera.look_at, np.float64) - eye, np.array([1.0, 0.0, 0.0]))
+    upward = unit_or(np.asarray(camera.up or up, np.float64), np.array([0.0, 1.0, 0.0]))
     right = np.cross(ahead, upward)
     if np.linalg.norm(right) < 1e-6:  # straight down: the picture's top is where the next axis points
         right = np.cross(ahead, np.roll(upward, 1))
-    right = _unit(right, np.array([1.0, 0.0, 0.0]))
+    right = unit_or(right, np.array([1.0, 0.0, 0.0]))
     across = tan(radians(min(max(camera.fov, 1.0), 170.0)) / 2) if camera.fov is not None else 18.0 / max(camera.focal, 1.0)
     return View(eye, right, np.cross(right, ahead), ahead, (across, across * height / width), width, height)
 
@@ -66,8 +67,3 @@ def three(values: Array) -> tuple[float, float, float]:
     """A point as the plain numbers that a `Camera` holds."""
     x, y, z = (float(v) for v in values)
     return x, y, z
-
-
-def _unit(vector: Array, otherwise: Array) -> Array:
-    length = float(np.linalg.norm(vector))
-    return vector / length if length > 1e-9 else otherwise

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.vectors import Floats
+from antdsl.outputs.pictures.shading_rows import Floats
 
 SUN = np.array([2.65, 2.36, 1.95], np.float32)
 SKY = np.array([0.50, 0.62, 0.84], np.float32)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.noise import value_noise
-from antdsl.outputs.pictures.vectors import Floats, dots, units
+from antdsl.outputs.pictures.shading_rows import Floats, dots, units
 
 KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain", "figure")
 GROUND, STONE, BOULDER, HILL, TABLE, EDGE, GRAIN, FIGURE = range(len(KINDS))

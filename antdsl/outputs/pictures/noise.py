@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.vectors import Floats, wrapped
+from antdsl.outputs.pictures.shading_rows import Floats, wrapped
 
 _EDGE = 32  # the pattern repeats after this many wavelengths
 

@@ -19,9 +19,9 @@ from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.pictures.overlay import draw_overlay
 from antdsl.outputs.pictures.setting import Setting, setting
 from antdsl.outputs.pictures.shading import Frame, lit_strip
+from antdsl.outputs.pictures.shading_rows import Floats
 from antdsl.outputs.pictures.stage import Stage, each, open_share, stage
 from antdsl.outputs.pictures.trails import TrailCloth, dyed
-from antdsl.outputs.pictures.vectors import Floats
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -13,7 +13,7 @@ from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.model import Solid
 from antdsl.outputs.pictures.pebbles import litter
-from antdsl.outputs.pictures.vectors import Floats
+from antdsl.outputs.pictures.shading_rows import Floats
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from antdsl.outputs.pictures.actors import Actors
 from antdsl.outputs.pictures.light import SUN, Sun, ambient, displayed, hazed, sky
 from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.noise import dither
+from antdsl.outputs.pictures.shading_rows import Floats, blended, dots, units
 from antdsl.outputs.pictures.stage import Stage, screen_places
-from antdsl.outputs.pictures.vectors import Floats, blended, dots, units
 
 Rows = NDArray[np.int64]
 

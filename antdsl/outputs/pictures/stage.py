@@ -15,7 +15,7 @@ from antdsl.outputs.pictures.light import Sun
 from antdsl.outputs.pictures.looks import Scales, surface
 from antdsl.outputs.pictures.noise import dither
 from antdsl.outputs.pictures.setting import Setting, with_litter
-from antdsl.outputs.pictures.vectors import Floats, blended, dots, units
+from antdsl.outputs.pictures.shading_rows import Floats, blended, dots, units
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Trail
-from antdsl.outputs.pictures.vectors import Floats
+from antdsl.outputs.pictures.shading_rows import Floats
 
 Array = NDArray[np.float64]
 

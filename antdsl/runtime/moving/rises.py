@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.creases import near_rises
-from antdsl.ground.mesh.walk import cross, dot
 from antdsl.numerics import elementary
-from antdsl.numerics.vectors import Vector
+from antdsl.numerics.vectors import Vector, dot, stacked_cross
 from antdsl.runtime.moving.heads import RAISED
 from antdsl.runtime.world import Population, World
 
@@ -50,11 +49,11 @@ class Rises:
         at = np.searchsorted(rows, self.rows)
         n = normal[:, at]
         part = np.clip(1.0 - (self.far - self._nearer(gone[:, at])) / self.over, 0.0, 1.0) * self.angle
-        axis, cosine = cross(n, self.wall), dot(n, self.wall)
+        axis, cosine = stacked_cross(n, self.wall), dot(n, self.wall)
         sine = np.sqrt(dot(axis, axis))
         left = elementary.atan2(sine.astype(np.float32), cosine.astype(np.float32)).astype(np.float64)
         part = np.minimum(part, left).astype(np.float32)
-        side = cross(axis / np.maximum(sine, 1e-300), n)
+        side = stacked_cross(axis / np.maximum(sine, 1e-300), n)
         turned = n * elementary.cos(part) + side * elementary.sin(part)
         turned /= np.sqrt(dot(turned, turned))
         tilts = (part > 0) & (sine > 1e-6)
@@ -83,7 +82,7 @@ class Rises:
             return found
         at = np.searchsorted(rows, self.rows)
         u, towards = up[:, at], self._nearer(way[:, at])
-        across = cross(u, self.wall)
+        across = stacked_cross(u, self.wall)
         left = elementary.atan2(np.sqrt(dot(across, across)).astype(np.float32), dot(u, self.wall).astype(np.float32))
         tilt = self.angle - left.astype(np.float64) + most[at]
         free = np.maximum(self.over * (tilt / self.angle - 1.0) + self.far, 0.0)
@@ -134,7 +133,7 @@ def _seen(
     ahead, normal, part = ahead.take(hit, axis=1), normal.take(hit, axis=1), part.take(hit)
     wall = meshes.normal(footing.take(hit)).T
     wall = np.where(dot(wall, ahead) > 0, -wall, wall)
-    cosine, across = dot(normal, wall), cross(normal, wall)
+    cosine, across = dot(normal, wall), stacked_cross(normal, wall)
     sine = np.maximum(np.sqrt(dot(across, across)), 1e-6)
     angle = elementary.atan2(sine.astype(np.float32), cosine.astype(np.float32)).astype(np.float64)
     over = half * np.clip(angle / sine, 2.0, _WIDEST)

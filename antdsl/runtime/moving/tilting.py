@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.walk import cross, dot
 from antdsl.numerics import compiled, elementary
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors import Vector
+from antdsl.numerics.vector_rows import unit
+from antdsl.numerics.vectors import Vector, dot, stacked_cross
 from antdsl.runtime.moving.heads import RAISED
 from antdsl.runtime.moving.rises import Rises, rises
 from antdsl.runtime.world import AXES, Population, World
@@ -106,17 +106,17 @@ class Bodies:
         there = whole <= most
         angle = np.where(there, whole, most)
         c, s = (np.where(there, exact, part) for exact, part in ((cosine, elementary.cos(most)), (sine, elementary.sin(most))))
-        up = np.where(there, wanted, _unit(_rotated(before, axis, c, s)))
+        up = np.where(there, wanted, unit(_rotated(before, axis, c, s).T).T)
         one = _across(_rotated(ahead, axis, c, s), up)
         other = _laid(_laid(looking, normal, wanted), wanted, up)
         turn = now["max_turn"][rows]
         room = np.where(np.isfinite(turn), np.maximum(turn, _F(0)) * dt, _F(4)).astype(np.float64)
         room = np.where(np.isfinite(turn), np.sqrt(np.maximum(room * room - angle.astype(np.float64) ** 2, 0.0)), room)
         room = np.minimum(room, 4.0).astype(np.float32)
-        left = cross(up, one)
+        left = stacked_cross(up, one)
         yaw = elementary.atan2(dot(left, other).astype(np.float32), dot(one, other).astype(np.float32))
         part = np.sign(yaw) * np.minimum(np.abs(yaw), room)
-        facing = np.where(np.abs(yaw) <= room, other, _unit(one * elementary.cos(part) + left * elementary.sin(part)))
+        facing = np.where(np.abs(yaw) <= room, other, unit((one * elementary.cos(part) + left * elementary.sin(part)).T).T)
         # Who would turn its head into a wall tilts first.
         into = self.rises.clear(rows, up, facing, gone) < np.minimum(self.rises.clear(rows, up, one, gone), 0)
         facing = np.where(into, one, facing)
@@ -229,11 +229,6 @@ def stand_up(population: Population) -> None:
         population.start[f"heading.{axis}"][rows], population.now[f"heading.{axis}"][rows] = heading[k], kept[k]
 
 
-def _unit(v: Floats) -> Floats:
-    unit: Floats = v / np.maximum(np.sqrt(dot(v, v)), 1e-300)
-    return unit
-
-
 def _across(v: Floats, up: Floats) -> Floats:
     """Unit vectors (3, n) across `up`, as near to v as can be; some where v says nothing."""
     flat = v - up * dot(v, up)
@@ -245,16 +240,16 @@ def _across(v: Floats, up: Floats) -> Floats:
 def _axis(one: Floats, other: Floats, ahead: Floats) -> tuple[Floats, Floats, Floats]:
     """Axis of the least turn of one unit vector into another, and the cosine and sine of its angle. Near half a turn, whose axis
     is anywhere, it goes over `ahead`."""
-    axis, cosine = cross(one, other), np.clip(dot(one, other), -1.0, 1.0)
+    axis, cosine = stacked_cross(one, other), np.clip(dot(one, other), -1.0, 1.0)
     sine = np.sqrt(dot(axis, axis))
     clear = (sine > _OPPOSITE) | (cosine > 0)
-    axis = np.where(clear, axis / np.maximum(sine, 1e-300), _unit(cross(one, ahead)))
+    axis = np.where(clear, axis / np.maximum(sine, 1e-300), unit(stacked_cross(one, ahead).T).T)
     return axis, cosine, sine
 
 
 def _rotated(v: Floats, axis: Floats, c: Floats, s: Floats) -> Floats:
     """Vectors turned about unit axes by an angle of a cosine and a sine (O. Rodrigues, 1840)."""
-    turned: Floats = v * c + cross(axis, v) * s + axis * (dot(axis, v) * (1.0 - c))
+    turned: Floats = v * c + stacked_cross(axis, v) * s + axis * (dot(axis, v) * (1.0 - c))
     return turned
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from antdsl.numerics import vector_rows
 from antdsl.scene.geometry.matrices import scale
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 from antdsl.scene.geometry.usd.stage import Floats, UsdStage
@@ -41,13 +42,8 @@ def read_usd_camera(stage: UsdStage) -> UsdCamera:
     ways = np.broadcast_to(ways, (len(times), 3, 4))
     lens = np.array([[float(a.Get(pxr("Usd").TimeCode(time))) for a in attributes] for time in times])
     unit = scale(stage.to_scene)
-    at, ahead, up = ways[:, :, 3], -_unit(ways[:, :, 2]), _unit(ways[:, :, 1])
+    at, ahead, up = ways[:, :, 3], -vector_rows.unit(ways[:, :, 2]), vector_rows.unit(ways[:, :, 1])
     far = np.where(lens[:, 2] > 0, lens[:, 2] * unit, _AHEAD)[:, None]
     # both are in tenths of the stage's unit, so that their ratio is free of it
     focal = lens[:, 0] / np.where(lens[:, 1] > 0, lens[:, 1], 20.955) * SENSOR
     return UsdCamera(np.ascontiguousarray(at), at + ahead * far, up, focal)
-
-
-def _unit(vectors: Floats) -> Floats:
-    size = np.sqrt((vectors * vectors).sum(axis=1, keepdims=True))
-    return np.asarray(vectors / np.where(size > 0, size, 1.0))
