@@ -12,9 +12,9 @@ import numpy as np
 
 from antdsl.plan import ir
 from antdsl.plan.lowering.source_map import ChangeNote, LayerNote, Notes, PartNote
+from antdsl.plan.register_reads import places
 from antdsl.runtime.backends.reference import BLOCKS, Agent, Member, with_winnings
 from antdsl.runtime.effects import ClaimEntry, Effects
-from antdsl.runtime.reading import places
 from antdsl.runtime.world import DTYPES, Population, World
 
 FELT = frozenset(

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Iterator, Mapping
-from functools import cache, lru_cache
+from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.cache.manifest import FeelersEntry
 from antdsl.program.model import Attribute, Const, Expr, Local, Op, ParamRef, Program, SetOf, Species
+from antdsl.program.traverse import parts
 
 _OPS: dict[str, Callable[..., float]] = {
     "add": lambda a, b: a + b,
@@ -22,8 +22,6 @@ _OPS: dict[str, Callable[..., float]] = {
     "min": min,
     "max": max,
 }
-
-_PROGRAM = Program.__module__.rsplit(".", 1)[0] + "."  # the room whose values are looked through
 
 
 def feelers_of(program: Program, species: str, params: Mapping[str, Any], unit_mm: float, dt: float) -> tuple[FeelersEntry, ...]:
@@ -40,28 +38,7 @@ def feelers_of(program: Program, species: str, params: Mapping[str, Any], unit_m
 @lru_cache(maxsize=16)  # asked for each frame while an agent is followed
 def _felt(species: Species) -> tuple[SetOf, ...]:
     """Where feelers are asked for."""
-    return tuple(part for part in _parts(species) if isinstance(part, SetOf) and part.source == "feelers")
-
-
-def _parts(value: object) -> Iterator[object]:
-    """Everything inside a value of the program, each thing once."""
-    stack, seen = [value], set()
-    while stack:
-        part = stack.pop()
-        if isinstance(part, tuple | list):
-            stack.extend(reversed(part))
-        elif (names := _inside(type(part))) is not None and id(part) not in seen:  # type: ignore[arg-type]
-            seen.add(id(part))
-            yield part
-            stack.extend([getattr(part, name) for name in names])
-
-
-@cache
-def _inside(kind: type) -> tuple[str, ...] | None:
-    """The names of what a value of the program has inside it, the last first; None for values of other kinds."""
-    if not dataclasses.is_dataclass(kind) or not kind.__module__.startswith(_PROGRAM):
-        return None
-    return tuple(field.name for field in reversed(dataclasses.fields(kind)))
+    return tuple(part for part in parts(species) if isinstance(part, SetOf) and part.source == "feelers")
 
 
 def _value(part: Expr | None, size: float, params: Mapping[str, Any], unit_mm: float, dt: float) -> float | None:

@@ -1,10 +1,9 @@
-"""Leave out what nobody reads: stores to temps, then the registers of those temps, then nodes."""
+"""Leave out what nobody reads: stores to temps, and the registers of those temps."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from antdsl.passes.rewriting import rebuilt
 from antdsl.plan.ir import Block, Claim, If, Plan, SpeciesPlan, Statement, Store
 from antdsl.plan.traverse import PHASES, blocks, needed, operands, registers_read, statements
 
@@ -12,12 +11,8 @@ KEPT = frozenset(("push.x", "push.y", "push.z"))  # the runtime reads the result
 
 
 def drop_unused(plan: Plan) -> Plan:
-    """Same effects: attributes and memories are the state and stay; a temp that is never read goes, with all that made it."""
-    return rebuilt(drop_unread(plan))
-
-
-def drop_unread(plan: Plan) -> Plan:
-    """`drop_unused` but for the nodes, where a pass that follows makes them anew."""
+    """Same effects: attributes and memories are the state and stay; a temp that is never read goes. The nodes that made it go with
+    the next pass that makes nodes anew."""
     return replace(plan, species={name: _species(s) for name, s in plan.species.items()})
 
 

@@ -1,19 +1,15 @@
-"""Compute what is known, and write regions straight into their place where the condition is known."""
+"""Regions whose condition is known: written straight into their place, or left out."""
 
 from __future__ import annotations
 
-from antdsl.passes.rewriting import rebuilt, with_blocks
+from antdsl.passes.rewriting import with_blocks
 from antdsl.plan.ir import Block, If, Plan, SpeciesPlan, Statement
 from antdsl.plan.lowering.simplify import value
 
 
 def fold(plan: Plan) -> Plan:
-    """Same effects: what is constant is a constant, regions of nobody are gone, regions of everybody have no condition."""
-    return open_known(rebuilt(plan))
-
-
-def open_known(plan: Plan) -> Plan:
-    """`fold` of a plan whose nodes a Builder has just made: all that is known of them it has computed already."""
+    """Same effects: regions of nobody are gone, regions of everybody have no condition. What is constant in a plan is a constant
+    already: its nodes were made by a Builder."""
     return with_blocks(plan, lambda species, block: _block(species, block))
 
 

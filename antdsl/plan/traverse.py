@@ -54,6 +54,14 @@ def statements(block: Block) -> Iterator[tuple[Block, Statement]]:
             yield from statements(statement.then)
 
 
+def placed(block: Block, path: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], Statement]]:
+    """All statements in order, each with its place: the index in every block around it."""
+    for k, statement in enumerate(block.statements):
+        yield (*path, k), statement
+        if isinstance(statement, If):
+            yield from placed(statement.then, (*path, k))
+
+
 def blocks(species: SpeciesPlan) -> tuple[tuple[str, Block], ...]:
     return tuple((phase, getattr(species, phase)) for phase in PHASES)
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.plan import ir
+from antdsl.plan.traverse import needed, operands, placed
 from antdsl.runtime.effects import EmitEntry
 from antdsl.runtime.moving.moving_geometry import rest_places
-from antdsl.runtime.reading import reach, statement_nodes, walk
 from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows, shares_start, stored_registers
 
 _BLOCK = 1 << 22  # pairs of emitter and receiver that are measured at once
@@ -170,7 +170,7 @@ def come_alive(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
 
 def _smells(population: Population) -> bool:
     """Whether somebody asks for a field at birth."""
-    nodes = reach(tuple(node for _, statement in walk(population.plan.born) for node in statement_nodes(statement)))
+    nodes = needed(tuple(node for _, statement in placed(population.plan.born) for node in operands(statement)))
     return any(node.op.startswith("field.") for node in nodes)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.plan.lowering.spec_blocks import WholePlan
-from antdsl.runtime.reading import reach
+from antdsl.plan.traverse import needed
 from antdsl.runtime.sensing import uniform_leaf
 from antdsl.runtime.world import Population, World
 
@@ -73,7 +73,7 @@ def value_of(world: World, node: ir.Node, told: dict[str, Any]) -> Any:
     """The value of a node that is the same for all agents, by the elementwise table of the backends."""
     values: dict[ir.Node, Any] = {}
     with np.errstate(all="ignore"):
-        for each in reach((node,)):
+        for each in needed((node,)):
             f = ELEMENTWISE.get(each.op)
             if f is None:
                 values[each] = told[each.attrs[0]] if each.op == "told" else uniform_leaf(world, each)

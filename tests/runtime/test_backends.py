@@ -7,8 +7,8 @@ import plans
 import pytest
 
 from antdsl.plan import ir
+from antdsl.plan.traverse import needed, operands, placed
 from antdsl.runtime import Options, bind, state_hash, step
-from antdsl.runtime.reading import reach, statement_nodes, walk
 
 STEPS = 14
 
@@ -63,8 +63,8 @@ def operations(plan: ir.Plan) -> set[str]:
     found = set()
     for species in plan.species.values():
         for block in (species.born, species.decide, species.act, species.blend):
-            for _, statement in walk(block):
-                found |= {type(statement).__name__} | {node.op for node in reach(statement_nodes(statement))}
+            for _, statement in placed(block):
+                found |= {type(statement).__name__} | {node.op for node in needed(operands(statement))}
     return found
 
 

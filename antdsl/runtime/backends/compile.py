@@ -12,7 +12,8 @@ from typing import Any
 
 from antdsl.numerics.elementwise import UFUNCS
 from antdsl.plan import ir
-from antdsl.runtime.reading import early_loads, kept_senses, reach, statement_nodes, walk, written
+from antdsl.plan.register_reads import early_loads, kept_senses, written
+from antdsl.plan.traverse import needed, operands, placed
 from antdsl.runtime.world import DTYPES
 from antdsl.source import Span
 
@@ -114,7 +115,7 @@ class BlockCompiler:
 
     def compile(self, block: ir.Block) -> None:
         self.early = early_loads(block)
-        self.changing.update(name for _, each in walk(block) if (name := written(each)) is not None)
+        self.changing.update(name for _, each in placed(block) if (name := written(each)) is not None)
         self._block(self.root, block, ())
         bind_calls(self)
 
@@ -125,7 +126,7 @@ class BlockCompiler:
             self._layer = layer
             for node in self.early.get((*path, k), ()):
                 self.value(scope, node)
-            inputs = tuple(self.value(scope, node) for node in statement_nodes(statement))
+            inputs = tuple(self.value(scope, node) for node in operands(statement))
             if isinstance(statement, ir.If):
                 inner = self._scope(scope)
                 self._block(inner, statement.then, (*path, k))
@@ -224,7 +225,7 @@ class BlockCompiler:
     def _reduction(self, scope: Scope, node: ir.Node) -> tuple[tuple[int, ...], Any]:
         pairs = self._pairs(scope, node.args[0])
         bodies = node.args[1:]
-        for each in reach(bodies):
+        for each in needed(bodies):
             if each.rate == ir.Rate.PAIR and each not in pairs.known:
                 self._pair_value(scope, pairs, each)
         inputs = (pairs.slot, *(self._in_pairs(scope, pairs, body) for body in bodies))
@@ -236,7 +237,7 @@ class BlockCompiler:
                 self.everybody.add(node.attrs[0])
             inputs = tuple(self._known(scope, a) for a in node.args)
             pairs = scope.pairs[node] = PairScope(self.slot())
-            if self.name != "born" and all(part.op != "load" for part in reach((node,))):
+            if self.name != "born" and all(part.op != "load" for part in needed((node,))):
                 self.sets[node] = self.sets.get(node, 0) + 1
             self._emit(scope, self.calls.pairs(node, self, scope), pairs.slot, inputs, node.span)
         return scope.pairs[node]

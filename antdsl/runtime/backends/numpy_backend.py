@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
+from antdsl.plan.register_reads import kept_senses, places
+from antdsl.plan.traverse import needed
 from antdsl.runtime.backends import numpy_calls
 from antdsl.runtime.backends.compile import (
     BUFFERS,
@@ -27,7 +29,6 @@ from antdsl.runtime.backends.metering import Metered
 from antdsl.runtime.backends.numpy_statements import statement
 from antdsl.runtime.effects import Effects
 from antdsl.runtime.pairs import MOST_PAIRS, NearbySets
-from antdsl.runtime.reading import kept_senses, places, reach
 from antdsl.runtime.sensing import uniform_leaf
 from antdsl.runtime.world import DTYPES, Population, World
 
@@ -49,7 +50,7 @@ class NumpyBackend:
                 compiler.compile(getattr(species, block))
                 self._blocks[name, block] = compiler
             roots = tuple(node for block in BLOCKS for node in self._blocks[name, block].uniforms)
-            self._uniforms[name] = reach(roots)
+            self._uniforms[name] = needed(roots)
         self._values: dict[str, dict[ir.Node, Any]] = {}
         self._kept: dict[str, Kept] = {}
         self._pairs: dict[str, dict[tuple[ir.Node, int], Any]] = {}

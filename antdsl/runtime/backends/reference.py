@@ -16,8 +16,9 @@ from antdsl import limits
 from antdsl.numerics import exact_sums
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
+from antdsl.plan.register_reads import early_loads, places
+from antdsl.plan.traverse import needed
 from antdsl.runtime.effects import CarveEntry, ClaimEntry, DepositEntry, Effects, EmitEntry, FaultEntry, GiveEntry, SpawnEntry
-from antdsl.runtime.reading import early_loads, places, reach
 from antdsl.runtime.sensing import SENSES, uniform_leaf
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.source import Span
@@ -244,7 +245,7 @@ def _early(block: ir.Block) -> dict[tuple[int, ...], list[ir.Node]]:
 @cache
 def _pair_nodes(roots: tuple[ir.Node, ...]) -> tuple[ir.Node, ...]:
     """Nodes at the rate of pairs under some, operands first."""
-    return tuple(n for n in reach(roots) if n.rate == ir.Rate.PAIR)
+    return tuple(n for n in needed(roots) if n.rate == ir.Rate.PAIR)
 
 
 @cache

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from antdsl.diagnostics import Report
 from antdsl.ground.plane import Plane
 from antdsl.plan import ir
+from antdsl.plan.traverse import needed
 from antdsl.runtime.backends import BACKENDS
 from antdsl.runtime.backends.numpy_backend import uniform_values
 from antdsl.runtime.binding.placing import populate
@@ -19,7 +20,6 @@ from antdsl.runtime.binding.reuse import Built
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.motion_measures import Motion
 from antdsl.runtime.moving.moving_geometry import curve
-from antdsl.runtime.reading import reach
 from antdsl.runtime.world import AXES, Items, Options, World, empty_population
 from antdsl.scene.setting import FlowData, MeshData, Setting
 
@@ -206,7 +206,7 @@ def _params(world: World) -> None:
 
 def run_value(world: World, node: ir.Node) -> float:
     """A node that is the same for all of a run."""
-    return float(uniform_values(world, reach((node,)))[node])
+    return float(uniform_values(world, needed((node,)))[node])
 
 
 def set_flow(world: World, name: str, flow: FlowData) -> None:

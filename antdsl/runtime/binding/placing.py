@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from antdsl.numerics import elementary, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.plan import ir
+from antdsl.plan.traverse import placed
 from antdsl.runtime.binding.spacing import Drawn, Room, spread, takes_room
 from antdsl.runtime.binding.start_places import PLACEMENT_FRAME, TURN, StartPlaces
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.lifecycle import come_alive, deaths_and_births, settle_newborn
 from antdsl.runtime.moving.tilting import settle
-from antdsl.runtime.reading import walk
 from antdsl.runtime.world import AXES, Crowded, Population, World, add_rows, empty_population, select_rows
 from antdsl.scene.setting import CrowdData
 
@@ -166,7 +166,7 @@ def _stand(world: World, population: Population, rows: NDArray[np.intp]) -> None
 
 def _set_out(world: World, population: Population, rows: NDArray[np.intp]) -> None:
     """A drawn share of full speed along the heading (T02), unless the species says at birth how it moves."""
-    if any(isinstance(s, ir.Store) and s.register.startswith("velocity.") for _, s in walk(population.plan.born)):
+    if any(isinstance(s, ir.Store) and s.register.startswith("velocity.") for _, s in placed(population.plan.born)):
         return
     speed = population.now["max_speed"][rows] * _draw(world, population.name, 1, population.ids[rows])
     for axis in AXES:

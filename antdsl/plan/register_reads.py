@@ -1,4 +1,4 @@
-"""What a block reads: its nodes in text order, and the reads of registers that must happen early.
+"""When a block reads registers: which reads must happen before the statement that asks for them.
 
 A `load` is evaluated where it is first asked for. Where one stands both before and after a store to its register, in regions
 that do not share a value, it has to be read before the region that they have in common; `early_loads` says which and where.
@@ -6,50 +6,8 @@ that do not share a value, it has to be read before the region that they have in
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from antdsl.plan import ir
-
-
-def statement_nodes(statement: ir.Statement) -> tuple[ir.Node, ...]:
-    """The nodes that a statement evaluates itself, in order."""
-    match statement:
-        case ir.If(condition=condition):
-            return (condition,)
-        case ir.Store(value=value):
-            return (value,)
-        case ir.Deposit(amount=amount):
-            return (amount,)
-        case ir.Claim(item=item, amount=amount):
-            return (item, amount)
-        case ir.Give(item=item, amount=amount):
-            return (item,) if amount is None else (item, amount)
-        case ir.Emit(within=within):
-            return () if within is None else (within,)
-        case ir.Carve():
-            return (statement.radius, statement.x, statement.y, statement.z)
-        case _:
-            return ()
-
-
-def reach(roots: tuple[ir.Node, ...]) -> list[ir.Node]:
-    """All nodes under some, each once, operands first."""
-    found: set[ir.Node] = set()
-    pending = list(roots)
-    while pending:
-        node = pending.pop()
-        if node not in found:
-            found.add(node)
-            pending.extend(node.args)
-    return sorted(found, key=lambda node: node.number)
-
-
-def walk(block: ir.Block, path: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], ir.Statement]]:
-    """All statements in text order, each with its place: the index in every block around it."""
-    for k, statement in enumerate(block.statements):
-        yield (*path, k), statement
-        if isinstance(statement, ir.If):
-            yield from walk(statement.then, (*path, k))
+from antdsl.plan.traverse import needed, operands, placed
 
 
 def written(statement: ir.Statement) -> str | None:
@@ -63,8 +21,8 @@ def early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.Node]]:
     """Loads to evaluate just before the statement at a place, in the region that holds it."""
     places: dict[ir.Node, list[tuple[int, ...]]] = {}
     stores: dict[str, list[tuple[int, ...]]] = {}
-    for path, statement in walk(block):
-        for node in reach(statement_nodes(statement)):
+    for path, statement in placed(block):
+        for node in needed(operands(statement)):
             if node.op == "load":
                 places.setdefault(node, []).append(path)
         register = written(statement)
@@ -88,9 +46,9 @@ def _meeting(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
 def places(species: ir.SpeciesPlan) -> dict[ir.Statement, int]:
     """Every statement of a species by its place in the text."""
     blocks = (species.born, species.decide, species.act, species.blend)
-    return {statement: k for k, statement in enumerate(statement for block in blocks for _, statement in walk(block))}
+    return {statement: k for k, statement in enumerate(statement for block in blocks for _, statement in placed(block))}
 
 
 def kept_senses(species: ir.SpeciesPlan) -> tuple[ir.Node, ...]:
     """Lazy nodes whose value holds for the whole step: none of its parts is written in between."""
-    return tuple(node for node in species.lazy if all(part.op != "load" for part in reach((node,))))
+    return tuple(node for node in species.lazy if all(part.op != "load" for part in needed((node,))))
