@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.tolerances import CLOSED
 from antdsl.numerics import compiled
 from antdsl.numerics.vector_rows import dot, unit
 
@@ -15,7 +16,6 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 HAIR = 1e-6  # of the largest coordinate: several times what float32 makes of a corner, of a ray, and of where they meet
-CLOSED = 1e-9  # weight by which a crossing may lie outside of a face, so that none is lost between two of them
 WIDE = 16.0  # hairs by which faces are wider for rays: even one that passes a side at 4 degrees finds them, whatever it rounds
 _RIM = 20.0  # hairs: nearer to a side than this, the faces at its end are asked too
 AHEAD = 40.0  # hairs behind a face that is named: where another one may be the first that is hit

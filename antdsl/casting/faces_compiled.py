@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.casting.faces import CLOSED
+from antdsl.casting.tolerances import CLOSED
 from antdsl.numerics.kernel_cache import njit
 from antdsl.numerics.vectors_compiled import dot, minus
 

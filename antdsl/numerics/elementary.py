@@ -7,32 +7,30 @@ Reductions and series: W. J. Cody and W. Waite, Software Manual for the Elementa
 
 from __future__ import annotations
 
-from math import factorial
 from typing import Any
 
 import numpy as np
 
 from antdsl.numerics import compiled
+from antdsl.numerics.coefficients import (
+    ATAN,
+    COS,
+    EXP,
+    FAR,
+    HALF_PI_HIGH,
+    HALF_PI_LOW,
+    LN2_HIGH,
+    LN2_LOW,
+    LOG,
+    LOG2_E,
+    PI,
+    ROOT_HALF,
+    SIN,
+    TAN_EIGHTH,
+    TWO_OVER_PI,
+)
 
 Value = Any  # a float32 array, or one np.float32
-
-_PI = 3.141592653589793
-_TWO_OVER_PI = 0.6366197723675814
-_HALF_PI_HIGH = 1.5707963267341256  # the first 33 bits of pi/2: its product with a whole number below 2**20 is exact
-_HALF_PI_LOW = 6.077100506506192e-11
-_FAR = 1e6  # beyond it the angle is first reduced by the exact remainder to 2 pi
-_LOG2_E = 1.4426950408889634
-_LN2 = 0.6931471805599453
-_LN2_HIGH = 0.693147180369123816490
-_LN2_LOW = 1.90821492927058770002e-10
-_ROOT_HALF = 0.7071067811865476
-_TAN_EIGHTH = 0.41421356237309503
-
-_SIN = tuple((-1.0) ** k / factorial(2 * k + 1) for k in range(7))
-_COS = tuple((-1.0) ** k / factorial(2 * k) for k in range(8))
-_EXP = tuple(1.0 / factorial(k) for k in range(12))
-_LOG = tuple(2.0 / (2 * k + 1) for k in range(10))
-_ATAN = tuple((-1.0) ** k / (2 * k + 1) for k in range(15))
 
 
 def _series(x: Value, coefficients: tuple[float, ...]) -> Value:
@@ -46,10 +44,10 @@ def _series(x: Value, coefficients: tuple[float, ...]) -> Value:
 def _quarter_turns(x: Value) -> tuple[Value, Value]:
     """The angle as (remainder within an eighth of a turn, number of quarter turns 0 .. 3)."""
     whole = _widen(x)
-    usual = np.abs(whole) < _FAR
-    wide: Value = whole if np.all(usual) else np.where(usual, whole, np.fmod(whole, 2.0 * _PI))
-    turns = np.rint(wide * _TWO_OVER_PI)
-    rest = (wide - turns * _HALF_PI_HIGH) - turns * _HALF_PI_LOW
+    usual = np.abs(whole) < FAR
+    wide: Value = whole if np.all(usual) else np.where(usual, whole, np.fmod(whole, 2.0 * PI))
+    turns = np.rint(wide * TWO_OVER_PI)
+    rest = (wide - turns * HALF_PI_HIGH) - turns * HALF_PI_LOW
     return rest, turns - np.floor(turns * 0.25) * 4.0
 
 
@@ -57,7 +55,7 @@ def _waves(x: Value) -> tuple[Value, Value, Value]:
     """Sine and cosine of what is left of the angle, and its quarter turns."""
     rest, quarter = _quarter_turns(x)
     square = rest * rest
-    return rest * _series(square, _SIN), _series(square, _COS), quarter
+    return rest * _series(square, SIN), _series(square, COS), quarter
 
 
 def sin(x: Value) -> Value:
@@ -88,21 +86,21 @@ def wide_cos(x: Value) -> Value:
 
 def _exp_wide(wide: Value) -> Value:
     wide = np.minimum(np.maximum(wide, -200.0), 200.0)  # both hand NaN on; beyond them float32 is 0 or infinite anyway
-    power = np.rint(wide * _LOG2_E)
-    rest = (wide - power * _LN2_HIGH) - power * _LN2_LOW
+    power = np.rint(wide * LOG2_E)
+    rest = (wide - power * LN2_HIGH) - power * LN2_LOW
     whole = np.where(power == power, power, 0.0).astype(np.int32)
-    return np.ldexp(_series(rest, _EXP), whole)
+    return np.ldexp(_series(rest, EXP), whole)
 
 
 def _log_wide(wide: Value) -> Value:
     """Natural logarithm of float64 above 0; -inf at 0, NaN below."""
     usual = (wide > 0.0) & (wide < np.inf)
     mantissa, power = np.frexp(np.where(usual, wide, 1.0))
-    low = mantissa < _ROOT_HALF
+    low = mantissa < ROOT_HALF
     mantissa = np.where(low, mantissa + mantissa, mantissa)
     power = power - low * 1.0
     s = (mantissa - 1.0) / (mantissa + 1.0)
-    value = (s * _series(s * s, _LOG) + power * _LN2_LOW) + power * _LN2_HIGH
+    value = (s * _series(s * s, LOG) + power * LN2_LOW) + power * LN2_HIGH
     odd = np.where(wide == 0.0, -np.inf, np.where(wide == np.inf, np.inf, np.nan))
     return np.where(usual, value, odd)
 
@@ -141,11 +139,11 @@ def wide_atan2(y: Value, x: Value) -> Value:
     high, low = np.maximum(np.abs(wide_y), np.abs(wide_x)), np.minimum(np.abs(wide_y), np.abs(wide_x))
     ratio = low / np.where(high == 0.0, 1.0, high)
     ratio = np.where((low == np.inf) & (high == np.inf), 1.0, ratio)
-    steep = ratio > _TAN_EIGHTH
+    steep = ratio > TAN_EIGHTH
     t = np.where(steep, (ratio - 1.0) / (ratio + 1.0), ratio)
-    angle = t * _series(t * t, _ATAN) + np.where(steep, _PI / 4, 0.0)
-    angle = np.where(np.abs(wide_y) > np.abs(wide_x), _PI / 2 - angle, angle)
-    angle = np.where(wide_x < 0.0, _PI - angle, angle)
+    angle = t * _series(t * t, ATAN) + np.where(steep, PI / 4, 0.0)
+    angle = np.where(np.abs(wide_y) > np.abs(wide_x), PI / 2 - angle, angle)
+    angle = np.where(wide_x < 0.0, PI - angle, angle)
     return np.where(wide_y < 0.0, -angle, angle)
 
 

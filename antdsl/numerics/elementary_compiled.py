@@ -1,4 +1,4 @@
-"""`kernels` for one number at a time, in compiled loops: the same float64 operations in the same order, and so the same bits."""
+"""`elementary` for one number at a time, in compiled loops: the same float64 operations in the same order, so the same bits."""
 
 from __future__ import annotations
 
@@ -6,14 +6,25 @@ import math
 
 import numpy as np
 
-from antdsl.numerics import elementary
+from antdsl.numerics.coefficients import (
+    ATAN,
+    COS,
+    EXP,
+    FAR,
+    HALF_PI_HIGH,
+    HALF_PI_LOW,
+    LN2_HIGH,
+    LN2_LOW,
+    LOG,
+    LOG2_E,
+    PI,
+    ROOT_HALF,
+    SIN,
+    TAN_EIGHTH,
+    TWO_OVER_PI,
+)
 from antdsl.numerics.kernel_cache import njit
 
-_SIN, _COS, _ATAN, _EXP, _LOG = elementary._SIN, elementary._COS, elementary._ATAN, elementary._EXP, elementary._LOG
-_FAR, _ROOT_HALF, _LOG2_E = elementary._FAR, elementary._ROOT_HALF, elementary._LOG2_E
-_LN2_HIGH, _LN2_LOW = elementary._LN2_HIGH, elementary._LN2_LOW
-_TWO_OVER_PI, _HIGH, _LOW = elementary._TWO_OVER_PI, elementary._HALF_PI_HIGH, elementary._HALF_PI_LOW
-_PI, _TAN_EIGHTH = elementary._PI, elementary._TAN_EIGHTH
 _F = np.float32
 
 
@@ -30,11 +41,11 @@ def _series(x, coefficients):  # type: ignore[no-untyped-def]
 def cos_sin(x):  # type: ignore[no-untyped-def]
     """Cosine and sine, float32, of an angle below 1e6."""
     wide = np.float64(x)
-    turns = np.rint(wide * _TWO_OVER_PI)
-    rest = (wide - turns * _HIGH) - turns * _LOW
+    turns = np.rint(wide * TWO_OVER_PI)
+    rest = (wide - turns * HALF_PI_HIGH) - turns * HALF_PI_LOW
     quarter = turns - np.floor(turns * 0.25) * 4.0
     square = rest * rest
-    sine, cosine = rest * _series(square, _SIN), _series(square, _COS)
+    sine, cosine = rest * _series(square, SIN), _series(square, COS)
     odd = quarter == 1.0 or quarter == 3.0
     c, s = (sine, cosine) if odd else (cosine, sine)
     return _F(-c if quarter == 1.0 or quarter == 2.0 else c), _F(-s if quarter >= 2.0 else s)
@@ -46,13 +57,13 @@ def atan2(y, x):  # type: ignore[no-untyped-def]
     wide_y, wide_x = np.float64(y), np.float64(x)
     high, low = max(abs(wide_y), abs(wide_x)), min(abs(wide_y), abs(wide_x))
     ratio = low / (1.0 if high == 0.0 else high)
-    steep = ratio > _TAN_EIGHTH
+    steep = ratio > TAN_EIGHTH
     t = (ratio - 1.0) / (ratio + 1.0) if steep else ratio
-    angle = t * _series(t * t, _ATAN) + (_PI / 4 if steep else 0.0)
+    angle = t * _series(t * t, ATAN) + (PI / 4 if steep else 0.0)
     if abs(wide_y) > abs(wide_x):
-        angle = _PI / 2 - angle
+        angle = PI / 2 - angle
     if wide_x < 0.0:
-        angle = _PI - angle
+        angle = PI - angle
     return _F(-angle if wide_y < 0.0 else angle)
 
 
@@ -60,7 +71,7 @@ def atan2(y, x):  # type: ignore[no-untyped-def]
 def sines(x, found):  # type: ignore[no-untyped-def]
     """Writes `kernels.sin` of all; False where an angle is not below 1e6."""
     for k in range(x.size):
-        if not abs(x[k]) < _FAR:
+        if not abs(x[k]) < FAR:
             return False
         found[k] = cos_sin(x[k])[1]
     return True
@@ -70,7 +81,7 @@ def sines(x, found):  # type: ignore[no-untyped-def]
 def cosines(x, found):  # type: ignore[no-untyped-def]
     """Writes `kernels.cos` of all; False where an angle is not below 1e6."""
     for k in range(x.size):
-        if not abs(x[k]) < _FAR:
+        if not abs(x[k]) < FAR:
             return False
         found[k] = cos_sin(x[k])[0]
     return True
@@ -94,9 +105,9 @@ def exponentials(x, found):  # type: ignore[no-untyped-def]
         if wide != wide:
             return False
         wide = min(max(wide, -200.0), 200.0)
-        power = np.rint(wide * _LOG2_E)
-        rest = (wide - power * _LN2_HIGH) - power * _LN2_LOW
-        found[k] = _F(math.ldexp(_series(rest, _EXP), np.int32(power)))
+        power = np.rint(wide * LOG2_E)
+        rest = (wide - power * LN2_HIGH) - power * LN2_LOW
+        found[k] = _F(math.ldexp(_series(rest, EXP), np.int32(power)))
     return True
 
 
@@ -109,8 +120,8 @@ def logarithms(x, found):  # type: ignore[no-untyped-def]
             return False
         mantissa, whole = math.frexp(wide)
         power = np.float64(whole)
-        if mantissa < _ROOT_HALF:
+        if mantissa < ROOT_HALF:
             mantissa, power = mantissa + mantissa, power - 1.0
         s = (mantissa - 1.0) / (mantissa + 1.0)
-        found[k] = _F((s * _series(s * s, _LOG) + power * _LN2_LOW) + power * _LN2_HIGH)
+        found[k] = _F((s * _series(s * s, LOG) + power * LN2_LOW) + power * LN2_HIGH)
     return True

@@ -13,14 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import compiled
-
-_M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
-_W0, _W1 = 0x9E3779B9, 0xBB67AE85
-_LOW = np.uint64(0xFFFFFFFF)
-_32 = np.uint64(32)
-_ROUNDS = 10
-_UNIT = np.float32(2.0**-24)
-_SPREAD = np.uint64(0x9E3779B1)  # moves the high half of an id to other counters; odd, so no two ids of one half meet
+from antdsl.numerics.philox import HALF, LOW, M0, M1, ROUNDS, SPREAD, UNIT, W0, W1
 
 Words = tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]
 
@@ -29,17 +22,17 @@ def philox(counter: Words, key: tuple[int, int]) -> Words:
     """Four random 32-bit words (in uint64 arrays) of four 32-bit counter words and a key of two."""
     c0, c1, c2, c3 = counter
     k0, k1 = key
-    for _ in range(_ROUNDS):
-        p0, p1 = c0 * _M0, c2 * _M1
-        c0, c2 = p1 >> _32, p0 >> _32
+    for _ in range(ROUNDS):
+        p0, p1 = c0 * M0, c2 * M1
+        c0, c2 = p1 >> HALF, p0 >> HALF
         c0 ^= c1
         c0 ^= np.uint64(k0)
         c2 ^= c3
         c2 ^= np.uint64(k1)
-        p1 &= _LOW
-        p0 &= _LOW
+        p1 &= LOW
+        p0 &= LOW
         c1, c3 = p1, p0
-        k0, k1 = (k0 + _W0) & 0xFFFFFFFF, (k1 + _W1) & 0xFFFFFFFF
+        k0, k1 = (k0 + W0) & 0xFFFFFFFF, (k1 + W1) & 0xFFFFFFFF
     return c0, c1, c2, c3
 
 
@@ -54,9 +47,9 @@ def words(seed: int, frame: int, species: str, site: str, block: int, ids: NDArr
     """Four random words for each id. `frame` may be negative (preroll)."""
     (c0, low, c3), key = _counters(seed, frame, species, site, block)
     wide = ids.astype(np.uint64)
-    c2 = (((wide >> _32) * _SPREAD) & _LOW) ^ np.uint64(low)
+    c2 = (((wide >> HALF) * SPREAD) & LOW) ^ np.uint64(low)
     whole = (np.full(wide.shape, c, np.uint64) for c in (c0, c3))
-    return philox((next(whole), wide & _LOW, c2, next(whole)), key)
+    return philox((next(whole), wide & LOW, c2, next(whole)), key)
 
 
 def _counters(seed: int, frame: int, species: str, site: str, block: int) -> tuple[tuple[int, int, int], tuple[int, int]]:
@@ -67,7 +60,7 @@ def _counters(seed: int, frame: int, species: str, site: str, block: int) -> tup
 
 def unit_floats(word: NDArray[np.uint64]) -> NDArray[np.float32]:
     """float32 in [0, 1): the top 24 bits of a 32-bit word."""
-    return (word >> np.uint64(8)).astype(np.float32) * _UNIT
+    return (word >> np.uint64(8)).astype(np.float32) * UNIT
 
 
 def uniform(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:

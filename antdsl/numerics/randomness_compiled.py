@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.numerics import randomness
 from antdsl.numerics.kernel_cache import njit
+from antdsl.numerics.philox import HALF, LOW, M0, M1, ROUNDS, SPREAD, UNIT, W0, W1
 
-_M0, _M1, _LOW, _32, _SPREAD = randomness._M0, randomness._M1, randomness._LOW, randomness._32, randomness._SPREAD
-_W0, _W1 = np.uint64(randomness._W0), np.uint64(randomness._W1)
-_ROUNDS, _UNIT = randomness._ROUNDS, randomness._UNIT
+_W0, _W1 = np.uint64(W0), np.uint64(W1)  # as whole numbers of Python they would make floats here
 _8 = np.uint64(8)
 
 
@@ -18,11 +16,11 @@ def uniforms(ids, c0, low, c3, k0, k1, which, found):  # type: ignore[no-untyped
     """Writes a draw of each id, `which` of the four of its counter."""
     for n in range(ids.size):
         wide = np.uint64(ids[n])
-        a, b, c, d = c0, wide & _LOW, (((wide >> _32) * _SPREAD) & _LOW) ^ low, c3
+        a, b, c, d = c0, wide & LOW, (((wide >> HALF) * SPREAD) & LOW) ^ low, c3
         first, second = k0, k1
-        for _ in range(_ROUNDS):
-            p0, p1 = a * _M0, c * _M1
-            a, b, c, d = (p1 >> _32) ^ b ^ first, p1 & _LOW, (p0 >> _32) ^ d ^ second, p0 & _LOW
-            first, second = (first + _W0) & _LOW, (second + _W1) & _LOW
+        for _ in range(ROUNDS):
+            p0, p1 = a * M0, c * M1
+            a, b, c, d = (p1 >> HALF) ^ b ^ first, p1 & LOW, (p0 >> HALF) ^ d ^ second, p0 & LOW
+            first, second = (first + _W0) & LOW, (second + _W1) & LOW
         word = a if which == 0 else b if which == 1 else c if which == 2 else d
-        found[n] = np.float32(word >> _8) * _UNIT
+        found[n] = np.float32(word >> _8) * UNIT

@@ -24,8 +24,8 @@ PASSES: tuple[Callable[[Plan], Plan], ...] = (
 
 
 def optimise(plan: Plan, *, thorough: bool = True) -> Plan:
-    """Run all passes on a plan that was just lowered. It is verified before the first and after each, or, where somebody waits for
-    it and would not ask which pass it was, after the last."""
+    """Run all passes on a plan that was just lowered. It is verified before the first and after each, or, where somebody waits
+    for it and would not ask which pass it was, after the last."""
     if thorough:
         verify(plan)
     for run in PASSES:

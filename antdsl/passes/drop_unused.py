@@ -11,8 +11,8 @@ KEPT = frozenset(("push.x", "push.y", "push.z"))  # the runtime reads the result
 
 
 def drop_unused(plan: Plan) -> Plan:
-    """Same effects: attributes and memories are the state and stay; a temp that is never read goes. The nodes that made it go with
-    the next pass that makes nodes anew."""
+    """Same effects: attributes and memories are the state and stay; a temp that is never read goes. The nodes that made it go
+    with the next pass that makes nodes anew."""
     return replace(plan, species={name: _species(s) for name, s in plan.species.items()})
 
 

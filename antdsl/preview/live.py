@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices
 from antdsl.preview.compiling import Compiler
+from antdsl.preview.doing import HANDLERS, WITHOUT_SESSION
 from antdsl.preview.observing import Observer, Stop
-from antdsl.preview.requests import Ask, Breaks, Explain, Look, Profile, Seek, Set
+from antdsl.preview.requests import Ask, Breaks, Explain, Look, Profile, Refusal, Seek, Set
 from antdsl.preview.session import Session
 from antdsl.preview.watch import Watch
 from antdsl.runtime import Options
@@ -47,14 +48,6 @@ class Client(Protocol):
 
 class Busy(Exception):
     """Too much waits to be done already."""
-
-
-class Refusal(Exception):
-    """What was asked cannot be done: why, and what to do instead."""
-
-    def __init__(self, message: str, help: str = "") -> None:
-        super().__init__(message)
-        self.message, self.help = message, help
 
 
 class Live:
@@ -311,8 +304,6 @@ class Live:
         return isinstance(ask, Seek) and isinstance(following, Seek)
 
     def _handle(self, ask: Ask, client: Client) -> None:
-        from antdsl.preview.doing import HANDLERS, WITHOUT_SESSION
-
         if self._session is None and isinstance(ask, Breaks | Profile):
             held = [each for each in self._later if each[1] in self.clients and (type(each[0]), each[1]) != (type(ask), client)]
             self._later = [*held, (ask, client)]

@@ -12,6 +12,14 @@ Frame = Annotated[int, Field(ge=-(2**53), le=2**53)]  # what a page's numbers ho
 Agent = Annotated[int, Field(ge=0, le=2**53)]
 
 
+class Refusal(Exception):
+    """What was asked cannot be done: why, and what to do instead."""
+
+    def __init__(self, message: str, help: str = "") -> None:
+        super().__init__(message)
+        self.message, self.help = message, help
+
+
 class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 

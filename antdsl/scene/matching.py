@@ -237,13 +237,8 @@ def item_names(scene: Scene) -> dict[str, tuple[str, str]]:
     return found
 
 
-def items_come_later(scene: Scene) -> bool:
-    """Whether names of items may come out of a USD file, which is read when the scene is staged."""
-    return any(isinstance(value, UsdThing) for value in scene.model.world.values())
-
-
 def _around(scene: Scene, report: Report, around: object, radius: object, *path: Key) -> None:
-    if isinstance(around, str) and around not in item_names(scene) and not items_come_later(scene):
+    if isinstance(around, str) and around not in item_names(scene) and not scene.model.items_come_later:
         _unknown(report, scene, (*path, "around"), "no item is named", item_names(scene), key=False)
     if around is not None and radius is None:
         report.error(

@@ -360,6 +360,11 @@ class SceneModel(Part):
         """Millimetres in one of the scene's length units."""
         return UNIT_MM[self.units]
 
+    @property
+    def items_come_later(self) -> bool:
+        """Whether names of items may come out of a USD file, which is read when the scene is staged."""
+        return any(isinstance(value, UsdThing) for value in self.world.values())
+
 
 def millimetres(point: tuple[Quantity, Quantity, Quantity], unit_mm: float) -> tuple[float, float, float]:
     """A point of the scene in millimetres."""

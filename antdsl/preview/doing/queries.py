@@ -8,7 +8,7 @@ from antdsl.preview import requests
 from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.breaking.model import Misfit
 from antdsl.preview.explaining import Explainer
-from antdsl.preview.live import Refusal
+from antdsl.preview.requests import Refusal
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live

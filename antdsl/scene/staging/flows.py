@@ -16,7 +16,6 @@ from antdsl.scene import setting as stage_of
 from antdsl.scene.geometry.meshes import RawMesh, rotated, turned_up
 from antdsl.scene.geometry.painted import PaintError, read_painted
 from antdsl.scene.load import Scene
-from antdsl.scene.matching import items_come_later
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.setting import Target
 from antdsl.scene.staging.things import first_turn, shortened, usd_paint
@@ -80,7 +79,7 @@ def match_flow(scene: Scene, program: Program, report: Report, name: str, thing:
         return key, text
     lines_only = key == "tangent"
     known = _goals(scene, program, lines_only)
-    if text not in known and (lines_only or not items_come_later(scene)):
+    if text not in known and (lines_only or not scene.model.items_come_later):
         what = "no curve is named" if key == "tangent" else "no curve and no item is named"
         _unknown(report, scene, (name, key), what, text, known)
     return None
