@@ -27,7 +27,9 @@ export class Connection {
   async keep(token: string | undefined, key: string | undefined): Promise<void> {
     if (token) this.token = token;
     if (!key || !globalThis.crypto?.subtle) return;
-    this.key = await crypto.subtle.importKey("raw", new TextEncoder().encode(key), { name: "HMAC", hash: "SHA-256" }, false, ["sign"]);
+    this.key = await crypto.subtle.importKey("raw", new TextEncoder().encode(key), { name: "HMAC", hash: "SHA-256" }, false, [
+      "sign",
+    ]);
   }
 
   /** Prove that this page was let in before: with the key, which others who listen at this port now do not learn by it. */

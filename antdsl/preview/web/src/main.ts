@@ -40,9 +40,9 @@ connection.onState((open, words) => {
 });
 // The server writes its build into the page it sends; a page of another build, out of a cache or from before the server was
 // started anew, loads itself again: once, or a cache that holds on to it would go round for ever.
-connection.on("hello", ({ build, token, key }) => {
-  if (token) sessionStorage.setItem("token", token);
-  void connection.keep(token, key);
+connection.on("hello", ({ build, token: fresh, key }) => {
+  if (fresh) sessionStorage.setItem("token", fresh);
+  void connection.keep(fresh, key);
   const own = document.querySelector<HTMLMetaElement>('meta[name="build"]')?.content;
   if (!own || own === build || sessionStorage.getItem("build") === build) return;
   sessionStorage.setItem("build", build);

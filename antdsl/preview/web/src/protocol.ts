@@ -2,6 +2,8 @@
 // The Python side is antdsl/preview/requests.py (what a page may ask) and antdsl/preview/viewing (what it is shown).
 // Places are in mm of the world, less its origin; turns are unit vectors; colours are display values 0..1.
 
+import type { Explanation } from "./explanation";
+
 export type Triple = [number, number, number];
 
 // --- what a page asks ----------------------------------------------------------------------------------------------
@@ -263,81 +265,21 @@ export interface Refused {
   help: string;
 }
 
-export type Told = Hello | Scene | Status | Problems | Texts | Outcome | Curves | Specs | BreaksSet | Stops | Return | Profile | Explained | Refused;
-
-// --- the explanation, as `antdsl explain --json` prints it ---------------------------------------------------------
-
-export interface Place {
-  text: string;
-  file: string;
-  line: number;
-}
-
-export interface Part {
-  text: string;
-  value: number | boolean | string | null | Triple;
-  unit: string;
-  shown: string;
-  role: string; // draw, bar, joined, or empty
-  parts: Part[];
-}
-
-export interface Looked {
-  place: Place;
-  kind: string;
-  target: string;
-  condition: Part | null;
-  held: boolean;
-  timers: { what: string; has: number; needs: number; unit: string; holds: boolean }[];
-  take: Part | null;
-  fires: boolean;
-  wins: boolean;
-}
-
-export interface Explanation {
-  scene: string;
-  species: string;
-  agent: number;
-  frame: number;
-  hash: string;
-  checkpoint: number;
-  mode: string;
-  strip: { machine: string; state: string; first: number; last: number }[]; // machine after machine, each in order of time
-  alive: [number, number] | null;
-  notes: string[];
-  machines: {
-    machine: string;
-    before: string;
-    after: string;
-    since: number;
-    looked: Looked[];
-    changed: boolean;
-    claim: { items: string; item: string; attribute: string; amount: number; draw: number; won: boolean; place: Place } | null;
-    choice: { draw: number; bars: [string, number][]; chosen: string } | null;
-  }[];
-  handlers: Place[];
-  steers: { text: string; push: Triple; length: number }[];
-  layers: {
-    place: Place;
-    state: string;
-    condition: Part | null;
-    left: number;
-    push: Triple | null;
-    length: number;
-    given: Triple;
-    share: number;
-    cut: number;
-  }[];
-  push: Triple;
-  velocity: [Triple, Triple | null];
-  acceleration: Triple | null;
-  seen: { asked: string; of: string; count: number; nearest: { name: string; distance: number; about: string }[] }[];
-  fields: [string, number][];
-  senses: { kind: string; name: string; text: string; shown: string; values: unknown[] }[];
-  draws: { site: string; text: string; value: number }[];
-  did: string[];
-  changes: { name: string; shown: [string, string]; unit: string; memory: boolean }[];
-}
+export type Told =
+  | Hello
+  | Scene
+  | Status
+  | Problems
+  | Texts
+  | Outcome
+  | Curves
+  | Specs
+  | BreaksSet
+  | Stops
+  | Return
+  | Profile
+  | Explained
+  | Refused;
 
 // --- arrays --------------------------------------------------------------------------------------------------------
 
@@ -368,7 +310,15 @@ export interface Packet {
 
 export type NumberArray = Float32Array | Int32Array | Uint32Array | Uint8Array | Int8Array | Uint16Array | Int16Array;
 
-const TYPES = { f4: Float32Array, i4: Int32Array, u4: Uint32Array, u1: Uint8Array, i1: Int8Array, u2: Uint16Array, i2: Int16Array };
+const TYPES = {
+  f4: Float32Array,
+  i4: Int32Array,
+  u4: Uint32Array,
+  u1: Uint8Array,
+  i1: Int8Array,
+  u2: Uint16Array,
+  i2: Int16Array,
+};
 
 export function unpack(data: ArrayBuffer): Packet {
   const view = new DataView(data);

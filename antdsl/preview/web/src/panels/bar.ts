@@ -30,7 +30,9 @@ export function bar(store: Store, place: HTMLElement): void {
 
 function title(store: Store): HTMLElement {
   const name = el("h1", { class: "scene", test: "scene" });
-  store.connection.on("hello", (hello) => store.now.scene || say(name, hello.scene));
+  store.connection.on("hello", (hello) => {
+    if (!store.now.scene) say(name, hello.scene);
+  });
   store.on("scene", () => {
     say(name, store.now.scene?.name ?? "");
     document.title = `${store.now.scene?.name ?? "antdsl"} · antdsl preview`;
@@ -42,7 +44,11 @@ function controls(store: Store): HTMLElement {
   const play = button("", () => toggle(store), { id: "play", test: "play", class: "play" });
   const back = button("◂", () => move(store, -1), { test: "back", "aria-label": "one frame back", title: "one frame back (,)" });
   const on = button("▸", () => move(store, 1), { test: "step", "aria-label": "one frame on", title: "one frame on (.)" });
-  const speed = el("select", { test: "speed", "aria-label": "pace", title: "pace: 1 × is the scene's own clock; fastest is as fast as it goes" });
+  const speed = el("select", {
+    test: "speed",
+    "aria-label": "pace",
+    title: "pace: 1 × is the scene's own clock; fastest is as fast as it goes",
+  });
   for (const [times, words] of SPEEDS) speed.append(el("option", { value: times, text: words }));
   speed.addEventListener("change", () => store.connection.ask({ op: "speed", times: Number(speed.value) }));
   const show = () => {
@@ -51,7 +57,8 @@ function controls(store: Store): HTMLElement {
     play.title = now ? "pause (space)" : "play (space)";
     const times = String(store.now.status?.speed ?? 1);
     if (document.activeElement !== speed && speed.value !== times) {
-      if (![...speed.options].some((option) => option.value === times)) speed.append(el("option", { value: times, text: `${times} ×` }));
+      if (![...speed.options].some((option) => option.value === times))
+        speed.append(el("option", { value: times, text: `${times} ×` }));
       speed.value = times;
     }
   };
@@ -95,8 +102,11 @@ function outcome(store: Store): HTMLElement {
     past.length = Math.min(past.length, NEWS);
     line.title = past.join("\n");
     line.prepend(el("span", { class: "quiet when", text: `${when}: ` }));
-    line.getAnimations().forEach((each) => each.cancel());
-    line.animate([{ backgroundColor: "color-mix(in srgb, currentColor 45%, transparent)" }, { backgroundColor: "transparent" }], 1200);
+    for (const each of line.getAnimations()) each.cancel();
+    line.animate(
+      [{ backgroundColor: "color-mix(in srgb, currentColor 45%, transparent)" }, { backgroundColor: "transparent" }],
+      1200,
+    );
   };
   tell(IDLE, "");
   store.on("problems", () => {
@@ -111,7 +121,11 @@ function outcome(store: Store): HTMLElement {
     if (!message.ok && message.of === "saved") goToFirst(store, message.problems);
     const of = message.of === "saved" ? "saved: " : "";
     if (message.ok) news(of + [message.did, message.line].filter(Boolean).join(" · "), "good");
-    else news(`${of}${message.line || first?.message || "that does not go"}${message.of === "saved" ? " — the last good program runs on" : ""}`, "bad");
+    else
+      news(
+        `${of}${message.line || first?.message || "that does not go"}${message.of === "saved" ? " — the last good program runs on" : ""}`,
+        "bad",
+      );
   });
   store.connection.on("refused", (message) => {
     news([message.message, message.help].filter(Boolean).join(" — "), "bad");
@@ -125,7 +139,10 @@ function stops(store: Store): HTMLElement[] {
   const paused = el("span", { class: "chip warn", test: "paused-by", hidden: true, role: "status" });
   const fault = el("span", { class: "chip bad", test: "fault", hidden: true, role: "alert" });
   store.on("status", () => {
-    for (const [chip, words] of [[fault, store.now.status?.fault], [paused, store.now.status?.paused_by]] as const) {
+    for (const [chip, words] of [
+      [fault, store.now.status?.fault],
+      [paused, store.now.status?.paused_by],
+    ] as const) {
       chip.hidden = !words;
       say(chip, words ?? "");
       chip.title = words ?? "";
@@ -141,8 +158,16 @@ function marks(store: Store): HTMLElement {
   });
   const edited = el("span", { class: "chip warn edited", test: "edited", hidden: true }, "edited on the way ", again);
   edited.title = "edited on the way: not what a fresh run gives";
-  const hash = button("", () => void navigator.clipboard?.writeText(store.now.status?.hash ?? ""), { test: "hash", class: "chip mono", hidden: true });
-  const count = button("", () => goToFirst(store, store.now.problems?.problems ?? []), { test: "errors", class: "chip bad", hidden: true });
+  const hash = button("", () => void navigator.clipboard?.writeText(store.now.status?.hash ?? ""), {
+    test: "hash",
+    class: "chip mono",
+    hidden: true,
+  });
+  const count = button("", () => goToFirst(store, store.now.problems?.problems ?? []), {
+    test: "errors",
+    class: "chip bad",
+    hidden: true,
+  });
   store.on("status", () => {
     const status = store.now.status;
     edited.hidden = !status?.edited;
@@ -164,9 +189,13 @@ function goToFirst(store: Store, problems: readonly Problem[]): void {
 }
 
 function themeButton(): HTMLElement {
-  const made = button("◐", () => {
-    nextTheme();
-    made.title = `colours: ${themeWords()}`;
-  }, { test: "theme", "aria-label": "dark or light", title: `colours: ${themeWords()}` });
+  const made = button(
+    "◐",
+    () => {
+      nextTheme();
+      made.title = `colours: ${themeWords()}`;
+    },
+    { test: "theme", "aria-label": "dark or light", title: `colours: ${themeWords()}` },
+  );
   return made;
 }

@@ -1,16 +1,20 @@
 // Elements, built without markup: words from users are always text. `keyed` renews a list and leaves alone what stays in it.
 
 type Child = Node | string | null | undefined | false;
-type Props = {
+interface Props {
   class?: string;
   test?: string; // what tests find it by: data-test
   text?: string | number;
   on?: { [K in keyof HTMLElementEventMap]?: (event: HTMLElementEventMap[K]) => void };
   [attribute: string]: unknown;
-};
+}
 
 /** An element with attributes: `true` gives an empty one, `false`, null and undefined none. */
-export function el<K extends keyof HTMLElementTagNameMap>(tag: K, props: Props = {}, ...children: Child[]): HTMLElementTagNameMap[K] {
+export function el<K extends keyof HTMLElementTagNameMap>(
+  tag: K,
+  props: Props = {},
+  ...children: Child[]
+): HTMLElementTagNameMap[K] {
   const made = document.createElement(tag);
   for (const [name, value] of Object.entries(props)) {
     if (value === null || value === undefined || value === false) continue;
@@ -33,7 +37,10 @@ export function button(words: string, pressed: () => void, props: Props = {}): H
   return el("button", { type: "button", text: words, ...props, on: { click: pressed } });
 }
 
-export function svg<K extends keyof SVGElementTagNameMap>(tag: K, props: Record<string, string | number> = {}): SVGElementTagNameMap[K] {
+export function svg<K extends keyof SVGElementTagNameMap>(
+  tag: K,
+  props: Record<string, string | number> = {},
+): SVGElementTagNameMap[K] {
   const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
   for (const [name, value] of Object.entries(props)) made.setAttribute(name, String(value));
   return made;
@@ -73,7 +80,7 @@ export function keyed<T>(place: Element, key: (item: T) => string, make: (item: 
 
 /** Do it at most once in `wait` ms, with the last arguments, which always get through. */
 export function throttled<A extends unknown[]>(wait: number, act: (...args: A) => void): (...args: A) => void {
-  let last = -Infinity;
+  let last = Number.NEGATIVE_INFINITY;
   let waiting: A | null = null;
   const go = () => {
     if (!waiting) return;

@@ -30,18 +30,34 @@ const PANELS: [id: string, label: string, title: string, panel: Panel][] = [
 export function side(store: Store, place: HTMLElement): void {
   const places = new Map<string, HTMLElement>();
   const listeners: (() => void)[] = [];
-  const tabs = new Tabs("Panels", "side", (id) => `side-${id}`, (id) => {
-    for (const [name, panel] of places) panel.hidden = name !== id;
-    for (const listener of listeners) listener();
-  });
+  const tabs = new Tabs(
+    "Panels",
+    "side",
+    (id) => `side-${id}`,
+    (id) => {
+      for (const [name, panel] of places) panel.hidden = name !== id;
+      for (const listener of listeners) listener();
+    },
+  );
   place.append(tabs.list);
   tabs.renew(PANELS.map(([id, label, title]) => ({ id, label, title })));
   for (const [id, , , panel] of PANELS) {
-    const own = el("div", { class: "panel", role: "tabpanel", id: `side-${id}`, "aria-labelledby": `side-tab-${id}`, tabindex: 0, test: `panel-${id}` });
+    const own = el("div", {
+      class: "panel",
+      role: "tabpanel",
+      id: `side-${id}`,
+      "aria-labelledby": `side-tab-${id}`,
+      tabindex: 0,
+      test: `panel-${id}`,
+    });
     places.set(id, own);
     place.append(own);
     own.hidden = id !== tabs.now;
-    panel(store, own, { shown: () => tabs.now === id, heard: (listener) => listeners.push(listener), mark: (words) => tabs.mark(id, words) });
+    panel(store, own, {
+      shown: () => tabs.now === id,
+      heard: (listener) => listeners.push(listener),
+      mark: (words) => tabs.mark(id, words),
+    });
   }
   let before = 0;
   store.on("selected", () => {

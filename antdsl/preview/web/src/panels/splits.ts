@@ -22,7 +22,15 @@ export function splits(_: unknown, place: HTMLElement): void {
 
 function border(split: Split, main: HTMLElement): HTMLElement {
   const kept = `antdsl${split.name}`;
-  const made = el("div", { class: "splitter", role: "separator", tabindex: 0, "aria-orientation": "vertical", "aria-label": split.words, "aria-valuemin": LEAST, "aria-valuemax": MOST });
+  const made = el("div", {
+    class: "splitter",
+    role: "separator",
+    tabindex: 0,
+    "aria-orientation": "vertical",
+    "aria-label": split.words,
+    "aria-valuemin": LEAST,
+    "aria-valuemax": MOST,
+  });
   let now = 0;
   const set = (share: number) => {
     now = Math.min(MOST, Math.max(LEAST, share));

@@ -38,7 +38,8 @@ export class Tabs {
     }
     for (const [number, tab] of tabs.entries()) {
       const button = this.buttons.get(tab.id) ?? this.made(tab.id);
-      button.firstChild ? (button.firstChild.textContent = tab.label) : button.append(tab.label);
+      if (button.firstChild) button.firstChild.textContent = tab.label;
+      else button.append(tab.label);
       if (tab.title) button.title = tab.title;
       if (this.list.children[number] !== button) this.list.insertBefore(button, this.list.children[number] ?? null);
     }

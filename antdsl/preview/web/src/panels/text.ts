@@ -10,12 +10,17 @@ import { same, shortName } from "./text/files";
 export function text(store: Store, place: HTMLElement): void {
   const host = el("div", { class: "editor", id: "editor", role: "tabpanel", test: "editor" });
   const editor = new Editor(host);
-  const tabs = new Tabs("Files", "file", () => "editor", (file) => {
-    editor.open(file);
-    host.setAttribute("aria-label", file);
-    host.dataset.file = file;
-    point(store, editor, file);
-  });
+  const tabs = new Tabs(
+    "Files",
+    "file",
+    () => "editor",
+    (file) => {
+      editor.open(file);
+      host.setAttribute("aria-label", file);
+      host.dataset.file = file;
+      point(store, editor, file);
+    },
+  );
   const list = el("ul", { class: "problems", test: "problems", "aria-label": "Complaints" });
   const rows = keyed<Problem>(list, problemKey, () => problemRow(store));
   place.append(tabs.list, host, list);
@@ -24,7 +29,13 @@ export function text(store: Store, place: HTMLElement): void {
     const texts = store.now.texts?.texts ?? [];
     editor.renew(texts);
     const fresh = tabs.now === "";
-    tabs.renew(texts.map(({ file, kind }) => ({ id: file, label: shortName(file), title: kind === "library" ? `${file} (library)` : file })));
+    tabs.renew(
+      texts.map(({ file, kind }) => ({
+        id: file,
+        label: shortName(file),
+        title: kind === "library" ? `${file} (library)` : file,
+      })),
+    );
     const program = texts.find((each) => each.kind === "ant");
     if (fresh && program) tabs.want(program.file);
     showProblems(store, editor, tabs);
@@ -35,7 +46,8 @@ export function text(store: Store, place: HTMLElement): void {
     rows(problems);
     showProblems(store, editor, tabs);
     const to = store.now.goto;
-    if (to?.mistake && !problems.some((each) => each.file !== null && same(each.file, to.file) && each.line === to.line)) store.set("goto", null);
+    if (to?.mistake && !problems.some((each) => each.file !== null && same(each.file, to.file) && each.line === to.line))
+      store.set("goto", null);
   });
   list.hidden = true;
   store.on("goto", () => {
@@ -75,10 +87,15 @@ function problemRow(store: Store) {
   const where = el("span", { class: "where" });
   const words = el("span");
   let now: Problem | null = null;
-  const button = el("button", {
-    type: "button",
-    on: { click: () => now?.file && store.set("goto", { file: now.file, line: now.line, mistake: true }) },
-  }, where, words);
+  const button = el(
+    "button",
+    {
+      type: "button",
+      on: { click: () => now?.file && store.set("goto", { file: now.file, line: now.line, mistake: true }) },
+    },
+    where,
+    words,
+  );
   const element = el("li", {}, button);
   return {
     element,

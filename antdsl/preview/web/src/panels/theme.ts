@@ -28,7 +28,9 @@ export function themeWords(): string {
 
 /** From one to the next: as the system, the other one, this one. */
 export function nextTheme(): void {
-  const order: Theme[] = matchMedia("(prefers-color-scheme: dark)").matches ? ["system", "light", "dark"] : ["system", "dark", "light"];
+  const order: Theme[] = matchMedia("(prefers-color-scheme: dark)").matches
+    ? ["system", "light", "dark"]
+    : ["system", "dark", "light"];
   now = order[(order.indexOf(now) + 1) % order.length] as Theme;
   localStorage.setItem(KEY, now);
   apply();

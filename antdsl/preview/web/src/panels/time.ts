@@ -13,7 +13,16 @@ const DRAGGED = 40; // ms between two frames that are asked for while one drags
 export function time(store: Store, place: HTMLElement): void {
   const data = new CurveData();
   const canvas = el("canvas", { class: "chart", test: "curves", role: "img", "aria-label": "Curves over time" });
-  const slider = el("input", { type: "range", class: "scrub", test: "scrub", step: 1, min: 0, max: 0, "aria-label": "Frame", disabled: true });
+  const slider = el("input", {
+    type: "range",
+    class: "scrub",
+    test: "scrub",
+    step: 1,
+    min: 0,
+    max: 0,
+    "aria-label": "Frame",
+    disabled: true,
+  });
   const first = el("span", { class: "end" });
   const head = el("span", { class: "end" });
   const mode = el("span", { class: "mode", test: "light", role: "status" });
@@ -63,7 +72,9 @@ function showTime(store: Store, slider: HTMLInputElement): void {
 function dragging(store: Store, slider: HTMLInputElement, draw: () => void): void {
   let byPointer = false;
   const light = throttled(DRAGGED, (frame: number) => byPointer && seek(store, frame, false));
-  slider.addEventListener("pointerdown", () => (byPointer = true));
+  slider.addEventListener("pointerdown", () => {
+    byPointer = true;
+  });
   slider.addEventListener("input", () => {
     if (byPointer) light(Number(slider.value));
     draw();

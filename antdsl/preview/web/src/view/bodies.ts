@@ -3,10 +3,11 @@
 
 import * as THREE from "three";
 import type { NumberArray, Packet } from "../protocol";
-import { bodyMaterial, shadowMaterial, square, standing } from "./bodyshaders";
+import { bodyMaterial, shadowMaterial, square, standing, type Uniforms } from "./bodyshaders";
 import { Close } from "./close";
-import type { Herd, Rows } from "./herd";
+import type { Herd } from "./herd";
 import type { Herds } from "./herds";
+import { bodyGeometry, changed, pose, rowAttributes, type Shape } from "./shapes";
 import { speck } from "./speck";
 import type { Stage } from "./stage";
 
@@ -15,14 +16,6 @@ const CROWD = { software: 3000, hardware: 120_000 }; // agents from which on eac
 const MANY = 2000;
 
 type Level = "fine" | "low" | "speck";
-
-export interface Shape {
-  poses: Float32Array; // k × n × 3
-  count: number;
-  normal: Float32Array;
-  face: Uint32Array;
-  tint: Float32Array;
-}
 
 export class Bodies {
   private readonly shapes = new Map<string, Map<Level, Shape>>();
@@ -84,7 +77,7 @@ export class Bodies {
 
 /** One species as it is drawn. */
 class Drawn {
-  private readonly uniforms: Record<string, THREE.IUniform>;
+  private readonly uniforms: Uniforms;
   readonly close: Close;
   private readonly body: THREE.Mesh;
   private readonly shadow: THREE.Mesh;
@@ -127,9 +120,9 @@ class Drawn {
 
   show(shape: Shape, t: number, shadow: boolean): void {
     if (shape !== this.shape || this.version !== this.herd.rows.version) this.build(shape);
-    this.uniforms.t!.value = t;
-    this.uniforms.focal!.value = this.stage.focal;
-    this.uniforms.least!.value = this.herd.count > MANY ? 4 : 6; // px: so long a body is seen from however far
+    this.uniforms.t.value = t;
+    this.uniforms.focal.value = this.stage.focal;
+    this.uniforms.least.value = this.herd.count > MANY ? 4 : 6; // px: so long a body is seen from however far
     this.body.visible = this.herd.count > 0;
     this.shadow.visible = shadow && this.herd.count > 0;
   }
@@ -141,14 +134,17 @@ class Drawn {
       mesh.geometry.dispose();
       (mesh.material as THREE.Material).dispose();
     }
-    (this.uniforms.poses!.value as THREE.Texture | null)?.dispose();
+    (this.uniforms.poses.value as THREE.Texture | null)?.dispose();
   }
 
   private build(shape: Shape): void {
     this.instanced = rowAttributes(this.herd.rows);
     const body = bodyGeometry(shape);
     const shadow = square();
-    for (const [mesh, geometry] of [[this.body, body], [this.shadow, shadow]] as const) {
+    for (const [mesh, geometry] of [
+      [this.body, body],
+      [this.shadow, shadow],
+    ] as const) {
       for (const [name, attribute] of this.instanced) geometry.setAttribute(name, attribute);
       geometry.instanceCount = this.herd.count;
       mesh.geometry.dispose();
@@ -159,24 +155,6 @@ class Drawn {
     this.version = this.herd.rows.version;
     this.refresh();
   }
-}
-
-/** The arrays of rows as attributes of instances, under the names that the shaders have for them. */
-export function rowAttributes(rows: Rows): Map<string, THREE.InstancedBufferAttribute> {
-  const made = new Map<string, THREE.InstancedBufferAttribute>();
-  for (const name of ["placeA", "placeB", "gait"] as const) made.set(name, new THREE.InstancedBufferAttribute(rows[name], 3));
-  for (const name of ["headA", "headB", "upA", "upB"] as const) {
-    made.set(name, new THREE.InstancedBufferAttribute(rows[name], 4, true));
-  }
-  made.set("tone", new THREE.InstancedBufferAttribute(rows.tone, 4, true));
-  for (const attribute of made.values()) attribute.setUsage(THREE.DynamicDrawUsage);
-  return made;
-}
-
-export function changed(attribute: THREE.BufferAttribute, count: number): void {
-  attribute.clearUpdateRanges();
-  attribute.addUpdateRange(0, count * attribute.itemSize);
-  attribute.needsUpdate = true;
 }
 
 function shapeOf(packet: Packet): Shape {
@@ -190,31 +168,4 @@ function shapeOf(packet: Packet): Shape {
     face: Uint32Array.from(take("face")),
     tint: take("tint") as Float32Array,
   };
-}
-
-export function bodyGeometry(shape: Shape): THREE.InstancedBufferGeometry {
-  const made = new THREE.InstancedBufferGeometry();
-  made.setAttribute("position", new THREE.BufferAttribute(shape.poses.subarray(0, shape.normal.length), 3));
-  made.setAttribute("normal", new THREE.BufferAttribute(shape.normal, 3));
-  made.setAttribute("tint", new THREE.BufferAttribute(shape.tint, 1));
-  made.setIndex(new THREE.BufferAttribute(shape.face, 1));
-  return made;
-}
-
-/** Have the poses of a shape drawn. */
-export function pose(uniforms: Record<string, THREE.IUniform>, shape: Shape): void {
-  (uniforms.poses!.value as THREE.Texture | null)?.dispose();
-  uniforms.poses!.value = texture(shape);
-  uniforms.moments!.value = shape.count;
-}
-
-function texture(shape: Shape): THREE.DataTexture {
-  const vertices = shape.normal.length / 3;
-  const texels = new Float32Array(vertices * shape.count * 4);
-  for (let k = 0; k < vertices * shape.count; k++) {
-    for (let axis = 0; axis < 3; axis++) texels[4 * k + axis] = shape.poses[3 * k + axis] as number;
-  }
-  const made = new THREE.DataTexture(texels, vertices, shape.count, THREE.RGBAFormat, THREE.FloatType);
-  made.needsUpdate = true;
-  return made;
 }

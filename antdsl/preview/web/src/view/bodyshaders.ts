@@ -129,7 +129,10 @@ void main() {
   #include <colorspace_fragment>
 }`;
 
-export function standing(stage: Stage): Record<string, THREE.IUniform> {
+/** What the shaders of bodies, shadows and rings are told beside the rows. */
+export type Uniforms = Record<"t" | "focal" | "least" | "poses" | "moments" | "sun" | "worldUp" | "limb", THREE.IUniform>;
+
+export function standing(stage: Stage): Uniforms {
   return {
     t: { value: 1 },
     focal: { value: 1 },
@@ -142,18 +145,18 @@ export function standing(stage: Stage): Record<string, THREE.IUniform> {
   };
 }
 
-export function bodyMaterial(uniforms: Record<string, THREE.IUniform>): THREE.ShaderMaterial {
+export function bodyMaterial(uniforms: Uniforms): THREE.ShaderMaterial {
   return new THREE.ShaderMaterial({ vertexShader: BODY_VERTEX, fragmentShader: BODY_FRAGMENT, uniforms, side: THREE.DoubleSide });
 }
 
-export function shadowMaterial(uniforms: Record<string, THREE.IUniform>): THREE.ShaderMaterial {
+export function shadowMaterial(uniforms: Uniforms): THREE.ShaderMaterial {
   const blended = { blending: THREE.CustomBlending, blendSrc: THREE.SrcAlphaFactor, blendDst: THREE.OneMinusSrcAlphaFactor };
   const seen = { ...blended, transparent: false, depthWrite: false, side: THREE.DoubleSide }; // before bodies: never on them
   return new THREE.ShaderMaterial({ vertexShader: SHADOW_VERTEX, fragmentShader: SHADOW_FRAGMENT, uniforms, ...seen });
 }
 
 /** Rings, drawn twice: in full, and `through` what hides them, faintly. */
-export function ringMaterial(uniforms: Record<string, THREE.IUniform>, through: boolean): THREE.ShaderMaterial {
+export function ringMaterial(uniforms: Uniforms, through: boolean): THREE.ShaderMaterial {
   const seen = { transparent: true, depthWrite: false, depthTest: !through, side: THREE.DoubleSide };
   const own = { ...uniforms, fade: { value: through ? 0.35 : 1 } };
   return new THREE.ShaderMaterial({ vertexShader: RING_VERTEX, fragmentShader: RING_FRAGMENT, uniforms: own, ...seen });

@@ -1,9 +1,9 @@
 // The few agents that are seen large, drawn in full; their rows are left out where the crowd is drawn.
 
 import * as THREE from "three";
-import { type Shape, bodyGeometry, changed, pose, rowAttributes } from "./bodies";
-import { bodyMaterial, standing } from "./bodyshaders";
+import { bodyMaterial, standing, type Uniforms } from "./bodyshaders";
 import { type Herd, Rows } from "./herd";
+import { bodyGeometry, changed, pose, rowAttributes, type Shape } from "./shapes";
 import type { Stage } from "./stage";
 
 const LARGE = 24; // px that a body is long on the screen
@@ -12,7 +12,7 @@ const POINT = new THREE.Vector3();
 
 export class Close {
   private readonly rows = new Rows();
-  private readonly uniforms: Record<string, THREE.IUniform>;
+  private readonly uniforms: Uniforms;
   private readonly mesh: THREE.Mesh<THREE.InstancedBufferGeometry>;
   private attributes = new Map<string, THREE.InstancedBufferAttribute>();
   private shape: Shape | null = null;
@@ -58,15 +58,15 @@ export class Close {
     for (const attribute of this.attributes.values()) changed(attribute, this.chosen.length);
     this.mesh.geometry.instanceCount = this.chosen.length;
     this.mesh.visible = this.chosen.length > 0;
-    this.uniforms.t!.value = t;
-    this.uniforms.focal!.value = this.stage.focal;
+    this.uniforms.t.value = t;
+    this.uniforms.focal.value = this.stage.focal;
   }
 
   dispose(): void {
     this.stage.scene.remove(this.mesh);
     this.mesh.geometry.dispose();
     (this.mesh.material as THREE.Material).dispose();
-    (this.uniforms.poses!.value as THREE.Texture | null)?.dispose();
+    (this.uniforms.poses.value as THREE.Texture | null)?.dispose();
   }
 
   /** The rows that are seen large, the nearest ones where they are many. */

@@ -1,6 +1,6 @@
 // What colour each agent has: by state, speed or any attribute. One entry for each way.
 
-import { type Attribute, type NumberArray, type Species, type Triple } from "../protocol";
+import type { Attribute, NumberArray, Species, Triple } from "../protocol";
 import type { Herd } from "./herd";
 import { RAMP } from "./palette";
 

@@ -73,7 +73,9 @@ export class Eye {
     const half = (18 / camera.focal) * off.length();
     const tan = Math.tan((this.stage.camera.fov * Math.PI) / 360);
     this.controls.target.copy(target);
-    this.stage.camera.position.copy(target).addScaledVector(off.normalize(), Math.max(half / WIDE, half / this.stage.camera.aspect) / tan);
+    this.stage.camera.position
+      .copy(target)
+      .addScaledVector(off.normalize(), Math.max(half / WIDE, half / this.stage.camera.aspect) / tan);
     if (this.store.now.camera !== "orbit") this.store.set("camera", "orbit");
     this.controls.update();
     this.stage.wake();
@@ -101,7 +103,9 @@ export class Eye {
   private begin(): void {
     if (!this.fresh || this.herds.count === 0) return;
     this.fresh = false;
-    const places = [...(this.herds.packet?.arrays ?? [])].filter(([name]) => name.endsWith("/position")).map(([, place]) => place);
+    const places = [...(this.herds.packet?.arrays ?? [])]
+      .filter(([name]) => name.endsWith("/position"))
+      .map(([, place]) => place);
     this.first = () => this.beginAt(places);
     this.first();
   }
@@ -130,7 +134,10 @@ export class Eye {
     const corner = new THREE.Vector3();
     let far = stage.extent * 0.01;
     for (let k = 0; k < 8; k++) {
-      corner.set(k & 1 ? high.x : low.x, k & 2 ? high.y : low.y, k & 4 ? high.z : low.z).sub(centre).applyQuaternion(back);
+      corner
+        .set(k & 1 ? high.x : low.x, k & 2 ? high.y : low.y, k & 4 ? high.z : low.z)
+        .sub(centre)
+        .applyQuaternion(back);
       far = Math.max(far, Math.abs(corner.y) / tan + corner.z, Math.abs(corner.x) / (tan * camera.aspect) + corner.z);
     }
     this.controls.target.copy(centre);
@@ -180,7 +187,9 @@ export class Eye {
     made.dampingFactor = 0.12;
     made.zoomToCursor = true;
     made.addEventListener("change", () => this.stage.wake());
-    made.addEventListener("start", () => (this.first = null));
+    made.addEventListener("start", () => {
+      this.first = null;
+    });
     return made;
   }
 
@@ -250,7 +259,10 @@ export class Eye {
   private ride(agent: Agent, part: number): boolean {
     const herd = this.herds.byName.get(agent.species);
     const size = herd?.size(herd.row(agent.id)) ?? 1;
-    this.seat.copy(this.here).addScaledVector(this.above, size * 1.15).addScaledVector(this.head, size * -1.9);
+    this.seat
+      .copy(this.here)
+      .addScaledVector(this.above, size * 1.15)
+      .addScaledVector(this.head, size * -1.9);
     this.here.addScaledVector(this.head, size * 2.2).addScaledVector(this.above, size * 0.1);
     const { camera } = this.stage;
     const eased = this.placed ? part : 1;

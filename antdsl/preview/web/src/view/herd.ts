@@ -31,8 +31,10 @@ export class Rows {
   /** Take a row of another herd's. */
   copy(row: number, from: Rows, other: number): void {
     for (let axis = 0; axis < 3; axis++) {
-      for (const name of ["placeA", "placeB", "gait"] as const) this[name][3 * row + axis] = from[name][3 * other + axis] as number;
-      for (const name of ["headA", "headB", "upA", "upB"] as const) this[name][4 * row + axis] = from[name][4 * other + axis] as number;
+      for (const name of ["placeA", "placeB", "gait"] as const)
+        this[name][3 * row + axis] = from[name][3 * other + axis] as number;
+      for (const name of ["headA", "headB", "upA", "upB"] as const)
+        this[name][4 * row + axis] = from[name][4 * other + axis] as number;
     }
   }
 }
@@ -80,8 +82,15 @@ export class Herd {
     }
   }
 
-  private stand(row: number, before: number, t: number, place: NumberArray, head: NumberArray | undefined,
-                up: NumberArray | undefined, size: number): void {
+  private stand(
+    row: number,
+    before: number,
+    t: number,
+    place: NumberArray,
+    head: NumberArray | undefined,
+    up: NumberArray | undefined,
+    size: number,
+  ): void {
     const { rows, was } = this;
     let far = 0;
     let leapt = before < 0;

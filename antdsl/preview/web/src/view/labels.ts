@@ -38,7 +38,11 @@ export class Labels {
   }
 
   private make(key: string): Label {
-    const [box, name, about] = ["div", "b", "span"].map((tag) => document.createElement(tag)) as [HTMLElement, HTMLElement, HTMLElement];
+    const [box, name, about] = ["div", "b", "span"].map((tag) => document.createElement(tag)) as [
+      HTMLElement,
+      HTMLElement,
+      HTMLElement,
+    ];
     box.append(name, about);
     box.hidden = true; // until it is known where it stands
     this.layer.append(box);

@@ -18,13 +18,17 @@ export function nothing(store: Store, place: HTMLElement): void {
     box.hidden = store.now.scene !== null || errors.length === 0;
     if (box.hidden) return;
     const title = document.createElement("h2");
-    title.textContent = errors.length === 1 ? "Nothing to see yet: there is an error" : `Nothing to see yet: there are ${errors.length} errors`;
+    title.textContent =
+      errors.length === 1 ? "Nothing to see yet: there is an error" : `Nothing to see yet: there are ${errors.length} errors`;
     const rows = errors.slice(0, MOST).map((each) => {
       const row = document.createElement("button");
       row.type = "button";
       const where = each.file === null ? "" : `${shortName(each.file)}:${each.line} `;
       row.textContent = `${where}${each.message}${each.help ? ` — ${each.help}` : ""}`;
-      row.addEventListener("click", () => each.file !== null && store.set("goto", { file: each.file, line: each.line, mistake: true }));
+      row.addEventListener(
+        "click",
+        () => each.file !== null && store.set("goto", { file: each.file, line: each.line, mistake: true }),
+      );
       return row;
     });
     const words = document.createElement("p");

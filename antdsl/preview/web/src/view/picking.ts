@@ -2,6 +2,7 @@
 
 import * as THREE from "three";
 import type { Agent } from "../store";
+import type { Herd } from "./herd";
 import type { Sight } from "./sight";
 
 const REACH = 14; // px
@@ -9,6 +10,7 @@ const ASKED = 6; // so many of the nearest are tried for being hidden
 
 interface Found {
   species: string;
+  herd: Herd;
   row: number;
   off: number;
 }
@@ -23,7 +25,7 @@ export function onScreen(sight: Sight, agent: Agent): [number, number] | null {
   const herd = sight.herds.byName.get(agent.species);
   const row = herd?.row(agent.id) ?? -1;
   if (!herd || row < 0) return null;
-  middle(sight, agent.species, row);
+  middle(herd, row, sight.herds.t);
   POINT.applyMatrix4(MATRIX.multiplyMatrices(sight.stage.camera.projectionMatrix, sight.stage.camera.matrixWorldInverse));
   if (POINT.z > 1) return null;
   return [((POINT.x + 1) / 2) * sight.stage.width, ((1 - POINT.y) / 2) * sight.stage.height];
@@ -34,7 +36,7 @@ export function pick(sight: Sight, x: number, y: number): Agent | null {
   const near = candidates(sight, x, y).sort((a, b) => a.off - b.off);
   const open = near.slice(0, ASKED).find((found) => !hidden(sight, found));
   if (!open) return null;
-  return { species: open.species, id: sight.herds.byName.get(open.species)!.ids[open.row] as number };
+  return { species: open.species, id: open.herd.ids[open.row] as number };
 }
 
 function candidates(sight: Sight, x: number, y: number): Found[] {
@@ -43,27 +45,26 @@ function candidates(sight: Sight, x: number, y: number): Found[] {
   const found: Found[] = [];
   for (const [species, herd] of sight.herds.byName) {
     for (let row = 0; row < herd.count; row++) {
-      middle(sight, species, row);
-      const w = e[3]! * POINT.x + e[7]! * POINT.y + e[11]! * POINT.z + e[15]!;
+      middle(herd, row, sight.herds.t);
+      const w = e[3] * POINT.x + e[7] * POINT.y + e[11] * POINT.z + e[15];
       if (w <= 0) continue;
-      const px = (((e[0]! * POINT.x + e[4]! * POINT.y + e[8]! * POINT.z + e[12]!) / w + 1) / 2) * width;
-      const py = ((1 - (e[1]! * POINT.x + e[5]! * POINT.y + e[9]! * POINT.z + e[13]!) / w) / 2) * height;
+      const px = (((e[0] * POINT.x + e[4] * POINT.y + e[8] * POINT.z + e[12]) / w + 1) / 2) * width;
+      const py = ((1 - (e[1] * POINT.x + e[5] * POINT.y + e[9] * POINT.z + e[13]) / w) / 2) * height;
       const body = (0.45 * herd.size(row) * sight.stage.focal) / w; // who is clicked on is meant, however large
       const off = Math.hypot(px - x, py - y);
-      if (off <= Math.max(REACH, body)) found.push({ species, row, off });
+      if (off <= Math.max(REACH, body)) found.push({ species, herd, row, off });
     }
   }
   return found;
 }
 
 function hidden(sight: Sight, found: Found): boolean {
-  const herd = sight.herds.byName.get(found.species)!;
-  middle(sight, found.species, found.row);
+  middle(found.herd, found.row, sight.herds.t);
   const eye = sight.stage.camera.position;
   const far = POINT.distanceTo(eye);
   RAY.set(eye, POINT.sub(eye).divideScalar(far));
   RAY.near = sight.stage.camera.near;
-  RAY.far = far - herd.size(found.row) * 0.4;
+  RAY.far = far - found.herd.size(found.row) * 0.4;
   const things: THREE.Object3D[] = [];
   sight.stage.scene.traverseVisible((each) => {
     if (each instanceof THREE.Mesh && each.userData.hides && !each.material.transparent) things.push(each);
@@ -72,9 +73,8 @@ function hidden(sight: Sight, found: Found): boolean {
 }
 
 /** An agent's middle, a little above its ground, into POINT. */
-function middle(sight: Sight, species: string, row: number): void {
-  const herd = sight.herds.byName.get(species)!;
-  herd.place(row, sight.herds.t, POINT);
-  herd.turn("up", row, sight.herds.t, TURN);
+function middle(herd: Herd, row: number, t: number): void {
+  herd.place(row, t, POINT);
+  herd.turn("up", row, t, TURN);
   POINT.addScaledVector(TURN, 0.15 * herd.size(row));
 }

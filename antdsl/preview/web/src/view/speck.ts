@@ -1,15 +1,20 @@
 // A body for crowds that a slow machine draws: eight faces, pointed in front, as long and wide as the body it stands for.
 
-import type { Shape } from "./bodies";
+import type { Shape } from "./shapes";
 
 const CORNERS = [
-  [1, 0, 0], [-1, 0.15, 0], [-0.35, 0, 1], [-0.35, 0, -1], [-0.3, 1, 0], [-0.3, -0.4, 0],
+  [1, 0, 0],
+  [-1, 0.15, 0],
+  [-0.35, 0, 1],
+  [-0.35, 0, -1],
+  [-0.3, 1, 0],
+  [-0.3, -0.4, 0],
 ] as const;
 const FACES = [0, 4, 2, 0, 3, 4, 1, 2, 4, 1, 4, 3, 0, 2, 5, 0, 5, 3, 1, 5, 2, 1, 3, 5];
 
 export function speck(of: Shape): Shape {
-  const low = [Infinity, Infinity, Infinity];
-  const high = [-Infinity, -Infinity, -Infinity];
+  const low = new Array<number>(3).fill(Number.POSITIVE_INFINITY);
+  const high = new Array<number>(3).fill(Number.NEGATIVE_INFINITY);
   for (let k = 0; k < of.normal.length; k++) {
     const axis = k % 3;
     if ((of.tint[Math.floor(k / 3)] as number) < 0.4) continue; // legs and the like make it no wider

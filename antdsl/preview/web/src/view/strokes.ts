@@ -77,7 +77,12 @@ export class Strokes {
       new THREE.ShaderMaterial({
         vertexShader: VERTEX,
         fragmentShader: FRAGMENT,
-        uniforms: { size: this.size, lift: { value: 2e-4 }, dash: { value: kind.dash ?? 0 }, fade: { value: through ? 0.22 : 1 } },
+        uniforms: {
+          size: this.size,
+          lift: { value: 2e-4 },
+          dash: { value: kind.dash ?? 0 },
+          fade: { value: through ? 0.22 : 1 },
+        },
         transparent: true,
         depthWrite: false,
         depthTest: !through,
@@ -101,9 +106,17 @@ export class Strokes {
     this.count = 0;
   }
 
-  /** A stroke from a to b (x, y, z from an index on), `wide` px at either end, of a colour (0..1), paler at its ends. */
-  add(a: ArrayLike<number>, ai: number, b: ArrayLike<number>, bi: number, wide: number, wideEnd: number, colour: THREE.Color,
-      alpha = 1, fadeStart = 1, fadeEnd = 1): void {
+  /** A stroke from a to b (x, y, z from an index on), `wide` px at either end, of a colour (0..1). */
+  add(
+    a: ArrayLike<number>,
+    ai: number,
+    b: ArrayLike<number>,
+    bi: number,
+    wide: number,
+    wideEnd: number,
+    colour: THREE.Color,
+    alpha = 1,
+  ): void {
     if (this.count * 3 >= this.start.length) this.reserve(this.count * 2);
     const k = this.count++;
     for (let axis = 0; axis < 3; axis++) {
@@ -116,8 +129,13 @@ export class Strokes {
     this.tone[4 * k + 1] = colour.g;
     this.tone[4 * k + 2] = colour.b;
     this.tone[4 * k + 3] = alpha;
-    this.ends[2 * k] = fadeStart;
-    this.ends[2 * k + 1] = fadeEnd;
+    this.ends[2 * k] = 1;
+    this.ends[2 * k + 1] = 1;
+  }
+
+  /** The stroke that was added last grows paler towards its end, down to this part of its colour. */
+  pale(part: number): void {
+    this.ends[2 * this.count - 1] = part;
   }
 
   /** An arrow from a to b: a shaft and a head, which takes `part` of its length. */

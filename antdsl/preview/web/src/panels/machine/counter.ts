@@ -27,7 +27,8 @@ export class Counter {
     const wanted = this.names(species, machine).indexOf(state);
     const ids = this.frame?.arrays.get(`${species}/id`) ?? [];
     const found: Agent[] = [];
-    this.row(species, machine).forEach((each, k) => each === wanted && found.push({ species, id: ids[k] as number }));
+    for (const [k, each] of this.row(species, machine).entries())
+      if (each === wanted) found.push({ species, id: ids[k] as number });
     return found;
   }
 
@@ -37,7 +38,10 @@ export class Counter {
   }
 
   private names(species: string, machine: string): string[] {
-    return this.store.now.scene?.species.find((each) => each.name === species)?.machines.find((each) => each.name === machine)?.states ?? [];
+    return (
+      this.store.now.scene?.species.find((each) => each.name === species)?.machines.find((each) => each.name === machine)
+        ?.states ?? []
+    );
   }
 
   private row(species: string, machine: string): Uint8Array {

@@ -10,13 +10,27 @@ const LARGEST = 1.25; // small machines are not blown up beyond that
 export class ChartDrawing {
   readonly element: SVGSVGElement;
   private readonly boxes = new Map<string, { count: SVGTextElement; group: SVGGElement }>();
-  private readonly arrows: { arrow: ChartArrow; line: SVGPolylineElement; rate: SVGTextElement; x: number; title: SVGTitleElement }[] = [];
+  private readonly arrows: {
+    arrow: ChartArrow;
+    line: SVGPolylineElement;
+    rate: SVGTextElement;
+    x: number;
+    title: SVGTitleElement;
+  }[] = [];
   private readonly names: Map<string, string>;
   private readonly fitted: (() => void)[] = []; // each fits one thing to the size of letters
 
-  constructor(private readonly chart: Chart, chosen: (state: string) => void) {
+  constructor(
+    private readonly chart: Chart,
+    chosen: (state: string) => void,
+  ) {
     this.names = new Map(chart.boxes.map((box) => [box.key, box.name]));
-    this.element = svg("svg", { viewBox: `-4 -4 ${chart.width + 8} ${chart.height + 8}`, class: "states", role: "group", "aria-label": chart.title });
+    this.element = svg("svg", {
+      viewBox: `-4 -4 ${chart.width + 8} ${chart.height + 8}`,
+      class: "states",
+      role: "group",
+      "aria-label": chart.title,
+    });
     this.element.style.maxWidth = `${(chart.width + 8) * LARGEST}px`;
     for (const arrow of chart.arrows) this.element.append(this.arrow(arrow));
     for (const box of chart.boxes) this.element.append(this.box(box, chosen));
@@ -24,9 +38,9 @@ export class ChartDrawing {
 
   /** Letters as large as elsewhere on the page, however small the drawing is shown; its words only where there is room for them. */
   fit(): void {
-    const shown = this.element.getBoundingClientRect();
-    if (!shown.width) return;
-    const scale = Math.min(shown.width / (this.chart.width + 8), shown.height / (this.chart.height + 8));
+    const room = this.element.getBoundingClientRect();
+    if (!room.width) return;
+    const scale = Math.min(room.width / (this.chart.width + 8), room.height / (this.chart.height + 8));
     const letter = Math.max(1, fontScale() / scale);
     this.element.style.setProperty("--letter", `${letter}px`);
     this.element.classList.toggle("small", scale < 0.8);
@@ -73,7 +87,13 @@ export class ChartDrawing {
       group.append(svg("circle", { cx: x, cy: y, r: Math.min(box.width, box.height) / 2 }));
       return group;
     }
-    const shape = svg("rect", { x: x - box.width / 2, y: y - box.height / 2, width: box.width, height: box.height, rx: box.kind === "state" ? 8 : 4 });
+    const shape = svg("rect", {
+      x: x - box.width / 2,
+      y: y - box.height / 2,
+      width: box.width,
+      height: box.height,
+      rx: box.kind === "state" ? 8 : 4,
+    });
     const label = svg("text", { x, y, class: "label" });
     label.textContent = box.kind === "state" ? box.name : box.label;
     group.append(shape, label);
@@ -85,7 +105,8 @@ export class ChartDrawing {
     this.fitted.push(() => {
       const width = Math.max(box.width, label.getBBox().width + 12);
       const height = Math.max(box.height, label.getBBox().height * 2 + 6);
-      for (const [name, value] of Object.entries({ x: x - width / 2, y: y - height / 2, width, height })) shape.setAttribute(name, String(value));
+      for (const [name, value] of Object.entries({ x: x - width / 2, y: y - height / 2, width, height }))
+        shape.setAttribute(name, String(value));
     });
     count.dataset.test = `count-${box.name}`;
     group.append(count);
@@ -107,7 +128,11 @@ export class ChartDrawing {
     const group = svg("g", { class: arrow.interrupt ? "arrow interrupt" : "arrow" });
     const title = svg("title");
     title.textContent = [arrow.lines.join("\n"), arrow.details].filter(Boolean).join("\n");
-    const line = svg("polyline", { points: shortened(arrow.points).map((point) => point.join(",")).join(" ") });
+    const line = svg("polyline", {
+      points: shortened(arrow.points)
+        .map((point) => point.join(","))
+        .join(" "),
+    });
     const wide = svg("polyline", { points: arrow.points.map((point) => point.join(",")).join(" "), class: "touch" });
     group.append(title, wide, line, head(arrow.points));
     const words = arrow.words;
@@ -143,7 +168,7 @@ function fontScale(): number {
 type Point = [number, number];
 
 function head(points: Point[]): SVGElement {
-  const tip = points[points.length - 1] as Point;
+  const tip = points.at(-1) as Point;
   const [ux, uy] = towards(points);
   const at = (back: number, aside: number) => [tip[0] - ux * back - uy * aside, tip[1] - uy * back + ux * aside].join(",");
   return svg("polygon", { points: `${tip.join(",")} ${at(HEAD + 2, HEAD / 2)} ${at(HEAD + 2, -HEAD / 2)}` });
@@ -151,7 +176,7 @@ function head(points: Point[]): SVGElement {
 
 /** The way without the length of its head, so that a wide line does not stand out beyond it. */
 function shortened(points: Point[]): Point[] {
-  const tip = points[points.length - 1] as Point;
+  const tip = points.at(-1) as Point;
   const [ux, uy] = towards(points);
   return [...points.slice(0, -1), [tip[0] - ux * HEAD, tip[1] - uy * HEAD]];
 }

@@ -13,13 +13,15 @@ export class Flow {
 
   constructor(private readonly store: Store) {
     store.on("status", () => this.take());
-    store.on("scene", () => (this.samples.length = 0));
+    store.on("scene", () => {
+      this.samples.length = 0;
+    });
   }
 
   /** Changes a second of the scene's time, by `from->to`, over about the last second; empty where it is not known. */
   rates(chart: Chart): Map<string, number> {
     const rates = new Map<string, number>();
-    const last = this.samples[this.samples.length - 1];
+    const last = this.samples.at(-1);
     const first = this.samples[0];
     const fps = this.store.now.scene?.fps ?? 0;
     if (!last || !first || last === first || !fps) return rates;
@@ -36,7 +38,7 @@ export class Flow {
     const status = this.store.now.status;
     const fps = this.store.now.scene?.fps ?? 24;
     if (!status?.transitions || status.light) return;
-    const last = this.samples[this.samples.length - 1];
+    const last = this.samples.at(-1);
     if (last && last.frame === status.frame) return;
     if (last && last.frame > status.frame) this.samples.length = 0; // gone back
     this.samples.push({ frame: status.frame, counts: status.transitions });

@@ -12,7 +12,11 @@ export const breaks: Panel = (store, place, shown) => {
   const fired = el("p", { class: "fired", test: "fired", hidden: true });
   const unfit = new Map<string, string>(); // why one does not fit the program and waits for another, by its JSON
   const none = el("p", { class: "note", text: "Nothing stops it. Add what to stop at; play goes on from there." });
-  const rows = keyed<Break>(list, (each) => JSON.stringify(each), () => row(unfit, (gone) => change(all.filter((each) => JSON.stringify(each) !== JSON.stringify(gone)))));
+  const rows = keyed<Break>(
+    list,
+    (each) => JSON.stringify(each),
+    () => row(unfit, (gone) => change(all.filter((each) => JSON.stringify(each) !== JSON.stringify(gone)))),
+  );
   const show = (now: Break[]) => {
     all.splice(0, all.length, ...now);
     rows(all);
@@ -23,17 +27,26 @@ export const breaks: Panel = (store, place, shown) => {
     show(now);
     store.connection.ask({ op: "breaks", breaks: [...all] }, true);
   };
-  let asked: { made: string; done: (wrong: string) => void } | null = null; // what was added, and is not answered yet
-  const add: Add = (made, done = () => {}) => {
-    if (all.some((each) => JSON.stringify(each) === JSON.stringify(made))) return done("");
+  let asked: { made: string; done: ((wrong: string) => void) | undefined } | null = null; // what was added, and is not answered yet
+  const add: Add = (made, done) => {
+    if (all.some((each) => JSON.stringify(each) === JSON.stringify(made))) return done?.("");
     asked = { made: JSON.stringify(made), done };
     store.connection.ask({ op: "breaks", breaks: [...all], tried: made });
   };
-  place.append(fired, list, none, stateForm(store, add), conditionForm(store, add), specForm(store, add), faultForm(add), specs(store));
+  place.append(
+    fired,
+    list,
+    none,
+    stateForm(store, add),
+    conditionForm(store, add),
+    specForm(store, add),
+    faultForm(add),
+    specs(store),
+  );
   store.on("status", () => {
-    const words = store.now.status?.paused_by ?? "";
-    fired.hidden = !words;
-    say(fired, words && `stopped: ${words}`);
+    const by = store.now.status?.paused_by ?? "";
+    fired.hidden = !by;
+    say(fired, by && `stopped: ${by}`);
     selectPaused(store);
   });
   store.connection.on("breaks", (message) => {
@@ -44,9 +57,12 @@ export const breaks: Panel = (store, place, shown) => {
     store.connection.remember({ op: "breaks", breaks: [...all] });
     if (asked && all.some((each) => JSON.stringify(each) === asked?.made)) answer("");
   });
-  store.connection.on("refused", (message) => message.of === "breaks" && answer([message.message, message.help].filter(Boolean).join(": ")));
+  store.connection.on(
+    "refused",
+    (message) => message.of === "breaks" && answer([message.message, message.help].filter(Boolean).join(": ")),
+  );
   const answer = (wrong: string) => {
-    asked?.done(wrong);
+    asked?.done?.(wrong);
     asked = null;
   };
 };
@@ -60,7 +76,11 @@ function selectPaused(store: Store): void {
   const status = store.now.status;
   const about = status?.paused_agents;
   const key = about && status ? `${status.frame} ${status.paused_by}` : "";
-  if (key && key !== told && about) store.set("selected", about.agents.map((id) => ({ species: about.species, id })));
+  if (key && key !== told && about)
+    store.set(
+      "selected",
+      about.agents.map((id) => ({ species: about.species, id })),
+    );
   told = key;
 }
 
@@ -95,17 +115,23 @@ function row(unfit: ReadonlyMap<string, string>, remove: (gone: Break) => void):
   };
 }
 
-function form(title: string, test: string, add: (told: (wrong: string) => void) => void, ...children: Node[]): HTMLFormElement {
+function form(title: string, test: string, add: (tell: (wrong: string) => void) => void, ...children: Node[]): HTMLFormElement {
   const wrong = el("p", { class: "bad-note", test: `${test}-wrong`, role: "alert", hidden: true });
-  const told = (words: string) => {
-    wrong.hidden = !words;
-    say(wrong, words);
+  const tell = (what: string) => {
+    wrong.hidden = !what;
+    say(wrong, what);
   };
-  const made = el("form", { class: "add", test }, el("h3", { text: title }), el("div", { class: "row" }, ...children, el("button", { type: "submit", text: "Add" })), wrong);
-  made.addEventListener("input", () => told(""));
+  const made = el(
+    "form",
+    { class: "add", test },
+    el("h3", { text: title }),
+    el("div", { class: "row" }, ...children, el("button", { type: "submit", text: "Add" })),
+    wrong,
+  );
+  made.addEventListener("input", () => tell(""));
   made.addEventListener("submit", (event) => {
     event.preventDefault();
-    add(told);
+    add(tell);
   });
   return made;
 }
@@ -113,7 +139,12 @@ function form(title: string, test: string, add: (told: (wrong: string) => void) 
 function stateForm(store: Store, add: Add): HTMLElement {
   const select = el("select", { "aria-label": "State", test: "break-state" });
   let options: { words: string; made: Break }[] = [];
-  const made = form("An agent enters a state", "break-state-form", () => options[select.selectedIndex] && add((options[select.selectedIndex] as { made: Break }).made), select);
+  const made = form(
+    "An agent enters a state",
+    "break-state-form",
+    () => options[select.selectedIndex] && add((options[select.selectedIndex] as { made: Break }).made),
+    select,
+  );
   let seen = "";
   store.on("scene", () => {
     const species = store.now.scene?.species ?? [];
@@ -137,35 +168,56 @@ function stateForm(store: Store, add: Add): HTMLElement {
 }
 
 function conditionForm(store: Store, add: Add): HTMLElement {
-  const field = el("input", { type: "text", maxlength: 2000, spellcheck: "false", "aria-label": "Condition, as in a spec", test: "break-condition" });
+  const field = el("input", {
+    type: "text",
+    maxlength: 2000,
+    spellcheck: "false",
+    "aria-label": "Condition, as in a spec",
+    test: "break-condition",
+  });
   store.on("scene", () => {
     const state = store.now.scene?.species[0]?.machines[0]?.states.at(-1);
     field.placeholder = state ? `count(state == ${state}) > 10` : "";
   });
-  return form("A condition becomes true", "break-condition-form", (told) => {
-    const text = field.value.trim();
-    if (!text) return;
-    add({ kind: "condition", text }, (wrong) => {
-      told(wrong);
-      if (!wrong && field.value.trim() === text) field.value = "";
-    });
-  }, field);
+  return form(
+    "A condition becomes true",
+    "break-condition-form",
+    (tell) => {
+      const text = field.value.trim();
+      if (!text) return;
+      add({ kind: "condition", text }, (wrong) => {
+        tell(wrong);
+        if (!wrong && field.value.trim() === text) field.value = "";
+      });
+    },
+    field,
+  );
 }
 
 function specForm(store: Store, add: Add): HTMLElement {
   const select = el("select", { "aria-label": "Spec", test: "break-spec" });
-  const made = form("A spec fails", "break-spec-form", (told) => select.value && add({ kind: "spec", spec: select.value }, told), select);
+  const made = form(
+    "A spec fails",
+    "break-spec-form",
+    (tell) => select.value && add({ kind: "spec", spec: select.value }, tell),
+    select,
+  );
   let seen = "";
   store.on("scene", () => {
-    const specs = store.now.scene?.specs ?? [];
-    made.hidden = specs.length === 0;
-    const now = specs.join("\n");
-    if (now !== seen) select.replaceChildren(...specs.map((value) => el("option", { value, text: value })));
+    const names = store.now.scene?.specs ?? [];
+    made.hidden = names.length === 0;
+    const now = names.join("\n");
+    if (now !== seen) select.replaceChildren(...names.map((value) => el("option", { value, text: value })));
     seen = now;
   });
   return made;
 }
 
 function faultForm(add: Add): HTMLElement {
-  return form("A value is at fault", "break-fault-form", () => add({ kind: "fault" }), el("span", { class: "quiet", text: "no number, or far away" }));
+  return form(
+    "A value is at fault",
+    "break-fault-form",
+    () => add({ kind: "fault" }),
+    el("span", { class: "quiet", text: "no number, or far away" }),
+  );
 }

@@ -20,7 +20,11 @@ export class Lines {
   constructor(store: Store) {
     const list = el("ul", { class: "lines", test: "lines" });
     this.element = el("section", { hidden: true }, el("h3", { text: "To have the same for good, write" }), list);
-    this.show = keyed<Line>(list, (line) => line.key, () => this.row());
+    this.show = keyed<Line>(
+      list,
+      (line) => line.key,
+      () => this.row(),
+    );
     store.connection.on("outcome", (outcome) => this.heard(outcome));
     store.on("scene", () => this.forget(store));
   }
@@ -37,7 +41,9 @@ export class Lines {
     const scene = store.now.scene;
     for (const param of scene?.params ?? []) if (param.value === param.written) this.lines.delete(param.name);
     for (const field of scene?.fields ?? []) if (field.on) this.lines.delete(`${field.name}.limit`);
-    const on = new Set(scene?.species.flatMap((each) => each.layers.filter((layer) => layer.on).map((layer) => `# ${layer.text}`)));
+    const on = new Set(
+      scene?.species.flatMap((each) => each.layers.filter((layer) => layer.on).map((layer) => `# ${layer.text}`)),
+    );
     for (const [key, line] of this.lines) if (on.has(line.text)) this.lines.delete(key);
     this.renew();
   }
@@ -65,10 +71,12 @@ export class Lines {
   private copy(code: HTMLElement, copied: HTMLButtonElement): void {
     const done = navigator.clipboard?.writeText(code.textContent ?? "");
     const mark = () => getSelection()?.selectAllChildren(code);
-    if (!done) return mark();
-    done.then(() => {
-      say(copied, "Copied");
-      setTimeout(() => say(copied, "Copy"), 1500);
-    }, mark);
+    if (done) void done.then(() => this.said(copied), mark);
+    else mark();
+  }
+
+  private said(copied: HTMLButtonElement): void {
+    say(copied, "Copied");
+    setTimeout(() => say(copied, "Copy"), 1500);
   }
 }

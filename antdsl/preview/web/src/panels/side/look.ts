@@ -31,7 +31,14 @@ const KEYS: [string, string][] = [
 ];
 
 export const look: Panel = (store, place) => {
-  place.append(colouring(store), camera(store), toggles(store), shownNames(store, "fields", "Fields on the ground"), shownNames(store, "flows", "Flows as arrows"), keys());
+  place.append(
+    colouring(store),
+    camera(store),
+    toggles(store),
+    shownNames(store, "fields", "Fields on the ground"),
+    shownNames(store, "flows", "Flows as arrows"),
+    keys(),
+  );
   askOnChange(store);
 };
 
@@ -52,8 +59,12 @@ function colouring(store: Store): HTMLElement {
 /** State, each machine where there are several, speed, and all attributes of all species, each name once. */
 function colours(store: Store): [string, string][] {
   const species = store.now.scene?.species ?? [];
-  const machines = new Set(species.filter((each) => each.machines.length > 1).flatMap((each) => each.machines.map((machine) => machine.name)));
-  const attributes = new Map(species.flatMap((each) => each.attributes.map((attribute) => [attribute.name, attribute.unit] as const)));
+  const machines = new Set(
+    species.filter((each) => each.machines.length > 1).flatMap((each) => each.machines.map((machine) => machine.name)),
+  );
+  const attributes = new Map(
+    species.flatMap((each) => each.attributes.map((attribute) => [attribute.name, attribute.unit] as const)),
+  );
   attributes.delete("speed");
   return [
     ["state", "state"],
@@ -64,19 +75,31 @@ function colours(store: Store): [string, string][] {
 }
 
 function camera(store: Store): HTMLElement {
-  const buttons = CAMERAS.map(([name, words, title]) => [name, button(words, () => store.set("camera", name), { title, test: `camera-${name}` })] as const);
+  const buttons = CAMERAS.map(
+    ([name, words, title]) => [name, button(words, () => store.set("camera", name), { title, test: `camera-${name}` })] as const,
+  );
   const show = () => {
     for (const [name, each] of buttons) each.setAttribute("aria-pressed", String(store.now.camera === name));
   };
   store.on("camera", show);
   show();
-  return el("section", { class: "row" }, el("span", { text: "Camera" }), el("span", { class: "segments", role: "group", "aria-label": "Camera" }, ...buttons.map(([, each]) => each)));
+  return el(
+    "section",
+    { class: "row" },
+    el("span", { text: "Camera" }),
+    el("span", { class: "segments", role: "group", "aria-label": "Camera" }, ...buttons.map(([, each]) => each)),
+  );
 }
 
 /** What can be done by keys while the view has the focus. */
 function keys(): HTMLElement {
   const rows = KEYS.flatMap(([key, words]) => [el("dt", { class: "mono", text: key }), el("dd", { text: words })]);
-  return el("section", { test: "keys" }, el("h3", { text: "Keys, after a click into the view" }), el("dl", { class: "keys" }, ...rows));
+  return el(
+    "section",
+    { test: "keys" },
+    el("h3", { text: "Keys, after a click into the view" }),
+    el("dl", { class: "keys" }, ...rows),
+  );
 }
 
 function toggles(store: Store): HTMLElement {
@@ -84,7 +107,9 @@ function toggles(store: Store): HTMLElement {
   for (const [key, words] of TOGGLES) {
     const box = el("input", { type: "checkbox", test: `show-${key}` });
     box.addEventListener("change", () => store.set(key, box.checked));
-    store.on(key, () => (box.checked = store.now[key]));
+    store.on(key, () => {
+      box.checked = store.now[key];
+    });
     box.checked = store.now[key];
     section.append(el("label", { class: "tick" }, box, words));
   }
@@ -94,7 +119,11 @@ function toggles(store: Store): HTMLElement {
 function shownNames(store: Store, key: "fields" | "flows", title: string): HTMLElement {
   const list = el("div", { test: `view-${key}` });
   const section = el("section", { hidden: true }, el("h3", { text: title }), list);
-  const rows = keyed<string>(list, (name) => name, () => nameRow(store, key));
+  const rows = keyed<string>(
+    list,
+    (name) => name,
+    () => nameRow(store, key),
+  );
   store.on(["scene", key], () => {
     const names = store.now.scene?.[key].map((each) => (typeof each === "string" ? each : each.name)) ?? [];
     section.hidden = names.length === 0;
@@ -139,10 +168,13 @@ function askOnChange(store: Store): void {
   const ask = () => {
     const { scene, colour, fields, flows, feelers, selected } = store.now;
     const holders = scene?.species.filter((each) => each.attributes.some((attribute) => attribute.name === colour)) ?? [];
-    const one = selected[selected.length - 1];
+    const one = selected.at(-1);
     const message: Ask = {
       op: "look",
-      columns: colour === "state" || colour === "speed" || colour.startsWith("state/") ? [] : holders.map((each) => ({ species: each.name, name: colour })),
+      columns:
+        colour === "state" || colour === "speed" || colour.startsWith("state/")
+          ? []
+          : holders.map((each) => ({ species: each.name, name: colour })),
       fields: fields.filter((name) => scene?.fields.some((field) => field.name === name)),
       flows: flows.filter((name) => scene?.flows.includes(name)),
       solids: true,

@@ -10,7 +10,10 @@ import type { Panel } from "../side";
 const EVERY = 150; // ms between two countings
 
 export const machine: Panel = (store, place, shown) => {
-  const note = el("p", { class: "note", text: "Choose a state to select its agents. Arrows are as wide as many went along in the last second; rest on one for its conditions." });
+  const note = el("p", {
+    class: "note",
+    text: "Choose a state to select its agents. Arrows are as wide as many went along in the last second; rest on one for its conditions.",
+  });
   const need = el("p", { class: "note", test: "charts-need", hidden: true });
   const pick = el("select", { "aria-label": "Machine", test: "machine-pick" });
   const host = el("div", { class: "chart-host", test: "chart" });
@@ -23,7 +26,8 @@ export const machine: Panel = (store, place, shown) => {
   let drawing: ChartDrawing | null = null;
   let drawn = "";
 
-  const chart = (): Chart | undefined => store.now.scene?.charts.find((each) => each.title === pick.value) ?? store.now.scene?.charts[0];
+  const chart = (): Chart | undefined =>
+    store.now.scene?.charts.find((each) => each.title === pick.value) ?? store.now.scene?.charts[0];
   const count = () => {
     const now = chart();
     if (!drawing || !now || !shown.shown()) return;
@@ -45,7 +49,9 @@ export const machine: Panel = (store, place, shown) => {
     const key = JSON.stringify(now);
     if (key === drawn) return;
     drawn = key;
-    drawing = now ? new ChartDrawing(now, (state) => store.set("selected", counter.agents(now.species, now.machine, state))) : null;
+    drawing = now
+      ? new ChartDrawing(now, (state) => store.set("selected", counter.agents(now.species, now.machine, state)))
+      : null;
     host.replaceChildren(...(drawing ? [drawing.element] : []));
     drawing?.fit();
     count();
@@ -59,7 +65,10 @@ export const machine: Panel = (store, place, shown) => {
   store.on("scene", redraw);
   pick.addEventListener("change", redraw);
   store.on("selected", mark);
-  shown.heard(() => (count(), mark()));
+  shown.heard(() => {
+    count();
+    mark();
+  });
   setInterval(() => {
     if (!counter.changed) return;
     counter.changed = false;

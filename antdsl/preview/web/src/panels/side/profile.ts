@@ -33,27 +33,47 @@ export const profile: Panel = (store, place) => {
     const list = el("ul", { class: "costs" });
     const section = el("section", {}, el("h3", { text: title }), list);
     body.append(section);
-    const show = keyed<Cost>(list, (cost) => cost.key, () => row(store));
-    return (costs: readonly Cost[]) => {
-      section.hidden = costs.length === 0;
-      show(costs);
+    const show = keyed<Cost>(
+      list,
+      (cost) => cost.key,
+      () => row(store),
+    );
+    return (listed: readonly Cost[]) => {
+      section.hidden = listed.length === 0;
+      show(listed);
     };
   });
-  place.append(el("label", { class: "tick switch" }, box, "measure where the time goes"), el("p", { class: "note", text: "The run stays the same to the bit; costs stand beside the lines of the text as well." }), body);
+  place.append(
+    el("label", { class: "tick switch" }, box, "measure where the time goes"),
+    el("p", { class: "note", text: "The run stays the same to the bit; costs stand beside the lines of the text as well." }),
+    body,
+  );
   store.connection.on("profile", (message) => {
     if (!box.checked && performance.now() - off < LATE) return; // what was on its way as it was switched off
     box.checked = true; // also where another page has asked for it
     store.set("profile", message);
     body.hidden = false;
     say(total, `${ms(message.total)} a frame, over the last ${message.frames} frames`);
-    costs(message).forEach((each, k) => lists[k]?.(each));
+    for (const [k, each] of costs(message).entries()) lists[k]?.(each);
   });
 };
 
 function costs(message: Profile): Cost[][] {
   const phases = message.phases.map((each) => ({ key: each.name, words: each.name, file: "", line: 0, ms: each.ms }));
-  const layers = message.layers.map((each) => ({ key: `${each.species} ${each.file}:${each.line} ${each.text}`, words: each.text, file: each.file, line: each.line, ms: each.ms }));
-  const lines = message.lines.map((each) => ({ key: `${each.file}:${each.line}`, words: each.text, file: each.file, line: each.line, ms: each.ms }));
+  const layers = message.layers.map((each) => ({
+    key: `${each.species} ${each.file}:${each.line} ${each.text}`,
+    words: each.text,
+    file: each.file,
+    line: each.line,
+    ms: each.ms,
+  }));
+  const lines = message.lines.map((each) => ({
+    key: `${each.file}:${each.line}`,
+    words: each.text,
+    file: each.file,
+    line: each.line,
+    ms: each.ms,
+  }));
   return [phases, layers, lines.sort((a, b) => b.ms - a.ms).slice(0, LINES)].map((all) => {
     const most = Math.max(...all.map((each) => each.ms), 1e-9);
     return all.map((each) => ({ ...each, share: each.ms / most }));
@@ -64,7 +84,16 @@ function row(store: Store): Row<Cost> {
   let now: Cost | null = null;
   const words = el("span", { class: "words" });
   const number = el("span", { class: "value" });
-  const go = el("button", { type: "button", class: "cost-row", on: { click: () => now?.file && store.set("goto", { file: now.file, line: now.line }) } }, words, number);
+  const go = el(
+    "button",
+    {
+      type: "button",
+      class: "cost-row",
+      on: { click: () => now?.file && store.set("goto", { file: now.file, line: now.line }) },
+    },
+    words,
+    number,
+  );
   const element = el("li", {}, go);
   return {
     element,

@@ -6,10 +6,11 @@ import type { Param } from "../../protocol";
 export function range(param: Param): { low: number; high: number; offered: string } {
   const base = written(param);
   const size = Math.max(Math.abs(base), Math.abs(param.number)) || 1;
-  const low = param.low ?? Math.min(0, -2 * size * Number(base < 0));
+  const low = param.low ?? (base < 0 ? -2 * size : 0);
   const high = param.high ?? Math.max(low, 0) + 2 * size;
   if (param.low !== null && param.high !== null) return { low, high, offered: "" };
-  return { low, high, offered: `(The text gives no range: ${low} to ${high} ${param.unit}`.trimEnd() + " is offered.)" };
+  const ends = `${low} to ${high} ${param.unit}`.trimEnd();
+  return { low, high, offered: `(The text gives no range: ${ends} is offered.)` };
 }
 
 /** About two hundred steps, each 1, 2 or 5 of some decimal place. */

@@ -12,7 +12,10 @@ const EVERY = 100; // ms between two values while one drags
 
 export const sliders: Panel = (store, place) => {
   const list = el("div", { class: "params", test: "params" });
-  const none = el("p", { class: "note", text: "The program has no `param`. Write one, such as `param swing = 50 deg in 0 deg .. 180 deg`, and it stands here." });
+  const none = el("p", {
+    class: "note",
+    text: "The program has no `param`. Write one, such as `param swing = 50 deg in 0 deg .. 180 deg`, and it stands here.",
+  });
   const rows = keyed<Param>(list, paramKey, () => paramRow(store));
   const lines = new Lines(store);
   place.append(none, list, ...switches(store), lines.element);
@@ -75,7 +78,10 @@ function paramRow(store: Store): Row<Param> {
       say(unit, param.unit);
       say(help, [param.help, offered].filter(Boolean).join(" "));
       help.hidden = !help.textContent;
-      const answered = sent === null || sent === param.value || Math.abs(Number.parseFloat(sent) - param.number) <= 1e-6 * Math.abs(param.number);
+      const answered =
+        sent === null ||
+        sent === param.value ||
+        Math.abs(Number.parseFloat(sent) - param.number) <= 1e-6 * Math.abs(param.number);
       if (answered) sent = null;
       if (answered && !slider.matches(":active")) {
         slider.value = String(param.number);

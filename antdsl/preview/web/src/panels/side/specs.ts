@@ -10,7 +10,11 @@ type Spec = Specs["specs"][number];
 export function specs(store: Store): HTMLElement {
   const list = el("ul", { class: "specs", test: "specs" });
   const section = el("section", { hidden: true }, el("h3", { text: "Specs so far" }), list);
-  const rows = keyed<Spec>(list, (spec) => spec.name, () => row(store));
+  const rows = keyed<Spec>(
+    list,
+    (spec) => spec.name,
+    () => row(store),
+  );
   store.connection.on("specs", (message) => {
     section.hidden = message.specs.length === 0;
     rows(message.specs);
@@ -42,5 +46,9 @@ function row(store: Store): Row<Spec> {
 
 function show(store: Store, spec: Spec): void {
   if (spec.frame !== null) seek(store, spec.frame);
-  if (spec.agents.length) store.set("selected", spec.agents.map((id) => ({ species: spec.species, id })));
+  if (spec.agents.length)
+    store.set(
+      "selected",
+      spec.agents.map((id) => ({ species: spec.species, id })),
+    );
 }

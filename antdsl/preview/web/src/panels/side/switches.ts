@@ -7,15 +7,28 @@ import { css, el, keyed, type Row, say } from "../dom";
 interface Layer extends LayerInfo {
   species: string;
 }
-type Field = { name: string; unit: string; colour: [number, number, number]; on: boolean };
+interface Field {
+  name: string;
+  unit: string;
+  colour: [number, number, number];
+  on: boolean;
+}
 
 export function switches(store: Store): HTMLElement[] {
   const layerList = el("ul", { class: "switches", test: "layers" });
   const fieldList = el("ul", { class: "switches", test: "fields" });
   const layers = el("section", {}, el("h3", { text: "Layers, the first wins" }), layerList);
   const fields = el("section", {}, el("h3", { text: "Fields that hold scent" }), fieldList);
-  const layerRows = keyed<Layer>(layerList, (layer) => `${layer.species}\u0000${layer.text}`, () => layerRow(store));
-  const fieldRows = keyed<Field>(fieldList, (field) => field.name, () => fieldRow(store));
+  const layerRows = keyed<Layer>(
+    layerList,
+    (layer) => `${layer.species}\u0000${layer.text}`,
+    () => layerRow(store),
+  );
+  const fieldRows = keyed<Field>(
+    fieldList,
+    (field) => field.name,
+    () => fieldRow(store),
+  );
   store.on("scene", () => {
     const scene = store.now.scene;
     const all = scene?.species.flatMap((each) => each.layers.map((layer) => ({ ...layer, species: each.name }))) ?? [];
@@ -32,8 +45,15 @@ function layerRow(store: Store): Row<Layer> {
   const box = el("input", { type: "checkbox" });
   const words = el("code");
   const label = el("label", {}, box, words);
-  box.addEventListener("change", () => now && store.connection.ask({ op: "layer", species: now.species, layer: now.text, on: box.checked }));
-  const go = el("button", { type: "button", class: "link", on: { click: () => now && store.set("goto", { file: now.file, line: now.line }) } });
+  box.addEventListener(
+    "change",
+    () => now && store.connection.ask({ op: "layer", species: now.species, layer: now.text, on: box.checked }),
+  );
+  const go = el("button", {
+    type: "button",
+    class: "link",
+    on: { click: () => now && store.set("goto", { file: now.file, line: now.line }) },
+  });
   return {
     element: el("li", {}, label, go),
     update: (layer) => {

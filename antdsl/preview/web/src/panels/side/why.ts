@@ -10,10 +10,20 @@ import { layers } from "../why/layers";
 import { strips } from "../why/strip";
 
 export const why: Panel = (store, place) => {
-  const hint = el("p", { class: "note", test: "why-hint", text: "Click an agent, and what it looked at, wished and drew in its last step stands here. Without a pointer: tab into the view and press n for the next one." });
+  const hint = el("p", {
+    class: "note",
+    test: "why-hint",
+    text: "Click an agent, and what it looked at, wished and drew in its last step stands here. Without a pointer: tab into the view and press n for the next one.",
+  });
   const title = el("h2", { test: "why-title", "aria-live": "polite" });
-  const copy = button("Copy as text", () => void navigator.clipboard?.writeText(store.now.explained?.told ?? ""), { class: "small" });
-  const again = button("Explain", () => ask(store), { class: "small", title: "explain the step to the frame one is at now", test: "explain" });
+  const copy = button("Copy as text", () => void navigator.clipboard?.writeText(store.now.explained?.told ?? ""), {
+    class: "small",
+  });
+  const again = button("Explain", () => ask(store), {
+    class: "small",
+    title: "explain the step to the frame one is at now",
+    test: "explain",
+  });
   const about = el("p", { test: "why-about" });
   const head = el("div", { class: "why-head" }, title, again, copy, about);
   const message = el("p", { class: "note bad-note", test: "why-message", hidden: true });
@@ -29,11 +39,13 @@ export const why: Panel = (store, place) => {
     if (!explained || !status) return;
     const old = explained.frame !== status.frame;
     body.classList.toggle("old", old);
-    const now = old ? `, and now it is frame ${status.frame}: ${status.playing ? "pause it, or press Explain" : "it is asked again"}` : several;
+    const now = old
+      ? `, and now it is frame ${status.frame}: ${status.playing ? "pause it, or press Explain" : "it is asked again"}`
+      : several;
     say(about, `the step to frame ${explained.frame}${now}`);
   };
   const show = () => {
-    const one = store.now.selected[store.now.selected.length - 1];
+    const one = store.now.selected.at(-1);
     const explained = store.now.explained;
     const fits = one && explained && explained.species === one.species && explained.agent === one.id;
     hint.hidden = Boolean(one);
@@ -65,14 +77,18 @@ function fill(store: Store, body: HTMLElement, explained: Explained): void {
   const focused = body.contains(document.activeElement) ? document.activeElement?.getAttribute("aria-label") : null;
   const top = body.parentElement?.scrollTop ?? 0;
   const open = new Set([...body.querySelectorAll("details[open]")].map((each) => (each as HTMLElement).dataset.name));
-  body.replaceChildren(...(explanation ? [...strips(store, explanation), ...decided(store, explanation), layers(store, explanation), ...around(store, explanation)] : []));
+  body.replaceChildren(
+    ...(explanation
+      ? [...strips(store, explanation), ...decided(store, explanation), layers(store, explanation), ...around(store, explanation)]
+      : []),
+  );
   for (const details of body.querySelectorAll("details")) if (open.has(details.dataset.name)) details.open = true;
   if (focused) [...body.querySelectorAll("button")].find((each) => each.getAttribute("aria-label") === focused)?.focus();
   if (body.parentElement) body.parentElement.scrollTop = top;
 }
 
 function ask(store: Store): void {
-  const one = store.now.selected[store.now.selected.length - 1];
+  const one = store.now.selected.at(-1);
   const status = store.now.status;
   if (one && status) store.connection.ask({ op: "explain", species: one.species, agent: one.id, frame: status.frame });
 }
@@ -81,7 +97,7 @@ function ask(store: Store): void {
 function keepAsking(store: Store): void {
   let asked = "";
   const renew = (chosen: boolean) => {
-    const one = store.now.selected[store.now.selected.length - 1];
+    const one = store.now.selected.at(-1);
     const status = store.now.status;
     if (!one || !status) {
       asked = "";

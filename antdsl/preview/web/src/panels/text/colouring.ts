@@ -35,7 +35,9 @@ const SHOWN: [string, string, Record<string, string>][] = [
 ];
 const TAGS = new Map(SHOWN.map(([scope]) => [scope, Tag.define()] as const));
 
-export const colours = HighlightStyle.define(SHOWN.map(([scope, color, more]) => ({ tag: TAGS.get(scope) as Tag, color, ...more })));
+export const colours = HighlightStyle.define(
+  SHOWN.map(([scope, color, more]) => ({ tag: TAGS.get(scope) as Tag, color, ...more })),
+);
 
 /** The name of a scope's colour; without dots, which would mean something else there. */
 function family(scope: string): string {
@@ -53,7 +55,10 @@ const YAML: Pattern[] = (
     ["#.*$", ["comment"]],
     ["(\"[^\"]*\"?|'[^']*'?)", ["string"]],
     ["([A-Za-z_][\\w.-]*)(?=\\s*:(?:\\s|$))", ["entity.name.function"]],
-    ["(-?\\d+(?:\\.\\d+)?(?:[eE][+-]?\\d+)?)([ \\t]*(?:%|[a-z]+(?:/[a-z]+)?)(?![\\w.]))?", ["constant.numeric", "keyword.other.unit"]],
+    [
+      "(-?\\d+(?:\\.\\d+)?(?:[eE][+-]?\\d+)?)([ \\t]*(?:%|[a-z]+(?:/[a-z]+)?)(?![\\w.]))?",
+      ["constant.numeric", "keyword.other.unit"],
+    ],
     ["(true|false|null|yes|no)\\b", ["keyword.control"]],
     ["[A-Za-z_][\\w./-]*", [""]],
     ["[-{}\\[\\],:&*|>]", ["punctuation"]],

@@ -117,7 +117,10 @@ export class Editor {
   point(line: number | null): void {
     const { doc } = this.view.state;
     const effects: StateEffect<unknown>[] = [pointOut.of(line)];
-    if (line !== null) effects.push(EditorView.scrollIntoView(doc.line(Math.min(Math.max(line, 1), doc.lines)).from, { y: "nearest", yMargin: 60 }));
+    if (line !== null)
+      effects.push(
+        EditorView.scrollIntoView(doc.line(Math.min(Math.max(line, 1), doc.lines)).from, { y: "nearest", yMargin: 60 }),
+      );
     this.view.dispatch({ effects });
   }
 
@@ -144,6 +147,6 @@ function difference(old: string, now: string): { from: number; to: number; inser
   let start = 0;
   while (start < old.length && start < now.length && old[start] === now[start]) start++;
   let end = 0;
-  while (end < old.length - start && end < now.length - start && old[old.length - 1 - end] === now[now.length - 1 - end]) end++;
+  while (end < old.length - start && end < now.length - start && old.at(-1 - end) === now.at(-1 - end)) end++;
   return { from: start, to: old.length - end, insert: now.slice(start, now.length - end) };
 }

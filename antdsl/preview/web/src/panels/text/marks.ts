@@ -34,7 +34,9 @@ const pointed = StateField.define<DecorationSet>({
       if (!effect.is(pointOut)) continue;
       const line = effect.value;
       const there = line !== null && line >= 1 && line <= transaction.state.doc.lines;
-      now = there ? Decoration.set([Decoration.line({ class: "pointed" }).range(transaction.state.doc.line(line).from)]) : Decoration.none;
+      now = there
+        ? Decoration.set([Decoration.line({ class: "pointed" }).range(transaction.state.doc.line(line).from)])
+        : Decoration.none;
     }
     return now;
   },
@@ -45,7 +47,8 @@ const complaints = StateField.define<DecorationSet>({
   create: () => Decoration.none,
   update(old, transaction) {
     let now = old.map(transaction.changes);
-    for (const effect of transaction.effects) if (effect.is(complain)) now = drawn(effect.value, transaction.state.doc.length, (at) => transaction.state.doc.lineAt(at));
+    for (const effect of transaction.effects)
+      if (effect.is(complain)) now = drawn(effect.value, transaction.state.doc.length, (at) => transaction.state.doc.lineAt(at));
     return now;
   },
   provide: (field) => EditorView.decorations.from(field),
@@ -55,14 +58,19 @@ function drawn(problems: readonly Problem[], length: number, lineAt: (at: number
   const ranges = problems.flatMap((problem) => {
     const start = Math.min(problem.start, length);
     const end = Math.min(Math.max(problem.end, start), length);
-    const below = Decoration.widget({ widget: new Complaint(problem), block: true, side: 1 }).range(lineAt(end > start ? end - 1 : start).to);
+    const below = Decoration.widget({ widget: new Complaint(problem), block: true, side: 1 }).range(
+      lineAt(end > start ? end - 1 : start).to,
+    );
     return end > start ? [Decoration.mark({ class: `wrong ${problem.severity}` }).range(start, end), below] : [below];
   });
   return Decoration.set(ranges, true);
 }
 
 class Cost extends GutterMarker {
-  constructor(private readonly ms: number, private readonly share: number) {
+  constructor(
+    private readonly ms: number,
+    private readonly share: number,
+  ) {
     super();
   }
 
@@ -85,7 +93,9 @@ const costs = StateField.define<RangeSet<GutterMarker>>({
       if (!effect.is(tellCosts)) continue;
       const { doc } = transaction.state;
       const dearest = Math.max(...effect.value.values(), 1e-9);
-      const lines = [...effect.value].filter(([line, ms]) => line >= 1 && line <= doc.lines && ms >= 0.005).sort((a, b) => a[0] - b[0]);
+      const lines = [...effect.value]
+        .filter(([line, ms]) => line >= 1 && line <= doc.lines && ms >= 0.005)
+        .sort((a, b) => a[0] - b[0]);
       now = RangeSet.of(lines.map(([line, ms]) => new Cost(ms, ms / dearest).range(doc.line(line).from)));
     }
     return now;

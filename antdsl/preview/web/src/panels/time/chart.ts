@@ -12,7 +12,7 @@ const BAND = 5;
 export class Chart {
   hover: number | null = null;
   stops: ReadonlyMap<number, string> = new Map(); // the frames at which play was stopped, and why
-  drawn: () => void = () => {};
+  drawn: (() => void) | null = null;
   private readonly context: CanvasRenderingContext2D;
   private width = 0;
   private height = 0;
@@ -42,13 +42,13 @@ export class Chart {
     const specs = chosen.shown.filter((each) => each.group === "specs");
     const below = this.height - 2 - specs.length * (BAND + 2);
     this.lines(below);
-    specs.forEach((spec, k) => this.band(spec, below + 3 + k * (BAND + 2)));
+    for (const [k, spec] of specs.entries()) this.band(spec, below + 3 + k * (BAND + 2));
     const words = getComputedStyle(this.canvas).getPropertyValue("color");
     this.upright(status.frame, words, 1);
     this.end(words);
     for (const frame of this.stops.keys()) this.stop(frame);
     if (this.hover !== null) this.upright(this.hover, words, 0.4);
-    this.drawn();
+    this.drawn?.();
   }
 
   private fit(): void {
@@ -104,9 +104,12 @@ export class Chart {
 
   private lines(below: number): void {
     const plotted = chosen.shown.filter((each) => each.group !== "specs");
-    const branch = this.data.branches[this.data.branches.length - 1];
+    const branch = this.data.branches.at(-1);
     const all = branch ? [this.data.now, branch] : [this.data.now];
-    const states = top(plotted.filter((each) => each.group === "states"), all);
+    const states = top(
+      plotted.filter((each) => each.group === "states"),
+      all,
+    );
     for (const each of plotted) {
       const high = each.group === "states" ? states : top([each], all);
       const y = (value: number) => below - 1 - (value / high) * (below - 6);
@@ -134,7 +137,8 @@ export class Chart {
       if (value === null || value === undefined) pen_down = false;
       else {
         const x = this.x(frames[k] as number);
-        pen_down ? pen.lineTo(x, y(value)) : pen.moveTo(x, y(value));
+        if (pen_down) pen.lineTo(x, y(value));
+        else pen.moveTo(x, y(value));
         pen_down = true;
       }
     }
@@ -165,6 +169,8 @@ export class Chart {
 /** What all of these curves stay below. */
 function top(all: readonly Named[], series: readonly Series[]): number {
   let high = 0;
-  for (const each of all) for (const one of series) for (const value of one.values.get(each.name) ?? []) if (value !== null && value > high) high = value;
+  for (const each of all)
+    for (const one of series)
+      for (const value of one.values.get(each.name) ?? []) if (value !== null && value > high) high = value;
   return high || 1;
 }

@@ -21,7 +21,9 @@ export class Chosen {
   renew(names: readonly string[], store: Store): void {
     this.all = names.map((name, order) => named(name, store.now.scene, order));
     let states = 0;
-    this.shown = this.all.filter((each) => this.hand.get(each.name) ?? (each.group === "specs" || (each.group === "states" && states++ < FIRST)));
+    this.shown = this.all.filter(
+      (each) => this.hand.get(each.name) ?? (each.group === "specs" || (each.group === "states" && states++ < FIRST)),
+    );
   }
 }
 
@@ -41,11 +43,18 @@ export function chooser(store: Store, data: CurveData, draw: () => void): HTMLEl
     const list = el("div");
     const part = el("fieldset", {}, el("legend", { text: title }), list);
     box.append(part);
-    const rows = keyed<Named>(list, (each) => each.name, () => row(renew));
-    return [group, (items: readonly Named[]) => {
-      part.hidden = items.length === 0;
-      rows(items);
-    }] as const;
+    const rows = keyed<Named>(
+      list,
+      (each) => each.name,
+      () => row(renew),
+    );
+    return [
+      group,
+      (items: readonly Named[]) => {
+        part.hidden = items.length === 0;
+        rows(items);
+      },
+    ] as const;
   });
   let seen = "";
   store.on(["scene", "curves"], () => {

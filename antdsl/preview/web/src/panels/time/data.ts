@@ -19,12 +19,13 @@ export class CurveData {
   take(curves: Curves): void {
     this.changes++;
     if (curves.reset) this.forget(curves.frames[0]);
-    if (curves.branches) this.branches = curves.branches.map((branch) => ({ ...branch, values: new Map(Object.entries(branch.values)) }));
+    if (curves.branches)
+      this.branches = curves.branches.map((branch) => ({ ...branch, values: new Map(Object.entries(branch.values)) }));
     const { frames, values } = this.now;
     const start = frames.length;
     for (const name of Object.keys(curves.values)) if (!values.has(name)) values.set(name, new Array<null>(start).fill(null));
     curves.frames.forEach((frame, k) => {
-      const last = frames[frames.length - 1];
+      const last = frames.at(-1);
       const at = last === undefined || frame > last ? frames.push(frame) - 1 : frames.indexOf(frame);
       if (at < 0) return; // older than all that is kept
       for (const [name, all] of values) all[at] = curves.values[name]?.[k] ?? (at < start ? (all[at] ?? null) : null);

@@ -16,7 +16,7 @@ export function legend(store: Store, data: CurveData, chart: Chart): HTMLElement
     const frame = chart.hover ?? store.now.status?.frame ?? 0;
     say(where, [chart.hover === null ? "now" : `at frame ${frame}`, chart.stops.get(frame)].filter(Boolean).join(": "));
     rows(chosen.shown.map((each) => [each, data.valueAt(each.name, frame)]));
-    const last = data.branches[data.branches.length - 1];
+    const last = data.branches.at(-1);
     say(branch, last ? `╌╌ before: ${last.line || "edited"}, at frame ${last.first}` : "");
     branch.title = data.branches.map((each) => `at frame ${each.first}: ${each.line}`).join("\n");
   });
@@ -34,7 +34,18 @@ function row(): Row<[Named, number | null]> {
       swatch.style.background = each.colour;
       say(words, each.words);
       words.title = each.name;
-      say(value, now === null ? "–" : each.group === "specs" ? (now ? "holds" : "fails") : Number.isInteger(now) ? now.toLocaleString("en") : shown(now));
+      say(
+        value,
+        now === null
+          ? "–"
+          : each.group === "specs"
+            ? now
+              ? "holds"
+              : "fails"
+            : Number.isInteger(now)
+              ? now.toLocaleString("en")
+              : shown(now),
+      );
     },
   };
 }

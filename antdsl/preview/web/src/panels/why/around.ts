@@ -1,6 +1,6 @@
 // What it looked at, felt and drew, what it asked of the world, and what has changed of it.
 
-import type { Explanation } from "../../protocol";
+import type { Explanation } from "../../explanation";
 import type { Store } from "../../store";
 import { button, el, shown } from "../dom";
 import { folded } from "./parts";
@@ -9,8 +9,8 @@ export function around(store: Store, e: Explanation): HTMLElement[] {
   const own = e.changes.filter((each) => !each.memory);
   const memory = e.changes.filter((each) => each.memory);
   const felt = new Map<string, number>();
-  for (const sense of e.senses) {
-    const words = `${sense.kind} ${sense.name}: ${sense.shown}\u0000${sense.text}`;
+  for (const each of e.senses) {
+    const words = `${each.kind} ${each.name}: ${each.shown}\u0000${each.text}`;
     felt.set(words, (felt.get(words) ?? 0) + 1);
   }
   const parts: [string, number, HTMLElement][] = [
@@ -26,7 +26,11 @@ export function around(store: Store, e: Explanation): HTMLElement[] {
 }
 
 function pairs(rows: [string, string, string?][]): HTMLElement {
-  return el("dl", {}, ...rows.flatMap(([name, value, title]) => [el("dt", { text: name, title: title ?? name }), el("dd", { text: value })]));
+  return el(
+    "dl",
+    {},
+    ...rows.flatMap(([name, value, title]) => [el("dt", { text: name, title: title ?? name }), el("dd", { text: value })]),
+  );
 }
 
 function sense(words: string, times: number): HTMLElement {
@@ -39,12 +43,28 @@ function seen(store: Store, e: Explanation, group: Explanation["seen"][number]):
   const species = store.now.scene?.species.some((each) => each.name === group.of);
   const near = group.nearest.map((each) => {
     const id = Number(each.name);
-    const name = species && Number.isInteger(id)
-      ? button(each.name, () => store.set("selected", [{ species: group.of, id }]), { class: "link", title: `select ${group.of} ${each.name}` })
-      : el("span", { text: each.name });
-    return el("li", {}, name, el("span", { class: "quiet", text: ` ${shown(each.distance)} mm${each.about ? ` · ${each.about}` : ""}` }));
+    const name =
+      species && Number.isInteger(id)
+        ? button(each.name, () => store.set("selected", [{ species: group.of, id }]), {
+            class: "link",
+            title: `select ${group.of} ${each.name}`,
+          })
+        : el("span", { text: each.name });
+    return el(
+      "li",
+      {},
+      name,
+      el("span", { class: "quiet", text: ` ${shown(each.distance)} mm${each.about ? ` · ${each.about}` : ""}` }),
+    );
   });
   const more = group.count - group.nearest.length;
   if (more > 0) near.push(el("li", { class: "quiet", text: `and ${more} more` }));
-  return el("li", {}, el("b", { text: `${group.count} ${group.of}` }), " ", el("code", { class: "quiet", text: group.asked, title: `${group.asked} — asked by ${e.species}` }), el("ul", {}, ...near));
+  return el(
+    "li",
+    {},
+    el("b", { text: `${group.count} ${group.of}` }),
+    " ",
+    el("code", { class: "quiet", text: group.asked, title: `${group.asked} — asked by ${e.species}` }),
+    el("ul", {}, ...near),
+  );
 }

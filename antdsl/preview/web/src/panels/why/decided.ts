@@ -1,6 +1,6 @@
 // The changes of state that were looked at, in their order: what each asked, with values, and which one won.
 
-import type { Explanation, Looked } from "../../protocol";
+import type { Explanation, Looked } from "../../explanation";
 import type { Store } from "../../store";
 import { el, shown } from "../dom";
 import { conditionParts, link, section } from "./parts";
@@ -9,7 +9,9 @@ type Machine = Explanation["machines"][number];
 
 export function decided(store: Store, e: Explanation): HTMLElement[] {
   const notes = e.notes.length ? [el("p", { class: "note", text: e.notes.join(" ") })] : [];
-  const machines = e.machines.map((machine) => section(headline(machine, e.machines.length > 1), changes(store, machine), claim(store, machine), choice(machine)));
+  const machines = e.machines.map((machine) =>
+    section(headline(machine, e.machines.length > 1), changes(store, machine), claim(store, machine), choice(machine)),
+  );
   const events = e.handlers.length ? [section("Events that reached it", ...e.handlers.map((each) => link(store, each)))] : [];
   return [...notes, ...machines, ...events];
 }
@@ -33,7 +35,12 @@ function changes(store: Store, m: Machine): HTMLElement {
 
 function looked(store: Store, each: Looked, won: boolean): HTMLElement {
   const verdict = each.wins ? "wins" : each.fires ? (won ? "holds too" : "holds") : "no";
-  const row = el("li", { class: each.wins ? "wins" : each.fires ? "holds" : "no" }, el("span", { class: "verdict", text: verdict }), link(store, each.place));
+  const row = el(
+    "li",
+    { class: each.wins ? "wins" : each.fires ? "holds" : "no" },
+    el("span", { class: "verdict", text: verdict }),
+    link(store, each.place),
+  );
   if (each.condition) {
     const parts = conditionParts(each.condition, each.timers.length > 0);
     if (parts) row.append(parts);
@@ -46,7 +53,13 @@ function looked(store: Store, each: Looked, won: boolean): HTMLElement {
 function timerRow(timer: Looked["timers"][number]): HTMLElement {
   const meter = el("span", { class: `timer ${timer.holds ? "yes" : ""}` });
   meter.style.setProperty("--share", `${Math.min(1, timer.needs > 0 ? timer.has / timer.needs : 1) * 100}%`);
-  return el("p", { class: "timed" }, el("code", { text: timer.what }), meter, el("span", { text: `${shown(timer.has)} of ${shown(timer.needs)} ${timer.unit}` }));
+  return el(
+    "p",
+    { class: "timed" },
+    el("code", { text: timer.what }),
+    meter,
+    el("span", { text: `${shown(timer.has)} of ${shown(timer.needs)} ${timer.unit}` }),
+  );
 }
 
 function claim(store: Store, { claim: asked }: Machine): HTMLElement | null {
@@ -66,7 +79,11 @@ function choice({ choice: drawn }: Machine): HTMLElement | null {
   const bar = el("div", { class: "choice" });
   let from = 0;
   for (const [name, to] of drawn.bars) {
-    const piece = el("span", { class: name === drawn.chosen ? "yes" : "", text: name, title: `${name}: from ${shown(from)} to ${shown(to)}` });
+    const piece = el("span", {
+      class: name === drawn.chosen ? "yes" : "",
+      text: name,
+      title: `${name}: from ${shown(from)} to ${shown(to)}`,
+    });
     piece.style.width = `${(to - from) * 100}%`;
     bar.append(piece);
     from = to;

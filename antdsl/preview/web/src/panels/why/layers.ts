@@ -1,7 +1,8 @@
 // The layers: one bar for the whole strength, with what each got of it; and what was cut from those below.
 
 import { HUES } from "../../hues";
-import type { Explanation, Triple } from "../../protocol";
+import type { Explanation } from "../../explanation";
+import type { Triple } from "../../protocol";
 import type { Store } from "../../store";
 import { el, shown } from "../dom";
 import { conditionParts, link, section } from "./parts";
@@ -16,7 +17,12 @@ const TITLES: Record<string, string> = {
 
 export function layers(store: Store, e: Explanation): HTMLElement {
   if (!e.layers.length) return section("Where to", together(e));
-  const bar = el("div", { class: "budget", test: "budget", role: "img", "aria-label": e.layers.map((each) => `${each.place.text}: ${words(each)}`).join("; ") });
+  const bar = el("div", {
+    class: "budget",
+    test: "budget",
+    role: "img",
+    "aria-label": e.layers.map((each) => `${each.place.text}: ${words(each)}`).join("; "),
+  });
   e.layers.forEach((layer, k) => {
     if (layer.share <= 0) return;
     const piece = el("span", { title: `${layer.place.text}\n${words(layer)}` });
@@ -25,8 +31,16 @@ export function layers(store: Store, e: Explanation): HTMLElement {
     bar.append(piece);
   });
   const rows = e.layers.map((layer, k) => row(store, layer, HUES[k % HUES.length] as string));
-  const steers = e.steers.map((each) => el("p", { class: "quiet" }, el("code", { text: each.text }), ` length ${shown(each.length)}`));
-  return section(TITLES[e.mode] ?? "Layers", bar, el("ol", { class: "layers", test: "layer-list" }, ...rows), ...steers, together(e));
+  const steers = e.steers.map((each) =>
+    el("p", { class: "quiet" }, el("code", { text: each.text }), ` length ${shown(each.length)}`),
+  );
+  return section(
+    TITLES[e.mode] ?? "Layers",
+    bar,
+    el("ol", { class: "layers", test: "layer-list" }, ...rows),
+    ...steers,
+    together(e),
+  );
 }
 
 function row(store: Store, layer: Layer, colour: string): HTMLElement {
@@ -39,7 +53,14 @@ function row(store: Store, layer: Layer, colour: string): HTMLElement {
   given.style.background = colour;
   cut.style.width = `${Math.min(1, layer.cut) * 100}%`;
   wish.append(given, cut);
-  const made = el("li", { class: layer.state === "pushed" ? "" : "idle" }, swatch, link(store, layer.place), el("span", { class: "quiet push", text: words(layer) }), layer.state === "pushed" && wish);
+  const made = el(
+    "li",
+    { class: layer.state === "pushed" ? "" : "idle" },
+    swatch,
+    link(store, layer.place),
+    el("span", { class: "quiet push", text: words(layer) }),
+    layer.state === "pushed" && wish,
+  );
   if (layer.condition) {
     const parts = conditionParts(layer.condition, false);
     if (parts) made.append(parts);
@@ -51,8 +72,8 @@ function words(layer: Layer): string {
   if (layer.state === "no strength") return "not asked: no strength is left";
   if (layer.state === "off") return "off: its condition does not hold";
   if (layer.state === "nothing") return "no push";
-  const length = `push ${shown(layer.length)}`;
-  return layer.cut > 1e-6 ? `${length}, got ${shown(layer.share)}, ${shown(layer.cut)} was cut` : `${length}, got all of it`;
+  const push = `push ${shown(layer.length)}`;
+  return layer.cut > 1e-6 ? `${push}, got ${shown(layer.share)}, ${shown(layer.cut)} was cut` : `${push}, got all of it`;
 }
 
 function together(e: Explanation): HTMLElement {

@@ -1,6 +1,6 @@
 // A condition with the values of all that it is made of, indented; and links to places of the text.
 
-import type { Part, Place } from "../../protocol";
+import type { Part, Place } from "../../explanation";
 import type { Store } from "../../store";
 import { el } from "../dom";
 import { shortName } from "../text/files";
@@ -27,7 +27,11 @@ function partRow(given: Part): HTMLElement {
   const part = given.parts.length === 1 && inner && inner.text === given.text ? inner : given;
   const label = part.role === "draw" || part.role === "bar" ? part.role : part.text;
   const value = el("b", { class: part.value === true ? "yes" : part.value === false ? "no" : "", text: part.shown });
-  const row = el("li", {}, el("span", { class: "part", title: part.text }, el("code", { text: label }), el("span", { class: "gap" }), value));
+  const row = el(
+    "li",
+    {},
+    el("span", { class: "part", title: part.text }, el("code", { text: label }), el("span", { class: "gap" }), value),
+  );
   if (part.parts.length) row.append(el("ul", { class: "parts" }, ...part.parts.map(partRow)));
   return row;
 }
@@ -38,7 +42,12 @@ export function section(title: string, ...children: (Node | null)[]): HTMLElemen
 
 /** A section that is closed at first; what was open stays so, by its name. */
 export function folded(title: string, count: number, ...children: Node[]): HTMLElement {
-  const details = el("details", { class: "fold" }, el("summary", {}, title, el("span", { class: "count", text: String(count) })), ...children);
+  const details = el(
+    "details",
+    { class: "fold" },
+    el("summary", {}, title, el("span", { class: "count", text: String(count) })),
+    ...children,
+  );
   details.dataset.name = title;
   return details;
 }

@@ -1,6 +1,6 @@
 // The states of an agent over its life, one strip a machine, in the colours of the states. A click goes to that frame.
 
-import type { Explanation } from "../../protocol";
+import type { Explanation } from "../../explanation";
 import type { Store } from "../../store";
 import { button, css, el } from "../dom";
 import { seek } from "../playing";
@@ -35,7 +35,13 @@ function strip(store: Store, e: Explanation, machine: string, several: boolean):
     seek(store, frame);
   });
   const at = stretches.findIndex((each) => each.first <= e.frame && e.frame <= each.last);
-  return el("div", { class: "strip-row" }, several && el("span", { class: "quiet", text: machine }), bar, moves(store, e, stretches, at));
+  return el(
+    "div",
+    { class: "strip-row" },
+    several && el("span", { class: "quiet", text: machine }),
+    bar,
+    moves(store, e, stretches, at),
+  );
 }
 
 /** For keys too: to where it came into this state, and to where it leaves it. */
@@ -44,7 +50,12 @@ function moves(store: Store, e: Explanation, stretches: Stretch[], at: number): 
   const before = now && now.first < e.frame ? now.first : stretches[at - 1]?.first;
   const after = stretches[at + 1]?.first;
   const move = (words: string, frame: number | undefined, title: string) =>
-    button(words, () => frame !== undefined && seek(store, frame), { class: "small", title, "aria-label": title, disabled: frame === undefined });
+    button(words, () => frame !== undefined && seek(store, frame), {
+      class: "small",
+      title,
+      "aria-label": title,
+      disabled: frame === undefined,
+    });
   return el(
     "div",
     { class: "strip-words" },

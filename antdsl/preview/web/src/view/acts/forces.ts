@@ -3,6 +3,7 @@
 
 import * as THREE from "three";
 import { HUES } from "../../hues";
+import type { Explanation } from "../../explanation";
 import type { Explained, Triple } from "../../protocol";
 import type { Sight } from "../sight";
 import { Strokes } from "../strokes";
@@ -34,7 +35,10 @@ export function forces(sight: Sight): void {
   }
 
   function neighbours(told: Explained): void {
-    for (const each of told.neighbours) arrows.add(told.place as Triple, 0, each, 0, 1.2, 1.2, stage.palette.ink, 0.55, 1, 0.5);
+    for (const each of told.neighbours) {
+      arrows.add(told.place as Triple, 0, each, 0, 1.2, 1.2, stage.palette.ink, 0.55);
+      arrows.pale(0.5);
+    }
   }
 
   function layers(told: Explained): void {
@@ -61,15 +65,7 @@ export function forces(sight: Sight): void {
   }
 
   function name(told: Explained | null): void {
-    const explanation = told?.explanation ?? null;
-    const rows: [string, string, boolean][] = [];
-    explanation?.layers.forEach((layer, number) => {
-      if (layer.push && layer.length >= 1e-4) rows.push([HUES[number % HUES.length] as string, layer.place.text, layer.cut > 1e-4]);
-    });
-    if (explanation && rows.length) {
-      rows.push([`#${stage.palette.ink.getHexString()}`, "all layers together", false]);
-      rows.push([`#${stage.palette.mark.getHexString()}`, "velocity, after", false]);
-    }
+    const rows = keyRows(told?.explanation?.layers ?? [], stage.palette);
     const all = JSON.stringify(rows);
     if (all === named) return;
     named = all;
@@ -80,6 +76,23 @@ export function forces(sight: Sight): void {
   herds.onFrame(draw);
   store.on(["explained", "neighbours", "selected"], draw);
   stage.palette.onChange(draw);
+}
+
+type Layer = Explanation["layers"][number];
+type KeyRow = [colour: string, words: string, cut: boolean];
+
+/** What the key says of the arrows: the layers that pushed, then what came of them. */
+export function keyRows(layers: readonly Layer[], { ink, mark }: Record<"ink" | "mark", THREE.Color>): KeyRow[] {
+  const rows: KeyRow[] = [];
+  for (const [number, layer] of layers.entries()) {
+    if (layer.push && layer.length >= 1e-4) rows.push([HUES[number % HUES.length] as string, layer.place.text, layer.cut > 1e-4]);
+  }
+  if (!rows.length) return [];
+  return [
+    ...rows,
+    [`#${ink.getHexString()}`, "all layers together", false],
+    [`#${mark.getHexString()}`, "velocity, after", false],
+  ];
 }
 
 /** Whether the explanation is of the agent one looks at, at the frame that is shown. */

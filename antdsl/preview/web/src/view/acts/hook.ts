@@ -47,7 +47,8 @@ export function hook(sight: Sight): void {
       const found: [string, number][] = [];
       for (const [name, herd] of herds.byName) {
         for (const machine of herd.species.machines) {
-          tally(herd, machine).forEach((count, k) => found.push([`${name}.${machine.name}.${machine.states[k]}`, count]));
+          for (const [k, count] of tally(herd, machine).entries())
+            found.push([`${name}.${machine.name}.${machine.states[k]}`, count]);
         }
       }
       return Object.fromEntries(found);

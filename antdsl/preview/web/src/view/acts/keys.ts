@@ -5,7 +5,8 @@ import { machineOf } from "../colours";
 import type { Sight } from "../sight";
 
 const TURN = Math.PI / 24;
-const HELP = "Ants in space. Arrows turn, plus and minus come closer, n and p go from ant to ant, f shows all, g goes near the selected ant, c looks as the scene's camera does, 1, 2 and 3 choose the camera: free, follow, ride, t shows trails, x sees through stones.";
+const HELP =
+  "Ants in space. Arrows turn, plus and minus come closer, n and p go from ant to ant, f shows all, g goes near the selected ant, c looks as the scene's camera does, 1, 2 and 3 choose the camera: free, follow, ride, t shows trails, x sees through stones.";
 
 type Act = (sight: Sight) => void;
 
@@ -46,7 +47,9 @@ export function keys(sight: Sight): void {
   words.className = "sight-said";
   words.setAttribute("role", "status");
   stage.place.append(words);
-  store.on("selected", () => (words.textContent = said(sight)));
+  store.on("selected", () => {
+    words.textContent = said(sight);
+  });
 }
 
 /** Follow or ride: the first agent where none is selected. */
@@ -58,10 +61,13 @@ function keep({ store, eye }: Sight, camera: "follow" | "ride"): void {
 }
 
 function next({ store, herds }: Sight, way: 1 | -1): void {
-  const all = [...herds.byName].filter(([, herd]) => herd.count > 0);
+  const all = [...herds.byName].filter((each) => each[1].count > 0);
   if (!all.length) return;
   const last: Agent | undefined = store.now.selected.at(-1);
-  let place = Math.max(all.findIndex(([name]) => name === last?.species), 0);
+  let place = Math.max(
+    all.findIndex(([name]) => name === last?.species),
+    0,
+  );
   let row = last ? (all[place]?.[1].row(last.id) ?? -1) + way : 0;
   if (row < 0) {
     place = (place + all.length - 1) % all.length;

@@ -1,6 +1,7 @@
 // What the colours mean, with how many there are of each now; a state's row selects who is in it.
 
 import type { Machine, Species } from "../../protocol";
+import type { Agent } from "../../store";
 import { Colouring } from "../colouring";
 import { machineOf, numbersOf } from "../colours";
 import type { Herd } from "../herd";
@@ -64,7 +65,7 @@ export function legend(sight: Sight): void {
     part.append(title);
     box.append(part);
     const several = herd.species.machines.length > 1 ? ` · ${machine.name}` : "";
-    const rows = machine.states.map((state, number) => row(herd.species, machine, state, number));
+    const rows = machine.states.map((_, number) => row(sight, herd.species, machine, number));
     for (const each of rows) part.append(each.button);
     counts.push(() => {
       const now = herds.byName.get(herd.species.name) ?? herd; // an edit makes herds anew, with the same states
@@ -76,37 +77,40 @@ export function legend(sight: Sight): void {
     });
   }
 
-  function row(species: Species, machine: Machine, state: string, number: number) {
-    const button = document.createElement("button");
-    button.type = "button";
-    button.title = `select who is in ${state}`;
-    button.dataset.test = `legend-${species.name}-${machine.name}-${state}`;
-    const swatch = document.createElement("i");
-    swatch.style.background = `rgb(${machine.colours[number]?.map((part) => Math.round(255 * part)).join(" ")})`;
-    const name = document.createElement("span");
-    name.textContent = state;
-    const count = document.createElement("b");
-    button.append(swatch, name, count);
-    button.addEventListener("click", () => {
-      const herd = herds.byName.get(species.name);
-      const states = herd?.column(`state/${machine.name}`);
-      if (!herd || !states) return;
-      const found = [];
-      for (let k = 0; k < herd.count; k++) if (states[k] === number) found.push({ species: species.name, id: herd.ids[k] as number });
-      store.set("selected", found);
-    });
-    return { button, count };
-  }
-
   colouring.onChange(refresh);
+}
+
+/** A state with its colour and its count; pressed, it selects who is in it. */
+function row({ herds, store }: Sight, species: Species, machine: Machine, number: number) {
+  const state = machine.states[number] as string;
+  const button = document.createElement("button");
+  button.type = "button";
+  button.title = `select who is in ${state}`;
+  button.dataset.test = `legend-${species.name}-${machine.name}-${state}`;
+  const swatch = document.createElement("i");
+  swatch.style.background = `rgb(${machine.colours[number]?.map((part) => Math.round(255 * part)).join(" ")})`;
+  const name = document.createElement("span");
+  name.textContent = state;
+  const count = document.createElement("b");
+  button.append(swatch, name, count);
+  button.addEventListener("click", () => {
+    const herd = herds.byName.get(species.name);
+    const states = herd?.column(`state/${machine.name}`);
+    if (!herd || !states) return;
+    const found: Agent[] = [];
+    for (let k = 0; k < herd.count; k++)
+      if (states[k] === number) found.push({ species: species.name, id: herd.ids[k] as number });
+    store.set("selected", found);
+  });
+  return { button, count };
 }
 
 /** How many agents are in each state of a machine. */
 export function tally(herd: Herd, machine: Machine): number[] {
   const found = new Array<number>(machine.states.length).fill(0);
   const states = herd.column(`state/${machine.name}`);
-  for (let row = 0; states && row < herd.count; row++) {
-    const state = states[row] as number;
+  for (let at = 0; states && at < herd.count; at++) {
+    const state = states[at] as number;
     if (state < found.length) found[state] = (found[state] as number) + 1;
   }
   return found;
@@ -122,7 +126,8 @@ function bar(name: string, low: number, high: number, unit: string): HTMLElement
   canvas.height = 1;
   const context = canvas.getContext("2d") as CanvasRenderingContext2D;
   const image = context.createImageData(256, 1);
-  for (let k = 0; k < 256; k++) image.data.set([RAMP[3 * k] as number, RAMP[3 * k + 1] as number, RAMP[3 * k + 2] as number, 255], 4 * k);
+  for (let k = 0; k < 256; k++)
+    image.data.set([RAMP[3 * k] as number, RAMP[3 * k + 1] as number, RAMP[3 * k + 2] as number, 255], 4 * k);
   context.putImageData(image, 0, 0);
   const ends = document.createElement("p");
   for (const value of [low, (low + high) / 2, high]) {

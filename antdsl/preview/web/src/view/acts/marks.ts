@@ -1,7 +1,7 @@
 // A ring around each selected agent: bright for the one that is explained, quieter for the others.
 
 import * as THREE from "three";
-import { changed, rowAttributes } from "../bodies";
+import { changed, rowAttributes } from "../shapes";
 import { ringMaterial, square, standing } from "../bodyshaders";
 import { Rows } from "../herd";
 import type { Sight } from "../sight";
@@ -58,8 +58,8 @@ export function marks(sight: Sight): void {
   store.on(["selected", "camera"], refresh);
   stage.palette.onChange(refresh);
   stage.add(() => {
-    uniforms.t!.value = herds.t;
-    uniforms.focal!.value = stage.focal;
+    uniforms.t.value = herds.t;
+    uniforms.focal.value = stage.focal;
     return false;
   });
 }

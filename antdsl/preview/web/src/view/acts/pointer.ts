@@ -16,11 +16,15 @@ export function pointer(sight: Sight): void {
   frame.hidden = true;
   stage.place.append(frame);
 
-  canvas.addEventListener("pointerdown", (event) => {
-    if (event.button !== 0) return;
-    down = { x: event.offsetX, y: event.offsetY, box: event.shiftKey };
-    eye.rest(event.shiftKey);
-  }, { capture: true });
+  canvas.addEventListener(
+    "pointerdown",
+    (event) => {
+      if (event.button !== 0) return;
+      down = { x: event.offsetX, y: event.offsetY, box: event.shiftKey };
+      eye.rest(event.shiftKey);
+    },
+    { capture: true },
+  );
 
   canvas.addEventListener("pointermove", (event) => {
     if (!down?.box) return;

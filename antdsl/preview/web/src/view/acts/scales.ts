@@ -31,7 +31,9 @@ export function scales({ stage, store }: Sight): void {
     const ends = document.createElement("p");
     for (const power of TICKS) {
       const word = document.createElement("span");
-      word.textContent = Number((full / 10 ** (SHOWN - power)).toPrecision(2)).toLocaleString("en", { maximumSignificantDigits: 2 });
+      word.textContent = Number((full / 10 ** (SHOWN - power)).toPrecision(2)).toLocaleString("en", {
+        maximumSignificantDigits: 2,
+      });
       word.style.left = `${(100 * power) / SHOWN}%`;
       ends.append(word);
     }
@@ -49,7 +51,10 @@ export function scales({ stage, store }: Sight): void {
       const seen = k / 255;
       const t = Math.min(Math.max((seen - 0.45) / 0.55, 0), 1);
       mixed.copy(colour).lerp(strong, t * t * (3 - 2 * t));
-      const over = stage.palette.ground.clone().lerp(mixed, 0.72 * seen).getHex(THREE.SRGBColorSpace);
+      const over = stage.palette.ground
+        .clone()
+        .lerp(mixed, 0.72 * seen)
+        .getHex(THREE.SRGBColorSpace);
       image.data.set([over >> 16, (over >> 8) & 255, over & 255, 255], 4 * k);
     }
     pen.putImageData(image, 0, 0);

@@ -42,8 +42,8 @@ export function trails(sight: Sight): void {
 
   function draw(): void {
     strokes.clear();
-    const { trails, selected } = store.now;
-    if (trails) {
+    const { trails: wanted, selected } = store.now;
+    if (wanted) {
       for (const [name, herd] of herds.byName) {
         const kept = past.get(name) ?? [];
         const ids = selected.filter((agent) => agent.species === name).slice(-MOST);
@@ -52,18 +52,9 @@ export function trails(sight: Sight): void {
       }
     }
     if (strokes.count || strokes.object.visible) strokes.done();
-    const words = trails ? why() : "";
+    const words = wanted ? missing(selected.length, herds.count, strokes.count) : "";
     note.hidden = !words;
     if (note.textContent !== words) note.textContent = words;
-  }
-
-  /** Why there are no trails, or not all; nothing where they are as one expects. */
-  function why(): string {
-    const chosen = store.now.selected.length;
-    const all = herds.count;
-    if (chosen > MOST) return `trails of the last ${MOST} of ${chosen.toLocaleString("en")} that are selected`;
-    if (!chosen && all > FEW) return `no trails: ${all.toLocaleString("en")} are too many at once — select those whose trails you want to see`;
-    return strokes.count ? "" : "no trails yet: they grow as it plays";
   }
 
   function trail(kept: Past[], id: number, herd: Herd, wide: number, marked: boolean): void {
@@ -90,6 +81,14 @@ export function trails(sight: Sight): void {
   });
   herds.onPeople(() => past.clear());
   store.on(["trails", "selected"], draw);
+}
+
+/** Why there are no trails, or not all; nothing where they are as one expects. */
+export function missing(chosen: number, all: number, drawn: number): string {
+  if (chosen > MOST) return `trails of the last ${MOST} of ${chosen.toLocaleString("en")} that are selected`;
+  if (!chosen && all > FEW)
+    return `no trails: ${all.toLocaleString("en")} are too many at once — select those whose trails you want to see`;
+  return drawn ? "" : "no trails yet: they grow as it plays";
 }
 
 function part(herd: Herd, row: number, axis: number): number {

@@ -27,9 +27,16 @@ void main() {
   #include <colorspace_fragment>
 }`;
 
+interface Uniforms {
+  colour: { value: THREE.Color };
+  strong: { value: THREE.Color };
+  end: { value: number };
+}
+type FieldMesh = THREE.Mesh<THREE.BufferGeometry, THREE.ShaderMaterial> & { material: { uniforms: Uniforms } };
+
 export function fields(sight: Sight): Scenery {
   const { stage, store } = sight;
-  const shown = new Map<string, THREE.Mesh<THREE.BufferGeometry, THREE.ShaderMaterial>>();
+  const shown = new Map<string, FieldMesh>();
 
   function refresh(): void {
     for (const [name, mesh] of shown) mesh.visible = store.now.fields.includes(name);
@@ -39,10 +46,10 @@ export function fields(sight: Sight): Scenery {
   function dress(): void {
     for (const [name, mesh] of shown) {
       const colour = store.now.scene?.fields.find((each) => each.name === name)?.colour ?? [0.9, 0.6, 0.2];
-      mesh.material.uniforms.colour!.value.setRGB(...colour, THREE.SRGBColorSpace);
-      const strong = mesh.material.uniforms.strong!.value.setRGB(...colour, THREE.SRGBColorSpace);
-      strong.lerp(stage.palette.ink, 0.55);
-      mesh.material.uniforms.end!.value = Math.log10(fullOf(store.now, name));
+      const { uniforms } = mesh.material;
+      uniforms.colour.value.setRGB(...colour, THREE.SRGBColorSpace);
+      uniforms.strong.value.setRGB(...colour, THREE.SRGBColorSpace).lerp(stage.palette.ink, 0.55);
+      uniforms.end.value = Math.log10(fullOf(store.now, name));
     }
     stage.wake();
   }
@@ -70,25 +77,12 @@ export function fields(sight: Sight): Scenery {
   function spread(name: string, position: Float32Array, face: Uint32Array): void {
     let mesh = shown.get(name);
     if (!mesh) {
-      const material = new THREE.ShaderMaterial({
-        vertexShader: VERTEX,
-        fragmentShader: FRAGMENT,
-        uniforms: { colour: { value: new THREE.Color() }, strong: { value: new THREE.Color() }, end: { value: 0 } },
-        transparent: true,
-        depthWrite: false,
-        side: THREE.DoubleSide,
-      });
-      mesh = new THREE.Mesh(new THREE.BufferGeometry(), material);
-      mesh.renderOrder = 1;
+      mesh = made();
       stage.scene.add(mesh);
       shown.set(name, mesh);
     }
     mesh.geometry.dispose();
-    mesh.geometry = new THREE.BufferGeometry();
-    mesh.geometry.setAttribute("position", new THREE.BufferAttribute(position, 3));
-    mesh.geometry.setIndex(new THREE.BufferAttribute(face, 1));
-    const value = new THREE.BufferAttribute(new Uint8Array(position.length / 3), 1, true);
-    mesh.geometry.setAttribute("value", value.setUsage(THREE.DynamicDrawUsage));
+    mesh.geometry = ground(position, face);
     dress();
     refresh();
   }
@@ -107,4 +101,27 @@ export function fields(sight: Sight): Scenery {
       stage.wake();
     },
   };
+}
+
+function made(): FieldMesh {
+  const uniforms: Uniforms = { colour: { value: new THREE.Color() }, strong: { value: new THREE.Color() }, end: { value: 0 } };
+  const material = new THREE.ShaderMaterial({
+    vertexShader: VERTEX,
+    fragmentShader: FRAGMENT,
+    transparent: true,
+    depthWrite: false,
+    side: THREE.DoubleSide,
+  });
+  const mesh = new THREE.Mesh(new THREE.BufferGeometry(), Object.assign(material, { uniforms }));
+  mesh.renderOrder = 1;
+  return mesh;
+}
+
+/** The ground with a value for each vertex, nothing at first. */
+function ground(position: Float32Array, face: Uint32Array): THREE.BufferGeometry {
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(position, 3));
+  geometry.setIndex(new THREE.BufferAttribute(face, 1));
+  const value = new THREE.BufferAttribute(new Uint8Array(position.length / 3), 1, true);
+  return geometry.setAttribute("value", value.setUsage(THREE.DynamicDrawUsage));
 }

@@ -1,7 +1,7 @@
 // `item:KIND:NAME`: things such as food and nests, with a label of what they hold. They shrink as they are eaten.
 
 import * as THREE from "three";
-import type { Packet } from "../../protocol";
+import type { Packet, Scene } from "../../protocol";
 import { Labels } from "../labels";
 import type { Scenery, Sight } from "../sight";
 
@@ -11,6 +11,8 @@ interface Item {
   name: string;
   object: THREE.Object3D;
 }
+
+type Amount = Scene["items"][number]["amounts"][number];
 
 const UP = new THREE.Vector3(0, 1, 0);
 const BEFORE = new THREE.Vector3();
@@ -51,26 +53,12 @@ export function items(sight: Sight): Scenery {
     const wide = item.object.scale.x;
     item.object.position.set(position[k] as number, position[k + 1] as number, position[k + 2] as number);
     item.object.quaternion.setFromUnitVectors(UP, stage.up);
-    const [part, words] = amount(item);
+    const amounts = store.now.scene?.items.find((each) => each.name === item.group)?.amounts ?? [];
+    const [part, words] = left(amounts, item.index, (name) => arrays.get(`item/${item.group}/amount/${name}`)?.[item.index]);
     item.object.scale.setScalar(size * (LEAST + (1 - LEAST) * Math.cbrt(part)));
     drawnItems.set(`${item.group}.${item.name}`, item.object.scale.x);
     labels.set(slot, item.name, words, item.object.position, stage.up, size * 1.6);
     return !BEFORE.equals(item.object.position) || Math.abs(item.object.scale.x / wide - 1) > 0.01;
-  }
-
-  /** How much is left, as a part of what it had at first, and in words. What had nothing at first, such as a nest, is whole. */
-  function amount(item: Item): [number, string] {
-    const about = store.now.scene?.items.find((each) => each.name === item.group)?.amounts ?? [];
-    let part: number | null = null;
-    const words: string[] = [];
-    for (const each of about) {
-      const value = herds.packet?.arrays.get(`item/${item.group}/amount/${each.name}`)?.[item.index] as number | undefined;
-      if (value === undefined) continue;
-      const first = each.first[item.index] ?? 0;
-      if (first > 0) part ??= Math.min(Math.max(value / first, 0), 1);
-      words.push(`${Number(value.toPrecision(4)).toLocaleString("en")}${each.unit && ` ${each.unit}`} ${each.name}`);
-    }
-    return [part ?? 1, words.join(" · ")];
   }
 
   herds.onFrame(place);
@@ -93,6 +81,20 @@ export function items(sight: Sight): Scenery {
   };
 }
 
+/** How much is left, as a part of what it had at first, and in words. What had nothing at first, such as a nest, is whole. */
+export function left(amounts: readonly Amount[], index: number, value: (name: string) => number | undefined): [number, string] {
+  let part: number | null = null;
+  const words: string[] = [];
+  for (const { name, unit, first } of amounts) {
+    const now = value(name);
+    if (now === undefined) continue;
+    const most = first[index] ?? 0;
+    if (most > 0) part ??= Math.min(Math.max(now / most, 0), 1);
+    words.push(`${Number(now.toPrecision(4)).toLocaleString("en")}${unit && ` ${unit}`} ${name}`);
+  }
+  return [part ?? 1, words.join(" · ")];
+}
+
 /** How large items are drawn now, in mm, by `NAMES.NAME`. */
 export const drawnItems = new Map<string, number>();
 
@@ -109,7 +111,10 @@ function made(packet: Packet): Item {
   geometry.setAttribute("color", new THREE.BufferAttribute(linear, 3));
   geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from(face), 1));
   geometry.computeVertexNormals();
-  const mesh = new THREE.Mesh(geometry, new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.55, side: THREE.DoubleSide }));
+  const mesh = new THREE.Mesh(
+    geometry,
+    new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.55, side: THREE.DoubleSide }),
+  );
   mesh.castShadow = mesh.receiveShadow = true;
   mesh.userData.hides = true;
   return { group, index, name, object: mesh };
