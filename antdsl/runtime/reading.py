@@ -9,27 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from antdsl.plan import ir
-
-
-def statement_nodes(statement: ir.Statement) -> tuple[ir.Node, ...]:
-    """The nodes that a statement evaluates itself, in order."""
-    match statement:
-        case ir.If(condition=condition):
-            return (condition,)
-        case ir.Store(value=value):
-            return (value,)
-        case ir.Deposit(amount=amount):
-            return (amount,)
-        case ir.Claim(item=item, amount=amount):
-            return (item, amount)
-        case ir.Give(item=item, amount=amount):
-            return (item,) if amount is None else (item, amount)
-        case ir.Emit(within=within):
-            return () if within is None else (within,)
-        case ir.Carve():
-            return (statement.radius, statement.x, statement.y, statement.z)
-        case _:
-            return ()
+from antdsl.plan.traverse import operands
 
 
 def reach(roots: tuple[ir.Node, ...]) -> list[ir.Node]:
@@ -64,7 +44,7 @@ def early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.Node]]:
     places: dict[ir.Node, list[tuple[int, ...]]] = {}
     stores: dict[str, list[tuple[int, ...]]] = {}
     for path, statement in walk(block):
-        for node in reach(statement_nodes(statement)):
+        for node in reach(operands(statement)):
             if node.op == "load":
                 places.setdefault(node, []).append(path)
         register = written(statement)

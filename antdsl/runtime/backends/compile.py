@@ -12,7 +12,8 @@ from typing import Any
 
 from antdsl.numerics.elementwise import UFUNCS
 from antdsl.plan import ir
-from antdsl.runtime.reading import early_loads, kept_senses, reach, statement_nodes, walk, written
+from antdsl.plan.traverse import operands
+from antdsl.runtime.reading import early_loads, kept_senses, reach, walk, written
 from antdsl.runtime.world import DTYPES
 from antdsl.source import Span
 
@@ -125,7 +126,7 @@ class BlockCompiler:
             self._layer = layer
             for node in self.early.get((*path, k), ()):
                 self.value(scope, node)
-            inputs = tuple(self.value(scope, node) for node in statement_nodes(statement))
+            inputs = tuple(self.value(scope, node) for node in operands(statement))
             if isinstance(statement, ir.If):
                 inner = self._scope(scope)
                 self._block(inner, statement.then, (*path, k))
@@ -256,7 +257,7 @@ class BlockCompiler:
         if make is not None:
             inputs = tuple(self._in_pairs(scope, pairs, a) for a in node.args)
         else:
-            inputs, make = (pairs.slot,), self.calls.pair_leaf(node)
+            inputs, make = (pairs.slot,), self.calls.pair_leaf(node, scope)
             if node.args:
                 inputs += tuple(self._in_pairs(scope, pairs, a) for a in node.args)
         slot = pairs.known[node] = self.slot()
