@@ -75,14 +75,9 @@ class Agent:
                     amount = self.now[s.own] if s.amount is None else min(self.now[s.own], self.value(s.amount))
                     self.now[s.own] -= amount
                     self.done.append(("give", s.items, self.value(s.item), amount))
-                case ir.Deposit():
-                    self.done.append(("deposit", s.field, self.value(s.amount)))
-                case ir.Emit():
-                    self.done.append(("emit", s.event, None if s.within is None else self.value(s.within)))
-                case ir.Spawn():
-                    self.done.append(("spawn", s.species))
-                case ir.Die():
-                    self.done.append(("die",))
+                case ir.Request():
+                    of = (s.of,) if s.of else ()
+                    self.done.append((s.op, *of, *(None if node is None else self.value(node) for node in s.args)))
 
     def value(self, node: Node) -> Any:
         """Recomputed at each asking: sharing must not be what makes a plan right."""

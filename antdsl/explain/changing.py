@@ -12,8 +12,9 @@ from antdsl.explain.tracing import Trace
 from antdsl.explain.values import in_unit, said, triple, value
 from antdsl.plan.ir import Register
 from antdsl.program.model import Dim, Kind, Species, Type
+from antdsl.program.tables.effects import EFFECTS, Effect, phrase
 from antdsl.program.tables.units import unit_of
-from antdsl.runtime.effects import Effects
+from antdsl.runtime.effects import Asked, Effects
 from antdsl.runtime.world import AXES, Population, World
 
 _VECTORS = {"position": "mm", "velocity": "mm/s", "heading": "", "up": ""}
@@ -69,11 +70,17 @@ def _type(name: str, register: Register, species: Species) -> Type:
 
 def did(effects: Effects) -> tuple[str, ...]:
     """What it asked of the world, in words: deposits, gifts, digging, calls, births and its death."""
-    found = [f"deposit {entry.field} {float(entry.amount[0]):.4g}" for entry in effects.deposits if float(entry.amount[0])]
+    told = {row.op: [line for entry in effects.asked.get(row.op, ()) if (line := _told(row, entry))] for row in EFFECTS.values()}
+    found = told.pop("deposit")
     found += [f"give {entry.statement.own} {float(entry.amount[0]):.4g} to {entry.statement.items}" for entry in effects.gives]
-    found += [f"carve {entry.statement.solid}, radius {float(entry.radius[0]):.4g} mm" for entry in effects.carves]
-    found += [f"emit {e.event}" + ("" if e.within is None else f" within {float(e.within[0]):.4g} mm") for e in effects.emits]
-    found += [f"spawn {entry.species}" for entry in effects.spawns]
-    found += ["die"] if effects.deaths else []
+    found += [line for lines in told.values() for line in lines]
     found += [f"a value for `{entry.register}` was no number and was refused" for entry in effects.faults]
     return tuple(found)
+
+
+def _told(row: Effect, entry: Asked) -> str:
+    """One request in the words of its row; nothing, where it comes to nothing."""
+    if row.quiet_at_0 and not float(entry.arg(0)[0]):
+        return ""
+    values = {name: None if arg is None else f"{float(arg[0]):.4g}" for name, arg in zip(row.operands, entry.args, strict=True)}
+    return phrase(row.told, {**values, "of": entry.request.of, "own": entry.request.own})

@@ -10,6 +10,8 @@ import numpy as np
 from antdsl.explain.model import Draw, Near, Seen, Sense
 from antdsl.explain.tracing import Trace
 from antdsl.plan.ir import Node
+from antdsl.program.tables import rows
+from antdsl.program.tables.senses import SENSES
 from antdsl.runtime.backends.reference import Member
 from antdsl.runtime.world import Population, World
 
@@ -56,19 +58,20 @@ def senses(trace: Trace) -> tuple[Sense, ...]:
 
 
 def _sense(node: Node, value: Any) -> Iterator[Sense]:
+    row = SENSES[node.op]
     kind, _, what = node.op.partition(".")
     values = tuple(bool(v) if isinstance(v, np.bool_) else float(v) for v in (value if isinstance(value, tuple) else (value,)))
-    if node.op in ("ray", "obstacle.near"):
-        words = f"hit at {values[1]:.4g} mm" if values[0] else "nothing"
-    elif node.op == "field.strongest":
-        words = f"strongest {values[0]:.4g}"
-    elif len(values) == 1:
-        words = f"{values[0]:.4g}"
-    elif node.op == "curve.closest":
-        words = f"{values[0]:.4g} mm away"
-    else:
-        words = f"({', '.join(f'{v:.4g}' for v in values)})"
-    yield Sense(f"{kind} {what}".strip(), str(node.attrs[0]), _text(node), words, values)
+    yield Sense(f"{kind} {what}".strip(), str(node.attrs[0]) if row.of else "", _text(node), _words(row, values), values)
+
+
+def _words(row: rows.Sense, values: tuple[bool | float, ...]) -> str:
+    """What a sense found, as its row says it; of one number or several without words of their own, the numbers."""
+    if row.nothing and not values[0]:
+        return row.nothing
+    if row.told:
+        return row.told.format(**{part.name: values[row.place(part.name)[0]] for part in row.results if part.name})
+    numbers = ", ".join(f"{v:.4g}" for v in values)
+    return numbers if len(values) == 1 else f"({numbers})"
 
 
 def draws(trace: Trace) -> tuple[Draw, ...]:

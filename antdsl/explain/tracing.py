@@ -13,13 +13,11 @@ import numpy as np
 from antdsl.plan import ir
 from antdsl.plan.lowering.source_map import ChangeNote, LayerNote, Notes, PartNote
 from antdsl.plan.register_reads import places
+from antdsl.program.tables.senses import SENSES
 from antdsl.runtime.backends.reference import BLOCKS, Agent, Member, with_winnings
 from antdsl.runtime.effects import ClaimEntry, Effects
 from antdsl.runtime.world import DTYPES, Population, World
 
-FELT = frozenset(
-    ("ray", "obstacle.near", "field.value", "field.strongest", "field.gradient", "curve.closest", "flow.value", "map.value")
-)
 _DRAWN = frozenset(("draw", "draw.agent"))
 
 
@@ -85,7 +83,7 @@ class TracedAgent(Agent):
     def _collect(self, block: str) -> None:
         """What has been computed on the way, and no more than that: a layer that got no strength felt nothing."""
         for node, value in self.values.items():
-            if node.op in FELT:
+            if node.op in SENSES:
                 self.trace.senses[node] = value
             elif node.op in _DRAWN:
                 self.trace.draws[node] = value

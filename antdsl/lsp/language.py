@@ -33,6 +33,7 @@ from antdsl.program.expectations import GEOMETRY, MOTION
 from antdsl.program.kinds import Dim
 from antdsl.program.names.collect import EVENTS
 from antdsl.program.tables.colours import COLOURS
+from antdsl.program.tables.rows import Builtin
 from antdsl.program.tables.units import dimension_words, measure, unit_of
 from antdsl.program.tables.vocabulary import (
     BUILTINS,
@@ -45,7 +46,6 @@ from antdsl.program.tables.vocabulary import (
     SENSED_NAMES,
     TYPE_WORDS,
     UNITS,
-    Builtin,
 )
 from antdsl.resources import library_file, library_names
 from antdsl.syntax import nodes, parse, read

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from antdsl.program.tables import senses
+from antdsl.program.tables.things import KINDS_OF_THINGS
+
 # Words inside a line.
 INNER_FORMS = {
     "on": "field trail on ground { cell 4 mm }",
@@ -39,7 +42,7 @@ INNER_FORMS = {
     "eventually": "when fear > 0.5 eventually: fear < 0.1",
 }
 # Calls, and what is asked of sets.
-CALL_FORMS = {
+_PLAIN_FORMS = {
     "abs": "abs(load - 1)",
     "clamp": "clamp(speed, 5 mm/s .. 20 mm/s)",
     "floor": "floor(load)",
@@ -52,8 +55,6 @@ CALL_FORMS = {
     "mix": "mix(load, 1, 0.5)",
     "min": "min(load, 1)",
     "max": "max(load, 0)",
-    "strongest": "direction(strongest(trail, nearest: 16))",
-    "gradient": "gradient(trail) * 10 mm",
     "length": "length(velocity)",
     "unit": "unit(velocity)",
     "dot": "dot(heading, up)",
@@ -71,20 +72,11 @@ CALL_FORMS = {
     "rising": "rising(load, 0 .. 1)",
     "falling": "falling(distance(nearest(food)), 0 mm .. 40 mm)",
     "around": "around(load, 0 .. 1)",
-    "neighbours": "count(neighbours(radius: 20 mm, fov: 270 deg))",
-    "all": "count(all(food, within: 40 mm))",
-    "feelers": "any(feelers(stones, count: 3, spread: 35 deg, reach: 6 mm))",
-    "nearest": "nearest(food, within: 40 mm)",
-    "ray": "ray(heading, reach: 20 mm, on: stones)",
-    "distance": "distance(nearest(food)) < 20 mm",
-    "direction": "direction(nearest(food))",
-    "position": "position(nearest(food))",
-    "velocity": "velocity(nearest(rabbit))",
-    "touching": "touching(nest)",
-    "falloff": "falloff(nearest(food), floor: size)",
-    "closest": "distance(closest(path))",
-    "tangent": "tangent(path)",
-    "match": "match(heading * 10 mm/s)",
+}
+CALL_FORMS = {
+    **_PLAIN_FORMS,
+    **{row.name: row.sample for row in senses.spoken("call") if row.sample},
+    **{row.op: row.sample for row in senses.SET_SENSES.values()},
 }
 SET_FORMS = {
     "sum": "sum(n in neighbours(20 mm): n.load)",
@@ -105,8 +97,7 @@ VALUE_FORMS = {
     "dt": "exp(-dt / 2 s)",
     "time": "when time > 10 s -> rest",
     "frame": "when frame == 120 -> rest",
-    "slope": "when slope > 30 deg -> rest",
-    "uphill": "steer toward(uphill)",
+    **{row.name: row.sample for row in senses.spoken("name")},
     "into": "carve hill(radius: 2 mm, into: soil)",
     "other": "sooner: total(food.load) == 0",
     "at_start": "always: total(food.load) <= at_start",
@@ -116,16 +107,7 @@ VALUE_FORMS = {
     "next": "exit { tired = if next == run then 0 else 1 }",
     "time_in_state": "when time_in_state > 2 s -> rest",
 }
-KIND_FORMS = {
-    "surface": "world { surface floor }",
-    "obstacle": "world { obstacle chairs }",
-    "solid": "world { solid sand }",
-    "items": "world { items fruit { load = 0 } }",
-    "curve": "world { curve path }",
-    "flow": "world { flow drift }",
-    "map": "world { map damp }",
-    "species": "world { species beetle { hunger = 0 } }",
-}
+KIND_FORMS = {row.word: row.sample for row in KINDS_OF_THINGS.values()}
 SETTING_FORMS = {
     "cell": "field trail on ground { cell 4 mm }",
     "half_life": "field trail on ground { cell 4 mm; half_life 8 s }",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from antdsl.program.tables.senses import spoken
+from antdsl.program.tables.things import KINDS_OF_THINGS
+
 STATE_WORD_HELP = {
     "state": "the state it is in",
     "previous": "the state it was in before",
@@ -16,24 +19,14 @@ WORD_HELP = {
     "dt": "how long one step lasts",
     "time": "seconds up to the frame that is made: `frame` times `dt`",
     "frame": "the number of the frame that is made",
-    "slope": "between the ground and the level",
-    "uphill": "the world's up, laid along the ground",
+    **{row.name: row.help for row in spoken("name")},
     "into": "the attribute that takes what is dug out",
     "other": "what a number is in the run that the spec compares with",
     "at_start": "what the other side of the comparison was at the start",
     "motion": "how the crowd moves: `motion.turn_p99` and the like",
 }
 # Kinds of things of the world.
-KINDS = {
-    "surface": "what can be walked on",
-    "obstacle": "what stands in the way, and is gone round",
-    "solid": "soft ground that may be dug",
-    "items": "things that are placed, each with values of its own",
-    "curve": "a line drawn in space",
-    "flow": "directions over the ground",
-    "map": "numbers painted on the ground",
-    "species": "animals that another file describes",
-}
+KINDS = {row.word: row.help for row in KINDS_OF_THINGS.values()}
 # Settings of a field.
 SETTINGS = {
     "cell": "how large its cells are",

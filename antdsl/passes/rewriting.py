@@ -8,16 +8,14 @@ from typing import Any
 
 from antdsl.plan.ir import (
     Block,
-    Carve,
     Claim,
-    Deposit,
-    Emit,
     FieldPlan,
     Give,
     If,
     Node,
     ParamPlan,
     Plan,
+    Request,
     SpeciesPlan,
     Statement,
     Store,
@@ -94,15 +92,9 @@ def _statement(s: Statement, new: dict[Node, Node]) -> Statement:
             return If(new[s.condition], _block(s.then, new), s.span)
         case Store():
             return replace(s, value=new[s.value])
-        case Deposit():
-            return replace(s, amount=new[s.amount])
         case Claim():
             return replace(s, item=new[s.item], amount=new[s.amount])
         case Give():
             return replace(s, item=new[s.item], amount=None if s.amount is None else new[s.amount])
-        case Emit():
-            return replace(s, within=None if s.within is None else new[s.within])
-        case Carve():
-            return replace(s, radius=new[s.radius], x=new[s.x], y=new[s.y], z=new[s.z])
-        case _:
-            return s
+        case Request():
+            return replace(s, args=tuple(None if node is None else new[node] for node in s.args))

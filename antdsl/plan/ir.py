@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Any
 
+from antdsl.program.tables import senses
+from antdsl.program.tables.rows import Sense
 from antdsl.source import Span
 
 
@@ -66,6 +68,14 @@ class Operation:
 
 F, B, I, L, T, S = Kind.F32, Kind.BOOL, Kind.I32, Kind.I64, Kind.TUPLE, Kind.SET
 _C, _R, _T, _A, _P = Rate.CONST, Rate.RUN, Rate.STEP, Rate.AGENT, Rate.PAIR
+
+LETTERS = {"f": F, "b": B, "i": I, "l": L, "t": T, "s": S}
+
+
+def _sense(row: Sense) -> Operation:
+    attrs = (row.of, *row.attrs) if row.of else row.attrs
+    return Operation(row.operands, attrs, LETTERS[row.kinds] if len(row.kinds) == 1 else T, _A, row.spelled)
+
 
 OPS: dict[str, Operation] = {
     # constants and what the run gives
@@ -126,30 +136,7 @@ OPS: dict[str, Operation] = {
     "item.get": Operation("i", ("items", "attribute"), F, _A, "x y z radius or a declared attribute of an item; 0 for none"),
     "item.alive": Operation("i", ("items",), B, _A, "there is such an item"),
     # senses of the place; the agent's own position at the start of the step
-    "ray": Operation(
-        "ffff",
-        ("target",),
-        T,
-        _A,
-        "(hit b, distance f, nx f, ny f, nz f) along the direction (made unit), up to reach; normal toward the agent",
-    ),
-    "obstacle.near": Operation(
-        "f", ("target",), T, _A, "(within reach b, distance f, nx f, ny f, nz f): closest point of an obstacle, surface or solid"
-    ),
-    "field.value": Operation("", ("field",), F, _A, "the field in the agent's own cell"),
-    "field.strongest": Operation(
-        "",
-        ("field", "count"),
-        T,
-        _A,
-        "(value f, x f, y f, z f): the strongest of the nearest `count` cells; own position where there is none",
-    ),
-    "field.gradient": Operation("", ("field",), T, _A, "(x f, y f, z f), per mm"),
-    "curve.closest": Operation(
-        "", ("curve",), T, _A, "(distance f, x f, y f, z f, tx f, ty f, tz f): closest point and unit tangent"
-    ),
-    "flow.value": Operation("", ("flow",), T, _A, "(x f, y f, z f): a flow where the agent stands, along its surface; no unit"),
-    "map.value": Operation("", ("map",), F, _A, "a painted number where the agent stands"),
+    **{row.op: _sense(row) for row in senses.SENSES.values()},
     # sets
     "set.agents": Operation(
         "ff",
@@ -186,19 +173,11 @@ OPS: dict[str, Operation] = {
 }
 
 TUPLES: dict[str, tuple[Kind, ...]] = {
-    "ray": (B, F, F, F, F),
-    "obstacle.near": (B, F, F, F, F),
-    "field.strongest": (F, F, F, F),
-    "field.gradient": (F, F, F),
-    "curve.closest": (F, F, F, F, F, F, F),
-    "flow.value": (F, F, F),
+    row.op: tuple(LETTERS[letter] for letter in row.kinds) for row in senses.SENSES.values() if len(row.kinds) > 1
 }
 
-SENSES = frozenset(
-    name
-    for name in OPS
-    if name.split(".")[0] in ("ray", "obstacle", "field", "curve", "flow", "map", "reduce") or name in ("draw.agent",)
-)
+# What is worth keeping for a step, and is asked only of those who need it.
+SENSES = frozenset((*senses.SENSES, *(name for name in OPS if name.startswith("reduce.")), "draw.agent"))
 
 
 # --- statements ------------------------------------------------------------------------------------------------------
@@ -229,15 +208,6 @@ class Store:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Deposit:
-    """Lands in the agent's own cell at t+1. Amount per step (already multiplied by dt)."""
-
-    field: str
-    amount: Node
-    span: Span | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Claim:
     """Ask for `amount` of an item's attribute; settled after decide, by (draw, id), while the rest suffices. `won` (BOOL register) is
     set for those who got it; the amount is added to the agent's own register of that name, if it has one, when it wins."""
@@ -265,41 +235,19 @@ class Give:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Emit:
-    """Raise an event for all agents that handle it within a distance (mm; None: only for itself), seen at t+1."""
+class Request:
+    """Asks something of the rest of the world: `op` is a row of `program.effects`, `of` the name of what it is asked about, `args`
+    the row's operands (None: absent), `own` the agent's register that what comes of it is added to after the step's blocks."""
 
-    event: str
-    within: Node | None
+    op: str
+    of: str
+    args: tuple[Node | None, ...]
     span: Span | None
+    own: str | None = None
+    site: str = ""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Spawn:
-    species: str
-    site: str
-    span: Span | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Die:
-    span: Span | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Carve:
-    """Dig a ball of `radius` (mm) with its middle at (x, y, z) out of a solid, to be gone at t+1. What it had of the solid (mm³)
-    is added to the agent's own register `own`, if there is one, after the step's blocks."""
-
-    solid: str
-    radius: Node
-    x: Node
-    y: Node
-    z: Node
-    own: str | None
-    span: Span | None
-
-
-Statement = If | Store | Deposit | Claim | Give | Emit | Spawn | Die | Carve
+Statement = If | Store | Claim | Give | Request
 
 
 # --- the plan --------------------------------------------------------------------------------------------------------

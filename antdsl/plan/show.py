@@ -9,23 +9,21 @@ from antdsl.plan.ir import (
     OPS,
     SENSES,
     Block,
-    Carve,
     Claim,
-    Deposit,
-    Die,
-    Emit,
     Give,
     If,
     Kind,
     Node,
     Plan,
     Rate,
-    Spawn,
+    Request,
     SpeciesPlan,
     Statement,
     Store,
 )
 from antdsl.plan.traverse import blocks, needed, operands, statements
+from antdsl.program.tables.effects import EFFECTS, phrase
+from antdsl.program.tables.things import HELD
 
 _INFIX = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=",
@@ -56,9 +54,8 @@ def _head(plan: Plan) -> str:
     for items in plan.items.values():
         values = ", ".join(f"{name} = {_number(value)}" for name, value in items.attributes.items())
         lines.append(f"items {items.name} {{ {values} }}" if values else f"items {items.name}")
-    things = (("surface", plan.surfaces), ("obstacle", plan.obstacles), ("solid", plan.solids), ("curve", plan.curves))
-    for word, names_of in (*things, ("flow", plan.flows), ("map", plan.maps)):
-        lines += [f"{word} {name}" for name in names_of]
+    for word, held in HELD.items():
+        lines += [f"{word} {name}" for name in getattr(plan, held)]
     return "\n".join(lines)
 
 
@@ -215,22 +212,15 @@ class _Text(_Names):
                 return f"where {self.text(s.condition)}:"
             case Store():
                 return f"{s.register} := {self.text(s.value)}"
-            case Deposit():
-                return f"deposit {self.text(s.amount)} in {s.field}"
             case Claim():
                 return f"claim {self.text(s.amount)} of {s.items}.{s.attribute} from {self.text(s.item)} -> {s.won}"
             case Give():
                 amount = "all" if s.amount is None else self.text(s.amount)
                 return f"give {amount} of {s.own} to {s.items}.{s.attribute} of {self.text(s.item)}"
-            case Emit():
-                return f"emit {s.event}" + ("" if s.within is None else f" within {self.text(s.within)}")
-            case Carve():
-                kept = f" -> {s.own}" if s.own else ""
-                return f"carve {s.solid} ball {self.text(s.radius)} at {self.text(s.x)}, {self.text(s.y)}, {self.text(s.z)}{kept}"
-            case Spawn():
-                return f"spawn {s.species}"
-            case Die():
-                return "die"
+            case Request():
+                row = EFFECTS[s.op]
+                values = {name: None if arg is None else self.text(arg) for name, arg in zip(row.operands, s.args, strict=True)}
+                return phrase(row.shown, {**values, "of": s.of, "own": s.own})
 
 
 def _place(statement: Statement) -> str:

@@ -6,17 +6,13 @@ from collections.abc import Iterable, Iterator
 
 from antdsl.plan.ir import (
     Block,
-    Carve,
     Claim,
-    Deposit,
-    Die,
-    Emit,
     FieldPlan,
     Give,
     If,
     Node,
     Plan,
-    Spawn,
+    Request,
     SpeciesPlan,
     Statement,
     Store,
@@ -32,18 +28,12 @@ def operands(statement: Statement) -> tuple[Node, ...]:
             return (statement.condition,)
         case Store():
             return (statement.value,)
-        case Deposit():
-            return (statement.amount,)
         case Claim():
             return (statement.item, statement.amount)
         case Give():
             return (statement.item,) if statement.amount is None else (statement.item, statement.amount)
-        case Emit():
-            return () if statement.within is None else (statement.within,)
-        case Carve():
-            return (statement.radius, statement.x, statement.y, statement.z)
-        case Spawn() | Die():
-            return ()
+        case Request():
+            return tuple(node for node in statement.args if node is not None)
 
 
 def statements(block: Block) -> Iterator[tuple[Block, Statement]]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 
 from antdsl.plan.ir import (
     Block,
-    Carve,
     Claim,
-    Deposit,
     Give,
     If,
     ItemsPlan,
@@ -16,13 +14,16 @@ from antdsl.plan.ir import (
     Node,
     Plan,
     Rate,
-    Spawn,
+    Request,
     SpeciesPlan,
     Statement,
     Store,
 )
 from antdsl.plan.lowering.builder import PlanError, fitting, result_kind, result_rate
 from antdsl.plan.traverse import blocks, field_nodes, needed, operands, roots, statements
+from antdsl.program.tables.effects import EFFECTS
+from antdsl.program.tables.senses import SENSES
+from antdsl.program.tables.things import HELD
 
 _READS = ("snap", "load")
 _OWN = {"position", "velocity", "heading", "up"}
@@ -70,15 +71,13 @@ def _nodes(plan: Plan) -> Iterator[str]:
 
 def _names(plan: Plan) -> Iterator[str]:
     """What nodes name is there. A species may live in another file."""
-    known: dict[str, object] = {
-        "field.value": plan.fields, "field.strongest": plan.fields, "field.gradient": plan.fields, "item.get": plan.items,
-        "item.alive": plan.items, "set.items": plan.items, "curve.closest": plan.curves,
-        "ray": (*plan.obstacles, *plan.surfaces, *plan.solids), "obstacle.near": (*plan.obstacles, *plan.surfaces, *plan.solids),
-        "surface.touching": plan.surfaces, "param": plan.params,
-        "flow.value": plan.flows, "map.value": plan.maps,
+    things = named(plan)
+    known: dict[str, Container[str]] = {
+        **{row.op: things[row.of] for row in SENSES.values() if row.of}, "item.get": plan.items, "item.alive": plan.items,
+        "set.items": plan.items, "surface.touching": plan.surfaces, "param": plan.params,
     }  # fmt: skip
     for node in plan.nodes:
-        if node.op in known and node.attrs[0] not in known[node.op]:  # type: ignore[operator]
+        if node.op in known and node.attrs[0] not in known[node.op]:
             yield f"{node!r} names {node.attrs[0]!r}, which is not there"
         if node.op == "item.get" and node.attrs[0] in plan.items:
             yield from _of_items(plan.items[node.attrs[0]], node, node.attrs[1])
@@ -86,6 +85,14 @@ def _names(plan: Plan) -> Iterator[str]:
             yield from _register(plan.species[node.attrs[0]], node, node.attrs[1])
         if node.op.startswith("reduce."):
             yield from _elements(plan, node)
+
+
+def named(plan: Plan) -> dict[str, Container[str]]:
+    """The names of the things of a plan, by the kind that rows of senses and effects say."""
+    return {
+        **{kind: getattr(plan, held) for kind, held in HELD.items()}, "field": plan.fields, "species": plan.species,
+        "target": (*plan.obstacles, *plan.surfaces, *plan.solids),
+    }  # fmt: skip
 
 
 def _elements(plan: Plan, reduce: Node) -> Iterator[str]:
@@ -169,14 +176,6 @@ def _statement(plan: Plan, species: SpeciesPlan, statement: Statement) -> Iterat
                 yield f"Store to {statement.register}, which is not there"
             elif register.kind is not statement.value.kind:
                 yield f"Store of {statement.value!r} to {register.name}, a {register.kind.value}"
-        case Deposit():
-            if statement.field not in plan.fields:
-                yield f"Deposit in {statement.field}, which is not there"
-        case Carve():
-            if statement.solid not in plan.solids:
-                yield f"Carve of {statement.solid}, which is not there"
-            if statement.own is not None and statement.own not in species.registers:
-                yield f"Carve for {statement.own}, which is not there"
         case Claim() | Give():
             items = plan.items.get(statement.items)
             if items is None or statement.attribute not in items.attributes:
@@ -185,9 +184,28 @@ def _statement(plan: Plan, species: SpeciesPlan, statement: Statement) -> Iterat
                 yield f"{type(statement).__name__} for {statement.own}, which is not there"
             if statement.item.kind is not Kind.I32:
                 yield f"{type(statement).__name__} with {statement.item!r} for an item"
-        case Spawn():
-            if statement.species not in plan.species:
-                yield f"Spawn of {statement.species}, which is not there"
+        case Request():
+            yield from _request(plan, species, statement)
+
+
+def _request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iterator[str]:
+    """A request is what its row says, and names what is there."""
+    row = EFFECTS.get(statement.op)
+    if row is None:
+        yield f"no effect {statement.op}"
+        return
+    word, there = row.op.capitalize(), named(plan).get(row.target)
+    if there is not None and statement.of not in there:
+        yield f"{word} of {statement.of}, which is not there"
+    if statement.own is not None and statement.own not in species.registers:
+        yield f"{word} for {statement.own}, which is not there"
+    if len(statement.args) != len(row.operands):
+        yield f"{word} takes {row.operands}, not {statement.args!r}"
+    for name, node in zip(row.operands, statement.args, strict=False):
+        if node is None and name not in row.optional:
+            yield f"{word} without {name}"
+        elif node is not None and node.kind is not Kind.F32:
+            yield f"{word} with {node!r} for {name}"
 
 
 class _Seen:

@@ -24,18 +24,15 @@ from antdsl.program.model import (
     Take,
     Thing,
 )
+from antdsl.program.tables.effects import EFFECTS
+from antdsl.program.tables.rows import Cost
+from antdsl.program.tables.senses import SET_SENSES
+from antdsl.program.tables.vocabulary import COSTS
 from antdsl.program.traverse import parts
 from antdsl.program.types.folding import constant_behind
 
-# Weights are about what one costs one agent, one addition being 1: orders of magnitude for crowds of some ten thousand agents.
-# A ray is cast where an obstacle is near only; a set is gone over for MEMBERS.
-MEMBERS = 8
-RAYS = 3  # of feelers whose number is not a constant
-_WEIGHTS = {
-    "neighbours": 600, "all": 100, "ray": 400, "near": 100, "curve": 200, "flow": 30, "map": 10, "field": 15,
-    "cell": 12, "gradient": 60, "deposit": 25, "draw": 60, "carve": 1000, "emit": 50, "take": 40,
-}  # fmt: skip
-_DRAWS = frozenset(("uniform", "normal", "pick", "chance", "random_agent"))
+MEMBERS = 8  # a set is gone over for so many
+_TAKE = Cost(40, "takes {thing}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,52 +117,43 @@ def _operations(part: object) -> int:
 
 def _use(part: object) -> Iterable[Use]:
     """What one node of the program asks for."""
-    if isinstance(part, SetOf):
-        return [_set(part)]
-    if isinstance(part, Deposit):
-        return [Use("fields", f"lays {part.field}", _WEIGHTS["deposit"])]
-    if isinstance(part, Carve):
-        return [Use("senses", f"digs {part.solid}", _WEIGHTS["carve"])]
-    if isinstance(part, Emit):
-        return [Use("senses", f"raises {part.event}", _WEIGHTS["emit"])]
-    if isinstance(part, Take):
-        return [Use("senses", f"takes {part.attribute}", _WEIGHTS["take"])]
-    return [use] if isinstance(part, Op) and (use := _operation(part)) is not None else []
+    match part:
+        case SetOf():
+            cost = SET_SENSES[part.source].cost
+            return [] if cost is None else [_said(cost, part.of, part.args)]
+        case Op():
+            cost = COSTS.get(part.name)
+            thing = next((arg.name for arg in part.args if isinstance(arg, Thing) and arg.name != "self"), "")
+            return [] if cost is None or (cost.named and not thing) else [_said(cost, thing, part.args, part.name)]
+        case Take():
+            return [_said(_TAKE, part.attribute)]
+        case Deposit() | Carve() | Emit():
+            cost = EFFECTS[type(part).__name__.lower()].cost
+            return [] if cost is None else [_said(cost, _target(part))]
+    return []
 
 
-def _set(part: SetOf) -> Use:
-    if part.source == "feelers":
-        count = constant_behind(part.args[0]) if part.args[0] is not None else None
-        rays = int(count.number) if count is not None else RAYS
-        return Use("senses", f"{rays} rays on {part.of}", rays * _WEIGHTS["ray"])
-    if part.source == "neighbours":
-        return Use("senses", f"{part.of} within {_words(part.args[0])}", _WEIGHTS["neighbours"])
-    within = f" within {_words(part.args[0])}" if part.args and part.args[0] is not None else ""
-    return Use("senses", f"all {part.of}{within}", _WEIGHTS["all"])
+def _target(part: Deposit | Carve | Emit) -> str:
+    match part:
+        case Deposit():
+            return part.field
+        case Carve():
+            return part.solid
+        case Emit():
+            return part.event
 
 
-def _operation(op: Op) -> Use | None:
-    thing = next((arg.name for arg in op.args if isinstance(arg, Thing) and arg.name != "self"), "")
-    if op.name in _DRAWS:
-        return Use("draws", op.name.removesuffix("_agent"), _WEIGHTS["draw"])
-    if op.name == "ray":
-        return Use("senses", f"1 ray on {thing}", _WEIGHTS["ray"])
-    if op.name == "field_value":
-        return Use("fields", f"{thing}", _WEIGHTS["field"])
-    if op.name in ("field_max", "strongest"):
-        cells = constant_behind(op.args[1]) if len(op.args) > 1 and op.args[1] is not None else None
-        number = int(cells.number) if cells is not None else 16
-        return Use("fields", f"{number} cells of {thing}", number * _WEIGHTS["cell"])
-    if op.name == "gradient":
-        return Use("fields", f"slope of {thing}", _WEIGHTS["gradient"])
-    if op.name in ("closest", "tangent"):
-        return Use("senses", f"curve {thing}", _WEIGHTS["curve"])
-    if op.name in ("touching", "distance", "direction", "position") and thing:
-        return Use("senses", f"nearest of {thing}", _WEIGHTS["near"])
-    if op.name in ("flow_value", "map_value"):
-        kind = op.name.removesuffix("_value")
-        return Use("senses", f"{kind} {thing}", _WEIGHTS[kind])
-    return None
+def _said(cost: Cost, thing: str, args: tuple[Expr | None, ...] = (), op: str = "") -> Use:
+    """A use as its row says it: how many, of what, and how far."""
+    count = 1
+    if cost.times is not None:
+        times = args[cost.times] if len(args) > cost.times else None
+        known = constant_behind(times) if times is not None else None
+        count = int(known.number) if known is not None else cost.often
+    words = cost.words.format(thing=thing, count=count, word=op.removesuffix("_agent"))
+    if cost.within is not None and len(args) > cost.within and args[cost.within] is not None:
+        words += f" within {_words(args[cost.within])}"
+    return Use(cost.heading, words, cost.weight * count)
 
 
 def _words(expr: Expr | None) -> str:

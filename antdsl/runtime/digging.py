@@ -9,30 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.fields.walls import grow
-from antdsl.runtime.effects import CarveEntry
+from antdsl.runtime.effects import Asked
 from antdsl.runtime.world import Population, World
 
 
 def dig(world: World) -> None:
     """Carve the balls that were asked for, and give each agent what it dug out. Who stood there comes down as it moves."""
-    asked: dict[str, list[tuple[Population, CarveEntry]]] = {}
+    asked: dict[str, list[tuple[Population, Asked]]] = {}
     for population in world.populations.values():
-        for entry in population.effects.carves:
+        for entry in population.effects.taken("carve"):
             if len(entry.rows):
-                asked.setdefault(entry.statement.solid, []).append((population, entry))
-        population.effects.carves = []
+                asked.setdefault(entry.request.of, []).append((population, entry))
     for name, entries in sorted(asked.items()):
         _carve(world, name, entries)
 
 
-def _carve(world: World, solid: str, entries: list[tuple[Population, CarveEntry]]) -> None:
+def _carve(world: World, solid: str, entries: list[tuple[Population, Asked]]) -> None:
     """Carve one solid. Who digs is known by (species, id, place in the text), whatever its row."""
     names = list(world.populations)
     species = np.concatenate([np.full(len(e.rows), names.index(p.name)) for p, e in entries])
     ids = np.concatenate([p.ids[e.rows] for p, e in entries])
     place = np.concatenate([np.full(len(e.rows), e.order) for _, e in entries])
-    middle = np.concatenate([e.middle for _, e in entries]).astype(np.float64)
-    radius = np.concatenate([e.radius for _, e in entries]).astype(np.float64)
+    middle = np.concatenate([np.column_stack([e.arg(1 + k) for k in range(3)]) for _, e in entries]).astype(np.float64)
+    radius = np.concatenate([e.arg(0) for _, e in entries]).astype(np.float64)
     order = np.lexsort((place, ids, species))
     owner = np.empty(len(order), np.int64)
     owner[order] = np.arange(len(order))
@@ -49,10 +48,10 @@ def _carve(world: World, solid: str, entries: list[tuple[Population, CarveEntry]
         first += len(entry.rows)
 
 
-def _give(population: Population, entry: CarveEntry, removed: NDArray[np.float64]) -> None:
+def _give(population: Population, entry: Asked, removed: NDArray[np.float64]) -> None:
     """Add what was dug out to the agents' own register."""
-    if entry.statement.own is not None:
-        register = population.now[entry.statement.own]
+    if entry.request.own is not None:
+        register = population.now[entry.request.own]
         register[entry.rows] = (register[entry.rows].astype(np.float64) + removed).astype(np.float32)
 
 

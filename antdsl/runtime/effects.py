@@ -6,7 +6,6 @@ Every entry holds the rows of one statement in one chunk; applying them in anoth
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,37 +35,19 @@ class GiveEntry:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DepositEntry:
-    field: str
-    rows: Rows
-    amount: NDArray[np.float32]
+class Asked:
+    """What some agents ask for by one request: its operands, a value for each row, None for one that is absent."""
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CarveEntry:
-    """`middle` (k, 3) and `radius` of the balls that are dug."""
-
-    statement: ir.Carve
+    request: ir.Request
     order: int  # place of the statement in the text of its species
     rows: Rows
-    radius: NDArray[np.float32]
-    middle: NDArray[np.float32]
+    args: tuple[NDArray[np.float32] | None, ...]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EmitEntry:
-    """`within` None: only for the agent itself."""
-
-    event: str
-    rows: Rows
-    within: NDArray[np.float32] | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SpawnEntry:
-    species: str
-    order: int
-    rows: Rows
+    def arg(self, index: int) -> NDArray[np.float32]:
+        """An operand that is there."""
+        value = self.args[index]
+        assert value is not None
+        return value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,15 +66,20 @@ class Effects:
 
     claims: list[ClaimEntry] = field(default_factory=list)
     gives: list[GiveEntry] = field(default_factory=list)
-    deposits: list[DepositEntry] = field(default_factory=list)
-    carves: list[CarveEntry] = field(default_factory=list)
-    emits: list[EmitEntry] = field(default_factory=list)
-    spawns: list[SpawnEntry] = field(default_factory=list)
-    deaths: list[Rows] = field(default_factory=list)
     faults: list[FaultEntry] = field(default_factory=list)
+    asked: dict[str, list[Asked]] = field(default_factory=dict)  # by the op of the effect
+
+    def ask(self, entry: Asked) -> None:
+        self.asked.setdefault(entry.request.op, []).append(entry)
+
+    def taken(self, op: str) -> list[Asked]:
+        """What was asked of one kind, which is forgotten."""
+        return self.asked.pop(op, [])
 
     def take(self, other: Effects) -> None:
         """Put another's entries after one's own."""
-        for name in self.__slots__:
-            mine: list[Any] = getattr(self, name)
-            mine.extend(getattr(other, name))
+        self.claims += other.claims
+        self.gives += other.gives
+        self.faults += other.faults
+        for op, entries in other.asked.items():
+            self.asked.setdefault(op, []).extend(entries)

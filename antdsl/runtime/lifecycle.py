@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed, operands, placed
-from antdsl.runtime.effects import EmitEntry
+from antdsl.runtime.effects import Asked
 from antdsl.runtime.moving.moving_geometry import rest_places
 from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows, shares_start, stored_registers
 
@@ -34,9 +34,9 @@ def find_cells(world: World, population: Population) -> None:
 def deposit(world: World) -> None:
     """Lay what the agents deposit into their own cells; it lands when the fields step."""
     for population in world.populations.values():
-        for entry in population.effects.deposits:
-            world.fields[entry.field].deposit(population.cells[entry.field][entry.rows], entry.amount)
-        population.effects.deposits = []
+        for entry in population.effects.taken("deposit"):
+            name = entry.request.of
+            world.fields[name].deposit(population.cells[name][entry.rows], entry.arg(0))
 
 
 def settle_newborn(world: World) -> None:
@@ -45,10 +45,10 @@ def settle_newborn(world: World) -> None:
 
     raise_events(world)
     give(world)
-    laying = [p for p in world.populations.values() if p.effects.deposits]
+    laying = [p for p in world.populations.values() if "deposit" in p.effects.asked]
     for population in laying:
         find_cells(world, population)
-    fields = {entry.field for p in laying for entry in p.effects.deposits}
+    fields = {entry.request.of for p in laying for entry in p.effects.asked["deposit"]}
     deposit(world)
     for name in fields:
         world.fields[name].step(1.0, 0.0, world.dt)
@@ -59,37 +59,36 @@ def settle_newborn(world: World) -> None:
 def raise_events(world: World) -> None:
     """Flag those whom an event reaches; they see it in the next step."""
     for population in world.populations.values():
-        for entry in population.effects.emits:
-            if entry.within is None:
-                if entry.event in population.raised:
-                    population.raised[entry.event][entry.rows] = True
+        for entry in population.effects.taken("emit"):
+            event = entry.request.of
+            if entry.args[0] is None:
+                if event in population.raised:
+                    population.raised[event][entry.rows] = True
                 continue
             for other in world.populations.values():
-                if entry.event in other.raised and len(other):
-                    _reach(population, entry, other, other.raised[entry.event])
-        population.effects.emits = []
+                if event in other.raised and len(other):
+                    _reach(population, entry, other, other.raised[event])
 
 
-def _reach(population: Population, entry: EmitEntry, other: Population, flags: NDArray[np.bool_]) -> None:
+def _reach(population: Population, entry: Asked, other: Population, flags: NDArray[np.bool_]) -> None:
     """Agents within the distance of some emitter, where both stood when the step began; the emitter hears itself."""
-    assert entry.within is not None
+    within = entry.arg(0)
     own = [population.start[f"position.{axis}"][entry.rows] for axis in AXES]
     theirs = [other.start[f"position.{axis}"] for axis in AXES]
     step = max(1, _BLOCK // len(other))
     for a in range(0, len(entry.rows), step):
         dx, dy, dz = (t[None, :] - o[a : a + step, None] for t, o in zip(theirs, own, strict=True))
-        flags |= (np.sqrt((dx * dx + dy * dy) + dz * dz) <= entry.within[a : a + step, None]).any(axis=0)
+        flags |= (np.sqrt((dx * dx + dy * dy) + dz * dz) <= within[a : a + step, None]).any(axis=0)
 
 
 def deaths_and_births(world: World) -> None:
     """Take the dead out, then put the new ones in: ids by (parent's species, parent's id, place in the text)."""
     coming = _coming(world)
     for population in world.populations.values():
-        if population.effects.deaths:
+        if dying := population.effects.taken("die"):
             dead = np.zeros(len(population), np.bool_)
-            for rows in population.effects.deaths:
-                dead[rows] = True
-            population.effects.deaths = []
+            for entry in dying:
+                dead[entry.rows] = True
             select_rows(population, np.flatnonzero(~dead))
     generation = 0
     while coming and generation < limits.BIRTHS_IN_A_ROW:
@@ -108,11 +107,10 @@ def _coming(world: World) -> dict[str, Births]:
     """Births asked for, by species of the child, in the order in which they get their ids; parents are read while they live."""
     found: dict[str, Births] = {}
     for population in world.populations.values():
-        entries = population.effects.spawns
-        population.effects.spawns = []
-        for species in sorted({e.species for e in entries}):
-            rows = np.concatenate([e.rows for e in entries if e.species == species])
-            order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.species == species])
+        entries = population.effects.taken("spawn")
+        for species in sorted({e.request.of for e in entries}):
+            rows = np.concatenate([e.rows for e in entries if e.request.of == species])
+            order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.request.of == species])
             rows = rows[np.lexsort((order, population.ids[rows]))]
             footing = type(population.footing)(*(getattr(population.footing, f)[rows] for f in population.footing.__slots__))
             carried = {name: population.now[name][rows].copy() for name in _CARRIED} | {"normal": population.normal[rows]}

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.sorting import stable_order
 from antdsl.plan.ir import Kind
+from antdsl.program.tables.effects import EFFECTS
 from antdsl.runtime import claims, digging, faults, lifecycle
 from antdsl.runtime.moving import advance, moving_geometry, tilting
 from antdsl.runtime.world import Population, World, select_rows
@@ -73,10 +74,12 @@ def _run(world: World, block: str) -> None:
 
 
 def effects(world: World) -> None:
-    """Events for the next step, gifts, deposits."""
-    lifecycle.raise_events(world)
+    """Gifts, and what is settled before anything spreads or moves: events for the next step, deposits. Their order does not
+    count: none reads what another writes."""
+    for row in EFFECTS.values():
+        if row.phase == "effects":
+            SETTLES[row.op](world)
     claims.give(world)
-    lifecycle.deposit(world)
 
 
 def fields(world: World) -> None:
@@ -151,6 +154,15 @@ def _count_transitions(world: World, population: Population) -> None:
                 world.transitions[key] = world.transitions.get(key, 0) + int(number)
 
 
+# What settles an effect, by its row's op; the phase that the row names calls it.
+SETTLES: dict[str, Callable[[World], None]] = {
+    "deposit": lifecycle.deposit,
+    "carve": digging.dig,
+    "emit": lifecycle.raise_events,
+    "spawn": lifecycle.deaths_and_births,
+    "die": lifecycle.deaths_and_births,
+}
+
 PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
     ("sense", sense),  # first: nothing sensed in the last step holds any more
     ("decide", decide),
@@ -159,7 +171,7 @@ PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
     ("blend", blend),  # after acting: the new state steers at once
     ("effects", effects),  # after every read of this step
     ("fields", fields),  # what is there spreads and fades, then deposits land: what is laid at t is whole at t+1
-    ("solids", digging.dig),  # before moving: who digs goes on into what it dug
+    ("solids", SETTLES["carve"]),  # before moving: who digs goes on into what it dug
     ("move", move),
     ("motion", measure),  # before the ground goes on: what it carries along is no step of theirs
     ("carry", moving_geometry.carry),  # after walking: who has walked stands on ground that goes on from here

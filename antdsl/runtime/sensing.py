@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import randomness
+from antdsl.numerics import noise, randomness
 from antdsl.plan import ir
 from antdsl.runtime.moving import moving_geometry
 from antdsl.runtime.moving.clearances import clearance, may_touch
@@ -183,6 +183,17 @@ def _map_value(world: World, population: Population, node: ir.Node, rows: Rows) 
     return world.maps[node.attrs[0]].at(world.ground.meshes, _standing(population, rows))
 
 
+def _noise(world: World, population: Population, node: ir.Node, rows: Rows, *how: Value) -> Value:
+    """`how`: scale, seed and period. The place is that in the scene's own axes, the time that of the step."""
+    scale, seed, period = (np.float64(1) * _spread(each, rows) for each in how)
+    place = np.stack(_place(world, population, rows)).astype(np.float64) + world.origin[:, None]
+    moment = np.full((1, _size(rows)), world.shown * world.dt)
+    unit = np.stack((scale, scale, scale, period))
+    cells = np.concatenate((place, moment)) / np.where(unit > 0, unit, np.nan)
+    which = np.floor(np.where(np.abs(seed) < noise.FAR, seed, 0.0)).astype(np.int64)
+    return noise.noise(cells, which).astype(np.float32)
+
+
 def _standing(population: Population, rows: Rows) -> Any:
     """Footings of some rows."""
     footing = population.footing
@@ -208,4 +219,5 @@ SENSES: Mapping[str, Callable[..., Value]] = {
     "curve.closest": _curve_closest,
     "flow.value": _flow_value,
     "map.value": _map_value,
+    "noise": _noise,
 }

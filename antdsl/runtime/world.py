@@ -204,7 +204,7 @@ def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
                 found.add(statement.register)
             elif isinstance(statement, ir.Claim):
                 found.update(name for name in (statement.won, statement.own) if name)
-            elif isinstance(statement, ir.Give) or (isinstance(statement, ir.Carve) and statement.own is not None):
+            elif isinstance(statement, ir.Give | ir.Request) and statement.own is not None:
                 found.add(statement.own)
     return frozenset(found)
 

@@ -143,7 +143,7 @@ def explained(*words: str) -> tuple[int, str]:
         ("frames", ("first and last frame",)),
         ("amber", ("a colour of a state",)),
         ("steering", ("`wander`", "`seek`")),
-        ("noise", ("does not work yet",)),
+        ("noise", ("scale: length", "noise(scale: 20 mm")),
         ("collision", ("two agents touch",)),
         ("wander()", ("behaviour wander(",)),
         ("circle", ("depend on each other in a circle",)),

@@ -108,7 +108,7 @@ def test_an_event_is_seen_once_a_step_later_by_those_in_reach():
     t = plans.Text()
     first = t("and", t("eq", t("step", attrs=("frame",)), 1.0), t("eq", t("id"), t.b.agent(0)))
     act = plans.block(
-        plans.when(first, ir.Emit("alarm", t.b.number(20), None), ir.Emit("self", None, None)),
+        plans.when(first, ir.Request("emit", "alarm", (t.b.number(20),), None), ir.Request("emit", "self", (None,), None)),
         plans.when(t("event", attrs=("alarm",)), plans.store("heard", t("add", t.snap("heard"), 1.0))),
         plans.when(t("event", attrs=("self",)), plans.store("felt", t("add", t.snap("felt"), 1.0))),
     )
@@ -135,8 +135,10 @@ def breeders() -> ir.Plan:
     even = t("eq", t("snap", attrs=("parity",)), 0.0)
     frame = t("step", attrs=("frame",))
     act = plans.block(
-        plans.when(t("and", even, t("eq", frame, 2.0)), ir.Spawn("ant", "one", None), ir.Spawn("ant", "two", None)),
-        plans.when(t("and", t("eq", t.snap("third"), 0.0), t("eq", frame, 3.0)), ir.Die(None)),
+        plans.when(
+            t("and", even, t("eq", frame, 2.0)), *(ir.Request("spawn", "ant", (), None, site=site) for site in ("one", "two"))
+        ),
+        plans.when(t("and", t("eq", t.snap("third"), 0.0), t("eq", frame, 3.0)), ir.Request("die", "", (), None)),
         plans.when(t("eq", frame, 1.0), plans.store("friend", t.b.agent(3))),
         plans.store("sees", t("number", t("agent.alive", t.snap("friend", L), attrs=("ant",)))),
     )

@@ -67,7 +67,7 @@ def _assign(w: Writer, s: model.Assign, site: str) -> None:
 
 
 def _deposit(w: Writer, s: model.Deposit, site: str) -> None:
-    w.add(ir.Deposit(s.field, _rate(w, scalar(w, s.amount), s.per_second), s.span))
+    w.add(ir.Request("deposit", s.field, (_rate(w, scalar(w, s.amount), s.per_second),), s.span))
 
 
 def _give(w: Writer, s: model.Give, site: str) -> None:
@@ -83,15 +83,15 @@ def _give(w: Writer, s: model.Give, site: str) -> None:
 
 
 def _emit(w: Writer, s: model.Emit, site: str) -> None:
-    w.add(ir.Emit(s.event, None if s.within is None else scalar(w, s.within), s.span))
+    w.add(ir.Request("emit", s.event, (None if s.within is None else scalar(w, s.within),), s.span))
 
 
 def _spawn(w: Writer, s: model.SpawnAgent, site: str) -> None:
-    w.add(ir.Spawn(s.species, s.key or f"{site}.spawn", s.span))
+    w.add(ir.Request("spawn", s.species, (), s.span, site=s.key or f"{site}.spawn"))
 
 
 def _die(w: Writer, s: model.Die, site: str) -> None:
-    w.add(ir.Die(s.span))
+    w.add(ir.Request("die", "", (), s.span))
 
 
 def _carve(w: Writer, s: model.Carve, site: str) -> None:
@@ -106,7 +106,7 @@ def _carve(w: Writer, s: model.Carve, site: str) -> None:
     reach = b("mul", b("add", w.read("size"), radius), b.number(0.5))
     middle = values.add(b, w.read_vector("position"), values.scale(b, w.read_vector("up"), radius))
     middle = values.add(b, middle, values.scale(b, ahead, reach))
-    w.add(ir.Carve(s.solid, radius, middle.x, middle.y, middle.z, s.into, s.span))
+    w.add(ir.Request("carve", s.solid, (radius, middle.x, middle.y, middle.z), s.span, own=s.into))
 
 
 def _play(w: Writer, s: model.Play, site: str) -> None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from antdsl.plan.ir import OPS, TUPLES, Kind, Node, Rate
+from antdsl.plan.ir import LETTERS, OPS, TUPLES, Kind, Node, Rate
 from antdsl.plan.lowering import simplify
 from antdsl.plan.lowering.floats import f32
 from antdsl.source import Span
 
-_LETTERS = {"f": Kind.F32, "b": Kind.BOOL, "i": Kind.I32, "l": Kind.I64, "t": Kind.TUPLE, "s": Kind.SET}
 _OF_REGISTER = frozenset(("snap", "load", "other", "agent.get", "item.get"))
 
 
@@ -43,8 +42,8 @@ def _misfit(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | No
         if letter == "x":
             if arg.kind in (Kind.TUPLE, Kind.SET):
                 return f"operand {position} of {op} is a {arg.kind.value}"
-        elif arg.kind is not _LETTERS[letter]:
-            return f"operand {position} of {op} is a {arg.kind.value}, not a {_LETTERS[letter].value}"
+        elif arg.kind is not LETTERS[letter]:
+            return f"operand {position} of {op} is a {arg.kind.value}, not a {LETTERS[letter].value}"
     if op in ("eq", "ne") and args[0].kind is not args[1].kind:
         return f"{op} compares a {args[0].kind.value} with a {args[1].kind.value}"
     if op == "where" and args[1].kind is not args[2].kind:

@@ -23,6 +23,7 @@ from antdsl.plan.lowering.values import add as add_vectors
 from antdsl.plan.lowering.writing import NotYet, Writer
 from antdsl.plan.traverse import needed, operands, statements
 from antdsl.program import model
+from antdsl.program.tables.things import HELD
 
 DEEP = 20_000  # frames of our own recursion over expressions; their nesting is capped by the parser and the checker
 
@@ -49,13 +50,8 @@ def lower(
         params = {p.name: ir.ParamPlan(p.name, _outside(builder, program, p.default, report)) for p in program.params.values()}
     world = program.world.values()
     items = {t.name: ir.ItemsPlan(t.name, {a.name: a.default.number for a in t.attributes}) for t in world if t.kind == "items"}
-    kinds = ("surface", "obstacle", "curve", "solid", "flow", "map")
-    names = {kind: tuple(t.name for t in world if t.kind == kind) for kind in kinds}
-    plan = ir.Plan(
-        species, fields, items, params, names["surface"], names["obstacle"], names["curve"], tuple(builder.nodes),
-        solids=names["solid"], flows=names["flow"], maps=names["map"],
-    )  # fmt: skip
-    return plan, report
+    names = {held: tuple(t.name for t in world if t.kind == kind) for kind, held in HELD.items()}
+    return ir.Plan(species, fields, items, params, nodes=tuple(builder.nodes), **names), report
 
 
 @contextmanager

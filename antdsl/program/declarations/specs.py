@@ -10,6 +10,7 @@ from antdsl.program.expectations import Against, AtStart, Bodily, Changed, Expec
 from antdsl.program.model import Expr, Field, Kind, Op, Param, Rate
 from antdsl.program.names.scope import NUMBER, TIME, Declared, FileNames, Keys, Scope, did_you_mean, listed
 from antdsl.program.tables.units import measure, unit_of
+from antdsl.program.tables.vocabulary import DRAWS
 from antdsl.program.traverse import parts, written
 from antdsl.program.types.aggregates import SpecRules
 from antdsl.program.types.descriptions import quoted
@@ -21,7 +22,6 @@ MOST_SEEDS = 1000
 _COMPARED = ("lt", "le", "gt", "ge", "eq", "ne")
 _REFERENCES = (Kind.ITEM, Kind.AGENT)
 _HOW = ("seeds", "pass", "set", "until")  # what is expected is another matter
-_DRAWS = ("uniform", "normal", "pick", "random_agent", "chance")
 _FIXED = ("cell", "combine")  # what a field is made of: another value is another field
 
 
@@ -291,7 +291,7 @@ def _fits(work: _Work, line: nodes.SpecLine, species: str | None, found: Expr, a
             "bound it in a line of the spec itself: `always: motion.circling < 5 %`",
         )
         return False
-    draw = next((p for p in parts(found) if isinstance(p, Op) and p.name in _DRAWS), None)
+    draw = next((p for p in parts(found) if isinstance(p, Op) and p.name in DRAWS), None)
     if draw is not None:
         report.error(
             "draw-in-spec", f"{quoted(draw.span)} draws a random number, and a spec only looks", draw.span, "leave it out"

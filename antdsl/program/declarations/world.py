@@ -23,14 +23,13 @@ from antdsl.program.names.scope import (
     duplicate,
     listed,
 )
+from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import number
 from antdsl.program.tables.vocabulary import GIVEN, ITEM_GIVEN
 from antdsl.program.types.descriptions import fits, mismatch, quoted
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import value, wanted
 from antdsl.syntax import nodes
-
-KINDS = ("surface", "obstacle", "solid", "items", "curve", "flow", "map", "species")
 
 
 def outside(declared: Declared, names: FileNames, path: str) -> Scope:
@@ -51,9 +50,12 @@ def declare_world(declared: Declared, names: FileNames) -> None:
 
 def _thing(declared: Declared, names: FileNames, item: nodes.WorldItem) -> None:
     report, kind, name = declared.report, item.kind.text, item.name.text
-    if kind not in KINDS:
+    if kind not in KINDS_OF_THINGS:
         report.error(
-            "unknown-kind", f"no kind of thing `{kind}`", item.kind.span, did_you_mean(kind, KINDS, f"kinds are {listed(KINDS)}")
+            "unknown-kind",
+            f"no kind of thing `{kind}`",
+            item.kind.span,
+            did_you_mean(kind, KINDS_OF_THINGS, f"kinds are {listed(tuple(KINDS_OF_THINGS))}"),
         )
         declared.unclear.add(name)
         return

@@ -6,18 +6,13 @@ from antdsl.diagnostics import Fix
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Kind, Type
 from antdsl.program.names.scope import Scope
+from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
 # What the line begins with, by the kind that is wanted, and the kinds of things that may stand there.
 _LINES: dict[Kind, tuple[str, tuple[str, ...]]] = {
-    Kind.OBSTACLE: ("obstacle", ("obstacle", "surface", "solid")),
-    Kind.SURFACE: ("surface", ("surface",)),
-    Kind.SOLID: ("solid", ("solid",)),
-    Kind.CURVE: ("curve", ("curve",)),
-    Kind.FLOW: ("flow", ("flow",)),
-    Kind.MAP: ("map", ("map",)),
-    Kind.ITEMS: ("items", ("items",)),
+    **{Kind(row.word): (row.word, row.serves) for row in KINDS_OF_THINGS.values() if row.serves},
     Kind.PLACE: ("items", ("items", "curve", "obstacle", "solid")),
 }
 

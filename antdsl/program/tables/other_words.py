@@ -42,7 +42,7 @@ _CALLS = (
     ("avg average", "mean(n in neighbours(20 mm): n.speed)"),
     ("radians deg", "{A} * 1 deg"),
     ("degrees rad", "{A} * 1 rad"),
-    ("snoise perlin simplex turbulence", "normal(0, 1)"),
+    ("snoise perlin simplex turbulence", "noise(20 mm)"),
 )
 _NAMES = (
     ("step delta_time deltatime time_step timestep", "dt"),

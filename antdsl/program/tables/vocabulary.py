@@ -1,7 +1,7 @@
 """Every word that the language knows by itself, as tables: units, types, given names, built-in operations, phases of what works.
 
 The checker types calls by these tables, the lowering has one rule per operation name, the editor shows the help.
-Adding an operation is one row here and one rule in `plan/rules`.
+Adding an operation is one row here and one rule in `plan/rules`; senses are rows of `program/senses`.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from math import pi
 
 from antdsl.program.model import Dim
+from antdsl.program.tables import senses
+from antdsl.program.tables.rows import Arg, Builtin, Cost
 
 LENGTH, TIME, MASS, ANGLE = Dim(length=1), Dim(time=1), Dim(mass=1), Dim(angle=1)
 SPEED = Dim(length=1, time=-1)
@@ -110,40 +112,26 @@ ITEM_GIVEN: dict[str, str] = {"position": "position", "radius": "length"}
 HIT_GIVEN: dict[str, str] = {"distance": "length", "normal": "push", "position": "position"}
 
 
-@dataclass(frozen=True, slots=True)
-class Arg:
-    """One argument. `type`: a type word; `number A` is a number of any dimension, the same for every A of the call; `vector A`
-    likewise; `range A` two such numbers (they fill two places of the operation); `count` a whole constant; `any A` anything,
-    all alike; `condition` a bool about the element. `default` as the language would write it; `optional` may be absent (None)."""
-
-    name: str
-    type: str
-    default: str | None = None
-    optional: bool = False
-    variadic: bool = False
+def _f(
+    op: str, args: list[Arg], result: str, help: str, interval: tuple[float, float] | None = None, draws: bool = False
+) -> Builtin:
+    return Builtin(tuple(args), result, help, op, interval=interval, draws=draws, cost=_DRAW if draws else None)
 
 
-@dataclass(frozen=True, slots=True)
-class Builtin:
-    args: tuple[Arg, ...]
-    result: str
-    help: str
-    op: str  # name in the typed tree
+_DRAW = Cost(60, "{word}", "draws")
 
 
-def _f(op: str, args: list[Arg], result: str, help: str) -> Builtin:
-    return Builtin(tuple(args), result, help, op)
-
-
-# Called as functions. Names with several rows are told apart by the first argument's type; the first row that fits wins.
-BUILTINS: dict[str, tuple[Builtin, ...]] = {
+# What is no sense: a function of its arguments, or a draw.
+_PLAIN: dict[str, tuple[Builtin, ...]] = {
     "abs": (_f("abs", [Arg("x", "number A")], "number A", "without its sign"),),
     "clamp": (_f("clamp", [Arg("x", "number A"), Arg("to", "range A")], "number A", "kept inside a range"),),
     "floor": (_f("floor", [Arg("x", "number")], "number", "the whole number below"),),
-    "sqrt": (_f("sqrt", [Arg("x", "number A")], "number sqrt A", "square root; its dimension is halved"),),
-    "sin": (_f("sin", [Arg("x", "angle")], "number", "sine"),),
-    "cos": (_f("cos", [Arg("x", "angle")], "number", "cosine"),),
-    "exp": (_f("exp", [Arg("x", "number")], "number", "e to the x"),),
+    "sqrt": (
+        _f("sqrt", [Arg("x", "number A")], "number sqrt A", "square root; its dimension is halved", interval=senses.POSITIVE),
+    ),
+    "sin": (_f("sin", [Arg("x", "angle")], "number", "sine", interval=(-1, 1)),),
+    "cos": (_f("cos", [Arg("x", "angle")], "number", "cosine", interval=(-1, 1)),),
+    "exp": (_f("exp", [Arg("x", "number")], "number", "e to the x", interval=senses.POSITIVE),),
     "log": (_f("log", [Arg("x", "number")], "number", "natural logarithm"),),
     "ramp": (
         _f(
@@ -158,24 +146,20 @@ BUILTINS: dict[str, tuple[Builtin, ...]] = {
         _f("mix", [Arg("a", "vector A"), Arg("b", "vector A"), Arg("t", "number")], "vector A", "a at t = 0, b at t = 1"),
     ),
     "min": (_f("min", [Arg("a", "number A"), Arg("b", "number A")], "number A", "the lesser"),),
-    "max": (
-        _f("max", [Arg("a", "number A"), Arg("b", "number A")], "number A", "the greater"),
-        _f("field_max", [Arg("field", "field"), Arg("nearest", "count", "16")], "number", "the strongest of the nearest cells"),
-    ),
-    "strongest": (
-        _f(
-            "strongest",
-            [Arg("field", "field"), Arg("nearest", "count", "16")],
-            "position",
-            "where the strongest of the nearest cells lies; its own position where there is nothing",
-        ),
-    ),
-    "gradient": (_f("gradient", [Arg("field", "field")], "vector 1/length", "uphill in the field, per length"),),
-    "length": (_f("length", [Arg("v", "vector A")], "number A", "how long a vector is"),),
+    "max": (_f("max", [Arg("a", "number A"), Arg("b", "number A")], "number A", "the greater"),),
+    "length": (_f("length", [Arg("v", "vector A")], "number A", "how long a vector is", interval=senses.POSITIVE),),
     "unit": (_f("unit", [Arg("v", "vector A")], "push", "the same way, length 1; nothing stays nothing"),),
     "dot": (_f("dot", [Arg("a", "vector A"), Arg("b", "vector B")], "number A*B", "scalar product"),),
     "cross": (_f("cross", [Arg("a", "vector A"), Arg("b", "vector B")], "vector A*B", "vector product"),),
-    "angle": (_f("angle", [Arg("a", "vector A"), Arg("b", "vector B")], "angle", "between two directions, 0 to half a turn"),),
+    "angle": (
+        _f(
+            "angle",
+            [Arg("a", "vector A"), Arg("b", "vector B")],
+            "angle",
+            "between two directions, 0 to half a turn",
+            interval=senses.HALF_TURN,
+        ),
+    ),
     "rotate": (
         _f("rotate", [Arg("v", "vector A"), Arg("about", "push"), Arg("by", "angle")], "vector A", "turned about an axis"),
     ),
@@ -191,93 +175,64 @@ BUILTINS: dict[str, tuple[Builtin, ...]] = {
     ),
     "first": (_f("first", [Arg("a", "any A", variadic=True)], "any A", "the first that is not none"),),
     "uniform": (
-        _f("uniform", [Arg("low", "number A"), Arg("high", "number A")], "number A", "a random number, evenly between two"),
+        _f(
+            "uniform",
+            [Arg("low", "number A"), Arg("high", "number A")],
+            "number A",
+            "a random number, evenly between two",
+            draws=True,
+        ),
     ),
     "normal": (
-        _f("normal", [Arg("mean", "number A"), Arg("deviation", "number A")], "number A", "a random number about a mean"),
+        _f(
+            "normal",
+            [Arg("mean", "number A"), Arg("deviation", "number A")],
+            "number A",
+            "a random number about a mean",
+            draws=True,
+        ),
     ),
-    "pick": (_f("pick", [Arg("a", "any A", variadic=True)], "any A", "one of these, evenly"),),
-    "random": (_f("random_agent", [Arg("of", "species")], "agent", "one living agent of a species, evenly"),),
-    "rising": (_f("rising", [Arg("x", "number A"), Arg("over", "range A")], "number", "0 below, 1 above, straight between"),),
-    "falling": (_f("falling", [Arg("x", "number A"), Arg("over", "range A")], "number", "1 below, 0 above, straight between"),),
+    "pick": (_f("pick", [Arg("a", "any A", variadic=True)], "any A", "one of these, evenly", draws=True),),
+    "random": (_f("random_agent", [Arg("of", "species")], "agent", "one living agent of a species, evenly", draws=True),),
+    "rising": (
+        _f(
+            "rising",
+            [Arg("x", "number A"), Arg("over", "range A")],
+            "number",
+            "0 below, 1 above, straight between",
+            interval=senses.SHARE,
+        ),
+    ),
+    "falling": (
+        _f(
+            "falling",
+            [Arg("x", "number A"), Arg("over", "range A")],
+            "number",
+            "1 below, 0 above, straight between",
+            interval=senses.SHARE,
+        ),
+    ),
     "around": (
-        _f("around", [Arg("x", "number A"), Arg("over", "range A")], "number", "1 in the middle of the range, 0 outside"),
-    ),
-    # senses
-    "neighbours": (
         _f(
-            "neighbours",
-            [Arg("radius", "length"), Arg("fov", "angle", "360 deg"), Arg("of", "species", optional=True)],
-            "set",
-            "others of its own species (or of another) near it and in its field of view",
-        ),
-    ),
-    "all": (
-        _f(
-            "all",
-            [Arg("of", "items"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)],
-            "set",
-            "items or agents",
-        ),
-        _f(
-            "all",
-            [Arg("of", "species"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)],
-            "set",
-            "agents",
-        ),
-    ),
-    "feelers": (
-        _f(
-            "feelers",
-            [Arg("on", "obstacle"), Arg("count", "count", "3"), Arg("spread", "angle", "35 deg"), Arg("reach", "length")],
-            "set",
-            "rays ahead along the velocity and turned about up, evenly out to `spread` on either side: the hits",
-        ),
-    ),
-    "nearest": (
-        _f(
-            "nearest",
-            [Arg("of", "items"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)],
-            "item",
-            "the nearest, or none",
-        ),
-        _f(
-            "nearest",
-            [Arg("of", "species"), Arg("within", "length", optional=True), Arg("with", "condition", optional=True)],
-            "agent",
-            "the nearest, or none",
-        ),
-        _f("nearest", [Arg("of", "set")], "any", "the nearest of a set, or none"),
-    ),
-    "ray": (
-        _f(
-            "ray", [Arg("direction", "push"), Arg("reach", "length"), Arg("on", "obstacle")], "hit", "what lies that way, or none"
-        ),
-    ),
-    "distance": (_f("distance", [Arg("to", "place")], "length", "how far; endless to none"),),
-    "direction": (
-        _f(
-            "direction",
-            [Arg("of", "place"), Arg("to", "place", optional=True)],
-            "push",
-            "toward it, length 1 (or from it to another place); nothing to none",
-        ),
-    ),
-    "position": (_f("position", [Arg("of", "place")], "position", "where a place is; its own position for none"),),
-    "velocity": (_f("velocity", [Arg("of", "place")], "velocity", "how it moves; nothing for what stands or is none"),),
-    "touching": (_f("touching", [Arg("x", "place")], "bool", "its room meets that thing"),),
-    "falloff": (_f("falloff", [Arg("from", "place"), Arg("floor", "length")], "number", "floor / distance, at most 1"),),
-    "closest": (_f("closest", [Arg("on", "curve")], "position", "the nearest point of a curve"),),
-    "tangent": (_f("tangent", [Arg("on", "curve")], "push", "the way the curve was drawn, at its nearest point"),),
-    "match": (
-        _f(
-            "match",
-            [Arg("velocity", "velocity")],
-            "push",
-            "the push that reaches a velocity in this step, at most 1: (velocity - own) * mass / (max_force * dt)",
+            "around",
+            [Arg("x", "number A"), Arg("over", "range A")],
+            "number",
+            "1 in the middle of the range, 0 outside",
+            interval=senses.SHARE,
         ),
     ),
 }
+
+
+def _with_senses(plain: dict[str, tuple[Builtin, ...]]) -> dict[str, tuple[Builtin, ...]]:
+    found = dict(plain)
+    for row in senses.spoken("call"):
+        found[row.name] = (*found.get(row.name, ()), row)
+    return found | {row.op: row.rows for row in senses.SET_SENSES.values()}
+
+
+# Called as functions. Names with several rows are told apart by the first argument's type; the first row that fits wins.
+BUILTINS: dict[str, tuple[Builtin, ...]] = _with_senses(_PLAIN)
 
 # Senses as other tools and everyday words call them, and what is asked here instead.
 _OTHER_SENSES = (
@@ -296,7 +251,7 @@ _OTHER_SENSES = (
 OTHER_SENSES: dict[str, str] = {word: instead for words, instead in _OTHER_SENSES for word in words.split()}
 
 # Names, not calls: `slope` is the angle between `up` and the world's up, `uphill` the world's up laid along the ground.
-SENSED_NAMES: dict[str, str] = {"slope": "angle", "uphill": "push"}
+SENSED_NAMES: dict[str, str] = {row.name: row.result for row in senses.spoken("name")}
 
 REDUCERS: dict[str, str] = {
     "sum": "sum of the body; 0 or nothing for an empty set",
@@ -314,23 +269,26 @@ SIGN_OPS = {
     "+": "add", "-": "sub", "*": "mul", "/": "div", "^": "pow", "<": "lt", "<=": "le", ">": "gt", ">=": "ge", "==": "eq",
     "!=": "ne", "and": "and", "or": "or", "not": "not", "neg": "neg",
 }  # fmt: skip
-# Further ops of the typed tree:
-#   if(condition, then, else)      is_none(x)  (also `no x`; for a set: it is empty)      chance(rate or share)
-#   is_some(x)      field_value(field)      flow_value(flow)      map_value(map)      slope()      uphill()
+# Further ops of the typed tree, beside the words of senses:
+#   if(condition, then, else)      is_none(x)  (also `no x`; for a set: it is empty)      chance(rate or share)      is_some(x)
 #   run(dt | time | frame as Thing)      event(its name as Thing)      fuzzy(degree, output, degree, output, …)
 OTHER_OPS = (
     "if",
     "is_none",
     "is_some",
     "chance",
-    "field_value",
-    "flow_value",
-    "map_value",
+    *(row.op for row in senses.spoken("value")),
     *SENSED_NAMES,
     "run",
     "event",
     "fuzzy",
 )
 
+# Operations by what their rows say. A `chance` is a word before a number, and no call.
+_ROWS = (*(row for rows in BUILTINS.values() for row in rows), *senses.spoken("name"), *senses.spoken("value"))
+DRAWS = frozenset((*(row.op for row in _ROWS if row.draws), "chance"))
+INTERVALS: dict[str, tuple[float, float]] = {row.op: row.interval for row in _ROWS if row.interval is not None}
+COSTS: dict[str, Cost] = {row.op: row.cost for row in _ROWS if row.cost is not None} | {"chance": _DRAW}
+
 # Words with a meaning to come. Used as a name they are refused, used as a construct they get a placed "not yet".
-RESERVED = ("noise", "play", "repeat", "import", "share", "total", "clip")
+RESERVED = ("play", "repeat", "import", "share", "total", "clip")

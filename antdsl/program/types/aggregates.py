@@ -9,6 +9,7 @@ from typing import cast
 from antdsl.program.expectations import GEOMETRY, MOTION, AtStart, Bodily, CellValue, Measured, Other, Whole
 from antdsl.program.model import Binding, Dim, Expr, Kind, Local, ParamRef, Rate, Reduce, Thing, Type
 from antdsl.program.names.scope import BOOL, NUMBER, Declared, Scope, attributes_of, bad, did_you_mean, listed, type_from_words
+from antdsl.program.tables.senses import GIVES_SET
 from antdsl.program.tables.vocabulary import GIVEN, SENSED_NAMES
 from antdsl.program.traverse import written
 from antdsl.program.types import calls, expressions, operators
@@ -25,7 +26,6 @@ _OF_CELLS = ("total", "sum", "mean", "min", "max")
 _TRUTHS = ("share", "count", "any", "every")
 _COMPARED = ("<", "<=", ">", ">=", "==", "!=")
 _VOLUME = Type(Kind.NUMBER, Dim(length=3))
-_SETS = ("neighbours", "all", "feelers")
 
 
 class SpecRules:
@@ -302,7 +302,7 @@ def _says(root: nodes.Expr, words: Container[str]) -> bool:
 
 def _is_set(scope: Scope, node: nodes.Expr) -> bool:
     if isinstance(node, nodes.Call):
-        return isinstance(node.function, nodes.NameRef) and node.function.name.text in _SETS
+        return isinstance(node.function, nodes.NameRef) and node.function.name.text in GIVES_SET
     if not isinstance(node, nodes.NameRef) or scope.species is None:
         return False
     binding = scope.species.bindings.get(node.name.text)

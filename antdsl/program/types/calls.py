@@ -11,8 +11,9 @@ from antdsl.program.model import Dim, Expr, Kind, Op, Rate, Type
 from antdsl.program.names.scope import BAD, NUMBER, Scope, bad, did_you_mean, rate_of, type_from_words
 from antdsl.program.tables.defaults import default_of
 from antdsl.program.tables.other_words import instead_of_call
+from antdsl.program.tables.rows import Arg, Builtin
 from antdsl.program.tables.units import product, scaled
-from antdsl.program.tables.vocabulary import BUILTINS, OTHER_SENSES, REDUCERS, RESERVED, Arg, Builtin
+from antdsl.program.tables.vocabulary import BUILTINS, OTHER_SENSES, REDUCERS, RESERVED
 from antdsl.program.types.arguments import Slot, arranged, type_all
 from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
 from antdsl.program.types.expressions import MAY_BE_NONE, THINGS, Known
@@ -23,7 +24,6 @@ from antdsl.program.types.sets import SETS, reduce
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-DRAWS = ("uniform", "normal", "pick", "random_agent")
 Variables = dict[str, tuple[nodes.Expr, Expr]]
 
 
@@ -67,9 +67,8 @@ def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
 
 def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type | None) -> None:
     if name.text in RESERVED:
-        advice = "write `normal(0, 1)` for a number drawn in each step; `wander()` strolls" if name.text == "noise" else ""
         words = f"`{name.text}` is a word of the language that does not work yet"
-        scope.report.error("not-yet", words, name.span, advice or "leave it out for now")
+        scope.report.error("not-yet", words, name.span, "leave it out for now")
         return
     if name.text in REDUCERS:
         scope.report.error(
@@ -210,7 +209,22 @@ def _argument(
     if not fits(found.type, type):
         mismatch(scope.report, node, found.type, type, who, found)
         return [bad(node.span)]
+    _within_row(scope, arg, who, node, found)
     return [found]
+
+
+def _within_row(scope: Scope, arg: Arg, who: str, node: nodes.Expr, found: Expr) -> None:
+    """Hold a constant against what its row says."""
+    known = constant_behind(found)
+    if known is None:
+        return
+    if arg.above is not None and known.number <= arg.above:
+        message = f"{who} has to be above {arg.above:g}, and is {quoted(node.span)}"
+        scope.report.error("out-of-range", message, node.span, f"write {type_words(found.type)} above {arg.above:g}")
+    if arg.whole and known.number % 1 != 0:
+        scope.report.error(
+            "wrong-count", f"{who} wants a whole number, not {quoted(node.span)}", node.span, "write a number such as `3`"
+        )
 
 
 def _same(
@@ -260,30 +274,13 @@ def _range(scope: Scope, called: str, who: str, node: nodes.Expr, variable: str,
 
 
 def _operation(scope: Scope, node: nodes.Call, row: Builtin, args: tuple[Expr | None, ...], variables: Variables) -> Expr:
-    site = draw_site(scope, node.function.span.text, node.span) if row.op in DRAWS else ""
-    rate = max(rate_of(args), Rate.AGENT) if row.op in DRAWS or row.op in _SENSES else rate_of(args)
+    site = draw_site(scope, node.function.span.text, node.span) if row.draws else ""
+    rate = max(rate_of(args), Rate.AGENT) if row.draws or row.sense else rate_of(args)
     made = Op(_result(row, variables, args), rate, node.span, row.op, args, site)
     check = _EXTRA.get(row.op)
     if check is not None:
         check(scope, node, made)
     return fold(scope.report, made)
-
-
-_SENSES = (
-    "field_max",
-    "strongest",
-    "gradient",
-    "ray",
-    "distance",
-    "direction",
-    "position",
-    "velocity",
-    "touching",
-    "falloff",
-    "closest",
-    "tangent",
-    "match",
-)
 
 
 def _result(

@@ -6,6 +6,7 @@ import re
 
 from antdsl.diagnostics import Diagnostic, Fix, Label, Report
 from antdsl.program.model import Dim, Expr, Kind, Op, Type
+from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import dimension_words, with_article, with_unit
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -17,12 +18,7 @@ _KINDS: dict[Kind, str] = {
     Kind.PLACE: "a place",
     Kind.SET: "a set",
     Kind.RANGE: "a range",
-    Kind.SURFACE: "a surface",
-    Kind.OBSTACLE: "an obstacle",
-    Kind.SOLID: "a solid",
-    Kind.CURVE: "a curve",
-    Kind.FLOW: "a flow",
-    Kind.MAP: "a map",
+    **{Kind(row.word): row.called for row in KINDS_OF_THINGS.values() if row.called},
     Kind.FIELD: "a field",
 }
 # Things that are named and are no value, so that something must be asked of them.

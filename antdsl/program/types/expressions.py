@@ -24,6 +24,7 @@ from antdsl.program.model import (
 from antdsl.program.names.missing import missing_thing
 from antdsl.program.names.scope import BAD, BOOL, Scope, attributes_of, bad, did_you_mean, listed, told_before, type_from_words
 from antdsl.program.tables.other_words import NAMES
+from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import constant, number
 from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
 from antdsl.program.types.descriptions import fits, mismatch, quoted, type_words
@@ -32,9 +33,7 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.words import UNIT_NAMES
 
-THINGS = frozenset(
-    {Kind.ITEMS, Kind.SPECIES, Kind.SURFACE, Kind.OBSTACLE, Kind.SOLID, Kind.CURVE, Kind.FIELD, Kind.FLOW, Kind.MAP}
-)
+THINGS = frozenset((Kind.FIELD, *(Kind(word) for word in KINDS_OF_THINGS)))
 MAY_BE_NONE = frozenset({Kind.ITEM, Kind.AGENT, Kind.HIT})
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Fix
 from antdsl.program.model import Const, Expr, Kind, Op, Rate, Type
-from antdsl.program.names.scope import BAD, BOOL, NUMBER, PER_SECOND, Scope, bad, rate_of
+from antdsl.program.names.scope import BAD, BOOL, NUMBER, PER_SECOND, Scope, bad, rate_of, type_from_words
+from antdsl.program.tables.senses import spoken
 from antdsl.program.tables.units import product, scaled
 from antdsl.program.tables.vocabulary import SIGN_OPS
 from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
@@ -16,11 +17,8 @@ from antdsl.syntax import nodes
 
 _COMPARED = ("<", "<=", ">", ">=")
 _EQUAL = ("==", "!=")
-_VALUE_HERE = {
-    Kind.FIELD: ("field_value", NUMBER),
-    Kind.FLOW: ("flow_value", Type(Kind.VECTOR)),
-    Kind.MAP: ("map_value", NUMBER),
-}
+# What the bare name of a thing is where a value is wanted, by the kind of thing.
+_VALUE_HERE = {Kind(row.args[0].type): (row.op, type_from_words(row.result) or BAD) for row in spoken("value")}
 
 
 def op(name: str, type: Type, span: Span, *args: Expr | None, site: str = "") -> Op:

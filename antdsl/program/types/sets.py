@@ -7,7 +7,7 @@ from collections.abc import Callable
 from antdsl.program.model import Binding, Const, Dim, Expr, Kind, Rate, Reduce, SetOf, Type
 from antdsl.program.names.scope import BOOL, LENGTH, NUMBER, Scope, bad, type_from_words
 from antdsl.program.tables.defaults import default_of
-from antdsl.program.tables.vocabulary import Arg, Builtin
+from antdsl.program.tables.rows import Arg, Builtin
 from antdsl.program.traverse import bindings_in
 from antdsl.program.types.arguments import Slot, arranged, type_all
 from antdsl.program.types.descriptions import mismatch, quoted, type_words

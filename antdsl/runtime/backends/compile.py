@@ -257,7 +257,7 @@ class BlockCompiler:
         if make is not None:
             inputs = tuple(self._in_pairs(scope, pairs, a) for a in node.args)
         else:
-            inputs, make = (pairs.slot,), self.calls.pair_leaf(node)
+            inputs, make = (pairs.slot,), self.calls.pair_leaf(node, scope)
             if node.args:
                 inputs += tuple(self._in_pairs(scope, pairs, a) for a in node.args)
         slot = pairs.known[node] = self.slot()

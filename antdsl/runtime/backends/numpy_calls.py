@@ -228,9 +228,9 @@ def spread(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
     return run
 
 
-def pair_leaf(node: ir.Node) -> Make:
-    """What is the other one's, or hangs on what is."""
-    sense = SENSES.get(node.op)
+def pair_leaf(node: ir.Node, scope: Scope) -> Make:
+    """What is the other one's, or hangs on what is. A sense is asked from where the agent of each pair stands."""
+    sense, rows = SENSES.get(node.op), scope.rows
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
         def run(v: Slots) -> None:
@@ -238,7 +238,7 @@ def pair_leaf(node: ir.Node) -> Make:
             if sense is None:
                 v[out] = sets.pair_leaf(found, node)
             else:
-                v[out] = sense(v[WORLD], v[POPULATION], node, slice(0, len(found.i)), *[v[a] for a in inputs[1:]])
+                v[out] = sense(v[WORLD], v[POPULATION], node, row_numbers(v[rows]).take(found.i), *[v[a] for a in inputs[1:]])
 
         return run
 

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.plan import ir
+from antdsl.program.tables import effects
 from antdsl.runtime.backends.compile import EFFECTS, POPULATION, WORLD, BlockCompiler, Run, Scope, Slots
 from antdsl.runtime.backends.numpy_calls import ALL, Make, row_numbers
-from antdsl.runtime.effects import CarveEntry, ClaimEntry, DepositEntry, EmitEntry, FaultEntry, GiveEntry, SpawnEntry
+from antdsl.runtime.effects import Asked, ClaimEntry, FaultEntry, GiveEntry
 
 
 def _each(v: Slots, scope: Scope, value: Any) -> NDArray[Any]:
@@ -64,17 +65,6 @@ def _amounts(v: Slots, scope: Scope, block: str, what: str, span: Any, value: An
     return rows[good], value[good], good
 
 
-def _deposit(statement: ir.Deposit, block: str, scope: Scope) -> Make:
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
-        def run(v: Slots) -> None:
-            rows, amount, _ = _amounts(v, scope, block, f"deposit {statement.field}", statement.span, v[inputs[0]])
-            v[EFFECTS].deposits.append(DepositEntry(statement.field, rows, amount))
-
-        return run
-
-    return make
-
-
 def _claim(statement: ir.Claim, block: str, scope: Scope, order: int) -> Make:
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
         def run(v: Slots) -> None:
@@ -110,41 +100,34 @@ def _give(statement: ir.Give, block: str, scope: Scope) -> Make:
     return make
 
 
-def _carve(statement: ir.Carve, block: str, scope: Scope, order: int) -> Make:
+def _request(statement: ir.Request, block: str, scope: Scope, order: int) -> Make:
+    """Whatever is asked of the rest of the world, by its row: who asks with a value that is not finite is at fault."""
+    row = effects.EFFECTS[statement.op]
+    refused = row.refused.format(of=statement.of)
+
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        slots = iter(inputs)
+        which = [None if node is None else next(slots) for node in statement.args]
+
         def run(v: Slots) -> None:
             rows = row_numbers(v[scope.rows])
-            parts = np.stack([_each(v, scope, v[slot]) for slot in inputs])
-            good = np.isfinite(parts).all(axis=0)
+            args = [None if slot is None else _each(v, scope, v[slot]) for slot in which]
+            good = np.ones(len(rows), np.bool_)
+            for arg in args if refused else ():
+                good &= True if arg is None else np.isfinite(arg)
             if not good.all():
-                _refuse(v, block, f"carve {statement.solid}", statement.span, rows[~good])
-            dug = good & (parts[0] > 0)
-            v[EFFECTS].carves.append(CarveEntry(statement, order, rows[dug], parts[0, dug], parts[1:, dug].T.copy()))
+                _refuse(v, block, refused, statement.span, rows[~good])
+            if row.above_0 and args[0] is not None:
+                good &= args[0] > 0
+            if good.all():
+                v[EFFECTS].ask(Asked(statement, order, rows.copy(), tuple(args)))
+            else:
+                kept = tuple(None if arg is None else arg[good] for arg in args)
+                v[EFFECTS].ask(Asked(statement, order, rows[good], kept))
 
         return run
 
     return make
-
-
-def _emit(statement: ir.Emit, block: str, scope: Scope) -> Make:
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
-        def run(v: Slots) -> None:
-            within = _each(v, scope, v[inputs[0]]) if inputs else None
-            v[EFFECTS].emits.append(EmitEntry(statement.event, row_numbers(v[scope.rows]).copy(), within))
-
-        return run
-
-    return make
-
-
-def _spawn(statement: ir.Spawn, order: int, scope: Scope) -> Make:
-    return lambda out, inputs, buffer: (
-        lambda v: v[EFFECTS].spawns.append(SpawnEntry(statement.species, order, row_numbers(v[scope.rows]).copy()))
-    )
-
-
-def _die(scope: Scope) -> Make:
-    return lambda out, inputs, buffer: lambda v: v[EFFECTS].deaths.append(row_numbers(v[scope.rows]).copy())
 
 
 def statement(what: ir.Statement, compiler: BlockCompiler, scope: Scope) -> Make:
@@ -153,18 +136,10 @@ def statement(what: ir.Statement, compiler: BlockCompiler, scope: Scope) -> Make
     match what:
         case ir.Store():
             return _store(what, block, scope)
-        case ir.Deposit():
-            return _deposit(what, block, scope)
         case ir.Claim():
             return _claim(what, block, scope, compiler.place(what))
         case ir.Give():
             return _give(what, block, scope)
-        case ir.Carve():
-            return _carve(what, block, scope, compiler.place(what))
-        case ir.Emit():
-            return _emit(what, block, scope)
-        case ir.Spawn():
-            return _spawn(what, compiler.place(what), scope)
-        case ir.Die():
-            return _die(scope)
+        case ir.Request():
+            return _request(what, block, scope, compiler.place(what))
     raise AssertionError(f"no call for {what!r}")

@@ -18,7 +18,8 @@ from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.plan.register_reads import early_loads, places
 from antdsl.plan.traverse import needed
-from antdsl.runtime.effects import CarveEntry, ClaimEntry, DepositEntry, Effects, EmitEntry, FaultEntry, GiveEntry, SpawnEntry
+from antdsl.program.tables.effects import EFFECTS
+from antdsl.runtime.effects import Asked, ClaimEntry, Effects, FaultEntry, GiveEntry
 from antdsl.runtime.sensing import SENSES, uniform_leaf
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.source import Span
@@ -107,11 +108,6 @@ class Agent:
         if value is not None:
             self.now[s.register][self.at] = value
 
-    def _deposit(self, s: ir.Deposit) -> None:
-        amount = self._finite(s.amount, f"deposit {s.field}", s.span)
-        if amount is not None:
-            self.effects.deposits.append(DepositEntry(s.field, self.rows, np.array([amount])))
-
     def _claim(self, s: ir.Claim) -> None:
         item, amount = self.value(s.item), self._finite(s.amount, f"take {s.attribute}", s.span)
         if amount is not None:
@@ -126,21 +122,18 @@ class Agent:
         self.now[s.own][self.at] = left
         self.effects.gives.append(GiveEntry(s, np.array([item]), np.array([float(had) - float(left)])))
 
-    def _carve(self, s: ir.Carve) -> None:
-        parts = [self._finite(node, f"carve {s.solid}", s.span) for node in (s.radius, s.x, s.y, s.z)]
-        if all(part is not None for part in parts) and parts[0] > 0:
-            radius, middle = np.array(parts[:1], np.float32), np.array([parts[1:]], np.float32)
-            self.effects.carves.append(CarveEntry(s, self.order[s], self.rows, radius, middle))
-
-    def _emit(self, s: ir.Emit) -> None:
-        within = None if s.within is None else np.array([self.value(s.within)])
-        self.effects.emits.append(EmitEntry(s.event, self.rows, within))
-
-    def _spawn(self, s: ir.Spawn) -> None:
-        self.effects.spawns.append(SpawnEntry(s.species, self.order[s], self.rows))
-
-    def _die(self, s: ir.Die) -> None:
-        self.effects.deaths.append(self.rows)
+    def _request(self, s: ir.Request) -> None:
+        row = EFFECTS[s.op]
+        refused = row.refused.format(of=s.of)
+        values = [
+            None if node is None else self._finite(node, refused, s.span) if refused else self.value(node) for node in s.args
+        ]
+        if any(value is None and node is not None for value, node in zip(values, s.args, strict=True)):
+            return
+        if row.above_0 and not (values[0] or 0) > 0:
+            return
+        args = tuple(None if value is None else np.array([value], np.float32) for value in values)
+        self.effects.ask(Asked(s, self.order[s], self.rows, args))
 
     # --- values --------------------------------------------------------------------------------------------------------
 

@@ -131,7 +131,7 @@ def begin(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
     for name, rows in joined.items():
         _set_out(world, world.populations[name], rows)
         settle(world, world.populations[name], rows)
-    if any(p.effects.spawns or p.effects.deaths for p in world.populations.values()):
+    if any({"spawn", "die"} & p.effects.asked.keys() for p in world.populations.values()):
         deaths_and_births(world)
     settle_newborn(world)
     for population in world.populations.values():

@@ -46,7 +46,7 @@ def away(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
         return within, values.scale(b, Vec(x, y, z), b("neg", distance))
     if isinstance(value, Named) and value.kind is model.Kind.CURVE:
         there: Node = b.true
-        point = _curve(w, value.name, 1)
+        point = _point(w, value.name)
     elif isinstance(value, Vec | Own | Ref):
         there, point = where(w, value, e)
     else:
@@ -91,9 +91,9 @@ def _of_ref(w: Writer, ref: Ref) -> tuple[Node, Vec]:
     return there, Vec(*(b("agent.get", ref.node, attrs=(ref.of, f"position.{axis}"), kind=Kind.F32) for axis in AXES))
 
 
-def _curve(w: Writer, name: str, first: int) -> Vec:
-    closest = w.b("curve.closest", attrs=(name,))
-    return Vec(*(w.b("get", closest, attrs=(first + i,)) for i in range(3)))
+def _point(w: Writer, curve: str) -> Vec:
+    closest = w.b("curve.closest", attrs=(curve,))
+    return Vec(*(w.b("get", closest, attrs=(1 + i,)) for i in range(3)))
 
 
 def _place(w: Writer, e: model.Op, index: int = 0) -> tuple[Value, model.Expr]:
@@ -181,21 +181,7 @@ def _falloff(w: Writer, e: model.Op) -> Value:
     return w.b("div", floor, w.b("max", distance, floor))
 
 
-def _closest(w: Writer, e: model.Op) -> Value:
-    return _curve(w, _name(_place(w, e)[0]), 1)
-
-
-def _tangent(w: Writer, e: model.Op) -> Value:
-    return _curve(w, _name(_place(w, e)[0]), 4)
-
-
-def _name(value: Value) -> str:
-    if not isinstance(value, Named):
-        raise PlanError(f"a {type(value).__name__} where a thing of the world was due")
-    return value.name
-
-
 RULES = {
     "distance": _distance, "direction": _direction, "position": _position, "velocity": _velocity, "touching": _touching,
-    "falloff": _falloff, "closest": _closest, "tangent": _tangent,
+    "falloff": _falloff,
 }  # fmt: skip

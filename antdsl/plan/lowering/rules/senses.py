@@ -1,16 +1,20 @@
-"""Rules for fields, rays, sets as bare operations, values of the run, and the push that reaches a velocity."""
+"""Rules for senses, values of the run, and the push that reaches a velocity."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 from antdsl.plan.ir import Node
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.builder import PlanError
-from antdsl.plan.lowering.expressions import lower, scalar, truth, vector
-from antdsl.plan.lowering.sets import BACKWARD, bound, cast, cone, gather
+from antdsl.plan.lowering.expressions import lower, scalar, vector
+from antdsl.plan.lowering.sets import cast
 from antdsl.plan.lowering.simplify import value
-from antdsl.plan.lowering.values import Element, Group, Hits, Named, Ref, Value, Vec
+from antdsl.plan.lowering.values import Named, Value, Vec
 from antdsl.plan.lowering.writing import NotYet, Writer
 from antdsl.program import model
+from antdsl.program.tables.rows import Builtin, Sense
+from antdsl.program.tables.senses import SENSES
 
 
 def _name(w: Writer, e: model.Op, index: int = 0) -> str:
@@ -22,17 +26,29 @@ def _name(w: Writer, e: model.Op, index: int = 0) -> str:
     return thing.name
 
 
-def _field_value(w: Writer, e: model.Op) -> Value:
-    return w.b("field.value", attrs=(_name(w, e),))
+def _plain(sense: Sense, word: Builtin) -> Callable[[Writer, model.Op], Value]:
+    """The rule of a word whose arguments are what the sense takes: the thing that it names, then its operands."""
+    first, size = sense.place(word.part)
+
+    def rule(w: Writer, e: model.Op) -> Value:
+        rest = e.args[1:] if sense.of else e.args
+        operands = [node for arg in rest if arg is not None for node in _parts(lower(w, arg), arg)]
+        here = w.b(sense.op, *operands, attrs=(_name(w, e),) if sense.of else ())
+        if len(sense.kinds) == 1:
+            return here
+        found = [w.b("get", here, attrs=(first + i,)) for i in range(size)]
+        return Vec(*found) if size == 3 else found[0]
+
+    return rule
 
 
-def _flow_value(w: Writer, e: model.Op) -> Value:
-    here = w.b("flow.value", attrs=(_name(w, e),))
-    return Vec(*(w.b("get", here, attrs=(i,)) for i in range(3)))
-
-
-def _map_value(w: Writer, e: model.Op) -> Value:
-    return w.b("map.value", attrs=(_name(w, e),))
+def _parts(value: Value, e: model.Expr) -> tuple[Node, ...]:
+    """A number as one operand, a vector as three."""
+    if isinstance(value, Node):
+        return (value,)
+    if isinstance(value, Vec):
+        return (value.x, value.y, value.z)
+    raise PlanError(f"a {type(value).__name__} where a number or a vector was due: {e.span.text!r}")
 
 
 def _nearest_cells(w: Writer, e: model.Op) -> list[Node]:
@@ -53,68 +69,10 @@ def _strongest(w: Writer, e: model.Op) -> Value:
     return Vec(*_nearest_cells(w, e)[1:])
 
 
-def _gradient(w: Writer, e: model.Op) -> Value:
-    slope = w.b("field.gradient", attrs=(_name(w, e),))
-    return Vec(*(w.b("get", slope, attrs=(i,)) for i in range(3)))
-
-
 def _ray(w: Writer, e: model.Op) -> Value:
     direction, reach = e.args[0], e.args[1]
     assert direction is not None and reach is not None
     return cast(w, values.unit(w.b, vector(w, direction)), scalar(w, reach), _name(w, e, 2))
-
-
-def _nearest(w: Writer, e: model.Op) -> Value:
-    """The nearest of items or agents, or of a set that is written out."""
-    first = e.args[0]
-    assert first is not None
-    group = gather(w, first) if isinstance(first, model.SetOf) else _all_of(w, e)
-    if isinstance(group, Hits):
-        raise PlanError("the nearest hit is a reduction")
-    op = "reduce.item" if group.element.what is model.Kind.ITEM else "reduce.agent"
-    return Ref(group.element.what, group.element.of, w.b(op, group.nodes, group.condition, w.b("pair.distance")))
-
-
-def _all_of(w: Writer, e: model.Op) -> Group:
-    """`all(X, within:, with:)` as an operation; a condition is about the element only where it is a set with a name for it."""
-    b = w.b
-    first, within, condition = (*e.args, None, None)[:3]
-    assert first is not None
-    thing = lower(w, first)
-    if not isinstance(thing, Named):
-        raise PlanError(f"a set of a {type(thing).__name__}")
-    radius = None if within is None else scalar(w, within)
-    if thing.kind is model.Kind.ITEMS:
-        element = Element(model.Kind.ITEM, thing.name)
-        nodes = b("set.items", b.number(float("inf")) if radius is None else radius, attrs=(thing.name,))
-    else:
-        element = Element(model.Kind.AGENT, thing.name)
-        nodes = (
-            b("set.every", attrs=(thing.name,))
-            if radius is None
-            else b("set.agents", radius, b.number(BACKWARD), attrs=(thing.name, True))
-        )
-    if condition is None:
-        return Group(nodes, b.true, element)
-    expr = condition
-    return Group(nodes, bound(w, _unnamed(thing, expr), element, lambda: truth(w, expr)), element)
-
-
-def _unnamed(thing: Named, e: model.Expr) -> model.Binding:
-    return model.Binding("", "element", model.Type(thing.kind, of=thing.name), model.Rate.ELEMENT, e.span)
-
-
-def _neighbours(w: Writer, e: model.Op) -> Value:
-    b = w.b
-    radius, fov = (scalar(w, a) for a in e.args[:2] if a is not None)
-    of = w.species.name if len(e.args) < 3 or e.args[2] is None else _name(w, e, 2)
-    known = value(fov)
-    nodes = b("set.agents", radius, *cone(w, fov), attrs=(of, known is not None and cone(w, fov)[0] is b.number(BACKWARD)))
-    return Group(nodes, b.true, Element(model.Kind.AGENT, of))
-
-
-def _feelers(w: Writer, e: model.Op) -> Value:
-    raise PlanError("feelers are a set: they come as SetOf")
 
 
 def _slope(w: Writer, e: model.Op) -> Value:
@@ -136,11 +94,6 @@ def _run(w: Writer, e: model.Op) -> Value:
     return w.run(name) if name == "dt" else w.b("step", attrs=(name,))
 
 
-def _switched(w: Writer, e: model.Op) -> Value:
-    assert e.args[0] is not None
-    return lower(w, e.args[0])
-
-
 def _event(w: Writer, e: model.Op) -> Value:
     return w.b("event", attrs=(_name(w, e),))
 
@@ -154,8 +107,10 @@ def _match(w: Writer, e: model.Op) -> Value:
     return values.limit(b, values.scale(b, change, b("div", w.read("mass"), strength)), b.number(1))
 
 
-RULES = {
-    "field_value": _field_value, "flow_value": _flow_value, "map_value": _map_value, "field_max": _field_max,
-    "strongest": _strongest, "gradient": _gradient, "ray": _ray, "nearest": _nearest, "all": _all_of, "neighbours": _neighbours,
-    "feelers": _feelers, "slope": _slope, "uphill": _uphill, "run": _run, "switched": _switched, "event": _event, "match": _match,
+_COMPUTED = {
+    "field_max": _field_max, "strongest": _strongest, "ray": _ray, "slope": _slope, "uphill": _uphill, "run": _run,
+    "event": _event, "match": _match,
 }  # fmt: skip
+RULES = {
+    word.op: _plain(sense, word) for sense in SENSES.values() for word in sense.words if word.op not in _COMPUTED
+} | _COMPUTED

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from antdsl.program.model import Attribute, Const, Expr, Inline, Kind, Local, Op, Param, ParamRef, Reduce
+from antdsl.program.tables.vocabulary import INTERVALS
 
 
 class Interval(NamedTuple):
@@ -32,22 +33,9 @@ class Interval(NamedTuple):
         return Interval(low[0], high[0], low[1], not high[1])
 
 
-ANY, SHARE, POSITIVE = Interval(), Interval(0, 1), Interval(0)
+ANY, POSITIVE = Interval(), Interval(0)
 _OWN = {name: POSITIVE for name in ("speed", "age", "size", "mass", "radius", "distance", "group", "id")}
-_WORDS: dict[str, Interval] = {
-    "distance": POSITIVE,
-    "length": POSITIVE,
-    "sqrt": POSITIVE,
-    "exp": POSITIVE,
-    "falloff": SHARE,
-    "rising": SHARE,
-    "falling": SHARE,
-    "around": SHARE,
-    "sin": Interval(-1, 1),
-    "cos": Interval(-1, 1),
-    "angle": Interval(0, math.pi * (1 + 1e-6)),
-    "slope": Interval(0, math.pi * (1 + 1e-6)),
-}
+_WORDS: dict[str, Interval] = {op: Interval(*ends) for op, ends in INTERVALS.items()}
 
 
 def range_of(expr: Expr | None, params: Mapping[str, Param], known: dict[int, Interval]) -> Interval:

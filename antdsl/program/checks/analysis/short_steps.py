@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 from antdsl.program.model import Attribute, Binding, Const, Expr, Inline, Local, Op, Reduce, Thing
+from antdsl.program.tables.vocabulary import DRAWS
 from antdsl.program.traverse import parts
 
 Own = str | Binding  # the attribute that is set, or the memory that is kept
@@ -54,7 +55,6 @@ Below = Sequence[Short]
 _UNSURE = Short(Way.UNSURE)
 _ASKED = frozenset(("lt", "le", "gt", "ge", "eq", "ne", "is_some", "is_none", "chance", "event", "touching"))
 _NOW_AND_THEN = frozenset(("chance", "event"))  # they come as often at any frame rate
-_DRAWS = frozenset(("uniform", "normal", "pick", "random_agent", "chance"))
 
 
 def changers(value: Expr, own: Own, driven: bool = False) -> tuple[Expr, ...]:
@@ -95,7 +95,7 @@ def _like_time(power: float, value: Expr) -> bool:
     """Whether something grows with time. What is drawn anew in each step does so by its square, and goes like the root."""
     if power == math.inf or math.isclose(power, 1):
         return True
-    return math.isclose(power, 0.5) and any(isinstance(part, Op) and part.name in _DRAWS for part in parts(value))
+    return math.isclose(power, 0.5) and any(isinstance(part, Op) and part.name in DRAWS for part in parts(value))
 
 
 def _by_step(value: Expr) -> bool:

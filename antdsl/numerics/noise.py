@@ -1,0 +1,70 @@
+"""Gradient noise over place and time: smooth, about 0, and a function of its arguments alone, the same in any frame and row.
+
+Methods: gradients at the points of a lattice and a quintic fade, which makes slope and curvature continuous: K. Perlin, Improving
+noise, SIGGRAPH 2002; in four dimensions, one of them time, with the 32 gradients of his reference code. Random bits of a lattice
+point: `pcg4d`, M. Jarzynski and M. Olano, Hash functions for GPU rendering, JCGT 9(3), 2020.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Words = NDArray[np.uint32]
+
+_A, _C, _16, _27 = np.uint32(1664525), np.uint32(1013904223), np.uint32(16), np.uint32(27)
+_CORNERS = np.array(list(product((0, 1), repeat=4)), np.int64)[:, :, None]  # (16, 4, 1): the last dimension changes first
+_SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))
+# (32, 4): no part along one dimension, one step either way along the three others
+_GRADIENTS = np.concatenate([np.insert(_SIGNS, still, 0.0, axis=1) for still in range(4)])
+# The greatest sum is 1.53658: at each corner the three greatest parts of the way there, weighted by the fade.
+_SCALE = 0.65
+FAR = 2.0**51  # of lattice points: beyond, a float64 no longer tells places within a cell apart
+
+
+def noise(places: Floats, seed: NDArray[np.int64]) -> Floats:
+    """Values in -1 .. 1 at places (4, n), in cells of the lattice; NaN where a place is not finite or too far."""
+    sound = (np.abs(places) < FAR).all(axis=0)
+    places = np.where(sound, places, 0.0)
+    cell = np.floor(places)
+    inside = places - cell
+    lattice = cell.astype(np.int64) + _shift(seed)
+    corner = (lattice + _CORNERS).astype(np.uint32)  # (16, 4, n)
+    # the last word, mixed most, by its upper bits: the lower ones of the first tell cells beside each other apart too little
+    gradient = _GRADIENTS[pcg4d(corner.transpose(1, 0, 2))[3] >> _27]  # (16, n, 4)
+    way = inside - _CORNERS
+    value: Floats = (gradient[..., 0] * way[:, 0] + gradient[..., 1] * way[:, 1]) + (
+        gradient[..., 2] * way[:, 2] + gradient[..., 3] * way[:, 3]
+    )
+    for share in fade(inside)[::-1]:  # time first, as it changes first among the corners
+        value = value[0::2] + share * (value[1::2] - value[0::2])
+    return np.where(sound, value[0] * _SCALE, np.nan)
+
+
+def fade(t: Floats) -> Floats:
+    """From 0 to 1, with slope and curvature 0 at both ends (Perlin 2002)."""
+    return (t * t * t) * (t * (t * 6.0 - 15.0) + 10.0)
+
+
+def _shift(seed: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Where the pattern of a seed begins on the lattice (4, n), which has 2**32 points each way."""
+    zero = np.zeros(seed.shape, np.uint32)
+    words = np.stack((seed.astype(np.uint32), (seed >> 32).astype(np.uint32), zero, zero))
+    return pcg4d(pcg4d(words)).astype(np.int64)
+
+
+def pcg4d(words: Words) -> Words:
+    """Four random words for each four (4, …)."""
+    found = _mixed(words * _A + _C)
+    return _mixed(found ^ (found >> _16))
+
+
+def _mixed(words: Words) -> Words:
+    x, y, z, w = words
+    x = x + y * w
+    y = y + z * x
+    z = z + x * y
+    return np.stack((x, y, z, w + y * z))

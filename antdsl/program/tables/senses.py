@@ -1,0 +1,351 @@
+"""The senses: each a row from which the words, types, costs, ranges, plan, trace and the editor's help are made.
+
+A sense is added by a row here and a function of the same `op` in `antdsl.runtime.sensing`; only one whose operands have to be
+computed has a rule of its own in `antdsl.plan.lowering.rules.senses`.
+"""
+
+from __future__ import annotations
+
+from math import pi
+
+from antdsl.program.tables.rows import Arg, Builtin, Cost, Part, Sense, SetSense
+
+HALF_TURN = (0.0, pi * (1 + 1e-6))  # an angle in float32 may come out a little larger than half a turn
+SHARE = (0.0, 1.0)
+POSITIVE = (0.0, float("inf"))
+
+_NORMAL = Part("n", size=3)
+_CELLS = Cost(12, "{count} cells of {thing}", "fields", times=1, often=16)
+_NEAR = Cost(100, "nearest of {thing}", named=True)
+_CURVE = Cost(200, "curve {thing}")
+
+_ROWS = (
+    Sense(
+        "ray",
+        "target",
+        (Part("hit", "b"), Part("distance"), _NORMAL),
+        "what lies along the direction (made unit), up to reach; normal toward the agent",
+        (
+            Builtin(
+                (Arg("direction", "push"), Arg("reach", "length"), Arg("on", "obstacle")),
+                "hit",
+                "what lies that way, or none",
+                "ray",
+                sense=True,
+                cost=Cost(400, "1 ray on {thing}"),
+                sample="ray(heading, reach: 20 mm, on: stones)",
+            ),
+        ),
+        operands="ffff",
+        told="hit at {distance:.4g} mm",
+        nothing="nothing",
+    ),
+    Sense(
+        "obstacle.near",
+        "target",
+        (Part("within", "b"), Part("distance"), _NORMAL),
+        "closest point of an obstacle, surface or solid within reach",
+        operands="f",
+        told="hit at {distance:.4g} mm",
+        nothing="nothing",
+    ),
+    Sense(
+        "field.value",
+        "field",
+        (Part("value"),),
+        "the field in the agent's own cell",
+        (
+            Builtin(
+                (Arg("of", "field"),),
+                "number",
+                "how much there is of it here",
+                "field_value",
+                "value",
+                "value",
+                cost=Cost(15, "{thing}", "fields"),
+            ),
+        ),
+    ),
+    Sense(
+        "field.strongest",
+        "field",
+        (Part("value"), Part("", size=3)),
+        "the strongest of the nearest `count` cells; own position where there is none",
+        (
+            Builtin(
+                (Arg("field", "field"), Arg("nearest", "count", "16")),
+                "number",
+                "the strongest of the nearest cells",
+                "field_max",
+                "value",
+                called="max",
+                sense=True,
+                cost=_CELLS,
+            ),
+            Builtin(
+                (Arg("field", "field"), Arg("nearest", "count", "16")),
+                "position",
+                "where the strongest of the nearest cells lies; its own position where there is nothing",
+                "strongest",
+                "",
+                sense=True,
+                cost=_CELLS,
+                sample="direction(strongest(trail, nearest: 16))",
+            ),
+        ),
+        attrs=("count",),
+        told="strongest {value:.4g}",
+    ),
+    Sense(
+        "field.gradient",
+        "field",
+        (Part("", size=3),),
+        "uphill, per mm",
+        (
+            Builtin(
+                (Arg("field", "field"),),
+                "vector 1/length",
+                "uphill in the field, per length",
+                "gradient",
+                "",
+                sense=True,
+                cost=Cost(60, "slope of {thing}", "fields"),
+                sample="gradient(trail) * 10 mm",
+            ),
+        ),
+    ),
+    Sense(
+        "curve.closest",
+        "curve",
+        (Part("distance"), Part("", size=3), Part("t", size=3)),
+        "closest point and unit tangent",
+        (
+            Builtin(
+                (Arg("on", "curve"),),
+                "position",
+                "the nearest point of a curve",
+                "closest",
+                "",
+                sense=True,
+                cost=_CURVE,
+                sample="distance(closest(path))",
+            ),
+            Builtin(
+                (Arg("on", "curve"),),
+                "push",
+                "the way the curve was drawn, at its nearest point",
+                "tangent",
+                "t",
+                sense=True,
+                cost=_CURVE,
+                sample="tangent(path)",
+            ),
+        ),
+        told="{distance:.4g} mm away",
+    ),
+    Sense(
+        "flow.value",
+        "flow",
+        (Part("", size=3),),
+        "a flow where the agent stands, along its surface; no unit",
+        (
+            Builtin(
+                (Arg("of", "flow"),), "push", "the way it leads here", "flow_value", "", "value", cost=Cost(30, "flow {thing}")
+            ),
+        ),
+    ),
+    Sense(
+        "map.value",
+        "map",
+        (Part("value"),),
+        "a painted number where the agent stands",
+        (
+            Builtin(
+                (Arg("of", "map"),),
+                "number",
+                "what is painted here",
+                "map_value",
+                "value",
+                "value",
+                cost=Cost(10, "map {thing}"),
+            ),
+        ),
+    ),
+    Sense(
+        "noise",
+        "",
+        (Part("value"),),
+        "gradient noise at the agent's place and time: cells of a size (first), which of its patterns, seconds a cell lasts",
+        (
+            Builtin(
+                (
+                    Arg("scale", "length", above=0),
+                    Arg("seed", "number", "0", whole=True),
+                    Arg("period", "time", "1 s", above=0),
+                ),
+                "number",
+                "a smooth function of place and time, -1 to 1 and about 0: hills `scale` apart, others after a `period`",
+                "noise",
+                "value",
+                sense=True,
+                interval=(-1, 1),
+                cost=Cost(600, "noise"),
+                sample="noise(scale: 20 mm, seed: 3) > 0.2",
+            ),
+        ),
+        operands="fff",
+    ),
+)
+SENSES: dict[str, Sense] = {row.op: row for row in _ROWS}
+
+# Words that mean several operations, by the kind of what is asked about: their rules are in `antdsl.plan.lowering.rules`.
+WORDS = (
+    Builtin(
+        (Arg("to", "place"),),
+        "length",
+        "how far; endless to none",
+        "distance",
+        sense=True,
+        interval=POSITIVE,
+        cost=_NEAR,
+        sample="distance(nearest(food)) < 20 mm",
+    ),
+    Builtin(
+        (Arg("of", "place"), Arg("to", "place", optional=True)),
+        "push",
+        "toward it, length 1 (or from it to another place); nothing to none",
+        "direction",
+        sense=True,
+        cost=_NEAR,
+        sample="direction(nearest(food))",
+    ),
+    Builtin(
+        (Arg("of", "place"),),
+        "position",
+        "where a place is; its own position for none",
+        "position",
+        sense=True,
+        cost=_NEAR,
+        sample="position(nearest(food))",
+    ),
+    Builtin(
+        (Arg("of", "place"),),
+        "velocity",
+        "how it moves; nothing for what stands or is none",
+        "velocity",
+        sense=True,
+        sample="velocity(nearest(rabbit))",
+    ),
+    Builtin(
+        (Arg("x", "place"),),
+        "bool",
+        "its room meets that thing",
+        "touching",
+        sense=True,
+        cost=_NEAR,
+        sample="touching(nest)",
+    ),
+    Builtin(
+        (Arg("from", "place"), Arg("floor", "length")),
+        "number",
+        "floor / distance, at most 1",
+        "falloff",
+        sense=True,
+        interval=SHARE,
+        sample="falloff(nearest(food), floor: size)",
+    ),
+    Builtin(
+        (Arg("velocity", "velocity"),),
+        "push",
+        "the push that reaches a velocity in this step, at most 1: (velocity - own) * mass / (max_force * dt)",
+        "match",
+        sense=True,
+        sample="match(heading * 10 mm/s)",
+    ),
+    Builtin(
+        (),
+        "angle",
+        "between the ground and the level",
+        "slope",
+        spoken="name",
+        sense=True,
+        interval=HALF_TURN,
+        sample="when slope > 30 deg -> rest",
+    ),
+    Builtin(
+        (), "push", "the world's up, laid along the ground", "uphill", spoken="name", sense=True, sample="steer toward(uphill)"
+    ),
+)
+
+_WITHIN, _WITH = Arg("within", "length", optional=True), Arg("with", "condition", optional=True)
+
+
+def _set(op: str, args: tuple[Arg, ...], help: str, result: str = "set") -> Builtin:
+    return Builtin(args, result, help, op)
+
+
+_SET_ROWS = (
+    SetSense(
+        "neighbours",
+        (
+            _set(
+                "neighbours",
+                (Arg("radius", "length"), Arg("fov", "angle", "360 deg"), Arg("of", "species", optional=True)),
+                "others of its own species (or of another) near it and in its field of view",
+            ),
+        ),
+        ("set.agents",),
+        Cost(600, "{thing}", within=0),
+        "count(neighbours(radius: 20 mm, fov: 270 deg))",
+    ),
+    SetSense(
+        "all",
+        (
+            _set("all", (Arg("of", "items"), _WITHIN, _WITH), "items or agents"),
+            _set("all", (Arg("of", "species"), _WITHIN, _WITH), "agents"),
+        ),
+        ("set.items", "set.every", "set.agents"),
+        Cost(100, "all {thing}", within=0),
+        "count(all(food, within: 40 mm))",
+    ),
+    SetSense(
+        "feelers",
+        (
+            _set(
+                "feelers",
+                (Arg("on", "obstacle"), Arg("count", "count", "3"), Arg("spread", "angle", "35 deg"), Arg("reach", "length")),
+                "rays ahead along the velocity and turned about up, evenly out to `spread` on either side: the hits",
+            ),
+        ),
+        ("ray",),
+        Cost(400, "{count} rays on {thing}", times=0, often=3),
+        "any(feelers(stones, count: 3, spread: 35 deg, reach: 6 mm))",
+    ),
+    SetSense(
+        "nearest",
+        (
+            _set("nearest", (Arg("of", "items"), _WITHIN, _WITH), "the nearest, or none", "item"),
+            _set("nearest", (Arg("of", "species"), _WITHIN, _WITH), "the nearest, or none", "agent"),
+            _set("nearest", (Arg("of", "set"),), "the nearest of a set, or none", "any"),
+        ),
+        (),  # the nearest of one of the sets above
+        None,
+        "nearest(food, within: 40 mm)",
+    ),
+)
+SET_SENSES: dict[str, SetSense] = {row.op: row for row in _SET_ROWS}
+GIVES_SET = frozenset(row.op for row in _SET_ROWS if row.rows[0].result == "set")  # the others give one of a set
+
+
+def spoken(how: str) -> tuple[Builtin, ...]:
+    """The words of senses that are said in a way: by a `call`, by a bare `name`, or as the `value` of a thing."""
+    every = (*(word for sense in _ROWS for word in sense.words), *WORDS)
+    return tuple(word for word in every if word.spoken == how)
+
+
+def asked(op: str) -> Sense | None:
+    """The sense that an operation of the typed tree asks, if it is one of its words."""
+    return _ASKED.get(op)
+
+
+_ASKED = {word.op: sense for sense in _ROWS for word in sense.words}

@@ -1,0 +1,133 @@
+"""`noise`: between -1 and 1, smooth, a function of place and time alone, on both backends and for any order of rows the same."""
+
+from __future__ import annotations
+
+import numpy as np
+import plans
+import pytest
+from plan_text import plan_of
+
+from antdsl.numerics.noise import FAR, fade, noise, pcg4d
+from antdsl.program.checks.analysis.ranges import range_of
+from antdsl.runtime import Options, bind, state_hash, step
+from antdsl.runtime.faults import FaultStop
+
+RNG = np.random.default_rng(3)
+
+
+def at(places: np.ndarray, seed: int = 0) -> np.ndarray:
+    return noise(places, np.full(places.shape[1], seed, np.int64))
+
+
+def test_values_lie_within_one_and_about_zero() -> None:
+    found = at(RNG.uniform(-500, 500, (4, 40_000)))
+    assert -1 < found.min() < -0.5 and 0.5 < found.max() < 1
+    assert abs(found.mean()) < 0.01 and 0.1 < found.std() < 0.4
+    assert (at(RNG.integers(-90, 90, (4, 500)).astype(float)) == 0).all()  # at the points of the lattice
+
+
+@pytest.mark.parametrize("axis", range(4))
+def test_slope_and_curvature_have_no_step(axis: int) -> None:
+    """Along a line that crosses many cells the second difference of a fine walk stays small everywhere, at their borders too."""
+    step_ = 1e-4
+    line = np.repeat(RNG.uniform(-9, 9, (4, 1)), 60_001, axis=1)
+    line[axis] += np.arange(60_001) * step_
+    value = at(line)
+    slope = np.diff(value) / step_
+    bend = np.diff(slope) / step_
+    assert np.abs(slope).max() < 5
+    assert np.abs(np.diff(slope)).max() < 60 * step_  # no step of the slope: it changes as slowly as the walk is fine
+    assert np.abs(np.diff(bend)).max() < 0.5
+
+
+def test_the_fade_is_level_at_both_ends() -> None:
+    t = np.array([0.0, 0.5, 1.0])
+    assert fade(t).tolist() == [0.0, 0.5, 1.0]
+    assert abs(fade(np.array([1e-4]))[0]) < 1e-11
+
+
+def test_seeds_give_patterns_that_have_nothing_in_common() -> None:
+    places = RNG.uniform(-500, 500, (4, 20_000))
+    one, other, same = at(places, 1), at(places, 2), at(places, 1)
+    assert np.array_equal(one, same)
+    assert abs(np.corrcoef(one, other)[0, 1]) < 0.03
+
+
+def test_neighbouring_cells_have_nothing_in_common() -> None:
+    inside = RNG.uniform(0.3, 0.7, (4, 1))
+    corner = RNG.integers(-500, 500, (4, 20_000))
+    one = at(inside + corner)
+    for away in 2 * np.eye(4):
+        assert abs(np.corrcoef(one, at(inside + corner + away[:, None]))[0, 1]) < 0.03
+
+
+def test_bits_are_those_of_the_paper() -> None:
+    """pcg4d worked out in whole numbers."""
+
+    def plain(v: list[int]) -> list[int]:
+        v = [(x * 1664525 + 1013904223) & 0xFFFFFFFF for x in v]
+        for last in (False, True):
+            v[0] = (v[0] + v[1] * v[3]) & 0xFFFFFFFF
+            v[1] = (v[1] + v[2] * v[0]) & 0xFFFFFFFF
+            v[2] = (v[2] + v[0] * v[1]) & 0xFFFFFFFF
+            v[3] = (v[3] + v[1] * v[2]) & 0xFFFFFFFF
+            if not last:
+                v = [x ^ (x >> 16) for x in v]
+        return v
+
+    words = RNG.integers(0, 2**32, (4, 50)).astype(np.uint32)
+    assert pcg4d(words).T.tolist() == [plain([int(x) for x in column]) for column in words.T]
+
+
+def test_what_is_no_place_gives_no_number() -> None:
+    odd = np.array([[np.nan, np.inf, FAR, 0.5]] * 4)
+    assert np.isnan(at(odd)).tolist() == [True, True, True, False]
+
+
+PROGRAM = """species ant {
+  mood = 0
+  near = 0
+  start go
+  state go {
+    mood = noise(20 mm, seed: id, period: 0.5 s) + noise(scale: 7 mm + size)
+    near = sum(n in neighbours(30 mm): noise(9 mm, seed: n.id))
+  }
+}
+"""
+
+
+def run(options: Options, frames: int = 4) -> tuple[list[str], np.ndarray]:
+    world = bind(plan_of(PROGRAM), plans.crowd(40), options)
+    hashes = []
+    for _ in range(frames):
+        step(world)
+        hashes.append(state_hash(world))
+    ants = world.populations["ant"]
+    assert world.faults.count == 0
+    order = np.argsort(ants.ids)
+    return hashes, np.stack([ants.now["mood"], ants.now["near"]])[:, order]
+
+
+def test_both_backends_and_any_rows_give_the_same_bits() -> None:
+    hashes, values = run(Options(backend="reference"))
+    assert len(set(hashes)) == len(hashes) and len(set(values[0].tolist())) > 30 and (values[1] != 0).any()
+    for options in (Options(), Options(chunk=7), Options(shuffle_rows=5), Options(backend="reference", shuffle_rows=2)):
+        again, same = run(options)
+        assert again == hashes and np.array_equal(values, same)
+
+
+def test_a_scale_of_nothing_is_refused_in_a_run_and_not_stored() -> None:
+    text = "species ant {\n  mood = 5\n  start go\n  state go { mood = noise((mood - 5) * 1 mm) }\n}\n"
+    world = bind(plan_of(text), plans.crowd(3), Options())
+    with pytest.raises(FaultStop):
+        step(world)
+    assert world.faults.count == 3 and (world.populations["ant"].now["mood"] == 5).all()
+
+
+def test_the_checks_know_where_it_lies() -> None:
+    from plan_text import program_of
+
+    species = program_of("species ant {\n  mood = noise(20 mm)\n  start go\n  state go { mood = noise(20 mm) * 2 }\n}\n").species
+    stored = species["ant"].machines[0].states[0].body[0]
+    found = range_of(stored.value, {}, {})  # type: ignore[union-attr]
+    assert (found.low, found.high) == (-2, 2)

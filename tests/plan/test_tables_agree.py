@@ -1,0 +1,151 @@
+"""Each sense, set and effect has its row, and each room a function for it: none without the other."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import plans
+import pytest
+from plan_text import plan_of
+
+from antdsl.plan import ir, verify
+from antdsl.plan.lowering.builder import PlanError
+from antdsl.plan.lowering.rules import RULES
+from antdsl.plan.show import show
+from antdsl.plan.traverse import statements
+from antdsl.plan.verify import named
+from antdsl.program.model import Kind
+from antdsl.program.names.scope import type_from_words
+from antdsl.program.tables import effects
+from antdsl.program.tables.effects import EFFECTS, Effect
+from antdsl.program.tables.rows import Builtin
+from antdsl.program.tables.senses import SENSES, SET_SENSES, WORDS, spoken
+from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.vocabulary import BUILTINS, COSTS, INTERVALS, SENSED_NAMES
+from antdsl.program.types import sets
+from antdsl.runtime import Options, bind, phases, sensing, step
+from antdsl.runtime.world import World
+from antdsl.syntax.words import WORLD_KINDS
+
+OF_THE_AGENT = {"id", "age", "draw", "draw.agent", "event", "surface.touching"}  # what a step knows of it already
+OF_OTHERS = {"agent.get", "agent.alive", "item.get", "item.alive"}  # references, asked by the way
+
+
+def test_every_sense_has_an_operation_and_a_function() -> None:
+    assert set(sensing.SENSES) == {*SENSES, *OF_THE_AGENT, *OF_OTHERS}
+    for op, row in SENSES.items():
+        operation = ir.OPS[op]
+        assert op == row.op and op in ir.SENSES and operation.rate is ir.Rate.AGENT
+        assert operation.args == row.operands and operation.attrs == ((row.of,) if row.of else ()) + row.attrs
+        assert operation.kind is (ir.Kind.TUPLE if op in ir.TUPLES else ir.LETTERS[row.kinds])
+        assert not row.nothing or row.results[0].kind == "b"
+        assert not row.of or row.of in named(plan_of("species ant {}\n"))
+
+
+def test_every_word_of_a_sense_has_a_rule_and_a_name_in_the_vocabulary() -> None:
+    words: list[Builtin] = [*WORDS, *(word for row in SENSES.values() for word in row.words)]
+    assert len({word.op for word in words}) == len(words)
+    for word in words:
+        assert word.op in RULES
+        assert word.help and (word.sample or word.called or word.spoken == "value")
+        assert type_from_words(word.result) is not None or word.result.startswith("vector ") or word.result == "hit"
+        if word.spoken == "call":
+            assert word in BUILTINS[word.name]
+        elif word.spoken == "name":
+            assert SENSED_NAMES[word.name] == word.result and not word.args
+        assert (word.interval is None) == (word.op not in INTERVALS) and (word.cost is None) == (word.op not in COSTS)
+    for row in SENSES.values():
+        for word in row.words:
+            assert word.result == "hit" or row.place(word.part)[1] in (1, 3)
+    assert {word.args[0].type for word in spoken("value")} == {"field", "flow", "map"}
+
+
+def test_every_set_has_a_rule_and_operations() -> None:
+    assert set(sets.SETS) == set(SET_SENSES) <= set(BUILTINS)
+    for row in SET_SENSES.values():
+        assert set(row.sets) <= set(ir.OPS) and (row.cost is None) == (not row.sets)
+    made = {op for row in SET_SENSES.values() for op in row.sets}
+    assert {op for op in ir.OPS if op.startswith("set.")} <= made
+
+
+WORLD = """ant 1
+world { surface ground; solid hill }
+field trail on ground { cell 4 mm; half_life 8 s }
+"""
+EVERYTHING = """species ant {
+  soil = 0 mm^3
+  start go
+  state go { deposit trail 1 /s; carve hill(radius: 2 mm, into: soil); when after 1 s -> go { emit alarm; spawn ant } }
+  on alarm { die }
+}
+"""
+
+
+def test_every_effect_is_lowered_and_settled() -> None:
+    plan = plan_of(EVERYTHING, WORLD)
+    asked = {
+        s.op
+        for each in plan.species.values()
+        for b in (each.decide, each.act)
+        for _, s in statements(b)
+        if isinstance(s, ir.Request)
+    }
+    assert asked == set(EFFECTS) == set(phases.SETTLES)
+    names = {name for name, _ in phases.PHASES}
+    for op, row in EFFECTS.items():
+        assert op == row.op and row.phase in names and row.optional <= set(row.operands)
+        given = {**dict.fromkeys(row.operands, "1"), "of": "it", "own": "soil"}
+        assert "{" not in effects.phrase(row.shown, given) + effects.phrase(row.told, given)
+        assert not row.above_0 or row.refused
+
+
+def marked(world: World) -> None:
+    """Add up what the ants ask to be marked, in their register `marks`."""
+    for population in world.populations.values():
+        for entry in population.effects.taken("mark"):
+            population.now["marks"][entry.rows] += entry.arg(0)
+
+
+def test_an_effect_is_a_row_and_a_function(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that only this test has is shown, verified, recorded and settled on both backends."""
+    row = Effect("mark", "", ("amount",), "effects", "marks", "mark {amount}", "mark {amount}", refused="mark", above_0=True)
+    monkeypatch.setitem(EFFECTS, "mark", row)
+    monkeypatch.setitem(phases.SETTLES, "mark", marked)
+    t = plans.Text()
+    amount = t("sub", t("number", t("id")), 2.0)
+    plan = plans.bare(plans.block(ir.Request("mark", "", (amount,), None, own="marks")), "marks")
+    plan = ir.Plan(**{name: getattr(plan, name) for name in plan.__slots__} | {"nodes": tuple(t.b.nodes)})
+    verify(plan)
+    assert "mark number(id) - 2" in show(plan)
+    for backend in ("reference", "numpy"):
+        world = bind(plan, plans.crowd(6), Options(backend=backend))
+        step(world)
+        step(world)
+        ants = world.populations["ant"]
+        assert ants.now["marks"][np.argsort(ants.ids)].tolist() == [0, 0, 0, 2, 4, 6]
+        assert not ants.effects.asked
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        (ir.Request("mark", "", (), None), "no effect mark"),
+        (ir.Request("carve", "hill", (None,) * 4, None), "Carve of hill, which is not there"),
+        (ir.Request("carve", "hill", (None,) * 4, None), "Carve without radius"),
+        (ir.Request("emit", "alarm", (), None), "Emit takes"),
+        (ir.Request("die", "", (), None, own="soil"), "Die for soil, which is not there"),
+    ],
+)
+def test_a_request_that_is_not_as_its_row_says_is_refused(request_: ir.Request, words: str) -> None:
+    with pytest.raises(PlanError, match=words):
+        verify(plans.bare(plans.block(request_)))
+
+
+def test_every_kind_of_thing_has_its_word_its_kind_and_its_list() -> None:
+    assert tuple(KINDS_OF_THINGS) == WORLD_KINDS
+    held = {field.name for field in fields(ir.Plan)}
+    for row in KINDS_OF_THINGS.values():
+        assert Kind(row.word) and row.help and row.word in row.sample
+        assert not row.held or row.held in held
+        assert set(row.serves) <= set(KINDS_OF_THINGS)
