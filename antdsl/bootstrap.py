@@ -1,6 +1,7 @@
 """Sets up a checkout on a machine that has Python and nothing else, then runs the foraging example or the tests.
 
-`python3 -m antdsl.bootstrap example` and `python3 -m antdsl.bootstrap test`. Standard library only: nothing is installed yet.
+`python3 -m antdsl.bootstrap example`, `python3 -m antdsl.bootstrap test` and, while you write, `test --quick`.
+Standard library only: nothing is installed yet.
 """
 
 from __future__ import annotations
@@ -23,6 +24,16 @@ SYSTEM_LIBRARIES = {"libEGL.so.1": "libegl1", "libGL.so.1": "libgl1", "libusb-1.
 DRIVER_LIBRARIES = {"libatomic.so.1": "libatomic1"}
 # Browsers that those tests can use, by name of the command; the Debian package is called like the first.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+# What `test --quick` runs: text, programs, plans, passes, diagnostics, and one shot on both backends.
+QUICK = (
+    "tests/test_syntax_*.py",
+    "tests/program/test_program.py",
+    "tests/test_program_c*.py",
+    "tests/test_plan_*.py",
+    "tests/passes/test_passes.py",
+    "tests/test_diagnostics*.py",
+    "tests/runtime/test_backends.py",
+)
 INSTALL = "apt-get install -y --no-install-recommends"
 
 
@@ -124,10 +135,11 @@ def run_example(python: Path, out: Path) -> int:
     return 0
 
 
-def run_tests(python: Path, arguments: list[str]) -> int:
-    """The test suite, as CI runs it: each file in one of as many processes as there are cores."""
-    parallel = ["-n", "auto", "--dist", "loadfile"]
-    return subprocess.run([str(python), "-m", "pytest", "-q", *parallel, *arguments], cwd=ROOT).returncode
+def run_tests(python: Path, quick: bool, arguments: list[str]) -> int:
+    """The test suite as CI runs it, in as many processes as there are cores, each file in one; or the quick part of it."""
+    files = [path.relative_to(ROOT).as_posix() for pattern in QUICK for path in sorted(ROOT.glob(pattern))] if quick else []
+    parallel = ["-n", "auto", "--dist", "loadfile", "--no-loadscope-reorder"]
+    return subprocess.run([str(python), "-m", "pytest", "-q", *parallel, *arguments, *files], cwd=ROOT).returncode
 
 
 def main() -> int:
@@ -136,20 +148,23 @@ def main() -> int:
     parser.add_argument("--env", type=Path, default=ROOT / ".venv", help="where the virtual environment is made")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "foraging", help="where the example's cache goes")
     parser.add_argument("--require", action="append", default=[], help="a further requirement, such as open3d-cpu==0.18.0")
+    parser.add_argument("--quick", action="store_true", help="only the tests that take a minute; they need no browser")
     arguments, rest = parser.parse_known_args()
     if sys.version_info < (3, 11):  # noqa: UP036 - whoever starts this may have any Python
         sys.exit("antdsl needs Python 3.11 or newer")
-    if rest and arguments.job != "test":
-        parser.error(f"unknown: {' '.join(rest)}")
+    if (rest or arguments.quick) and arguments.job != "test":
+        parser.error(f"unknown: {' '.join(rest or ['--quick'])}")
     try:
         install_system_packages()
-        if arguments.job == "test":
+        if arguments.job == "test" and not arguments.quick:
             install_browser()
         python = ensure_environment(arguments.env.resolve(), arguments.require)
     except subprocess.CalledProcessError as failed:
         words = " ".join(map(str, failed.cmd))
         sys.exit(f"this did not work, for the reason above; start again when it is mended:\n  {words}")
-    return run_example(python, arguments.out.resolve()) if arguments.job == "example" else run_tests(python, rest)
+    if arguments.job == "example":
+        return run_example(python, arguments.out.resolve())
+    return run_tests(python, arguments.quick, rest)
 
 
 if __name__ == "__main__":

@@ -10,8 +10,11 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import meshes
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -28,9 +31,22 @@ def copied(example: str, place: Path) -> Path:
     return place / example
 
 
+@cache
+def coarse(name: str, every: int) -> bytes:
+    """The .ply file of a square sheet of an example, with one of so many of its lines each way."""
+    import trimesh
+
+    mesh = trimesh.load(EXAMPLES / name, process=False)
+    side = round(len(mesh.vertices) ** 0.5)
+    kept = mesh.vertices.reshape(side, side, 3)[::every, ::every]
+    _, faces = meshes.grid(1.0, len(kept) - 1)
+    return bytes(trimesh.Trimesh(kept.reshape(-1, 3), faces, process=False).export(file_type="ply"))
+
+
 def few(place: Path, count: int) -> Path:
-    """The scene of a copy of the foraging ants, with fewer of them."""
+    """The scene of a copy of the foraging ants, with fewer of them, on ground of fewer triangles, which is soon ready."""
     scene = copied("foraging", place) / "scene.yaml"
+    scene.with_name("terrain.ply").write_bytes(coarse("foraging/terrain.ply", 5))
     scene.write_text(scene.read_text().replace("count: 500", f"count: {count}"))
     return scene
 

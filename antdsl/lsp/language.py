@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
+from functools import lru_cache
 from typing import Any
 
 from antdsl.lsp.names import Key
@@ -48,6 +49,7 @@ from antdsl.program.tables.vocabulary import (
     UNITS,
 )
 from antdsl.resources import library_file, library_names
+from antdsl.source import Source
 from antdsl.syntax import nodes, parse, read
 from antdsl.syntax.words import FORMS
 
@@ -283,6 +285,11 @@ def _library() -> Iterator[tuple[str, nodes.Behaviour]]:
     for name in library_names():
         path = library_file(name)
         source = read(path)[0] if path is not None else None
-        for item in parse(source)[0].items if source is not None else ():
-            if isinstance(item, nodes.Behaviour):
-                yield name, item
+        if source is not None:
+            yield from ((name, node) for node in _behaviours(source.path, source.text))
+
+
+@lru_cache(8)
+def _behaviours(path: str, text: str) -> tuple[nodes.Behaviour, ...]:
+    """The behaviours of a file. Parsing takes a hundred times as long as finding one of them, and every word asks for it."""
+    return tuple(item for item in parse(Source(path, text))[0].items if isinstance(item, nodes.Behaviour))

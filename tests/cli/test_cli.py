@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import commands
 import pytest
 
 from antdsl.cli import _run as run_in_process
@@ -27,10 +28,8 @@ species walker {
 SCENE = "antdsl: 1\nframes: 1..4\ncrowd: [{species: walker, from: walker.ant, count: 5, place: {radius: 60 mm}}]\n"
 
 
-def antdsl(*words: str, cwd: Path, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", **(env or {})}
-    command = [sys.executable, "-m", "antdsl", *words]
-    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=60)
+def antdsl(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    done = commands.run(*words, cwd=cwd)
     assert "Traceback" not in done.stderr + done.stdout, done.stderr[-800:]
     return done
 
@@ -144,7 +143,10 @@ def test_a_reader_that_has_had_enough_causes_no_complaint(folder: Path) -> None:
 
 def test_words_that_a_terminal_cannot_show_are_replaced(folder: Path) -> None:
     (folder / "walker.ant").write_text(GOOD.replace("wander", "wänder"))
-    done = antdsl("check", "walker.ant", cwd=folder, env={"PYTHONIOENCODING": "ascii"})
+    command = [sys.executable, "-m", "antdsl", "check", "walker.ant"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.stderr == ""
     assert done.returncode == 1 and "error[" in done.stdout
 
 
@@ -169,23 +171,24 @@ def measured(words: list[str], folder: Path) -> tuple[subprocess.CompletedProces
 @pytest.mark.parametrize("words", [["--help"], ["check", "walker.ant"], ["check", "scene.yaml"]])
 def test_it_starts_fast_and_without_what_it_does_not_need(folder: Path, words: list[str]) -> None:
     code = "import sys; from antdsl.cli import _run; r = _run(); print(r, sorted(sys.modules), file=sys.stderr)"
-    spent = []
-    for _ in range(2):
+    most = 0.6 if words == ["--help"] else 4  # twice what was measured
+    spent: list[float] = []
+    while len(spent) < 3 and min(spent, default=most) >= most:
         done, share = measured([sys.executable, "-c", code, *words], folder)
         assert done.returncode == 0 and done.stderr.startswith("0 "), done.stderr[-300:]
         spent.append(share)
     loaded = set(re.findall(r"'([a-z0-9_]+)'", done.stderr))
     assert not loaded & {"open3d", "scipy", "trimesh", "numpy", "PIL"}
-    assert min(spent) < (0.6 if words == ["--help"] else 4)  # twice what was measured
+    assert min(spent) < most, spent
 
 
 def test_all_programs_and_scenes_of_the_repository_are_checked_in_little_time() -> None:
-    spent = []
-    for _ in range(2):
+    most, spent = 14.0, []  # twice what was measured
+    while len(spent) < 3 and min(spent, default=most) >= most:
         done, share = measured([sys.executable, "-m", "antdsl", "check", ".", "--format", "json"], ROOT)
         assert done.returncode == 1 and json.loads(done.stdout)["left_out"] > 100  # of the cases that are to be wrong
         spent.append(share)
-    assert min(spent) < 14, spent  # twice what was measured
+    assert min(spent) < most, spent
 
 
 def test_pictures_sheets_and_films_are_drawn(tmp_path: Path) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Any
 
+import commands
 import pytest
 import yaml
 
@@ -41,6 +43,15 @@ def run(line: str, folder: Path, shell: dict[str, str]) -> subprocess.CompletedP
     return subprocess.run(["bash", "-c", line], cwd=folder, env=shell, capture_output=True, text=True, timeout=400)
 
 
+def run_here(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """The same in this process; a shell's `> file` is all that a line may have of a shell."""
+    line, led, file = line.partition(" > ")
+    done = commands.run(*shlex.split(line)[1:], cwd=folder)
+    if led:
+        (folder / file.strip()).write_text(done.stdout, encoding="utf-8")
+    return done
+
+
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory, shell: dict[str, str]) -> Path:
     folder = tmp_path_factory.mktemp("new")
@@ -65,7 +76,7 @@ def test_the_workflow_passes_in_the_new_project(project: Path, shell: dict[str, 
     assert int(junit.get("tests", "0")) >= 1 and junit.get("failures") == "0"
 
 
-def test_the_workflow_fails_where_it_should(project: Path, shell: dict[str, str], tmp_path: Path) -> None:
+def test_the_workflow_fails_where_it_should(project: Path, tmp_path: Path) -> None:
     """A mistake and a spec that does not hold each fail the step that looks for them, and SARIF is written all the same."""
     for name, old, new, failing in (
         ("typo", "-> rest", "-> resst", {"check", "test"}),
@@ -79,7 +90,7 @@ def test_the_workflow_fails_where_it_should(project: Path, shell: dict[str, str]
         text = (folder / "walker.ant").read_text(encoding="utf-8")
         assert old in text
         (folder / "walker.ant").write_text(text.replace(old, new), encoding="utf-8")
-        codes = {line: run(line, folder, shell).returncode for line in OURS}
+        codes = {line: run_here(line, folder).returncode for line in OURS}
         assert set(codes.values()) == {0, 1}, codes
         assert {line.split()[1] for line, code in codes.items() if code == 1} == failing, codes
         found = json.loads((folder / "antdsl.sarif").read_text(encoding="utf-8"))["runs"][0]["results"]
@@ -114,13 +125,13 @@ def test_the_hooks_pass_in_the_new_project_and_look_at_what_matters(project: Pat
     assert (project / "walker.ant").read_text(encoding="utf-8") == FILE["walker.ant"]
 
 
-def test_the_readme_of_the_project_works(project: Path, shell: dict[str, str]) -> None:
+def test_the_readme_of_the_project_works(project: Path) -> None:
     first = re.findall(r"```sh\n(.*?)```", FILE["README.md"], re.DOTALL)[0]
     for line in first.splitlines():
         assert line.split()[1] in dict(COMMANDS)
         if "render" not in line:  # pictures take their time; tests of their own draw them
             some = " --frames 1..4" if " run " in line else ""
-            done = run(line + some, project, shell)
+            done = run_here(line + some, project)
             assert done.returncode == 0, (line, done.stdout, done.stderr)
     assert (project / "out" / "scene").is_dir()  # what `antdsl render` is told to draw
     assert not [line for line in FILE[".gitignore"].splitlines() if not line.startswith("/")]

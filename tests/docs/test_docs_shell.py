@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import commands
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,7 +22,7 @@ PAGES = [
 ]
 # What is added to a line so that it takes seconds; what is said last goes before what was said first.
 SHORTER = {
-    "run": ["--frames", "1..10", "--quiet"],
+    "run": ["--frames", "1..3", "--quiet"],
     "sweep": ["--seeds", "1", "--frames", "1..2", "--no-plots"],
     "render": ["--width", "96", "--height", "54"],
 }
@@ -43,6 +44,7 @@ LINES = {page: lines for page in PAGES if (lines := shell_lines(page))}
 
 
 @pytest.mark.parametrize("page", LINES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.usefixtures("kept_meshes")
 def test_shell_lines_run(page: Path, tmp_path: Path) -> None:
     for part in ("examples", "behaviours", "grammar"):
         (tmp_path / part).symlink_to(ROOT / part, target_is_directory=True)
@@ -76,8 +78,9 @@ def copied(folder: Path, to: Path) -> Path:
 
 
 def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    commands = {"antdsl": [sys.executable, "-m", "antdsl"], "python": [sys.executable]}
-    assert words[0] in commands, f"{words[0]}: a line that no test can run"
-    command = [*commands[words[0]], *words[1:], *(SHORTER.get(words[1], []) if words[0] == "antdsl" else [])]
+    assert words[0] in ("antdsl", "python"), f"{words[0]}: a line that no test can run"
+    if words[0] == "antdsl":
+        return commands.run(*words[1:], *SHORTER.get(words[1], []), cwd=folder)
+    command = [sys.executable, *words[1:]]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1"}
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120)

@@ -8,7 +8,9 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from conftest import LONGEST
 
+from antdsl.bootstrap import QUICK
 from antdsl.diagnostics.codes import CODES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -41,16 +43,28 @@ def room(path: Path) -> str:
     return parts[0].removesuffix(".py")
 
 
-def imports(tree: ast.AST) -> list[tuple[str, int]]:
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
+def nodes(path: Path) -> list[ast.AST]:
+    """All nodes of a file's tree."""
+    return list(ast.walk(parsed(path)))
+
+
+@cache
+def imports(path: Path) -> list[tuple[str, int]]:
     """Absolute names that a file imports, with their lines; those under TYPE_CHECKING are left out: they are not imported."""
     hidden = {
         id(inner)
-        for node in ast.walk(tree)
+        for node in nodes(path)
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
         for inner in ast.walk(node)
     }
     found: list[tuple[str, int]] = []
-    for node in ast.walk(tree):
+    for node in nodes(path):
         if id(node) in hidden:
             continue
         if isinstance(node, ast.Import):
@@ -61,17 +75,12 @@ def imports(tree: ast.AST) -> list[tuple[str, int]]:
     return found
 
 
-@cache
-def parsed(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
 def test_rooms_import_lower_rooms_only() -> None:
     offenders = []
     for path in FILES:
         own = room(path)
         assert own in ROOMS, f"{own} has no place among the rooms"
-        for name, line in imports(parsed(path)):
+        for name, line in imports(path):
             if name.split(".")[0] != "antdsl" or name == "antdsl":
                 continue
             other = name.split(".")[1]
@@ -86,13 +95,12 @@ def test_rooms_import_lower_rooms_only() -> None:
 def test_no_file_runs_text_or_reads_what_could() -> None:
     offenders = []
     for path in FILES:
-        tree = parsed(path)
-        for name, line in imports(tree):
+        for name, line in imports(path):
             if name.split(".")[0] in FORBIDDEN_MODULES:
                 offenders.append(f"{path}:{line} imports {name}")
             if name.split(".")[0] == "open3d" and path != OPEN3D_DOOR:
                 offenders.append(f"{path}:{line}: Open3D has one door")
-        for node in ast.walk(tree):
+        for node in nodes(path):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in FORBIDDEN_CALLS:
                 offenders.append(f"{path}:{node.lineno} calls {node.func.id}")
             if (
@@ -131,7 +139,7 @@ def test_files_that_a_person_can_name_are_opened_by_one_module() -> None:
     for path in FILES:
         if path.relative_to(PACKAGE).as_posix() in ("bounded.py", *OWN_FILES):
             continue
-        for node in ast.walk(parsed(path)):
+        for node in nodes(path):
             if not isinstance(node, ast.Call) or ast.unparse(node.func).rpartition(".")[2] not in READING:
                 continue
             called = ast.unparse(node.func)
@@ -148,7 +156,7 @@ def test_files_are_put_in_their_place_by_one_module() -> None:
     for path in FILES:
         if path.name == "whole.py":
             continue
-        for node in ast.walk(parsed(path)):
+        for node in nodes(path):
             if isinstance(node, ast.Call) and (ast.unparse(node.func) in moving or ast.unparse(node.func).endswith(".rename")):
                 raise AssertionError(f"{path}:{node.lineno} moves a file into its place, not by antdsl/whole.py")
 
@@ -181,7 +189,7 @@ def test_heavy_packages_are_imported_late_below_the_pictures() -> None:
 def test_the_plan_and_what_is_below_never_see_numpy() -> None:
     for path in FILES:
         if room(path) in ("source", "diagnostics", "limits", "resources", "syntax", "program", "plan", "passes"):
-            for name, line in imports(parsed(path)):
+            for name, line in imports(path):
                 assert name.split(".")[0] != "numpy", f"{path}:{line}"
 
 
@@ -209,7 +217,7 @@ def test_every_code_is_used_and_every_code_used_has_a_meaning() -> None:
     written: set[str] = set()
     for path in FILES:
         if path.name != "codes.py":
-            for node in ast.walk(parsed(path)):
+            for node in nodes(path):
                 if isinstance(node, ast.Constant) and isinstance(node.value, str):
                     written.add(node.value)
     parts = {text for text in written if re.fullmatch("[a-z]+-", text)}  # `unused-` and the kind of what is not used
@@ -223,12 +231,17 @@ def test_every_code_is_used_and_every_code_used_has_a_meaning() -> None:
             assert code in CODES, f"{path}: `{code}`"
 
 
+def test_files_of_tests_that_are_named_are_there() -> None:
+    assert [pattern for pattern in QUICK if not any(ROOT.glob(pattern))] == []
+    names = {path.stem for path in (ROOT / "tests").rglob("test_*.py")}
+    assert [name for name in LONGEST if name not in names] == []
+
+
 def test_every_code_has_a_case() -> None:
     files = [p for p in (ROOT / "tests").rglob("*") if p.suffix in (".py", ".ant", ".yaml", ".txt")]
     files += [ROOT / "grammar" / "README.md", ROOT / "docs" / "scene.md"]
-    tests = "\n".join(path.read_text(encoding="utf-8") for path in files)
-    missing = [code for code in CODES if not re.search(rf"(?<![\w-]){code}(?![\w-])", tests)]
-    assert not missing
+    words = {word for path in files for word in re.findall(r"[\w-]+", path.read_text(encoding="utf-8"))}
+    assert not set(CODES) - words
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ SCENES = (
     "alarm/scene", "anthill/scene", "flocking/scene", "flow/scene", "foraging/scene", "foraging_study/default",
     "minimal/scene", "moods/scene", "thesis/tunnel_and_can", "torture/scene", "tunnel/led", "tunnel/scene", "worth/scene",
 )  # fmt: skip
-SOME = ("moods/scene", "worth/scene")
+SOME = ("moods/scene",)
 PLAIN = {"NUMBA_DISABLE_JIT": "1"}
 # What NumPy chooses between at run time, libm's versions with AVX2 and FMA, and BLAS for the oldest processor that it knows.
 WITHOUT = {

@@ -7,6 +7,8 @@ from foraging_shots import EXAMPLE, world
 
 from antdsl.runtime import Options, state_hash, step
 
+# How rays meet a mesh and what is asked of it differ by these; how a mesh is prepared does not.
+pytestmark = pytest.mark.usefixtures("kept_meshes")
 WAYS = (
     Options(threads=2, chunk=1000),
     Options(threads=1, chunk=100_000, shuffle_rows=1),
@@ -23,10 +25,17 @@ def hashes(options: Options, frames: int, **changes: object) -> list[str]:
     return found
 
 
+CROWD = dict(count=2200, around=(70.0, 0.0, 50.0), radius=110.0)
+
+
+@pytest.fixture(scope="module")
+def plainly() -> list[str]:
+    return hashes(Options(threads=1, chunk=1000), 6, **CROWD)
+
+
 @pytest.mark.parametrize("options", WAYS, ids=str)
-def test_the_same_hashes_in_many_ways(options: Options) -> None:
-    crowd = dict(count=2200, around=(70.0, 0.0, 50.0), radius=110.0)
-    assert hashes(options, 10, **crowd) == hashes(Options(threads=1, chunk=1000), 10, **crowd)
+def test_the_same_hashes_in_many_ways(options: Options, plainly: list[str]) -> None:
+    assert hashes(options, 6, **CROWD) == plainly
 
 
 def test_the_reference_backend_agrees() -> None:

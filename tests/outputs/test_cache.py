@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import commands
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -241,10 +242,17 @@ def finished(run: subprocess.Popen[str]) -> tuple[int, str]:
     return run.returncode, out + problems
 
 
+def ran(scene: Path, *words: str) -> tuple[int, str]:
+    """As `finished(start(…))`, for a run that nothing happens to on its way."""
+    done = commands.run("run", str(scene), "--threads", "1", *words, cwd=scene.parent)
+    assert "Traceback" not in done.stderr, done.stderr[-600:]
+    return done.returncode, done.stdout + done.stderr
+
+
 @pytest.fixture(scope="module")
 def unbroken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, str]]:
     scene = project(tmp_path_factory.mktemp("project"))
-    code, words = finished(start(scene))
+    code, words = ran(scene)
     assert code == 0, words
     hashes = read_hashes(scene.parent / "out" / "scene" / "hashes.jsonl")
     assert sorted(hashes) == list(range(1, 61))
@@ -253,7 +261,7 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, 
 
 def test_the_summary_has_its_keys_and_the_last_hash(tmp_path: Path) -> None:
     scene = project(tmp_path / "p", hills=True)
-    assert finished(start(scene, "--summary", "summary.json"))[0] == 0
+    assert ran(scene, "--summary", "summary.json")[0] == 0
     hashes = read_hashes(scene.parent / "out" / "scene" / "hashes.jsonl")
     found = json.loads((scene.parent / "summary.json").read_text())
     wanted = "agents frames fps seconds states transitions items faults max_surface_error motion state_hash peak_memory"
@@ -269,7 +277,7 @@ def test_the_summary_of_a_run_that_goes_on_is_of_all_frames(tmp_path: Path) -> N
     folder, summary = scene.parent / "out" / "scene", scene.parent / "summary.json"
 
     def worst(*words: str) -> float | None:
-        assert finished(start(scene, "--frames", "1..12", "--summary", summary.name, *words))[0] == 0
+        assert ran(scene, "--frames", "1..12", "--summary", summary.name, *words)[0] == 0
         found: float | None = json.loads(summary.read_text())["max_surface_error"]
         return found
 
@@ -440,13 +448,13 @@ def test_only_the_written_form_of_a_name_is_a_frame(unbroken: tuple[Path, dict[i
 
 def test_a_damaged_frame_is_told_and_written_again(tmp_path: Path) -> None:
     scene = project(tmp_path / "p")
-    assert finished(start(scene, "--frames", "1..20"))[0] == 0
+    assert ran(scene, "--frames", "1..20")[0] == 0
     folder = scene.parent / "out" / "scene"
     whole = frame_path(folder, 12).read_bytes()
     frame_path(folder, 12).write_bytes(whole[: len(whole) // 2])
     with pytest.raises(CacheError):
         open_cache(folder).frame(12)
-    code, words = finished(start(scene, "--frames", "1..20", "--resume"))
+    code, words = ran(scene, "--frames", "1..20", "--resume")
     assert code == 0 and "goes on after frame 9" in words, words
     assert "frame.0012.npz` is not what was written there" in words and "frames 10 to 20 are made again" in words
     assert frame_path(folder, 12).read_bytes() == whole
@@ -508,7 +516,7 @@ def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
         (folder / "frames" / ".frame.0044.npz.part").write_bytes(b"PK half")
         with open(folder / "hashes.jsonl", "ab") as hashes:
             hashes.write(b'{"frame": 44, "ha')
-    code, words = finished(start(scene, "--resume"))
+    code, words = ran(scene, "--resume")
     assert code == 0, words
     assert read_hashes(folder / "hashes.jsonl") == unbroken[1]
     mine, whole = open_cache(folder), open_cache(unbroken[0].parent / "out" / "scene")
@@ -531,16 +539,16 @@ def test_ctrl_c_leaves_a_cache_that_goes_on(unbroken: tuple[Path, dict[int, str]
     cache = open_cache(folder)
     assert cache.checkpoints()[-1] == cache.frames()[-1]
     if cache.frames()[-1] < 60:
-        assert finished(start(scene, "--resume"))[0] == 0
+        assert ran(scene, "--resume")[0] == 0
     assert {f: h for f, h in read_hashes(folder / "hashes.jsonl").items() if f <= 60} == unbroken[1]
 
 
 def test_other_inputs_are_named_and_not_continued(tmp_path: Path) -> None:
     scene = project(tmp_path / "p")
-    assert finished(start(scene, "--frames", "1..10"))[0] == 0
+    assert ran(scene, "--frames", "1..10")[0] == 0
     program = scene.parent / "walker.ant"
     program.write_text(program.read_text().replace("40 deg", "41 deg"))
-    code, words = finished(start(scene, "--frames", "1..20", "--resume"))
+    code, words = ran(scene, "--frames", "1..20", "--resume")
     assert code == 1 and "`walker.ant`" in words and "`scene`" not in words, words
 
 
@@ -548,12 +556,12 @@ def test_a_run_begins_where_another_cache_was(unbroken: tuple[Path, dict[int, st
     scene, _ = unbroken
     second = scene.with_name("second.yaml")
     second.write_text(scene.read_text().replace("1..60", "101..105") + "from: {cache: out/scene, frame: 57}\n")
-    assert finished(start(second))[0] == 0
+    assert ran(second)[0] == 0
     there, here = open_cache(scene.parent / "out" / "scene"), open_cache(scene.parent / "out" / "second")
     assert np.array_equal(there.frame(57)["P"], here.frame(101)["P"])
     assert not np.array_equal(here.frame(105)["P"], here.frame(101)["P"])
     second.write_text(second.read_text().replace("frame: 57", "frame: 56"))
-    code, words = finished(start(second))
+    code, words = ran(second)
     assert code == 1 and "write one of" in words and "57" in words
 
 
@@ -615,5 +623,5 @@ def test_a_full_disk_ends_in_words_and_the_run_goes_on_later(
     done = subprocess.run([sys.executable, "-c", limit], env=env, cwd=scene.parent, capture_output=True, text=True, timeout=60)
     assert done.returncode == 3 and "Traceback" not in done.stderr, done.stderr[-600:]
     assert "cannot write the cache: file too large" in done.stderr and "--resume" in done.stderr
-    assert finished(start(scene, "--resume"))[0] == 0
+    assert ran(scene, "--resume")[0] == 0
     assert len(read_hashes(scene.parent / "out" / "scene" / "hashes.jsonl")) == 60

@@ -59,6 +59,7 @@ def new_enough() -> bool:
     return found is not None and (int(found[1]), int(found[2])) >= (20, 19)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not new_enough(), reason="node 20.19 or newer builds the page, and is not here")
 def test_the_page_comes_out_the_same_when_it_is_built_again(tmp_path: Path) -> None:
     web = tmp_path / "web"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from browsing import chromium
-from preview_page import SIZE, Seen, copied, opened, previewed
+from preview_page import SIZE, Seen, few, opened, previewed
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -34,7 +34,7 @@ def played(seen: Seen, frames: int) -> int:
 
 
 def test_the_page_comes_up_and_ants_move(browser: Browser, tmp_path: Path) -> None:
-    scene = copied("foraging", tmp_path) / "scene.yaml"
+    scene = few(tmp_path, 500)
     with previewed(scene) as address, opened(browser, address) as seen:
         assert seen.now("agents") == 500
         assert "foraging" in (seen.find("scene").text_content() or "") or "scene" in (seen.find("scene").text_content() or "")
@@ -49,7 +49,7 @@ def test_the_page_comes_up_and_ants_move(browser: Browser, tmp_path: Path) -> No
 
 def test_saved_edits_show_while_the_ants_go_on(browser: Browser, tmp_path: Path) -> None:
     """How soon they show is measured by `tests/benchmarks/reload.py`."""
-    folder = copied("foraging", tmp_path)
+    folder = few(tmp_path, 500).parent
     program = folder / "forager.ant"
     text = program.read_text()
     edits = (
@@ -74,7 +74,7 @@ def test_saved_edits_show_while_the_ants_go_on(browser: Browser, tmp_path: Path)
 
 
 def test_an_error_is_underlined_and_the_ants_go_on(browser: Browser, tmp_path: Path) -> None:
-    folder = copied("foraging", tmp_path)
+    folder = few(tmp_path, 500).parent
     program = folder / "forager.ant"
     with previewed(folder / "scene.yaml") as address, opened(browser, address) as seen:
         seen.press("play")
@@ -91,7 +91,7 @@ def test_an_error_is_underlined_and_the_ants_go_on(browser: Browser, tmp_path: P
 
 
 def test_a_file_that_is_gone_for_a_moment_keeps_its_tab(browser: Browser, tmp_path: Path) -> None:
-    folder = copied("foraging", tmp_path)
+    folder = few(tmp_path, 500).parent
     program = folder / "forager.ant"
     with previewed(folder / "scene.yaml") as address, opened(browser, address) as seen:
         chosen = seen.page.locator("[role=tab][aria-selected=true][data-test^=file-tab]")
@@ -108,10 +108,10 @@ def test_a_file_that_is_gone_for_a_moment_keeps_its_tab(browser: Browser, tmp_pa
 
 
 def test_a_slider_acts_and_shows_its_line(browser: Browser, tmp_path: Path) -> None:
-    scene = copied("foraging", tmp_path) / "scene.yaml"
+    scene = few(tmp_path, 500)
     with previewed(scene) as address, opened(browser, address) as seen:
         played(seen, 30)
-        few = seen.now("counts()")["forager.main.approach"]
+        before = seen.now("counts()")["forager.main.approach"]
         seen.press("side-tab-sliders")
         slider = seen.find("param-forager.smell")
         slider.focus()
@@ -119,12 +119,12 @@ def test_a_slider_acts_and_shows_its_line(browser: Browser, tmp_path: Path) -> N
         seen.find("line").first.wait_for(timeout=60_000)
         assert (seen.find("line").first.text_content() or "").startswith("set: {forager.smell: 200")
         played(seen, 12)
-        assert seen.now("counts()")["forager.main.approach"] > few
+        assert seen.now("counts()")["forager.main.approach"] > before
         assert seen.find("edited").is_visible()
 
 
 def test_scrubbing_shows_the_frame_asked_for(browser: Browser, tmp_path: Path) -> None:
-    scene = copied("foraging", tmp_path) / "scene.yaml"
+    scene = few(tmp_path, 500)
     with previewed(scene) as address, opened(browser, address) as seen:
         played(seen, 10)
         here = int(seen.now("frame"))
@@ -141,7 +141,7 @@ def test_scrubbing_shows_the_frame_asked_for(browser: Browser, tmp_path: Path) -
 
 
 def test_clicking_an_agent_explains_it(browser: Browser, tmp_path: Path) -> None:
-    scene = copied("foraging", tmp_path) / "scene.yaml"
+    scene = few(tmp_path, 500)
     with previewed(scene) as address, opened(browser, address) as seen:
         played(seen, 20)
         view = seen.page.locator("#view").bounding_box()
@@ -165,7 +165,7 @@ def test_clicking_an_agent_explains_it(browser: Browser, tmp_path: Path) -> None
 
 
 def test_it_can_be_read_in_dark_and_light(browser: Browser, tmp_path: Path) -> None:
-    scene = copied("foraging", tmp_path) / "scene.yaml"
+    scene = few(tmp_path, 500)
     with previewed(scene) as address:
         for scheme in ("dark", "light"):
             with opened(browser, address, color_scheme=scheme) as seen:

@@ -207,7 +207,8 @@ def test_too_much_at_once_is_refused(scene: Path) -> None:
     live.leave(page)  # always possible
 
 
-def test_whatever_is_asked_in_whatever_order_nothing_breaks(live: Live, scene: Path) -> None:
+@pytest.mark.parametrize("asked", [100, pytest.param(1000, marks=pytest.mark.slow)])
+def test_whatever_is_asked_in_whatever_order_nothing_breaks(live: Live, scene: Path, asked: int) -> None:
     """Two pages, a saved file now and then, and in the end the run is that of a fresh one."""
     draw = np.random.Generator(np.random.Philox(5))
     program = scene.with_name("forager.ant")
@@ -236,7 +237,7 @@ def test_whatever_is_asked_in_whatever_order_nothing_breaks(live: Live, scene: P
         lambda: ("breaks", {"breaks": pick([], [{"kind": "fault"}, {"kind": "condition", "text": "count(forager) > 3"}])}),
         lambda: ("profile", {"on": bool(draw.integers(2))}),
     )  # fmt: skip
-    for _ in range(250):
+    for _ in range(asked):
         op, what = asks[int(draw.integers(len(asks)))]()
         page = pages[int(draw.integers(2))]
         with contextlib.suppress(Busy):

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from browsing import chromium
-from preview_page import EXAMPLES, Seen, opened, previewed
+from preview_page import Seen, few, opened, previewed
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -21,8 +22,8 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="module")
-def foraging() -> Iterator[str]:
-    with previewed(EXAMPLES / "foraging" / "scene.yaml") as address:
+def foraging(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with previewed(few(tmp_path_factory.mktemp("foraging"), 500)) as address:
         yield address
 
 
@@ -132,8 +133,8 @@ def test_a_row_of_the_legend_selects_all_in_the_state(browser: Browser, foraging
         assert said(seen) == f"{count} selected"
 
 
-def test_who_is_followed_stays_in_the_middle(browser: Browser) -> None:
-    with previewed(EXAMPLES / "foraging" / "scene.yaml") as address, opened(browser, address) as seen:
+def test_who_is_followed_stays_in_the_middle(browser: Browser, tmp_path: Path) -> None:
+    with previewed(few(tmp_path, 500)) as address, opened(browser, address) as seen:
         keys(seen, "n", "2", "g")
         before = seen.now("position", "forager", 0)
         seen.press("play")

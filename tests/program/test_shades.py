@@ -48,7 +48,7 @@ def test_a_degree_outside_of_0_to_1_counts_as_the_nearer_end() -> None:
     assert value("n = 7\nfuzzy y { 0 - n -> 1; 0.5 -> 3 }") == pytest.approx(3)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.lists(st.tuples(st.floats(0, 1, width=32), st.floats(-100, 100, width=32)), min_size=1, max_size=6))
 def test_rules_are_the_weighted_mean_of_their_outputs(rules: list[tuple[float, float]]) -> None:
     attributes = "".join(f"d{k} = {d:.9f}\no{k} = {abs(o):.9f}\n" for k, (d, o) in enumerate(rules))

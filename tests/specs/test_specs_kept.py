@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from preview_page import coarse
 from test_cli import ROOT, antdsl
 from test_specs import GROUND
 
@@ -60,14 +61,18 @@ crowd: [{species: a, from: a.ant, count: 20, place: {radius: 20 mm}}]
 """
 
 
+def written(folder: Path, program: str) -> Path:
+    (folder / "a.ant").write_text(program)
+    (folder / "scene.yaml").write_text(SCENE)
+    (folder / "ground.ply").write_text(GROUND)
+    return folder
+
+
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    (tmp_path / "a.ant").write_text(PROGRAM + SPECS)
-    (tmp_path / "scene.yaml").write_text(SCENE)
-    (tmp_path / "ground.ply").write_text(GROUND)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
-    return tmp_path
+    return written(tmp_path, PROGRAM + SPECS)
 
 
 @pytest.fixture
@@ -169,6 +174,7 @@ def test_a_fault_is_saved_before_it_happens(folder: Path, run) -> None:  # type:
 def test_a_failing_spec_of_the_foraging_example_shows_its_cause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run) -> None:  # type: ignore[no-untyped-def]
     """Somebody has lost where the crumb comes from: the failure names the ant, its state and both values."""
     shutil.copytree(ROOT / "examples" / "foraging", tmp_path / "foraging")
+    (tmp_path / "foraging" / "terrain.ply").write_bytes(coarse("foraging/terrain.ply", 5))
     monkeypatch.chdir(tmp_path / "foraging")
     program, scene = Path("forager.ant"), Path("scene.yaml")
     text = program.read_text()
@@ -201,11 +207,19 @@ def test_a_failing_spec_of_the_foraging_example_shows_its_cause(tmp_path: Path, 
 TWO = 'spec "all are there" on "scene.yaml" { for 2 s; seeds 5 .. 6; always: count(a) == 20 }\n'
 
 
+@pytest.fixture(scope="module")
+def golden_run(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The file of a golden run, as the command writes it."""
+    folder = written(tmp_path_factory.mktemp("golden"), PROGRAM + TWO)
+    done = antdsl("test", "a.ant", "--update", cwd=folder)
+    assert done.returncode == 0 and "written golden run of scene.yaml, seed 5: 49 frames" in done.stdout, done.stdout
+    return golden_path(folder / "scene.yaml").read_bytes()
+
+
 @pytest.fixture
-def golden(folder: Path, run):  # type: ignore[no-untyped-def]
+def golden(folder: Path, run, golden_run: bytes):  # type: ignore[no-untyped-def]
     (folder / "a.ant").write_text(PROGRAM + TWO)
-    code, text = run("test", "a.ant", "--update")
-    assert code == 0 and "written golden run of scene.yaml, seed 5: 49 frames" in text, text
+    golden_path(folder / "scene.yaml").write_bytes(golden_run)
     return run
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
+import commands
 import pytest
 
 from antdsl.cli.new import ground
@@ -35,16 +33,14 @@ crowd:
 """
 
 
-@pytest.mark.parametrize("fps", [24, 30])
+@pytest.mark.parametrize("fps", [24, pytest.param(30, marks=pytest.mark.slow)])
 def test_the_five_do_what_the_page_says_whatever_the_frame_rate(tmp_path: Path, fps: int) -> None:
     blocks = re.findall(r"```ant fragment-of-(?:file|page)\n(.*?)```", PAGE, re.DOTALL)
     assert len(blocks) == 6
     (tmp_path / "five.ant").write_text(HEAD + "\n".join(blocks), encoding="utf-8")
     (tmp_path / "scene.yaml").write_text(SCENE.format(fps=fps), encoding="utf-8")
     (tmp_path / "ground.ply").write_bytes(ground())
-    command = [sys.executable, "-m", "antdsl", "test", "five.ant"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1"}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=400)
+    done = commands.run("test", "five.ant", cwd=tmp_path)
     assert done.returncode == 0 and "1 passed" in done.stdout, done.stdout + done.stderr
 
 
