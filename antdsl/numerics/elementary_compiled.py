@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -93,10 +94,11 @@ def exponentials(x, found):  # type: ignore[no-untyped-def]
         wide = np.float64(x[k])
         if wide != wide:
             return False
-        wide = min(max(wide, -200.0), 200.0)
-        power = np.rint(wide * _LOG2_E)
-        rest = (wide - power * _LN2_HIGH) - power * _LN2_LOW
-        found[k] = _F(math.ldexp(_series(rest, _EXP), np.int32(power)))
+        held = min(max(wide, -200.0), 200.0)
+        power = np.rint(held * _LOG2_E)
+        rest = (held - power * _LN2_HIGH) - power * _LN2_LOW
+        doublings: Any = np.int32(power)  # numba's ldexp takes no wider ones
+        found[k] = _F(math.ldexp(_series(rest, _EXP), doublings))
     return True
 
 
