@@ -17,15 +17,16 @@ from meshes import Mesh
 from numpy.typing import NDArray
 from torture_walks import BODY, HAIR, Seen, above, crowd, parts, shapes, wander, winding
 
-from antdsl.ground.mesh.surface import Ground, MoveResult
+from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.surroundings import LIFT
+from antdsl.ground.protocol import Move
 
 SHAPES = shapes()
 SHEETS = ("pot", "moebius", "rag", "ground")
 TALL = 150.0  # mm: as long as a mesh from a file is made
 EVERY = 25  # steps between two looks at who is in what
 FINE = 1e-9  # mm: nearer to feet than any wall that they have not gone through, and more than float64 rounds; rays need a hair
-Asked = Callable[[Ground, MoveResult], NDArray[np.bool_]]
+Asked = Callable[[MeshGround, Move], NDArray[np.bool_]]
 
 
 class Rooms:
@@ -60,24 +61,24 @@ class Walls:
     through: set[int] = field(default_factory=set)
 
     @staticmethod
-    def of(closed: list[Mesh], ground: Ground, at: MoveResult, near: float) -> Walls:
+    def of(closed: list[Mesh], ground: MeshGround, at: Move, near: float) -> Walls:
         rooms = Rooms(closed)
         return Walls(rooms, rooms.winding(above(ground, at, near)), near)
 
-    def look(self, ground: Ground, at: MoveResult) -> None:
+    def look(self, ground: MeshGround, at: Move) -> None:
         parity = self.rooms.parity(above(ground, at))
         self._ask(ground, at, np.flatnonzero((parity != (self.began % 2 == 1)).any(axis=0)))
 
-    def end(self, ground: Ground, at: MoveResult) -> None:
+    def end(self, ground: MeshGround, at: Move) -> None:
         self._ask(ground, at, np.arange(len(at.up)))
 
-    def _ask(self, ground: Ground, at: MoveResult, rows: NDArray[np.int64]) -> None:
+    def _ask(self, ground: MeshGround, at: Move, rows: NDArray[np.int64]) -> None:
         if rows.size:
             now = self.rooms.winding(above(ground, at.take(rows), self.near))
             self.through |= set(rows[(now != self.began[:, rows]).any(axis=0)].tolist())
 
 
-def begun(ground: Ground, mesh: Mesh, closed: list[Mesh], n: int, rng: np.random.Generator) -> MoveResult:
+def begun(ground: MeshGround, mesh: Mesh, closed: list[Mesh], n: int, rng: np.random.Generator) -> Move:
     """A crowd. Where stones are sunk in each other nobody begins in the sunken part of one; nor where feet are in another room
     than the eye above them, that looks out for the other stones."""
     begin = crowd(ground, [mesh], n if len(closed) < 2 else 3 * n, rng)
@@ -116,9 +117,9 @@ class Walked:
 
 def long_walk(name: str, mesh: Mesh, n: int, steps: int, by_rays: bool = False) -> Walked:
     """A crowd that begins evenly over a shape and walks at random."""
-    ground, rng, seen = Ground({name: mesh}, by_rays), np.random.default_rng(4), Seen()
+    ground, rng, seen = MeshGround({name: mesh}, by_rays), np.random.default_rng(4), Seen()
     closed = solid(name, mesh)
-    begin = begun(Ground({name: mesh}), mesh, closed, n, rng)
+    begin = begun(MeshGround({name: mesh}), mesh, closed, n, rng)
     n = len(begin.up)
     walls = Walls.of(closed, ground, begin, HAIR if by_rays else FINE) if closed else None
     at, sides = begin, side(ground, begin)
@@ -140,7 +141,7 @@ def long_walk(name: str, mesh: Mesh, n: int, steps: int, by_rays: bool = False) 
     return Walked(seen, n, int(through.sum()), int(missed.sum()), seconds)
 
 
-def side(ground: Ground, at: MoveResult) -> NDArray[np.bool_]:
+def side(ground: MeshGround, at: Move) -> NDArray[np.bool_]:
     return np.asarray((ground.normal(at.footing) * at.up).sum(axis=1) > 0)
 
 

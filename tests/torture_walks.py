@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from antdsl.casting.faces import nearest_on_triangle
 from antdsl.casting.rays import RayScene
-from antdsl.ground.mesh.surface import Footing, Ground, MoveResult
+from antdsl.ground.mesh.surface import MeshGround
+from antdsl.ground.protocol import Footing, Move
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "torture"
 BODY = 4.0
@@ -32,7 +33,7 @@ def shapes() -> ModuleType:
     return module
 
 
-def crowd(ground: Ground, meshes: list[Mesh], n: int, rng: np.random.Generator) -> MoveResult:
+def crowd(ground: MeshGround, meshes: list[Mesh], n: int, rng: np.random.Generator) -> Move:
     """Agents evenly over all faces, on both sides of them, heading anywhere."""
     corners = np.concatenate([v[f] for v, f in meshes])
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -41,14 +42,12 @@ def crowd(ground: Ground, meshes: list[Mesh], n: int, rng: np.random.Generator) 
     owner = np.repeat(np.arange(len(meshes)), [len(f) for _, f in meshes])
     first = np.cumsum([0, *(len(f) for _, f in meshes)])
     u, v = np.sort(rng.uniform(0, 1, (2, n)), axis=0)
-    footing = Footing(owner[face].astype(np.int32), (face - first[owner[face]]).astype(np.int32), u, 1 - v)
+    footing = Footing.on_faces(owner[face].astype(np.int32), (face - first[owner[face]]).astype(np.int32), u, 1 - v)
     up = ground.normal(footing) * rng.choice([-1.0, 1.0], (n, 1))
     return ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), up, BODY)
 
 
-def wander(
-    ground: Ground, at: MoveResult, steps: int, rng: np.random.Generator, threads: int = 1
-) -> Iterator[tuple[MoveResult, MoveResult]]:
+def wander(ground: MeshGround, at: Move, steps: int, rng: np.random.Generator, threads: int = 1) -> Iterator[tuple[Move, Move]]:
     """Go on and on, turning at random: where everybody was and is."""
     for _ in range(steps):
         heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.3, (len(at.up), 1))
@@ -59,7 +58,7 @@ def wander(
         yield before, at
 
 
-def above(ground: Ground, at: MoveResult, high: float = HAIR) -> NDArray[np.float64]:
+def above(ground: MeshGround, at: Move, high: float = HAIR) -> NDArray[np.float64]:
     """Places a hair off the surface, or `high` mm, on the side that everybody is on."""
     normal = ground.normal(at.footing)
     return at.position + normal * np.where((normal * at.up).sum(axis=1) < 0, -high, high)[:, None]
@@ -105,7 +104,7 @@ class Seen:
     lost: int = 0
     moved: float = 0.0
 
-    def look(self, ground: Ground, meshes: list[Mesh], before: MoveResult, at: MoveResult) -> None:
+    def look(self, ground: MeshGround, meshes: list[Mesh], before: Move, at: Move) -> None:
         corners = ground.triangles[0][ground.triangles[1][ground.on_faces(at.footing)[0]]]
         written = at.position.astype(np.float32).astype(np.float64)
         away = np.linalg.norm(nearest_on_triangle(written, corners) - written, axis=1)

@@ -90,7 +90,8 @@ class Curve:
         """Nearest segment of those beside samples int[n,k], the first of equals."""
         segment = np.sort(np.clip(np.concatenate([sample - 1, sample], axis=1), 0, len(self._step) - 1), axis=1)
         gaps = np.stack([self._part(place, column)[1] for column in segment.T], axis=1)
-        return segment[np.arange(len(place)), gaps.argmin(axis=1)]
+        best: NDArray[np.int64] = segment[np.arange(len(place)), gaps.argmin(axis=1)]
+        return best
 
     def _part(self, place: Vectors, segment: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """How far along its segment the nearest point to each place is (0 to 1), and the distance squared."""

@@ -67,7 +67,8 @@ class DistanceGrid:
             flat = flat * size + np.minimum(step, size - 1)
         least = self._least.take(flat)
         # The nearest place of the box is a projection, so the two distances are legs of a right angle at least.
-        return np.where(outside > 0, np.sqrt(least * least + outside) * (1 - 1e-5), least).astype(np.float32)
+        away: NDArray[np.float32] = np.where(outside > 0, np.sqrt(least * least + outside) * (1 - 1e-5), least).astype(np.float32)
+        return away
 
 
 def cell_width(extent: NDArray[np.float64], cells: int) -> float:

@@ -59,7 +59,7 @@ def _touch(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
     edges = [v[1] - v[0], v[2] - v[1], v[0] - v[2]]
     normal = np.cross(edges[0], edges[1], axis=0)
     slack = 1e-9
-    touch = np.abs((normal * v[0]).sum(axis=0)) <= 0.5 * np.abs(normal).sum(axis=0) + slack
+    touch: NDArray[np.bool_] = np.abs((normal * v[0]).sum(axis=0)) <= 0.5 * np.abs(normal).sum(axis=0) + slack
     for edge in edges:
         for axis in range(3):
             p, q = (axis + 1) % 3, (axis + 2) % 3

@@ -165,15 +165,17 @@ class RayScene:
             if most < np.inf:
                 # A ray that hits nothing costs the whole scene's length unless it has an end, which only occlusions know.
                 maybe = self._occluded(rays, most * _END, threads).nonzero()[0]
-                rows, rays, a, w = (v.take(maybe, axis=0) for v in (rows, rays, a, w))
+                rows, rays = rows.take(maybe), rays.take(maybe, axis=0)
+                a, w = a.take(maybe, axis=0), w.take(maybe, axis=0)
                 begin = None if begin is None else begin[maybe]
             if not rows.size:
                 break
-            at, named = self._named(rays, threads)
-            at = at if begin is None else begin + at
+            part, named = self._named(rays, threads)
+            at: NDArray[Any] = part if begin is None else begin + part
             if named.min() < 0:
                 some = np.flatnonzero(named >= 0)
-                rows, at, named, a, w = (v.take(some, axis=0) for v in (rows, at, named, a, w))
+                rows, at, named = rows.take(some), at.take(some), named.take(some)
+                a, w = a.take(some, axis=0), w.take(some, axis=0)
             here, weights, hit, hair = self._faces.judged(named, a, w, at)
             if hit.all():
                 found.append((rows, here, named, weights))
@@ -184,7 +186,9 @@ class RayScene:
         if not found:
             return nothing
         if len(found) > 1:
-            rows, here, named, weights = (np.concatenate(v) for v in zip(*found, strict=True))
+            every, parts, faces, at_weights = zip(*found, strict=True)
+            rows, here = np.concatenate(every), np.concatenate(parts)
+            named, weights = np.concatenate(faces), np.concatenate(at_weights)
             order = np.argsort(rows)
             found = [(rows[order], here[order], named[order], weights[order])]
         rows, here, named, weights = found[0]
@@ -226,7 +230,8 @@ class RayScene:
     def _occluded(self, rays: NDArray[np.float32], far: float, threads: int) -> NDArray[np.bool_]:
         if self._scene is None or len(rays) == 0:
             return np.zeros(len(rays), bool)
-        return self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=far, nthreads=threads).numpy()
+        met: NDArray[np.bool_] = self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=far, nthreads=threads).numpy()
+        return met
 
     # ---- nearest faces
 
@@ -268,7 +273,8 @@ class RayScene:
             self._exact = self._scene if self._brief else self._built(self._faces.corners.reshape(-1, 3).astype(np.float32))
         near = np.clip(points, -_FARTHEST, _FARTHEST).astype(np.float32)
         answer = self._exact.compute_closest_points(self._tensor(near), nthreads=threads)
-        return answer["primitive_ids"].numpy().astype(np.int64)
+        face: Index = answer["primitive_ids"].numpy().astype(np.int64)
+        return face
 
     def depth(self, points: Vectors, threads: int = 1) -> NDArray[np.float64]:
         """How far inside each point [n,3] is, mm: the way out for those from which most of three rays leave by an odd number of

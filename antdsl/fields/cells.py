@@ -106,7 +106,8 @@ class SurfaceCells:
         return self._keys % 6
 
     def _key(self, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
-        return ((voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2]) * 6 + side
+        key: NDArray[np.int64] = ((voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2]) * 6 + side
+        return key
 
     def _starts(self) -> NDArray[np.int32] | None:
         """First cell of every voxel of the box, where the box is small enough to list."""
@@ -250,7 +251,8 @@ class SurfaceCells:
 
 def compatible(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Whether sides are not opposite: what an agent can walk from one to the other of in one cell."""
-    return (a ^ 1) != b
+    other: NDArray[np.bool_] = (a ^ 1) != b
+    return other
 
 
 def summed(keys: NDArray[np.int64], parts: Floats) -> tuple[NDArray[np.int64], Floats]:

@@ -4,7 +4,6 @@ in every point."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,7 +109,8 @@ def _along_edges(land: Land, cost: Floats, start: Index, first: Floats) -> Float
 def _link_costs(land: Land, cost: Floats) -> Floats:
     step = land.points[land.links[:, 1]] - land.points[land.links[:, 0]]
     usual = float(np.median(cost[land.open])) if land.open.any() else 1.0
-    return np.maximum(np.sqrt((step * step).sum(axis=1)), 1e-9) * usual
+    price: Floats = np.maximum(np.sqrt((step * step).sum(axis=1)), 1e-9) * usual
+    return price
 
 
 def _over_links(land: Land, cost: Floats, bound: Floats) -> None:
@@ -135,8 +135,9 @@ class _Halves:
     height: Floats
     cost: Floats
 
-    def take(self, rows: Any) -> _Halves:
-        return _Halves(*(getattr(self, name)[rows] for name in self.__slots__))
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> _Halves:
+        ends = self.corner[rows], self.one[rows], self.two[rows]
+        return _Halves(*ends, self.length[rows], self.foot[rows], self.height[rows], self.cost[rows])
 
 
 def _halves(land: Land, cost: Floats) -> _Halves:

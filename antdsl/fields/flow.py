@@ -5,16 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.fields.face_points import Lattice
+from antdsl.ground.protocol import Floats, Footing, Index, Meshes
 from antdsl.scene.setting import SpreadFlow, Target
 
-Floats = NDArray[np.float64]
-Index = NDArray[np.int64]
+if TYPE_CHECKING:
+    from antdsl.runtime.world import World
+
 Singles = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 Source = Callable[[Floats], Floats]  # vectors (n, 3) at places (n, 3), not yet laid into any surface
 
@@ -61,14 +63,14 @@ class Flow:
     c: Floats
     s: Floats
     source: Source | None = None
-    renew: Callable[[Any], None] | None = None
+    renew: Callable[[World], None] | None = None
 
     def along_face(self, face: Index, b1: Floats, b2: Floats) -> tuple[Floats, Floats]:
         """Its parts at places of faces."""
         slots, weights = self.lattice.locate(face, b1, b2)
         return (self.c.take(slots) * weights).sum(axis=0), (self.s.take(slots) * weights).sum(axis=0)
 
-    def at(self, meshes: Any, footing: Any, place: Floats, up: Floats) -> Singles:
+    def at(self, meshes: Meshes | None, footing: Footing, place: Floats, up: Floats) -> Singles:
         """Vectors where agents stand, as float32 x, y, z. `meshes` is the ground's part with faces, or None; `place` and `up`
         (n, 3) serve those that stand on no face."""
         found, known = np.zeros((3, len(place))), np.zeros(len(place), bool)
@@ -84,7 +86,7 @@ class Flow:
     def show(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Give as `state` what these arrays say, without being it: for a copy that is only looked at."""
 
-    def begin(self, world: Any) -> None:
+    def begin(self, world: World) -> None:
         """Before each step; a flow that was worked out once and for all has nothing to do."""
         if self.renew is not None:
             self.renew(world)
@@ -103,7 +105,7 @@ class Map:
 
     corners: Floats
 
-    def at(self, meshes: Any, footing: Any) -> NDArray[np.float32]:
+    def at(self, meshes: Meshes, footing: Footing) -> NDArray[np.float32]:
         """The numbers where agents stand, float32[n]; 0 for those that stand on no face. `meshes` as for a flow."""
         face, known = meshes.on_faces(footing)
         a, b, c = (corner.take(face) for corner in self.corners)

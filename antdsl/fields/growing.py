@@ -112,16 +112,16 @@ class GrowingCells(SurfaceCells):
         voxel = np.stack([at // (self._size[1] * self._size[2]), at // self._size[2] % self._size[1], at % self._size[2]])
         there = voxel[:, None, :] + np.array(block).T[:, :, None]
         inbound: NDArray[np.bool_] = (there >= 0) & (there < self._size[:, None, None])
-        within = np.logical_and.reduce(inbound, axis=0)
+        within: NDArray[np.bool_] = np.logical_and.reduce(inbound, axis=0)
         key = np.where(within, (there[0] * self._size[1] + there[1]) * self._size[2] + there[2], 0) * 6
         keys = key[:, None, :] + np.arange(6)[None, :, None]
-        inside = np.repeat(np.asarray(within)[:, None, :], 6, axis=1)
+        inside = np.repeat(within[:, None, :], 6, axis=1)
         found = self._find(keys.ravel(), inside.ravel()).reshape(-1, len(cells))
         near = compatible(self.side_of(np.maximum(found, 0)), self.side_of(cells))
         return np.where((found >= 0) & near, found, -1).astype(np.int64)
 
     def _cells_in(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
-        within = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
+        within: NDArray[np.bool_] = np.logical_and.reduce((voxel >= 0) & (voxel < self._size), axis=1)
         key = np.where(within, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0) * 6
         for side in range(6):
             at = self._find(key + side, within).astype(np.int64)

@@ -23,7 +23,7 @@ def strongest(
 
     `held` [cells + 1] has 0 for no cell; where nothing is held, `best` is the own cell and `value` 0.
     """
-    none = held.size - 1
+    none = np.int64(held.size - 1)
     for n in range(own.size):
         cell = np.int64(own[n])
         where, most = cell, 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,10 @@ from antdsl.fields import cost
 from antdsl.fields.cost import Land
 from antdsl.fields.face_points import Lattice
 from antdsl.fields.flow import Flow, laid
+from antdsl.ground.protocol import Floats, Index
 
-Floats = NDArray[np.float64]
-Index = NDArray[np.int64]
+if TYPE_CHECKING:
+    from antdsl.runtime.world import World
 
 _LEAST_COST = 0.05  # of a mm: what is painted below zero makes no way free
 _GRAIN = 1024.0  # parts of a mm² in which covered ground is counted, so that no order of agents matters
@@ -52,7 +53,7 @@ class Solved(Flow):
     strength: float = 1.0
     crowding: float = 0.0
     every: int = 1  # steps
-    due: Callable[[Any], bool] = lambda world: False
+    due: Callable[[World], bool] = lambda world: False
     crowd: NDArray[np.int64] | None = None  # covered ground at each point, in parts
 
     def solve(self) -> None:
@@ -82,7 +83,7 @@ class Solved(Flow):
         land = self.grounds.land
         return np.bincount(land.triangles.ravel(), each, len(land.points)).astype(np.float64)
 
-    def begin(self, world: Any) -> None:
+    def begin(self, world: World) -> None:
         if (self.crowd is None and self.renew is None) or not self.due(world):
             return
         if self.renew is not None:
@@ -91,13 +92,13 @@ class Solved(Flow):
             self.crowd = self.covered(world)
         self.solve()
 
-    def covered(self, world: Any) -> NDArray[np.int64]:
+    def covered(self, world: World) -> NDArray[np.int64]:
         """Ground that agents of all species cover, counted at the lattice's point next to each."""
-        g = self.grounds
-        assert g is not None
+        g, meshes = self.grounds, world.ground.meshes
+        assert g is not None and meshes is not None
         found = np.zeros(len(g.land.points), np.int64)
         for population in world.populations.values():
-            face, known = world.ground.meshes.on_faces(population.footing)
+            face, known = meshes.on_faces(population.footing)
             slots, weights = g.lattice.locate(face, population.footing.b1, population.footing.b2)
             slot = np.take_along_axis(slots, weights.argmax(axis=0)[None], axis=0)[0]
             radius = population.start["radius"].astype(np.float64)

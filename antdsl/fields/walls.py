@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
+from antdsl.ground.solid import Volume
 
 Floats = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ _NEAR = 0.5  # voxels: a point of a ball that lies no farther from the surface i
 _FINEST = 16  # points along an edge of the cube whose sides are spread over a ball
 
 
-def grow(fields: Iterable[PheromoneField], volume: Any, middle: Floats, radius: Floats) -> None:
+def grow(fields: Iterable[PheromoneField], volume: Volume, middle: Floats, radius: Floats) -> None:
     """Give fields on a solid cells where balls, middles [k,3] and radii [k] in mm, left walls. The order of the balls counts."""
     by_cells: dict[int, list[PheromoneField]] = {}
     for field in fields:
@@ -34,7 +34,7 @@ def grow(fields: Iterable[PheromoneField], volume: Any, middle: Floats, radius: 
                 field.grow(new)
 
 
-def walls(volume: Any, middle: Floats, radius: Floats, apart: float) -> tuple[Floats, Floats]:
+def walls(volume: Volume, middle: Floats, radius: Floats, apart: float) -> tuple[Floats, Floats]:
     """Points [n,3] about half of `apart` from each other on what balls left of the surface, and its unit normals into the air."""
     found = [(np.empty((0, 3)), np.empty((0, 3)))]
     lines = np.minimum(np.ceil(4 * radius / apart).astype(np.int64), _FINEST)

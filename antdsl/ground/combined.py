@@ -1,25 +1,22 @@
-"""Ground of meshes and solids together, behind the doors of `senses.ground.Ground`: who meets a hill steps up onto it, who meets
-a mesh steps back down; ground inside undug solid is closed, and open again where the solid is dug away."""
+"""Ground of meshes and solids together: who meets a hill steps up onto it, who meets a mesh steps back down; ground inside undug
+solid is closed, and open again where the solid is dug away."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.footing_table import Standing
-from antdsl.ground.mesh.surface import Footing, Ground, MoveResult
 from antdsl.ground.mesh.topology import facing
 from antdsl.ground.mesh.walk import turned
+from antdsl.ground.protocol import Floats, Footing, Meshes, Move
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid import move as walk_on
 from antdsl.ground.solid_queries import below, dropped, entered, normals
 from antdsl.numerics.vector_rows import columned, length, level, some, within
 
-Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 _SUNK = 0.05  # voxels that a mesh's ground may lie under a solid's surface and still be walked on
@@ -32,7 +29,7 @@ class _Walk:
     """Agents on their way: where they stand and face, and what is left of their way (a vector). Of vectors each component is
     contiguous."""
 
-    standing: Standing
+    footing: Footing
     place: Floats
     up: Floats
     heading: Floats
@@ -53,22 +50,26 @@ class _Entries:
 
 
 class Terrain:
-    """Meshes (a `Ground`, or None without any) and solids by name; names of solids come after those of meshes."""
+    """Meshes (None without any) and solids by name; names of solids come after those of meshes."""
 
-    def __init__(self, ground: Ground | None, solids: Mapping[str, Volume], up: Floats) -> None:
-        self.meshes = ground
+    def __init__(self, meshes: Meshes | None, solids: Mapping[str, Volume], up: Floats) -> None:
+        self.meshes = meshes
         self._up = np.asarray(up, np.float64)
         self._volumes = tuple(solids.values())
-        self.names = (*(ground.names if ground is not None else ()), *solids)
+        self.names: tuple[str, ...] = (*(meshes.names if meshes is not None else ()), *solids)
         self._count = len(self.names) - len(self._volumes)
 
-    def with_meshes(self, ground: Ground) -> Terrain:
+    def with_meshes(self, meshes: Meshes) -> Terrain:
         """The same solids with other meshes of the same names."""
-        return Terrain(ground, dict(zip(self.names[self._count :], self._volumes, strict=True)), self._up)
+        return Terrain(meshes, dict(zip(self.names[self._count :], self._volumes, strict=True)), self._up)
 
     # ---- asking
 
-    def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Standing, NDArray[np.bool_]]:
+    def nowhere(self, n: int) -> Footing:
+        """Footings of n agents that stand on nothing yet."""
+        return Footing.nowhere(n).with_places()
+
+    def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, NDArray[np.bool_]]:
         """Footings below points [n,3]: the first that a ray from far above along -`up` meets, of the names in `on` or of all.
 
         Ground inside undug solid is no place to stand: there it is the solid's surface above, and False in the second array."""
@@ -78,13 +79,13 @@ class Terrain:
         if unknown:
             raise KeyError(f"no surface `{unknown[0]}` on this ground, which has {', '.join(self.names) or 'none'}")
         meshes = [name for name in names if name in self.names[: self._count]]
-        standing, found = Standing.on_mesh(Footing.nowhere(len(points))), np.zeros(len(points), np.bool_)
+        footing, found = self.nowhere(len(points)), np.zeros(len(points), np.bool_)
         if meshes and self.meshes is not None:
-            footing, found = self.meshes.place(points, up, meshes)
-            standing = Standing.on_mesh(footing)
+            on_mesh, found = self.meshes.place(points, up, meshes)
+            footing = on_mesh.with_places()
         up = np.broadcast_to(np.asarray(up, np.float64), points.shape)
-        place = self.position(standing)
-        known = standing.mesh >= 0
+        place = self.position(footing)
+        known = footing.mesh >= 0
         height = np.where(known, ((place - points) * up).sum(axis=1), -np.inf)
         for k, volume in enumerate(self._volumes):
             asked = self.names[self._count + k] in names
@@ -96,23 +97,23 @@ class Terrain:
             higher = met & (((top - points[rows]) * up[rows]).sum(axis=1) > height[rows])
             higher |= met & buried[rows]
             chosen = rows[higher]
-            standing.put(chosen, Standing.on_solid(self._count + k, top[higher]))
+            footing.put(chosen, Footing.on_solids(self._count + k, top[higher]))
             place[chosen] = top[higher]
             height[chosen] = ((top[higher] - points[chosen]) * up[chosen]).sum(axis=1)
             found = found.copy()
             found[chosen] = asked
-        return standing, found
+        return footing, found
 
-    def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Standing, Floats]:
+    def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
         """Footings at the nearest point of the meshes, or of the solids where those are nearer, and the distance float64[n]; of
         the names in `on`, or of all."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
-        standing, distance = Standing.on_mesh(Footing.nowhere(len(points))), np.full(len(points), np.inf)
+        footing, distance = self.nowhere(len(points)), np.full(len(points), np.inf)
         names = self.names if on is None else tuple(on)
         meshes = [name for name in self.names[: self._count] if name in names]
         if meshes and self.meshes is not None:
-            footing, distance = self.meshes.nearest(points, meshes)
-            standing, distance = Standing.on_mesh(footing), distance.copy()
+            on_mesh, distance = self.meshes.nearest(points, meshes)
+            footing, distance = on_mesh.with_places(), distance.copy()
         for k, volume in enumerate(self._volumes):
             if self.names[self._count + k] not in names:
                 continue
@@ -120,87 +121,79 @@ class Terrain:
             landed = volume.project(points, hints / np.maximum(length(hints), 1e-12)[:, None], volume.band[1])
             away = length(landed.points - points)
             rows = np.flatnonzero(landed.found & (away < distance))
-            standing.put(rows, Standing.on_solid(self._count + k, landed.points[rows]))
+            footing.put(rows, Footing.on_solids(self._count + k, landed.points[rows]))
             distance[rows] = away[rows]
-        return standing, distance
+        return footing, distance
 
-    def position(self, standing: Standing) -> Floats:
+    def position(self, footing: Footing) -> Floats:
         """Places in the world, float64[n,3]; zero for footings nowhere."""
-        place = np.stack([standing.x, standing.y, standing.z], axis=1)
-        rows = self._mesh_rows(standing)
+        place = np.stack([footing.x, footing.y, footing.z], axis=1)
+        rows = self._mesh_rows(footing)
         if rows.size and self.meshes is not None:
-            place[rows] = self.meshes.position(standing.footing(rows))
+            place[rows] = self.meshes.position(footing.faces(rows))
         return place
 
-    def normal(self, standing: Standing) -> Floats:
+    def normal(self, footing: Footing) -> Floats:
         """Unit normals, float64[n,3]: of the faces by how they are wound, out of the solids; zero for footings nowhere."""
-        normal = np.zeros((len(standing), 3))
-        rows = self._mesh_rows(standing)
+        normal = np.zeros((len(footing), 3))
+        rows = self._mesh_rows(footing)
         if rows.size and self.meshes is not None:
-            normal[rows] = self.meshes.normal(standing.footing(rows))
+            normal[rows] = self.meshes.normal(footing.faces(rows))
         for k, volume in enumerate(self._volumes):
-            rows = self._solid_rows(standing, k)
+            rows = self._solid_rows(footing, k)
             if rows.size:
-                normal[rows] = normals(volume, self.position(standing.take(rows)))
+                normal[rows] = normals(volume, self.position(footing.take(rows)))
         return normal
 
-    def sides(self, standing: Standing) -> NDArray[np.int64]:
-        """Which of six ways the normals point most, as `Ground.sides`."""
-        rows = self._mesh_rows(standing)
-        if rows.size == len(standing) and self.meshes is not None:
-            return self.meshes.sides(standing.footing(rows))
-        return np.where(standing.mesh >= 0, facing(self.normal(standing)), 0)
+    def sides(self, footing: Footing) -> NDArray[np.int64]:
+        """Which of six ways the normals point most, as `MeshGround.sides`."""
+        rows = self._mesh_rows(footing)
+        if rows.size == len(footing) and self.meshes is not None:
+            return self.meshes.sides(footing.faces(rows))
+        return np.where(footing.mesh >= 0, facing(self.normal(footing)), 0)
 
-    def upright(self, standing: Standing, up: Floats) -> Floats:
+    def upright(self, footing: Footing, up: Floats) -> Floats:
         """Smooth unit normals float64[n,3]: on meshes on the side that `up` points to, on solids outwards."""
-        result = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(standing), 3)))
-        rows = self._mesh_rows(standing)
+        result = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(footing), 3)))
+        rows = self._mesh_rows(footing)
         if rows.size and self.meshes is not None:
-            result[rows] = self.meshes.upright(standing.footing(rows), result[rows])
+            result[rows] = self.meshes.upright(footing.faces(rows), result[rows])
         for k, volume in enumerate(self._volumes):
-            rows = self._solid_rows(standing, k)
+            rows = self._solid_rows(footing, k)
             if rows.size:
-                result[rows] = volume.upright(self.position(standing.take(rows)), result[rows])
+                result[rows] = volume.upright(self.position(footing.take(rows)), result[rows])
         return result
 
     # ---- moving
 
     def move(
-        self, standing: Standing, displacement: Floats, heading: Floats, up: Floats, body: Floats | float, threads: int = 1
-    ) -> MoveResult:
-        """As `Ground.move`, over meshes and solids."""
-        n = len(standing)
+        self, footing: Footing, displacement: Floats, heading: Floats, up: Floats, body: Floats | float, threads: int = 1
+    ) -> Move:
+        """As `MeshGround.move`, over meshes and solids."""
+        n = len(footing)
         body = np.broadcast_to(np.asarray(body, np.float64), (n,))
         way = columned(displacement)
         np.nan_to_num(way, copy=False, posinf=0.0, neginf=0.0)
         ahead = columned(heading)
         walk = _Walk(
-            standing.copy(), np.empty((3, n)).T, columned(up), ahead, ahead.copy("K"), way, np.zeros(n), np.zeros(n, np.bool_)
+            footing.copy(), np.empty((3, n)).T, columned(up), ahead, ahead.copy("K"), way, np.zeros(n), np.zeros(n, np.bool_)
         )
-        rows = np.flatnonzero(standing.mesh >= 0)
+        rows = np.flatnonzero(footing.mesh >= 0)
         if rows.size < n:
             walk.place[:] = 0.0
         for hop in range(_HOPS):
             if not rows.size:
                 break
             rows = self._stretch(walk, rows, body, threads, last=hop == _HOPS - 1)
-        return MoveResult(
-            walk.standing,  # type: ignore[arg-type]  # a ground has footings of its own kind
-            walk.place,
-            walk.up,
-            walk.heading,
-            walk.direction,
-            walk.gone,
-            walk.blocked,
-            standing.mesh < 0,
-        )
+        lost = footing.mesh < 0
+        return Move(walk.footing, walk.place, walk.up, walk.heading, walk.direction, walk.gone, walk.blocked, lost)
 
     # ---- parts of moving
 
     def _stretch(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
         """Walk `rows` on what they stand on; those who meet something else stand on that, and are returned if way is left."""
         again = []
-        on = walk.standing.mesh[rows]
+        on = walk.footing.mesh[rows]
         mesh = rows[on < self._count]
         if mesh.size:
             again.append(self._on_meshes(walk, mesh, body, threads, last))
@@ -211,27 +204,28 @@ class Terrain:
         return np.sort(np.concatenate(again))
 
     def _on_meshes(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
-        assert self.meshes is not None
-        before = walk.standing.footing(rows)
+        meshes = self.meshes
+        assert meshes is not None
+        before = walk.footing.faces(rows)
         wish, ahead, up = (some(v, rows) for v in (walk.left, walk.heading, walk.up))
-        moved = self.meshes.move(before, wish, ahead, up, body[rows], threads)
-        found = self._entering(moved.position, lambda who: self.meshes.position(before.take(who)))  # type: ignore[union-attr]
-        self._stay(walk, rows, found.who, Standing.on_mesh(moved.footing), moved.position, moved)
+        moved = meshes.move(before, wish, ahead, up, body[rows], threads)
+        found = self._entering(moved.position, lambda who: meshes.position(before.take(who)))
+        self._stay(walk, rows, found.who, moved)
         return self._step_up(walk, rows, found, moved, body, threads, last)
 
     @staticmethod
-    def _stay(walk: _Walk, rows: Rows, but: Rows, standing: Standing, place: Floats, moved: Any) -> None:
+    def _stay(walk: _Walk, rows: Rows, but: Rows, moved: Move) -> None:
         """All of `rows` but some have come to the end of their way."""
+        footing, vectors = moved.footing, [moved.position, moved.up, moved.heading, moved.direction]
+        travelled, blocked = moved.travelled, moved.blocked
         if but.size:
             kept = np.ones(rows.size, np.bool_)
             kept[but] = False
             of = np.flatnonzero(kept)
-            rows, standing = rows[of], standing.take(of)
-            vectors = [some(v, of) for v in (place, moved.up, moved.heading, moved.direction)]
-            travelled, blocked = moved.travelled[of], moved.blocked[of]
-        else:
-            vectors, travelled, blocked = [place, moved.up, moved.heading, moved.direction], moved.travelled, moved.blocked
-        walk.standing.put(rows, standing)
+            rows, footing = rows[of], footing.take(of)
+            vectors = [some(v, of) for v in vectors]
+            travelled, blocked = travelled[of], blocked[of]
+        walk.footing.put(rows, footing)
         for into, vector in zip((walk.place, walk.up, walk.heading, walk.direction), vectors, strict=True):
             for axis in range(3):
                 into[rows, axis] = vector[:, axis]
@@ -259,7 +253,7 @@ class Terrain:
         who = np.flatnonzero(part <= 1)
         return _Entries(who, which[who], part[who], places[who])
 
-    def _step_up(self, walk: _Walk, rows: Rows, found: _Entries, moved: Any, body: Floats, threads: int, last: bool) -> Rows:
+    def _step_up(self, walk: _Walk, rows: Rows, found: _Entries, moved: Move, body: Floats, threads: int, last: bool) -> Rows:
         """Those of `rows` who entered a solid step onto it; gives those with way left."""
         again = [np.empty(0, np.intp)]
         for k, volume in enumerate(self._volumes):
@@ -275,7 +269,7 @@ class Terrain:
                 ok &= ~self.meshes.met(above, landed.points - above, threads)[0]
             shut = rows[of[~ok]]  # no place that can be reached: stay where the step began
             walk.blocked[shut], walk.left[shut] = True, 0.0
-            walk.place[shut] = self.position(walk.standing.take(shut))
+            walk.place[shut] = self.position(walk.footing.take(shut))
             on, of, part = rows[of[ok]], of[ok], part[ok]
             normal, place = landed.normals[ok], landed.points[ok]
             before, way = moved.up[of], moved.direction[of]
@@ -285,17 +279,17 @@ class Terrain:
             walk.gone[on] += moved.travelled[of] * part
             rest = np.zeros(len(on)) if last else moved.travelled[of] * (1 - part)
             walk.left[on] = walk.direction[on] * rest[:, None]
-            walk.standing.put(on, Standing.on_solid(self._count + k, place))
+            walk.footing.put(on, Footing.on_solids(self._count + k, place))
             again.append(on[rest > 0])
         return np.concatenate(again)
 
     def _on_volume(self, walk: _Walk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, last: bool) -> Rows:
-        before = walk.standing
+        before = walk.footing
         start = np.stack([before.x[rows], before.y[rows], before.z[rows]]).T
         wish, ahead, up = (some(v, rows) for v in (walk.left, walk.heading, walk.up))
-        moved = walk_on(volume, start, wish, ahead, up, body[rows])
-        met, part, footing = self._across(start, moved.points, up, moved.up, body[rows], threads)
-        found = self._entering(moved.points, lambda who: start[who], k)
+        moved = walk_on(volume, start, wish, ahead, up, body[rows], self._count + k)
+        met, part, footing = self._across(start, moved.position, up, moved.up, body[rows], threads)
+        found = self._entering(moved.position, lambda who: start[who], k)
         earlier = found.part < part[found.who]
         found = _Entries(found.who[earlier], found.which[earlier], found.part[earlier], found.place[earlier])
         met[found.who] = False
@@ -303,18 +297,18 @@ class Terrain:
         lost[found.who] = False
         other = met | lost
         other[found.who] = True
-        self._stay(walk, rows, np.flatnonzero(other), Standing.on_solid(self._count + k, moved.points), moved.points, moved)
+        self._stay(walk, rows, np.flatnonzero(other), moved)
         self._fall(walk, rows[lost])
         again = self._step_up(walk, rows, found, moved, body, threads, last)
         down = rows[met]
         if not down.size or self.meshes is None:
             return again
         onto = footing.take(met)
-        normal = self.meshes.upright(onto, start[met] - moved.points[met])  # the side that they come from
+        normal = self.meshes.upright(onto, start[met] - moved.position[met])  # the side that they come from
         tilted, way = moved.up[met], moved.direction[met]
         walk.heading[down] = level(turned(moved.heading[met].T, tilted.T, normal.T, way.T).T, normal)
         walk.direction[down] = turned(way.T, tilted.T, normal.T, way.T).T
-        walk.standing.put(down, Standing.on_mesh(onto))
+        walk.footing.put(down, onto)
         walk.place[down], walk.up[down] = self.meshes.position(onto), normal
         walk.gone[down] += moved.travelled[met] * part[met]
         rest = np.zeros(len(down)) if last else moved.travelled[met] * (1 - part[met])
@@ -325,7 +319,7 @@ class Terrain:
         """Nothing of the solid is left near by: down, as the scene has it, onto what lies below; else to what is nearest."""
         if not rows.size:
             return
-        start = self.position(walk.standing.take(rows))
+        start = self.position(walk.footing.take(rows))
         onto, _ = self.nearest(start)
         least = np.full(len(rows), np.inf)
         for k, volume in enumerate(self._volumes):
@@ -333,14 +327,14 @@ class Terrain:
             place, met = below(volume, start, np.broadcast_to(self._up, start.shape), reach)
             gone = length(place - start)
             first = np.flatnonzero(met & (gone < least))
-            onto.put(first, Standing.on_solid(self._count + k, place[first]))
+            onto.put(first, Footing.on_solids(self._count + k, place[first]))
             least[first] = gone[first]
         if self.meshes is not None:
             far = self.meshes.extent + length(start - (self.meshes.low + self.meshes.high) / 2)
             met, part, footing = self.meshes.met(start, -self._up * far[:, None])
             first = np.flatnonzero(met & (part * far < least))
-            onto.put(first, Standing.on_mesh(footing.take(first)))
-        walk.standing.put(rows, onto)
+            onto.put(first, footing.take(first))
+        walk.footing.put(rows, onto)
         walk.place[rows] = self.position(onto)
         normal = self.upright(onto, walk.up[rows])
         walk.heading[rows] = walk.direction[rows] = level(walk.heading[rows], normal)
@@ -359,8 +353,8 @@ class Terrain:
 
     # ---- footings
 
-    def _mesh_rows(self, standing: Standing) -> Rows:
-        return np.flatnonzero((standing.mesh >= 0) & (standing.mesh < self._count))
+    def _mesh_rows(self, footing: Footing) -> Rows:
+        return np.flatnonzero((footing.mesh >= 0) & (footing.mesh < self._count))
 
-    def _solid_rows(self, standing: Standing, k: int) -> Rows:
-        return np.flatnonzero(standing.mesh == self._count + k)
+    def _solid_rows(self, footing: Footing, k: int) -> Rows:
+        return np.flatnonzero(footing.mesh == self._count + k)

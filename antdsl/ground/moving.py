@@ -13,15 +13,16 @@ from numpy.typing import NDArray
 
 from antdsl.casting.rays import Hits, Mesh, RayScene
 from antdsl.ground.mesh.clearances import Clearances, Parts
-from antdsl.ground.mesh.surface import Floats, Footing, Ground, Index
+from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.surroundings import NOISE
 from antdsl.ground.mesh.topology import repose
+from antdsl.ground.protocol import Floats, Footing, Index
 
 Axes = tuple[Floats, Floats, Floats]
 
 
-class MovingGround(Ground):
-    """As `Ground`; the meshes named `moving` may be posed. `rest` is where all lay at first: cells of fields are in it."""
+class MovingGround(MeshGround):
+    """As `MeshGround`; the meshes named `moving` may be posed. `rest` is where all lay at first: cells of fields are in it."""
 
     def __init__(self, surfaces: Mapping[str, Mesh], moving: Iterable[str], by_rays: bool = False) -> None:
         self._moves = np.isin(list(surfaces), list(moving))

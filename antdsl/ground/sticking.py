@@ -5,12 +5,9 @@ The agent goes straight on and is put where a ray down or a ray ahead and up mee
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from antdsl.ground.mesh.surface import Footing, Ground, MoveResult
+from antdsl.ground.protocol import Floats, Footing, Meshes, Move
 from antdsl.numerics.vectors import dot, stacked_cross
-
-Floats = NDArray[np.float64]
 
 RISE = 0.5  # of a body: how far above its feet an agent looks from
 REACH = 1.5  # bodies: how long both rays are
@@ -18,9 +15,7 @@ FORWARD, UPWARD = np.sqrt(0.75), 0.5  # of the second ray, which goes ahead and 
 _LEVEL = 1e-9  # below it a vector has no direction
 
 
-def move_by_rays(
-    ground: Ground, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, threads: int
-) -> MoveResult:
+def move_by_rays(ground: Meshes, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, threads: int) -> Move:
     """As `Ground.move`, from footings of n agents by `wish`; vectors (3, n), mm, `body` (n,).
 
     Ray 1 goes down, along minus the agent's own up, from above where it wants to be. Ray 2 goes ahead and, turned about side =
@@ -47,8 +42,8 @@ def move_by_rays(
     turned, way = (np.where(met, _laid(vector, up, normal), vector) for vector in (heading, ahead))
     hit = np.where(met, hit, place)
     gone = np.sqrt(dot(hit - place, hit - place))
-    vectors = [np.ascontiguousarray(v).T for v in (hit, np.where(met, normal, up), turned, way)]
-    return MoveResult(onto, *vectors, gone, going & ~met, ~known)
+    position, above, ahead, direction = (np.ascontiguousarray(v).T for v in (hit, np.where(met, normal, up), turned, way))
+    return Move(onto, position, above, ahead, direction, gone, going & ~met, ~known)
 
 
 def _laid(vector: Floats, up: Floats, normal: Floats) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -104,10 +105,11 @@ def exponentials(x, found):  # type: ignore[no-untyped-def]
         wide = np.float64(x[k])
         if wide != wide:
             return False
-        wide = min(max(wide, -200.0), 200.0)
-        power = np.rint(wide * LOG2_E)
-        rest = (wide - power * LN2_HIGH) - power * LN2_LOW
-        found[k] = _F(math.ldexp(_series(rest, EXP), np.int32(power)))
+        held = min(max(wide, -200.0), 200.0)
+        power = np.rint(held * LOG2_E)
+        rest = (held - power * LN2_HIGH) - power * LN2_LOW
+        doublings: Any = np.int32(power)  # numba's ldexp takes no wider ones
+        found[k] = _F(math.ldexp(_series(rest, EXP), doublings))
     return True
 
 

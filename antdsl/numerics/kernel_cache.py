@@ -12,17 +12,20 @@ import numba
 import numpy as np
 from numba.core.caching import FunctionCache
 
+Kernel = Callable[..., Any]  # numba takes the types from the first call
 
-def njit(**options: Any) -> Any:
+
+def njit(**options: Any) -> Callable[[Kernel], Kernel]:
     """As numba's. With `cache=True`, kernels are compiled anew where those kept are damaged, were made with other constants or
     by other kernels than stand in their module now, or cannot be written."""
     made = numba.njit(**options)
 
-    def decorate(function: Callable[..., Any]) -> Any:
-        kernel = made(function)
+    def decorate(function: Kernel) -> Kernel:
+        kernel: Any = made(function)
         if options.get("cache") and not numba.config.DISABLE_JIT:
             kernel._cache = _Kept(function)
-        return kernel
+        compiled: Kernel = kernel
+        return compiled
 
     return decorate
 

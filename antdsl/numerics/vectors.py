@@ -3,6 +3,7 @@ machine gives the same bits."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ def sub(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def scale(a: Vector, s: Any) -> Vector:
+def scale(a: Vector, s: Array | float | np.floating[Any]) -> Vector:
     return a[0] * s, a[1] * s, a[2] * s
 
 
@@ -47,7 +48,12 @@ def choose(condition: Array, a: Vector, b: Vector) -> Vector:
     return np.where(condition, a[0], b[0]), np.where(condition, a[1], b[1]), np.where(condition, a[2], b[2])
 
 
-def take(a: Vector, rows: Any) -> Vector:
+def copy(a: Vector) -> Vector:
+    """Arrays of its own."""
+    return np.array(a[0]), np.array(a[1]), np.array(a[2])
+
+
+def take(a: Vector, rows: NDArray[np.integer[Any]] | NDArray[np.bool_] | slice) -> Vector:
     return a[0][rows], a[1][rows], a[2][rows]
 
 
@@ -72,9 +78,15 @@ def across(up: Vector) -> Vector:
     return scale(side, 1 / length(side))
 
 
-def columns(a: NDArray[Any], dtype: Any) -> Vector:
+def columns(a: NDArray[Any], dtype: type[np.floating[Any]]) -> Vector:
     """(n, 3) as three arrays."""
-    return tuple(np.ascontiguousarray(a[:, k], dtype) for k in range(3))  # type: ignore[return-value]
+    x, y, z = (np.ascontiguousarray(a[:, k], dtype) for k in range(3))
+    return x, y, z
+
+
+def named(registers: Mapping[str, Array], name: str) -> Vector:
+    """The three registers of a vector, themselves."""
+    return registers[f"{name}.x"], registers[f"{name}.y"], registers[f"{name}.z"]
 
 
 def rows(a: Vector) -> NDArray[np.float64]:

@@ -43,8 +43,7 @@ def take_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Kept, 
     before, after = old.populations[name], world.populations[name]
     kept = Kept(name, len(rows))
     footing, place, moved = stand(old, world, before)
-    footing = type(footing)(**{key: getattr(footing, key)[rows] for key in type(footing).__dataclass_fields__})
-    add_rows(after, before.ids[rows].copy(), old.frame, place[rows], footing)
+    add_rows(after, before.ids[rows].copy(), old.frame, place[rows], footing.take(rows))
     after.born, after.quarantined = before.born[rows].copy(), before.quarantined[rows].copy()
     after.normal, after.next_id = before.normal[rows].copy(), before.next_id
     for event in after.events:
@@ -103,7 +102,7 @@ def _same(old: World, world: World, before: ir.SpeciesPlan, after: ir.SpeciesPla
     return [name for name in found if name in lasting and name not in rewritten]
 
 
-def _means(register: ir.Register) -> tuple[Any, ...]:
+def _means(register: ir.Register) -> tuple[object, ...]:
     return register.kind, register.role, register.of, register.holds
 
 

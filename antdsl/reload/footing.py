@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.plane import Plane
+from antdsl.ground.protocol import Footing
 from antdsl.numerics.vector_rows import length, level
 from antdsl.runtime.binding.reuse import digest
 from antdsl.runtime.world import AXES, Population, World
@@ -23,7 +21,7 @@ def same_solid(old: World, world: World, name: str) -> bool:
     return one is not None and other is not None and digest(one) == digest(other)
 
 
-def stand(old: World, world: World, before: Population) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_]]:
+def stand(old: World, world: World, before: Population) -> tuple[Footing, NDArray[np.float64], NDArray[np.bool_]]:
     """Footings in `world` for all agents of a population of `old`, their places (n, 3), and who is somewhere else than before.
 
     A mesh of which only the vertices moved carries agents along; who stood on other faces, or on a solid that is another now,
@@ -49,7 +47,7 @@ def turn(world: World, population: Population, moved: NDArray[np.bool_]) -> None
             population.now[f"{name}.{axis}"][rows] = value[rows, k]
 
 
-def _footing(old: World, world: World, before: Population) -> Any:
+def _footing(old: World, world: World, before: Population) -> Footing:
     ground, place = world.ground, before.position
     if isinstance(ground, Plane):
         return before.footing if isinstance(old.ground, Plane) else ground.place(place, world.up)[0]
@@ -58,15 +56,13 @@ def _footing(old: World, world: World, before: Population) -> Any:
     number = _numbers(old, world)
     was = before.footing.mesh
     mesh = np.where(was >= 0, number.take(np.maximum(was, 0)), -1).astype(np.int32)
-    zero = np.zeros(len(mesh))
-    values = {each.name: getattr(before.footing, each.name, zero).copy() for each in fields(ground.place(place[:0], world.up)[0])}
-    values["mesh"] = mesh
+    footing = ground.nowhere(len(mesh))
+    footing.put(np.arange(len(mesh)), before.footing)
+    footing.mesh[:] = mesh
     lost = np.flatnonzero(mesh < 0)
     if len(lost):
-        nearest = ground.nearest(place[lost])[0]
-        for name, array in values.items():
-            array[lost] = getattr(nearest, name)
-    return type(ground.place(place[:0], world.up)[0])(**values)
+        footing.put(lost, ground.nearest(place[lost])[0])
+    return footing
 
 
 def _numbers(old: World, world: World) -> NDArray[np.int32]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.ground.protocol import Footing
 from antdsl.runtime.motion_measures import Motion
 from antdsl.runtime.moving.moving_geometry import pose, pose_ground
 from antdsl.runtime.world import Population, World
@@ -132,17 +133,17 @@ def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _arrays(population: Population) -> Arrays:
-    found: Arrays = {name: getattr(population, name) for name in ("ids", "born", "quarantined", "position", "normal")}
-    found |= {f"footing.{name}": getattr(population.footing, name) for name in type(population.footing).__dataclass_fields__}
+    found: Arrays = {"ids": population.ids, "born": population.born, "quarantined": population.quarantined}
+    found |= {"position": population.position, "normal": population.normal}
+    found |= {f"footing.{name}": array for name, array in population.footing.columns.items()}
     found |= {f"event.{name}": flags for name, flags in population.events.items()}
     kept = (name for name, register in population.plan.registers.items() if register.role != "temp")
     return found | {f"register.{name}": population.now[name] for name in kept}
 
 
-def _footing(population: Population, arrays: Mapping[str, NDArray[Any]]) -> Any:
+def _footing(population: Population, arrays: Mapping[str, NDArray[Any]]) -> Footing:
     """A footing on the same ground, from arrays with the names of `_arrays`."""
-    footing = type(population.footing)
-    return footing(*(arrays[f"footing.{name}"] for name in footing.__dataclass_fields__))
+    return Footing({name: arrays[f"footing.{name}"] for name in population.footing.columns})
 
 
 def _restore_population(population: Population, arrays: Mapping[str, NDArray[Any]], prefix: str) -> None:

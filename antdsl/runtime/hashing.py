@@ -22,8 +22,8 @@ def state_hash(world: World) -> str:
         digest.update(f"\0{name}\0{len(rows)}".encode())
         for array in (population.ids, population.born, population.quarantined, population.position, population.normal):
             digest.update(array.take(rows, axis=0).data)
-        for field_name in type(population.footing).__dataclass_fields__:
-            digest.update(getattr(population.footing, field_name).take(rows, axis=0).data)
+        for array in population.footing.columns.values():
+            digest.update(array.take(rows, axis=0).data)
         for register in sorted(population.now):
             if population.plan.registers[register].role != "temp":
                 digest.update(register.encode() + b"\0")

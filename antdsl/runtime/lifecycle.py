@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.fields.cells import Cells
+from antdsl.ground.protocol import Footing
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed, operands, placed
 from antdsl.runtime.effects import Asked
@@ -24,7 +25,7 @@ def find_cells(world: World, population: Population) -> None:
     if world.fields and len(population):
         sides = world.ground.sides(population.footing)
         place = rest_places(world, population)
-        found: dict[int, Any] = {}  # fields may share their cells
+        found: dict[int, Cells] = {}  # fields may share their cells
         for name, field in world.fields.items():
             if id(field.cells) not in found:
                 found[id(field.cells)] = field.cells.lookup_sides(place, sides)
@@ -100,7 +101,7 @@ def deaths_and_births(world: World) -> None:
         forget_the_dead(world, population)
 
 
-Births = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], object, dict[str, NDArray[np.float32]]]]
+Births = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], Footing, dict[str, NDArray[np.float32]]]]
 
 
 def _coming(world: World) -> dict[str, Births]:
@@ -112,9 +113,10 @@ def _coming(world: World) -> dict[str, Births]:
             rows = np.concatenate([e.rows for e in entries if e.request.of == species])
             order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.request.of == species])
             rows = rows[np.lexsort((order, population.ids[rows]))]
-            footing = type(population.footing)(*(getattr(population.footing, f)[rows] for f in population.footing.__slots__))
             carried = {name: population.now[name][rows].copy() for name in _CARRIED} | {"normal": population.normal[rows]}
-            found.setdefault(species, []).append((population, rows, population.position[rows], footing, carried))
+            found.setdefault(species, []).append(
+                (population, rows, population.position[rows], population.footing.take(rows), carried)
+            )
     return found
 
 
@@ -128,10 +130,9 @@ def _bear(world: World, population: Population, births: Births) -> NDArray[np.in
             world.faults.refused_births += len(rows) - count
         if not count:
             continue
-        footing = type(footing)(*(getattr(footing, f)[:count] for f in footing.__slots__))  # type: ignore[attr-defined]
         ids = np.arange(population.next_id, population.next_id + count)
         population.next_id += count
-        new = add_rows(population, ids, world.frame + 1, position[:count], footing)
+        new = add_rows(population, ids, world.frame + 1, position[:count], footing.take(slice(count)))
         for name, value in carried.items():
             (population.normal if name == "normal" else population.now[name])[new] = value[:count]
     return np.arange(old, len(population))

@@ -77,9 +77,9 @@ class Motion:
             return
         radius = np.concatenate([now["radius"] for now in crowds])
         wide = takes_room(radius)
-        place = (np.concatenate([now[f"position.{axis}"] for now in crowds])[wide] for axis in "xyz")
+        x, y, z = (np.concatenate([now[f"position.{axis}"] for now in crowds])[wide] for axis in "xyz")
         self.placed = len(radius)
-        self.overlapping = int(np.count_nonzero(worst_overlaps(*place, radius[wide]) > _TOUCH))
+        self.overlapping = int(np.count_nonzero(worst_overlaps(x, y, z, radius[wide]) > _TOUCH))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All counts by name, for a checkpoint."""
@@ -116,12 +116,12 @@ class Motion:
         tilts = _turned(population, "up")
         self.tilts += _histogram(tilts)
         self.tilt_max = max(self.tilt_max, float(tilts.max()))
-        gone = vec.length(tuple(now[f"position.{a}"] - start[f"position.{a}"] for a in "xyz"))  # type: ignore[arg-type]
+        gone = vec.length(vec.sub(vec.named(now, "position"), vec.named(start, "position")))
         longest = now["max_speed"] * np.float32(world.dt)
         share = gone[longest > 0] / longest[longest > 0]
         self.step_max = max(self.step_max, float(share.max(initial=0.0)))
-        speed = vec.length(tuple(now[f"velocity.{a}"] for a in "xyz"))  # type: ignore[arg-type]
-        wish = vec.length(tuple(now[f"push.{a}"] for a in "xyz")) > _WISH  # type: ignore[arg-type]
+        speed = vec.length(vec.named(now, "velocity"))
+        wish = vec.length(vec.named(now, "push")) > _WISH
         self.wishing += len(population)
         self.standing += int(np.count_nonzero(wish & (speed < now["max_speed"] * np.float32(_STILL))))
         window = self._window(population)
@@ -150,14 +150,14 @@ class Motion:
             order = np.argsort(known.ids)
             at = order[np.minimum(np.searchsorted(known.ids, ids, sorter=order), len(order) - 1)]
             same = known.ids[at] == ids
-            for name in ("start", "path", "age"):
-                getattr(fresh, name)[same] = getattr(known, name)[at[same]]
+            was = at[same]
+            fresh.start[same], fresh.path[same], fresh.age[same] = known.start[was], known.path[was], known.age[was]
         self.windows[population.name] = fresh
         return fresh
 
     def _bodies(self, world: World, population: Population) -> None:
         """How far agents stand inside each other, 0 apart to 1 in one place, by the worst neighbour; and inside the ground."""
-        worst = worst_overlaps(*(population.now[f"position.{a}"] for a in "xyz"), population.now["radius"])
+        worst = worst_overlaps(*vec.named(population.now, "position"), population.now["radius"])
         self.overlaps += np.bincount((worst * _BINS).astype(np.int64), minlength=_BINS + 1)
         self.heads += len(population)
         self.heads_inside += int(np.count_nonzero(heads_inside(world, population)))
@@ -182,7 +182,7 @@ class Motion:
 def _turned(population: Population, name: str) -> NDArray[np.float32]:
     """By how many degrees a unit vector of each agent has turned in the step."""
     now, start = population.now, population.start
-    chord = vec.length(tuple(now[f"{name}.{a}"] - start[f"{name}.{a}"] for a in "xyz"))  # type: ignore[arg-type]
+    chord = vec.length(vec.sub(vec.named(now, name), vec.named(start, name)))
     angle: NDArray[np.float32] = np.degrees(2 * np.arcsin(np.minimum(chord * np.float32(0.5), 1)))
     return angle
 

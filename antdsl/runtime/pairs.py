@@ -258,8 +258,10 @@ def _items(items: Items, own: tuple[Floats, ...], radius: Any, crowd: int) -> Pa
         from antdsl.runtime.pairs_compiled import within
 
         reach = np.full(len(own[0]), radius, np.float32) if np.ndim(radius) == 0 else np.asarray(radius, np.float32)
-        places = tuple(np.asarray(items.seen[axis], np.float32) for axis in AXES)
-        return PairRows(items, len(own[0]), *within(*places, *own, reach))
+        ix, iy, iz = (np.asarray(items.seen[axis], np.float32) for axis in AXES)
+        x, y, z = own
+        i, j, dx, dy, dz, distance = within(ix, iy, iz, x, y, z, reach)
+        return PairRows(items, len(x), i, j, dx, dy, dz, distance)
     return _items_by_item(items, own, radius)
 
 

@@ -86,7 +86,7 @@ def fields(world: World) -> None:
     """Fields spread and fade; then deposits land."""
     for name, field in world.fields.items():
         keep, diffusion = world.field_rates[name]
-        field.step(keep, diffusion, world.dt)
+        field.step(float(keep), diffusion, world.dt)
 
 
 def move(world: World) -> None:

@@ -19,7 +19,7 @@ from antdsl.runtime.moving.clearances import clearance, may_touch
 from antdsl.runtime.world import AXES, Population, World
 
 Value = Any
-Rows = Any  # a slice, or an array of rows
+Rows = slice | NDArray[np.intp]
 TINY = np.float32(1e-30)
 
 
@@ -157,14 +157,14 @@ def _field_value(world: World, population: Population, node: ir.Node, rows: Rows
 
 def _field_strongest(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
     field, count = node.attrs
-    value, *place = world.fields[field].strongest(population.cells[field][rows], int(count))
+    value, x, y, z = world.fields[field].strongest(population.cells[field][rows], int(count))
     nothing = ~(value > 0)
-    there = moving_geometry.from_rest(world, population, rows, tuple(place))
+    there = moving_geometry.from_rest(world, population, rows, (x, y, z))
     return value, *(np.where(nothing, own, k) for own, k in zip(_place(world, population, rows), there, strict=True))
 
 
 def _field_gradient(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
-    slope = tuple(world.fields[node.attrs[0]].gradient(population.cells[node.attrs[0]][rows]))
+    slope = world.fields[node.attrs[0]].gradient(population.cells[node.attrs[0]][rows])
     return moving_geometry.turned_from_rest(world, population, rows, slope)
 
 
@@ -176,11 +176,13 @@ def _curve_closest(world: World, population: Population, node: ir.Node, rows: Ro
 def _flow_value(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
     place = np.stack(_place(world, population, rows), axis=1).astype(np.float64)
     up = population.normal[rows].astype(np.float64)
-    return world.flows[node.attrs[0]].at(world.ground.meshes, _standing(population, rows), place, up)
+    return world.flows[node.attrs[0]].at(world.ground.meshes, population.footing.take(rows), place, up)
 
 
 def _map_value(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
-    return world.maps[node.attrs[0]].at(world.ground.meshes, _standing(population, rows))
+    meshes = world.ground.meshes
+    assert meshes is not None  # maps are painted on them
+    return world.maps[node.attrs[0]].at(meshes, population.footing.take(rows))
 
 
 def _noise(world: World, population: Population, node: ir.Node, rows: Rows, *how: Value) -> Value:
@@ -192,12 +194,6 @@ def _noise(world: World, population: Population, node: ir.Node, rows: Rows, *how
     cells = np.concatenate((place, moment)) / np.where(unit > 0, unit, np.nan)
     which = np.floor(np.where(np.abs(seed) < noise.FAR, seed, 0.0)).astype(np.int64)
     return noise.noise(cells, which).astype(np.float32)
-
-
-def _standing(population: Population, rows: Rows) -> Any:
-    """Footings of some rows."""
-    footing = population.footing
-    return type(footing)(*(getattr(footing, name)[rows] for name in type(footing).__dataclass_fields__))
 
 
 SENSES: Mapping[str, Callable[..., Value]] = {

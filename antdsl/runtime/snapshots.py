@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import copy, deepcopy
 
+from antdsl.ground.combined import Terrain
 from antdsl.runtime.moving.moving_geometry import moving
 from antdsl.runtime.world import Population, World
 
@@ -24,15 +25,16 @@ def snapshot(world: World) -> World:
     found.grids, found.clearances = {}, {}
     ground = moving(world)
     if ground is not None:
-        found.ground = ground.copy() if world.ground is ground else world.ground.with_meshes(ground.copy())
+        posed = ground.copy()
+        found.ground = world.ground.with_meshes(posed) if isinstance(world.ground, Terrain) else posed
     return found
 
 
 def _population(population: Population) -> Population:
     population.in_id_order()  # found once, for the world and for all that look at it
     found = copy(population)
-    for name in ("ids", "born", "quarantined", "position", "normal"):
-        setattr(found, name, getattr(population, name).copy())
+    found.ids, found.born, found.quarantined = population.ids.copy(), population.born.copy(), population.quarantined.copy()
+    found.position, found.normal = population.position.copy(), population.normal.copy()
     # What is no value of one step only and has one array for its start and now never changes.
     lasting = {name for name, register in population.plan.registers.items() if register.role != "temp"}
     found.now = {

@@ -7,23 +7,35 @@ Registers are one array each, float32 unless the plan says otherwise; positions 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.ground.protocol import Footing, Ground
 from antdsl.numerics.sorting import stable_order
 from antdsl.plan import ir
 from antdsl.runtime.effects import Effects
 from antdsl.scene.setting import Setting
 
 if TYPE_CHECKING:
+    from antdsl.casting.curves import Curve
+    from antdsl.casting.protocol import Obstacle
+    from antdsl.fields.flow import Flow, Map
+    from antdsl.fields.pheromone import PheromoneField
+    from antdsl.ground.solid import Volume
     from antdsl.runtime.faults import FaultLog
     from antdsl.runtime.lod import Detail
     from antdsl.runtime.motion_measures import Motion
+    from antdsl.senses.neighbours import CellGrid
 
-DTYPES: Mapping[ir.Kind, Any] = {ir.Kind.F32: np.float32, ir.Kind.BOOL: np.bool_, ir.Kind.I32: np.int32, ir.Kind.I64: np.int64}
+DTYPES: Mapping[ir.Kind, type[np.generic]] = {
+    ir.Kind.F32: np.float32,
+    ir.Kind.BOOL: np.bool_,
+    ir.Kind.I32: np.int32,
+    ir.Kind.I64: np.int64,
+}
 AXES = ("x", "y", "z")
 MOVED = tuple(f"{name}.{axis}" for name in ("position", "velocity", "heading", "up") for axis in AXES)
 
@@ -71,7 +83,7 @@ class Population:
     start: dict[str, NDArray[Any]]
     now: dict[str, NDArray[Any]]
     position: NDArray[np.float64]  # (n, 3) mm
-    footing: Any
+    footing: Footing
     events: dict[str, NDArray[np.bool_]]
     raised: dict[str, NDArray[np.bool_]]  # to be seen in the next step
     cells: dict[str, NDArray[np.int32]] = field(default_factory=dict)  # field -> own cell
@@ -141,6 +153,16 @@ class Crowded:
     sides: bool
 
 
+class Backend(Protocol):
+    """What runs the blocks of a plan; see `backends`."""
+
+    def begin(self, world: World) -> None:
+        """A step begins: what was kept of the last one is forgotten."""
+
+    def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
+        """Runs a block for some agents, all when None."""
+
+
 @dataclass(slots=True, eq=False)
 class World:
     """A bound plan under way. `frame` is the number of the frame that stands, and within a step that of the frame it began from;
@@ -155,21 +177,21 @@ class World:
     params: dict[str, np.float32]
     populations: dict[str, Population]
     items: dict[str, Items]
-    fields: dict[str, Any]
+    fields: dict[str, PheromoneField]
     field_rates: dict[str, tuple[np.float32, float]]  # factor a step, diffusion in mm2/s
-    obstacles: dict[str, Any]  # RayScene by name, surfaces too
-    curves: dict[str, Any]
-    flows: dict[str, Any]
-    maps: dict[str, Any]
-    ground: Any
+    obstacles: dict[str, Obstacle]  # by name, surfaces and solids too
+    curves: dict[str, Curve]
+    flows: dict[str, Flow]
+    maps: dict[str, Map]
+    ground: Ground
     surface_index: dict[str, int]
-    solids: dict[str, Any]  # Volume by name
-    backend: Any
+    solids: dict[str, Volume]
+    backend: Backend
     faults: FaultLog
     motion: Motion
     timings: dict[str, float] = field(default_factory=dict)  # seconds by phase, all steps together
     worked: dict[str, float] = field(default_factory=dict)  # the same of the processors, all threads together
-    grids: dict[tuple[str, float], Any] = field(default_factory=dict)  # of this step
+    grids: dict[tuple[str, float], CellGrid] = field(default_factory=dict)  # of this step
     clearances: dict[tuple[str, str, int], NDArray[Any]] = field(default_factory=dict)  # of this step
     transitions: dict[str, int] = field(default_factory=dict)
     carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last hand-over; None: nobody asks
@@ -214,7 +236,7 @@ def shares_start(plan: ir.SpeciesPlan, register: str, stored: frozenset[str]) ->
     return register not in stored or plan.registers[register].role == "temp"
 
 
-def empty_population(plan: ir.SpeciesPlan, ground: Any) -> Population:
+def empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
     """A species without agents; `grow` adds rows."""
     now = {name: np.empty(0, DTYPES[r.kind]) for name, r in plan.registers.items()}
     stored = stored_registers(plan)
@@ -228,7 +250,7 @@ def empty_population(plan: ir.SpeciesPlan, ground: Any) -> Population:
         start=start,
         now=now,
         position=np.empty((0, 3)),
-        footing=ground.place(np.empty((0, 3)), None)[0],
+        footing=ground.nowhere(0),
         events=events,
         raised={name: array.copy() for name, array in events.items()},
     )
@@ -236,9 +258,9 @@ def empty_population(plan: ir.SpeciesPlan, ground: Any) -> Population:
 
 def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
     """Keep these rows, in this order."""
-    for name in ("ids", "born", "quarantined", "position", "normal"):
-        setattr(population, name, getattr(population, name)[rows])
-    population.footing = _footing(lambda array: array[rows], population.footing)
+    population.ids, population.born = population.ids[rows], population.born[rows]
+    population.quarantined, population.position = population.quarantined[rows], population.position[rows]
+    population.normal, population.footing = population.normal[rows], population.footing.take(rows)
     population.cells.clear()
     for table in (population.events, population.raised):
         for name, array in table.items():
@@ -246,7 +268,9 @@ def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
     _remake(population, lambda array, _: array[rows])
 
 
-def add_rows(population: Population, ids: NDArray[np.int64], frame: int, position: NDArray[np.float64], footing: Any) -> slice:
+def add_rows(
+    population: Population, ids: NDArray[np.int64], frame: int, position: NDArray[np.float64], footing: Footing
+) -> slice:
     """Append agents with every register at its zero; gives their rows."""
     old, count = len(population), len(ids)
     population.ids = np.concatenate([population.ids, ids])
@@ -254,7 +278,7 @@ def add_rows(population: Population, ids: NDArray[np.int64], frame: int, positio
     population.quarantined = np.concatenate([population.quarantined, np.zeros(count, np.bool_)])
     population.position = np.concatenate([population.position, position])
     population.normal = np.concatenate([population.normal, np.zeros((count, 3), np.float32)])
-    population.footing = _footing(lambda a, b: np.concatenate([a, b]), population.footing, footing)
+    population.footing = Footing.joined(population.footing, footing)
     for table in (population.events, population.raised):
         for name, array in table.items():
             table[name] = np.concatenate([array, np.zeros(count, np.bool_)])
@@ -264,13 +288,7 @@ def add_rows(population: Population, ids: NDArray[np.int64], frame: int, positio
     return slice(old, old + count)
 
 
-def _footing(change: Any, *footings: Any) -> Any:
-    """A footing made of others, array by array; whatever ground it is on."""
-    names = [f.name for f in fields(footings[0])]
-    return type(footings[0])(*(change(*(getattr(f, name) for f in footings)) for name in names))
-
-
-def _remake(population: Population, change: Any) -> None:
+def _remake(population: Population, change: Callable[[NDArray[Any], str], NDArray[Any]]) -> None:
     """Change every register array; those that share one array at start and now still do."""
     for name, array in population.now.items():
         shared = population.start[name] is array

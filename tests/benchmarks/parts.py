@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from meshes import Mesh, ball
 from torture_walks import crowd, wander
 
-from antdsl.ground.mesh.surface import Ground
+from antdsl.ground.mesh.surface import MeshGround
 
 STEPS = 20
 
@@ -39,7 +39,7 @@ def forty(spread: float) -> Mesh:
 def measured(mesh: Mesh, agents: int) -> tuple[float, float]:
     """Seconds of CPU of the binding with the first step, and of each of the steps after it."""
     start = time.process_time()
-    ground, rng = Ground({"mesh": mesh}), np.random.default_rng(4)
+    ground, rng = MeshGround({"mesh": mesh}), np.random.default_rng(4)
     bound = time.process_time() - start
     steps = wander(ground, crowd(ground, [mesh], agents, rng), 1 + STEPS, rng)
     start = time.process_time()

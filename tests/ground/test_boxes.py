@@ -9,22 +9,22 @@ from numpy.typing import NDArray
 from open_shapes import joined, soup
 
 from antdsl.ground.mesh.boxes import Boxes, first_met
-from antdsl.ground.mesh.surface import Ground
+from antdsl.ground.mesh.surface import MeshGround
 
 Floats = NDArray[np.float64]
 N = 600
 
 
-def scene(far: float = 0.0) -> Ground:
+def scene(far: float = 0.0) -> MeshGround:
     """A soup of triangles beside a ball and hills, slivers and flat faces among them."""
     vertices, faces = joined([soup(400), ball(6, (9, 2, 0), 9), terrain(60, 20)])
     squeezed = vertices[faces[:100]]
     squeezed[:, 2] = squeezed[:, :2].mean(axis=1) + 1e-4
     made = joined([(vertices, faces), (squeezed.reshape(-1, 3), np.arange(300).reshape(-1, 3))])
-    return Ground({"all": (made[0] + far, made[1])})
+    return MeshGround({"all": (made[0] + far, made[1])})
 
 
-def ways(ground: Ground, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def ways(ground: MeshGround, rng: np.random.Generator) -> tuple[Floats, Floats]:
     corners = ground._vertices[ground._faces[rng.integers(0, len(ground._faces), N)]]
     aim = (corners * rng.dirichlet((0.4, 0.4, 0.4), N)[:, :, None]).sum(axis=1)
     step = rng.normal(size=(N, 3)) * rng.choice([0.01, 1.0, 20.0], (N, 1))
@@ -86,7 +86,7 @@ def test_boxes_that_are_fitted_anew_are_those_that_are_made_anew() -> None:
 
 
 def test_ground_without_a_triangle_is_met_nowhere() -> None:
-    ground = Ground({"none": (np.zeros((3, 3)), np.array([[0, 1, 2]]))})
+    ground = MeshGround({"none": (np.zeros((3, 3)), np.array([[0, 1, 2]]))})
     none = np.full(2, -1, np.int32)
     found = first_met(ground._boxes, ground.triangles[3], np.zeros((3, 2)), np.ones((3, 2)), 0.0, none.astype(np.int64), none)[0]
     assert (found == -1).all()

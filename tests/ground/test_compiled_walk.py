@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,8 +11,9 @@ from torture_walks import shapes
 
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh import clearances
-from antdsl.ground.mesh.surface import Footing, Ground, MoveResult
+from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.moving import MovingGround
+from antdsl.ground.protocol import Footing, Move
 from antdsl.numerics import compiled
 from antdsl.runtime.moving import advance
 from tests.meshes import ball, box, grid, terrain
@@ -63,15 +63,15 @@ def use(monkeypatch: pytest.MonkeyPatch, fast: bool) -> None:
     monkeypatch.setattr(compiled, "wanted", lambda count: fast)
 
 
-def assert_same(one: MoveResult, two: MoveResult) -> None:
-    for a, b in ((one.footing, two.footing), (one, two)):
-        for name in (f.name for f in fields(a) if f.name != "footing"):
-            first, second = getattr(a, name), getattr(b, name)
+def assert_same(one: Move, two: Move) -> None:
+    assert list(one.footing.columns) == list(two.footing.columns)
+    for a, b in ((one.footing.columns.values(), two.footing.columns.values()), (one.columns(), two.columns())):
+        for first, second in zip(a, b, strict=True):
             assert first.dtype == second.dtype and first.shape == second.shape
-            assert np.ascontiguousarray(first).tobytes() == np.ascontiguousarray(second).tobytes(), name
+            assert np.ascontiguousarray(first).tobytes() == np.ascontiguousarray(second).tobytes()
 
 
-def crowd(ground: Ground, rng: np.random.Generator) -> MoveResult:
+def crowd(ground: MeshGround, rng: np.random.Generator) -> Move:
     """Agents all over a ground, some below it, as after a step of no length."""
     footing, _ = ground.nearest(rng.uniform(ground.low - 1, ground.high + 1, (N, 3)))
     up = ground.normal(footing) * rng.choice([-1.0, 1.0], (N, 1), p=[0.2, 0.8])
@@ -81,15 +81,15 @@ def crowd(ground: Ground, rng: np.random.Generator) -> MoveResult:
 @pytest.mark.parametrize("name", GROUNDS)
 def test_the_compiled_walk_gives_the_same_bits(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")
-    ground = Ground(GROUNDS[name]())
+    ground = MeshGround(GROUNDS[name]())
     rng = np.random.default_rng(5)
     use(monkeypatch, False)
     at = crowd(ground, rng)
     slowly: list[int] = []
     body = rng.uniform(0, 5, N)
-    moved = Ground._moved
+    moved = MeshGround._moved
 
-    def counting(self: Ground, footing: Footing, *rest: object) -> MoveResult:
+    def counting(self: MeshGround, footing: Footing, *rest: object) -> Move:
         slowly.append(len(footing))
         return moved(self, footing, *rest)
 
@@ -101,7 +101,7 @@ def test_the_compiled_walk_gives_the_same_bits(name: str, monkeypatch: pytest.Mo
         expected = ground.move(*inputs)
         use(monkeypatch, True)
         with monkeypatch.context() as patch:
-            patch.setattr(Ground, "_moved", counting)
+            patch.setattr(MeshGround, "_moved", counting)
             found = ground.move(*inputs)
         assert_same(expected, found)
         at = expected
@@ -110,7 +110,7 @@ def test_the_compiled_walk_gives_the_same_bits(name: str, monkeypatch: pytest.Mo
 
 def test_odd_wishes_and_footings_nowhere_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")
-    ground = Ground(GROUNDS["boulders"]())
+    ground = MeshGround(GROUNDS["boulders"]())
     rng = np.random.default_rng(6)
     use(monkeypatch, False)
     at = crowd(ground, rng)
@@ -118,7 +118,7 @@ def test_odd_wishes_and_footings_nowhere_give_the_same_bits(monkeypatch: pytest.
     wish, heading, up = (rng.choice(values, (N, 3)) for _ in range(3))
     up[::2], heading[::3] = at.up[::2], at.heading[::3]
     lost = rng.random(N) < 0.1
-    footing = Footing(
+    footing = Footing.on_faces(
         np.where(lost, -1, at.footing.mesh).astype(np.int32),
         np.where(lost, -1, at.footing.face).astype(np.int32),
         np.where(rng.random(N) < 0.2, -0.0, at.footing.b1),
@@ -134,7 +134,7 @@ def test_odd_wishes_and_footings_nowhere_give_the_same_bits(monkeypatch: pytest.
 
 @pytest.mark.parametrize("name", ["boulders", "loose sheets", "tiles and a fan of slivers"])
 def test_clearances_are_below_the_distance_to_other_pieces(name: str) -> None:
-    ground = Ground(GROUNDS[name]())
+    ground = MeshGround(GROUNDS[name]())
     rng = np.random.default_rng(7)
     corners = ground._vertices[ground._faces]
     for reach in (0.5, 3.0):
@@ -158,7 +158,7 @@ def test_clearances_are_below_the_distance_to_other_pieces(name: str) -> None:
 def test_looking_out_everywhere_finds_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
     use(monkeypatch, False)
     for name in ("boulders", "loose sheets", "tiles and a fan of slivers"):
-        ground = Ground(GROUNDS[name]())
+        ground = MeshGround(GROUNDS[name]())
         at = crowd(ground, np.random.default_rng(8))
         for _ in range(10):
             expected = ground.move(at.footing, at.heading * 1.7, at.heading, at.up, 4.0)
@@ -232,7 +232,7 @@ def test_arriving_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
         columns[2][: N // 3] = columns[1][: N // 3]  # headings straight up
         columns[3][: N // 5] = -columns[2][: N // 5]
         blocked = rng.random(N) < 0.2
-        moved = MoveResult(Footing.nowhere(N), *columns, np.zeros(N), blocked, ~blocked)
+        moved = Move(Footing.nowhere(N), *columns, np.zeros(N), blocked, ~blocked)
         use(monkeypatch, fast)
         velocity, step = advance._read(crowd_, "velocity"), advance._read(crowd_, "push")
         velocity = tuple(v.copy() for v in velocity)

@@ -1,4 +1,4 @@
-"""Ground: footings exact on their triangle, ways as long as asked over slopes, edges, overhangs, boulders and thin plates."""
+"""Grounds: footings exact on their triangle, ways as long as asked over slopes, edges, overhangs, boulders and thin plates."""
 
 from __future__ import annotations
 
@@ -6,13 +6,18 @@ import numpy as np
 import pytest
 
 from antdsl.casting.faces import nearest_on_triangle
-from antdsl.ground.mesh.surface import Footing, Ground, MoveResult
+from antdsl.ground.combined import Terrain
+from antdsl.ground.mesh.surface import MeshGround
+from antdsl.ground.moving import MovingGround
+from antdsl.ground.plane import Plane
+from antdsl.ground.protocol import Footing, Ground, Move
+from antdsl.ground.solid import Volume
 from tests.meshes import ball, box, grid, terrain
 
 UP = np.array([0.0, 1.0, 0.0])
 
 
-def start(ground: Ground, places: list | np.ndarray, headings: list | np.ndarray, up: np.ndarray = UP) -> MoveResult:
+def start(ground: MeshGround, places: list | np.ndarray, headings: list | np.ndarray, up: np.ndarray = UP) -> Move:
     """Agents at the nearest points of a ground, as after a step of no length."""
     places, headings = np.array(places, np.float64), np.array(headings, np.float64)
     footing, _ = ground.nearest(places)
@@ -20,11 +25,11 @@ def start(ground: Ground, places: list | np.ndarray, headings: list | np.ndarray
     return ground.move(footing, np.zeros_like(places), headings, ups, 4.0)
 
 
-def step(ground: Ground, at: MoveResult, length: float, threads: int = 1) -> MoveResult:
+def step(ground: MeshGround, at: Move, length: float, threads: int = 1) -> Move:
     return ground.move(at.footing, at.heading * length, at.heading, at.up, 4.0, threads)
 
 
-def check(ground: Ground, meshes: list, at: MoveResult) -> None:
+def check(ground: MeshGround, meshes: list, at: Move) -> None:
     assert not at.lost.any()
     assert np.isfinite(at.position).all() and np.array_equal(at.position, ground.position(at.footing))
     corners = np.stack([meshes[m][0][meshes[m][1][f]] for m, f in zip(at.footing.mesh, at.footing.face, strict=True)])
@@ -37,7 +42,7 @@ def check(ground: Ground, meshes: list, at: MoveResult) -> None:
 
 def test_place_is_the_first_surface_from_above_or_the_nearest_point():
     meshes = {"ground": grid(100, 5), "shelf": box((10, 20, -10), (30, 22, 10))}
-    ground = Ground(meshes)
+    ground = MeshGround(meshes)
     points = np.array([[0, -500, 0], [20, 1, 0], [70, 30, 0]], np.float64)
     footing, found = ground.place(points, UP)
     assert found.tolist() == [True, True, False]
@@ -47,7 +52,7 @@ def test_place_is_the_first_surface_from_above_or_the_nearest_point():
     assert np.allclose(ground.position(footing)[1], [20, 0, 0], atol=1e-5)
     with pytest.raises(KeyError, match="no surface `moon`"):
         ground.place(points, UP, on=["moon"])
-    tilted = Ground({"z up": (grid(100, 4)[0][:, [0, 2, 1]], grid(100, 4)[1])})
+    tilted = MeshGround({"z up": (grid(100, 4)[0][:, [0, 2, 1]], grid(100, 4)[1])})
     footing, found = tilted.place(np.array([[3.0, 4.0, 50.0]]), np.array([0, 0, 1.0]))
     assert found[0] and np.allclose(tilted.position(footing), [[3, 4, 0]], atol=1e-5)
 
@@ -57,7 +62,7 @@ def test_a_slope_neither_speeds_up_nor_slows_down(degrees):
     turn = np.radians(degrees)
     vertices, faces = grid(100, 30)
     vertices = vertices @ np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    ground = Ground({"slope": (vertices, faces)})
+    ground = MeshGround({"slope": (vertices, faces)})
     normal = np.array([-np.sin(turn), np.cos(turn), 0])
     along = np.array([np.cos(turn), np.sin(turn), 0])
     at = start(ground, [along * -40], [along], normal)
@@ -72,7 +77,7 @@ def test_a_slope_neither_speeds_up_nor_slows_down(degrees):
 @pytest.mark.parametrize("inside", [False, True])
 def test_around_a_cube_and_back_outside_and_inside(inside):
     mesh = box((-10, -10, -10), (10, 10, 10))
-    ground = Ground({"cube": mesh})
+    ground = MeshGround({"cube": mesh})
     at = start(ground, [[0.3, 10, 1.0]], [[1, 0, 0]], -UP if inside else UP)
     first, seen = at.position, set()
     for _ in range(64):
@@ -87,7 +92,7 @@ def test_around_a_cube_and_back_outside_and_inside(inside):
 
 def test_a_plate_thinner_than_a_step_is_walked_round_its_rim():
     mesh = box((-20, 0, -20), (20, 0.05, 20))
-    ground = Ground({"plate": mesh})
+    ground = MeshGround({"plate": mesh})
     at = start(ground, [[0, 0.05, 0.5]], [[1, 0, 0]])
     for _ in range(20):
         at = step(ground, at, 1.25)
@@ -101,7 +106,7 @@ def test_a_box_of_six_loose_sheets_is_walked_round_like_one():
         f"side {k}": (vertices[faces[2 * k : 2 * k + 2]].reshape(-1, 3), np.arange(6, dtype=np.int32).reshape(2, 3))
         for k in range(6)
     }
-    ground = Ground(sheets)
+    ground = MeshGround(sheets)
     at = start(ground, [[0.3, 10, 1.0]], [[1, 0, 0]])
     ups = set()
     for _ in range(70):
@@ -113,7 +118,7 @@ def test_a_box_of_six_loose_sheets_is_walked_round_like_one():
 
 
 def test_at_an_open_border_an_agent_slides_or_stops_and_says_so():
-    ground = Ground({"sheet": grid(40, 8)})
+    ground = MeshGround({"sheet": grid(40, 8)})
     at = start(ground, [[18, 0, 0], [18, 0, 1]], [[1, 0, 0], [0.6, 0, 0.8]])
     for _ in range(8):
         at = step(ground, at, 1.0)
@@ -129,7 +134,7 @@ def test_at_an_open_border_an_agent_slides_or_stops_and_says_so():
 
 def test_tiles_laid_edge_to_edge_are_one_ground():
     left, right = grid(40, 8), grid(40, 10)
-    ground = Ground({"left": left, "right": (right[0] + np.array([40.0, 0, 0]), right[1])})
+    ground = MeshGround({"left": left, "right": (right[0] + np.array([40.0, 0, 0]), right[1])})
     at = start(ground, [[10, 0, 0.3]], [[1, 0, 0.01]])
     for _ in range(20):
         at = step(ground, at, 1.25)
@@ -138,7 +143,7 @@ def test_tiles_laid_edge_to_edge_are_one_ground():
 
 def test_up_a_half_sunk_boulder_over_it_and_down_again():
     ground_mesh, boulder = grid(200, 40), ball(15, (0, 3, 0), 16)
-    ground = Ground({"ground": ground_mesh, "boulder": boulder})
+    ground = MeshGround({"ground": ground_mesh, "boulder": boulder})
     at = start(ground, [[-30, 0, 1.3]], [[1, 0, 0]])
     path, meshes = [at.position[0]], []
     for _ in range(100):
@@ -158,7 +163,7 @@ def test_up_a_half_sunk_boulder_over_it_and_down_again():
 def test_a_wall_that_shares_its_edge_with_the_floor_is_climbed_from_either_side():
     vertices = np.array([[x, 0, z] for x in (-10, 0, 10) for z in (-10, 10)] + [[0, 10, -10], [0, 10, 10]], np.float64)
     faces = np.array([[0, 1, 3], [0, 3, 2], [2, 3, 5], [2, 5, 4], [2, 3, 7], [2, 7, 6]], np.int32)
-    ground = Ground({"room": (vertices, faces)})
+    ground = MeshGround({"room": (vertices, faces)})
     at = start(ground, [[-2, 0, 1], [2, 0, 1], [-2, 0, 1]], [[1, 0, 0], [-1, 0, 0], [1, 0, 0]], UP)
     below = ground.move(at.footing, at.heading * 0, at.heading, -at.up, 4.0)
     up, down = step(ground, at, 5.0), step(ground, below, 5.0)
@@ -171,8 +176,10 @@ def test_faces_wound_the_other_way_and_doubled_faces_change_nothing():
     mesh = box((-10, -10, -10), (10, 10, 10))
     faces = mesh[1].copy()
     faces[::3] = faces[::3][:, ::-1]
-    odd = Ground({"cube": (mesh[0], np.concatenate([faces, faces[:, [1, 2, 0]], faces[:4, ::-1], [[0, 0, 1]]]).astype(np.int32))})
-    plain = Ground({"cube": mesh})
+    odd = MeshGround(
+        {"cube": (mesh[0], np.concatenate([faces, faces[:, [1, 2, 0]], faces[:4, ::-1], [[0, 0, 1]]]).astype(np.int32))}
+    )
+    plain = MeshGround({"cube": mesh})
     one, two = (start(g, [[1, 10, 2]], [[0.8, 0, 0.6]]) for g in (plain, odd))
     for _ in range(80):
         one, two = step(plain, one, 1.3), step(odd, two, 1.3)
@@ -181,7 +188,7 @@ def test_faces_wound_the_other_way_and_doubled_faces_change_nothing():
 
 def test_a_crowd_on_all_sorts_of_ground_is_never_lost():
     meshes = [terrain(300, 40), ball(30, (40, 10, 20), 12), box((-80, -30, -80), (-60, 40, -50)), ball(12, (-20, 0, 60), 9)]
-    ground = Ground({str(k): m for k, m in enumerate(meshes)})
+    ground = MeshGround({str(k): m for k, m in enumerate(meshes)})
     rng = np.random.default_rng(8)
     n = 400
     footing, _ = ground.place(rng.uniform(-150, 150, (n, 3)), UP)
@@ -199,7 +206,7 @@ def test_a_crowd_on_all_sorts_of_ground_is_never_lost():
 
 
 def test_same_bits_in_any_batch_order_and_thread_count():
-    ground = Ground({"ground": terrain(200, 30), "boulder": ball(25, (0, 0, 0), 12)})
+    ground = MeshGround({"ground": terrain(200, 30), "boulder": ball(25, (0, 0, 0), 12)})
     n = 1500
     rng = np.random.default_rng(9)
     footing, _ = ground.place(rng.uniform(-60, 60, (n, 3)), UP)
@@ -215,7 +222,7 @@ def test_same_bits_in_any_batch_order_and_thread_count():
 
 
 def test_odd_wishes_leave_an_agent_where_it_is():
-    ground = Ground({"ground": grid(100, 10)})
+    ground = MeshGround({"ground": grid(100, 10)})
     at = start(ground, [[1, 0, 1]] * 4, [[1, 0, 0]] * 4)
     wish = np.array([[np.nan, 0, 0], [np.inf, 0, 0], [0, -5, 0], [0, 0, 0]])
     after = ground.move(at.footing, wish, at.heading, at.up, 4.0)
@@ -223,14 +230,14 @@ def test_odd_wishes_leave_an_agent_where_it_is():
     assert not after.travelled.any() and not after.blocked.any()
     nowhere = ground.move(Footing.nowhere(2), np.ones((2, 3)), np.ones((2, 3)), np.ones((2, 3)), 4.0)
     assert nowhere.lost.all() and (nowhere.footing.face == -1).all() and np.isfinite(nowhere.position).all()
-    empty = Ground({})
+    empty = MeshGround({})
     footing, found = empty.place(np.zeros((3, 3)), UP)
     assert not found.any() and empty.move(footing, np.ones((3, 3)), np.ones((3, 3)), np.ones((3, 3)), 4.0).lost.all()
 
 
 def test_the_smooth_normal_is_steady_on_a_ball_and_flat_on_a_cube():
     mesh = ball(20, rings=24)
-    ground = Ground({"ball": mesh})
+    ground = MeshGround({"ball": mesh})
     points = np.random.default_rng(3).normal(size=(3000, 3)) * 30
     footing, _ = ground.nearest(points)
     place = ground.position(footing)
@@ -239,7 +246,7 @@ def test_the_smooth_normal_is_steady_on_a_ball_and_flat_on_a_cube():
     assert np.degrees(np.arccos((smooth * out).sum(axis=1).clip(-1, 1))).max() < 1.5
     assert np.degrees(np.arccos((ground.normal(footing) * out).sum(axis=1).clip(-1, 1))).max() > 3
     assert np.array_equal(ground.upright(footing, -out), -smooth)
-    cube = Ground({"cube": box((-1, -1, -1), (1, 1, 1))})
+    cube = MeshGround({"cube": box((-1, -1, -1), (1, 1, 1))})
     footing, _ = cube.nearest(np.array([[0.99, 1.5, 0.99]]))
     assert np.allclose(cube.upright(footing, UP), [[0, 1, 0]])
 
@@ -247,7 +254,7 @@ def test_the_smooth_normal_is_steady_on_a_ball_and_flat_on_a_cube():
 @pytest.mark.parametrize("middle", [-11.0, -5.0, 3.0, 13.0])
 def test_nobody_slips_under_the_ground_or_into_a_boulder_however_deep_it_is_sunk(middle):
     meshes = [grid(160, 30), ball(15, (0.3, middle, 0.2), 14)]
-    ground = Ground({"ground": meshes[0], "boulder": meshes[1]})
+    ground = MeshGround({"ground": meshes[0], "boulder": meshes[1]})
     rng = np.random.default_rng(2)
     n = 300
     turn, rim = rng.uniform(0, 2 * np.pi, n), np.sqrt(225 - middle**2)
@@ -269,3 +276,31 @@ def test_nobody_slips_under_the_ground_or_into_a_boulder_however_deep_it_is_sunk
         if middle > -11:
             assert (np.hypot(*(at.position[~boulder][:, [0, 2]] - [0.3, 0.2]).T) > rim - 0.8).all()
     assert climbs > 200
+
+
+def test_every_ground_has_the_same_doors() -> None:
+    """What mypy proves by the assignments, for a footing of every kind."""
+    sheet, cube = grid(100.0, 4), Volume.from_mesh(*box((-6.0, -6.0, -6.0), (6.0, 6.0, 6.0)), 2.0)
+    assert isinstance(cube, Volume)
+    plane: Ground = Plane(UP)
+    still: Ground = MeshGround({"sheet": sheet})
+    moving: Ground = MovingGround({"sheet": sheet}, ["sheet"])
+    both: Ground = Terrain(MeshGround({"sheet": sheet}), {"cube": cube}, UP)
+    places = np.array([[0.0, 9.0, 0.0], [40.0, 3.0, 9.0]])
+    for ground in (plane, still, moving, both):
+        dropped, found = ground.place(places, UP)
+        near, distance = ground.nearest(places)
+        footing = Footing.joined(ground.nowhere(0), dropped, near)
+        assert found.all() and distance.shape == (2,) and len(footing) == 4
+        assert footing.columns.keys() == ground.nowhere(3).columns.keys() and len(ground.nowhere(3)) == 3
+        assert {name: column.dtype for name, column in footing.columns.items()} == {
+            name: column.dtype for name, column in ground.nowhere(1).columns.items()
+        }
+        at = ground.position(footing)
+        assert at.shape == (4, 3) and ground.normal(footing).shape == (4, 3) and (ground.sides(footing) == 2).all()
+        assert np.allclose(ground.upright(footing, UP), UP)
+        moved = ground.move(footing, np.full((4, 3), (1.0, 0.0, 0.0)), np.full((4, 3), (1.0, 0.0, 0.0)), np.tile(UP, (4, 1)), 4.0)
+        assert np.allclose(moved.position - at, (1.0, 0.0, 0.0)) and not moved.lost.any()
+        footing.put(np.array([0, 1]), moved.footing.take(np.array([2, 3])))
+        assert np.allclose(ground.position(footing)[:2], moved.position[2:])
+    assert both.place(places, UP)[0].mesh.tolist() == [1, 0]

@@ -17,12 +17,12 @@ from open_shapes import WORSE, Led, joined, led, ribbon, sheet, turned
 from torture_long import from_file
 from torture_walks import BODY, STEP, crowd, shapes
 
-from antdsl.ground.footing_table import Standing
 from antdsl.ground.mesh import walk
-from antdsl.ground.mesh.surface import Footing, Ground, MoveResult
+from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.topology import Topology
 from antdsl.ground.mesh.walk import Landing, Walkers
 from antdsl.ground.moving import MovingGround
+from antdsl.ground.protocol import Footing, Move
 from antdsl.numerics import compiled
 
 Floats = NDArray[np.float64]
@@ -61,7 +61,7 @@ class Watch:
     over: int = 0
     wish: Floats = field(default_factory=lambda: np.empty((0, 3)))
 
-    def look(self, ground: Ground, before: MoveResult, at: MoveResult, step: float, closely: bool) -> None:
+    def look(self, ground: MeshGround, before: Move, at: Move, step: float, closely: bool) -> None:
         gone = np.linalg.norm(at.position - before.position, axis=1)
         self.farthest = max(self.farthest, float(gone.max()) / step, float(at.travelled.max()) / step)
         self.lost += int((at.lost | ~np.isfinite(at.position).all(axis=1)).sum())
@@ -79,7 +79,7 @@ class Watch:
             ]
             self.through += [(int(k), int(f[k]), int(g[k])) for k in bad if not self.one_by_one(ground, before, at, k)]
 
-    def hops(self, ground: Ground, before: MoveResult, at: MoveResult, who: int) -> list[Hop]:
+    def hops(self, ground: MeshGround, before: Move, at: Move, who: int) -> list[Hop]:
         """The step once more, with all that it stepped over to."""
         one, wish = before.take(np.array([who])), self.wish[who : who + 1]
         met: list[Hop] = []
@@ -97,12 +97,12 @@ class Watch:
         assert np.array_equal(again.position[0], at.position[who]) and again.footing.face[0] == at.footing.face[who]
         return met
 
-    def over_another(self, ground: Ground, before: MoveResult, at: MoveResult, who: int) -> bool:
+    def over_another(self, ground: MeshGround, before: Move, at: Move, who: int) -> bool:
         """Whether the way of a step led over another part."""
         own = self.led.part[standing(ground, before)[0][who]]
         return any(self.led.part[hop.face] != own for hop in self.hops(ground, before, at, who))
 
-    def one_by_one(self, ground: Ground, before: MoveResult, at: MoveResult, who: int) -> bool:
+    def one_by_one(self, ground: MeshGround, before: Move, at: Move, who: int) -> bool:
         """Whether all ways are free that a step went over to other faces, or round the border from which it did."""
         for hop in self.hops(ground, before, at, who):
             start, up, way, end, above = (v[None] for v in (hop.start, hop.up, hop.way, hop.end, hop.above))
@@ -140,18 +140,18 @@ class Watch:
         return found
 
 
-def standing(ground: Ground, at: MoveResult) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def standing(ground: MeshGround, at: Move) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return ground.on_faces(at.footing)[0], ((ground.normal(at.footing) * at.up).sum(axis=1) < 0).astype(np.int64)
 
 
-def facing(ground: Ground, at: MoveResult) -> Floats:
+def facing(ground: MeshGround, at: Move) -> Floats:
     normal = ground.normal(at.footing)
     return normal * np.where((normal * at.up).sum(axis=1) < 0, -1.0, 1.0)[:, None]
 
 
 def watched(mesh: Mesh, n: int, steps: int, step: float = STEP, closely: bool = False) -> tuple[Watch, NDArray[np.bool_]]:
     """A crowd's walk, and who has hardly moved in its last `WINDOW` steps."""
-    ground, rng = Ground({"mesh": mesh}), np.random.default_rng(4)
+    ground, rng = MeshGround({"mesh": mesh}), np.random.default_rng(4)
     watch, at = Watch(mesh, led(mesh)), crowd(ground, [mesh], n, rng)
     places = []
     for _ in range(steps):
@@ -204,25 +204,25 @@ def test_the_account_of_sides_knows_sheets_strips_balls_and_walls() -> None:
 
 
 def test_a_ribbon_that_crosses_itself_is_walked_all_over_on_either_side() -> None:
-    ground = Ground({"ribbon": ribbon()})
+    ground = MeshGround({"ribbon": ribbon()})
     assert ground.triangles[3].cuts.cut.any()
     watch, still = watched(ribbon(), 60, 60)
     assert not watch.changed and not still.any()
 
 
 @cache
-def over(at: float, rise: float) -> Ground:
+def over(at: float, rise: float) -> MeshGround:
     """A sheet, and beyond its border at x = 0 another, so much higher or lower."""
-    return Ground({"near": sheet(20.0, 4, by=(-10.0, 0.0, 0.0)), "far": sheet(20.0, 3, by=(10.0 + at, rise, 0.0))})
+    return MeshGround({"near": sheet(20.0, 4, by=(-10.0, 0.0, 0.0)), "far": sheet(20.0, 3, by=(10.0 + at, rise, 0.0))})
 
 
-def on(ground: Ground, x: float) -> MoveResult:
+def on(ground: MeshGround, x: float) -> Move:
     footing = ground.nearest(np.array([[x, 0.0, 1.3]]))[0]
     up = np.array([[0.0, 1, 0]])
     return ground.move(footing, np.zeros((1, 3)), np.array([[1.0, 0, 0]]), up, BODY)
 
 
-def went(ground: Ground, at: MoveResult, x: float, steps: int) -> tuple[MoveResult, Floats]:
+def went(ground: MeshGround, at: Move, x: float, steps: int) -> tuple[Move, Floats]:
     places = [at.position[0]]
     for _ in range(steps):
         heading = np.array([[np.sign(x), 0.0, 0.0]])
@@ -268,9 +268,10 @@ def test_who_hangs_over_a_border_moves_with_it_and_climbs_back_when_nothing_is_l
 
 
 def test_footings_over_a_border_are_kept_where_there_are_solids_too() -> None:
-    footing = Footing(np.zeros(3, np.int32), np.arange(3, dtype=np.int32), *np.random.default_rng(1).random((3, 3)))
-    kept = Standing.on_mesh(footing).footing(np.arange(3))
-    assert all(np.array_equal(getattr(kept, name), getattr(footing, name)) for name in ("mesh", "face", "b1", "b2", "over"))
+    footing = Footing.on_faces(np.zeros(3, np.int32), np.arange(3, dtype=np.int32), *np.random.default_rng(1).random((3, 3)))
+    kept = footing.with_places().faces(np.arange(3))
+    assert list(kept.columns) == ["mesh", "face", "b1", "b2", "over"]
+    assert all(np.array_equal(column, footing.columns[name]) for name, column in kept.columns.items())
 
 
 def test_a_box_of_loose_sheets_is_walked_round_its_edges_and_never_into() -> None:
@@ -278,7 +279,7 @@ def test_a_box_of_loose_sheets_is_walked_round_its_edges_and_never_into() -> Non
     corners = vertices[faces].reshape(6, 6, 3)
     corners = corners * 0.995 + corners.mean(axis=1, keepdims=True) * 0.005  # a slit at every edge
     sides = (corners.reshape(-1, 3), np.arange(36).reshape(-1, 3))
-    ground, rng = Ground({"box": sides}), np.random.default_rng(3)
+    ground, rng = MeshGround({"box": sides}), np.random.default_rng(3)
     at, met = crowd(ground, [sides], 60, rng), set()
     out = (at.position * facing(ground, at)).sum(axis=1) > 0
     for _ in range(120):
@@ -293,7 +294,7 @@ def test_nothing_behind_a_roof_or_a_wall_is_stepped_onto_over_a_border() -> None
     floor, beyond = sheet(20.0, 4, by=(-10.0, 0.0, 0.0)), sheet(20.0, 4, by=(10.5, 1.2, 0.0))
     roof = sheet(8.0, 2, by=(-3.0, 0.7, 0.0))  # over the border, with the other sheet above it
     wall = turned(grid(8.0, 2), (0, 0, 1), 90.0, (0.03, -1.1, 0.0))  # beside it, up to the roof, with a sheet behind
-    ground = Ground({"floor": floor, "beyond": beyond, "roof": roof, "wall": wall})
+    ground = MeshGround({"floor": floor, "beyond": beyond, "roof": roof, "wall": wall})
     at = on(ground, -0.5)
     for _ in range(4):
         at = ground.move(at.footing, np.array([[0.4, 0, 0]]), at.heading, at.up, BODY)
@@ -306,6 +307,6 @@ def test_corners_that_are_nearly_at_one_place_are_one_wherever_that_is() -> None
     rng = np.random.default_rng(6)
     loose = vertices[faces].reshape(-1, 3)
     loose = loose + rng.uniform(-1, 1, loose.shape) * 1e-8 * 20.0
-    ground = Ground({"sheet": (loose, np.arange(len(loose)).reshape(-1, 3))})
+    ground = MeshGround({"sheet": (loose, np.arange(len(loose)).reshape(-1, 3))})
     table = ground.triangles[3]
     assert table.pieces == 1 and len(np.unique(table.weld)) == len(vertices)

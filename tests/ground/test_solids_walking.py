@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields
 from importlib.util import find_spec
 
 import meshes
 import numpy as np
 import pytest
 
-from antdsl.ground.solid import Moved, Volume, move
+from antdsl.ground.protocol import Move
+from antdsl.ground.solid import Volume, move
 from antdsl.numerics import compiled
 
 BODY = 5.0
@@ -56,14 +56,14 @@ def standing(solid: Volume, points: np.ndarray, up: np.ndarray, seed: int = 3) -
 
 def wandering(
     solid: Volume, start: tuple[np.ndarray, np.ndarray, np.ndarray], steps: int, step: float = 1.0, turn: float = 0.1
-) -> Iterator[tuple[np.ndarray, Moved]]:
+) -> Iterator[tuple[np.ndarray, Move]]:
     """Agents who go on and on, turning a little at random: where each was, and how it moved."""
     place, up, head = start
     rng = np.random.default_rng(7)
     for _ in range(steps):
         moved = move(solid, place, head * step, head, up, BODY)
         yield place, moved
-        place, up, head = moved.points, moved.up, moved.heading
+        place, up, head = moved.position, moved.up, moved.heading
         angle = rng.normal(size=len(place))[:, None] * turn
         head = head * np.cos(angle) + np.cross(up, head) * np.sin(angle)
 
@@ -92,11 +92,11 @@ def test_walkers_stay_on_the_surface_for_thousands_of_steps(shape: str, quick: i
         start = standing(solid, ways * 18, ways[::-1])
     stopped = 0
     for before, moved in wandering(solid, start, quick):
-        assert np.abs(solid.sample(moved.points)).max() <= 1e-4 * BODY
+        assert np.abs(solid.sample(moved.position)).max() <= 1e-4 * BODY
         assert not moved.lost.any()
         assert np.abs((moved.heading * moved.up).sum(axis=1)).max() < 1e-9
         assert np.abs(np.linalg.norm(moved.heading, axis=1) - 1).max() < 1e-9
-        assert np.linalg.norm(moved.points - before, axis=1).max() < 1.35
+        assert np.linalg.norm(moved.position - before, axis=1).max() < 1.35
         stopped += int(moved.blocked.sum())
         assert (moved.blocked | (np.abs(moved.travelled - 1) < 1e-6)).all()
     assert stopped <= quick * 60 * (1e-3 if shape == "cheese" else 0)
@@ -110,7 +110,7 @@ def test_who_walks_round_a_cube_comes_back_to_where_it_began(quick: int) -> None
     sides = set()
     for _ in range(170):
         moved = move(solid, place, head, head, up, BODY)
-        place, up, head = moved.points, moved.up, moved.heading
+        place, up, head = moved.position, moved.up, moved.heading
         axis = int(np.abs(up[0]).argmax())
         sides.add((axis, bool(up[0, axis] > 0)))
         assert abs(place[0, 2] - 0.3) < 0.01, "the way is straight"
@@ -125,7 +125,7 @@ def test_who_walks_into_a_hole_goes_through_the_tunnel_and_out(quick: int) -> No
     seen = []
     for _ in range(60):
         moved = move(solid, place, head, head, up, BODY)
-        place, up, head = moved.points, moved.up, moved.heading
+        place, up, head = moved.position, moved.up, moved.heading
         seen.append(place[0])
         assert solid.sample(place)[0] > -1e-4 * BODY
     inside = [p for p in seen if abs(p[0]) < 18]
@@ -143,7 +143,7 @@ def test_nobody_passes_a_wall_of_less_than_a_voxel(quick: int) -> None:
     ways = unit(np.random.default_rng(4).normal(size=(60, 3)))
     start = standing(solid, ways * 3 - [6.4, 0, 0], -ways)
     for _, moved in wandering(solid, start, quick // 4, turn=0.3):
-        assert (moved.points[:, 0] < middle).all()
+        assert (moved.position[:, 0] < middle).all()
 
 
 def test_a_step_keeps_its_length_and_is_laid_into_the_surface(quick: int) -> None:
@@ -154,7 +154,7 @@ def test_a_step_keeps_its_length_and_is_laid_into_the_surface(quick: int) -> Non
     moved = move(solid, place, wish, head, up, BODY)
     long = np.linalg.norm(wish[:3], axis=1)
     assert np.abs(moved.travelled[:3] - long).max() < 1e-6
-    assert np.abs(np.linalg.norm(moved.points[:3] - place[:3], axis=1) - long).max() < 0.02
+    assert np.abs(np.linalg.norm(moved.position[:3] - place[:3], axis=1) - long).max() < 0.02
     assert moved.travelled[3] == 0 and moved.travelled[4] < 4.1
 
 
@@ -166,10 +166,10 @@ def test_who_loses_the_ground_goes_to_what_is_left(quick: int) -> None:
     assert (solid.sample(place[:20]) > 3).all()
     for step in (0.0, 1.0):
         moved = move(solid, place, head * step, head, up, BODY)
-        assert not moved.lost.any() and np.abs(solid.sample(moved.points)).max() <= 1e-4 * BODY
+        assert not moved.lost.any() and np.abs(solid.sample(moved.position)).max() <= 1e-4 * BODY
     solid.carve(np.zeros((1, 3)), np.array([100.0]), np.array([0]))
     moved = move(solid, place, head, head, up, BODY)
-    assert moved.lost.all() and (moved.points == place).all()
+    assert moved.lost.all() and (moved.position == place).all()
 
 
 def test_the_compiled_walk_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -188,9 +188,9 @@ def test_the_compiled_walk_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) ->
             for fast in (False, True):
                 monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
                 results.append(move(solid, place, wish, head, up, rng.permutation(1) + BODY))
-            for field in fields(Moved):
-                assert np.array_equal(*(getattr(r, field.name) for r in results)), field.name
-            place, up, head = results[0].points, results[0].up, results[0].heading
+            for one, other in zip(results[0].columns(), results[1].columns(), strict=True):
+                assert np.array_equal(one, other)
+            place, up, head = results[0].position, results[0].up, results[0].heading
 
 
 def test_one_agent_moves_as_it_does_among_many(quick: int) -> None:
@@ -200,5 +200,5 @@ def test_one_agent_moves_as_it_does_among_many(quick: int) -> None:
     everyone = move(solid, place, head, head, up, BODY)
     for some in (slice(7, 8), slice(20, 33), slice(None, None, -1)):
         few = move(solid, place[some], head[some], head[some], up[some], BODY)
-        for field in fields(Moved):
-            assert np.array_equal(getattr(everyone, field.name)[some], getattr(few, field.name))
+        for all_, column in zip(everyone.columns(), few.columns(), strict=True):
+            assert np.array_equal(all_[some], column)

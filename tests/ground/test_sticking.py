@@ -10,7 +10,7 @@ from meshes import box, grid, terrain
 from torture_long import SHAPES, long_walk
 from torture_walks import BODY, crowd, wander
 
-from antdsl.ground.mesh.surface import Ground
+from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.sticking import REACH, RISE
 from antdsl.numerics import compiled
 from antdsl.pipeline import Choices, open_scene
@@ -20,14 +20,14 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 UP = np.array([[0.0, 1.0, 0.0]])
 
 
-def stand(ground: Ground, at: tuple[float, float, float]):
+def stand(ground: MeshGround, at: tuple[float, float, float]):
     footing, found = ground.place(np.array([at]), UP[0])
     assert found.all()
     return footing
 
 
 def test_on_level_ground_the_step_is_the_wish() -> None:
-    ground = Ground({"floor": grid(100.0, 4)}, by_rays=True)
+    ground = MeshGround({"floor": grid(100.0, 4)}, by_rays=True)
     moved = ground.move(stand(ground, (3.0, 5.0, 4.0)), np.array([[1.2, 0, 0.5]]), np.array([[0, 0, 1.0]]), UP, BODY)
     assert np.allclose(moved.position, [[4.2, 0, 4.5]], atol=1e-5) and np.allclose(moved.up, UP)
     assert np.allclose(moved.heading, [[0, 0, 1]]) and np.allclose(moved.direction, [[12 / 13, 0, 5 / 13]])
@@ -36,7 +36,7 @@ def test_on_level_ground_the_step_is_the_wish() -> None:
 
 def test_the_nearer_of_two_hits_wins() -> None:
     """A wall is climbed once the ray ahead and up is shorter than the one down, which is RISE bodies long on level ground."""
-    ground = Ground({"floor": grid(100.0, 4), "wall": box((10.0, -5.0, -20.0), (14.0, 30.0, 20.0))}, by_rays=True)
+    ground = MeshGround({"floor": grid(100.0, 4), "wall": box((10.0, -5.0, -20.0), (14.0, 30.0, 20.0))}, by_rays=True)
     turning = RISE * BODY * np.cos(np.radians(30.0))  # from the wall: there ray 2 is as long as ray 1
     for away, climbs in ((turning + 0.05, False), (turning - 0.05, True)):
         moved = ground.move(stand(ground, (10.0 - away, 5.0, 0.0)), np.array([[0.01, 0, 0]]), np.array([[1.0, 0, 0]]), UP, BODY)
@@ -47,14 +47,14 @@ def test_the_nearer_of_two_hits_wins() -> None:
 
 
 def test_down_is_away_from_the_agents_own_up_on_a_ceiling_too() -> None:
-    ground = Ground({"slab": box((-20, 10, -20), (20, 12, 20))}, by_rays=True)
+    ground = MeshGround({"slab": box((-20, 10, -20), (20, 12, 20))}, by_rays=True)
     footing, _ = ground.nearest(np.array([[0.0, 9.0, 0.0]]))
     moved = ground.move(footing, np.array([[1.0, 0, 0]]), np.array([[1.0, 0, 0]]), -UP, BODY)
     assert np.allclose(moved.position, [[1, 10, 0]], atol=1e-5) and np.allclose(moved.up, -UP)
 
 
 def test_who_meets_nothing_stays_and_says_so() -> None:
-    ground = Ground({"floor": grid(20.0, 4)}, by_rays=True)
+    ground = MeshGround({"floor": grid(20.0, 4)}, by_rays=True)
     moved = ground.move(stand(ground, (9.5, 5.0, 0.0)), np.array([[1.0, 0, 0]]), np.array([[1.0, 0, 0]]), UP, BODY)
     assert moved.blocked[0] and moved.travelled[0] == 0 and np.allclose(moved.position, [[9.5, 0, 0]])
     nowhere = ground.move(moved.footing.nowhere(1), np.array([[1.0, 0, 0]]), np.array([[1.0, 0, 0]]), UP, BODY)
@@ -75,7 +75,7 @@ def test_results_are_the_same_bits_compiled_or_not_and_for_any_threads(monkeypat
     ends = []
     for use, threads in ((True, 1), (False, 1), (True, 3)):
         monkeypatch.setattr(compiled, "wanted", lambda n, use=use: use)
-        ground, rng = Ground({"hill": mesh}, by_rays=True), np.random.default_rng(3)
+        ground, rng = MeshGround({"hill": mesh}, by_rays=True), np.random.default_rng(3)
         *_, (_, at) = wander(ground, crowd(ground, [mesh], 200, rng), 20, rng, threads)
         ends.append(at)
     for at in ends[1:]:

@@ -13,7 +13,7 @@ from test_cli import antdsl
 from antdsl.bodies.shapes import sphere
 from antdsl.fields.growing import GrowingCells
 from antdsl.ground.combined import Terrain
-from antdsl.ground.footing_table import Standing
+from antdsl.ground.protocol import Footing
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid_feelers import SolidFeelers
 from antdsl.outputs.cache.dug_solids import DugSolids
@@ -347,7 +347,7 @@ def test_who_hangs_from_a_ceiling_that_is_dug_away_falls_to_the_floor(shot):
     hill.carve(np.array([[0.0, 7.0, 0.0]]), np.array([4.0]), np.zeros(1, np.int64))
     ceiling = hill.project(np.array([[0.0, 10.5, 0.0]]), np.array([[0.0, -1.0, 0.0]]))
     assert ceiling.found[0] and ceiling.normals[0, 1] < -0.8
-    standing = Standing.on_solid(1, ceiling.points)
+    standing = Footing.on_solids(1, ceiling.points)
     hill.carve(np.array([[0.0, 15.0, 0.0]]), np.array([9.0]), np.zeros(1, np.int64))  # now the sky is over it
     still = np.zeros((1, 3))
     moved = ground.move(standing, still, np.array([[1.0, 0.0, 0.0]]), ceiling.normals, 4.0)

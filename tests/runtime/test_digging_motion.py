@@ -52,7 +52,7 @@ def test_a_body_tilts_before_an_edge_and_over_it_in_several_steps() -> None:
             moved = move(cube, place, head, head, up, body)
             turns.append(degrees(moved.up, up)[0])
             assert abs((moved.heading * moved.up).sum()) < 1e-9 and abs((moved.direction * moved.up).sum()) < 1e-9
-            place, up, head = moved.points, moved.up, moved.heading
+            place, up, head = moved.position, moved.up, moved.heading
         assert place[0, 0] == pytest.approx(20.0, abs=0.01) and place[0, 1] < 14 and up[0, 0] > 0.99, "down the other face"
         assert head[0, 1] < -0.99, "and looks down it"
         tilts[body] = max(turns)

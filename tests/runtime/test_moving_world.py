@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from antdsl.diagnostics import Report
-from antdsl.ground.mesh.surface import Ground
+from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.moving import MovingGround
 from antdsl.outputs.cache.reading import open_cache
 from antdsl.outputs.gallery import Gallery
@@ -268,7 +268,7 @@ def test_posed_ground_is_ground_made_anew() -> None:
     posed = MovingGround({"hill": hill, "ball": ball}, ["ball"])
     posed.move(*_crowd(posed, draw, 5))  # what it keeps was made before it was posed
     posed.pose({"ball": bend})
-    anew = Ground({"hill": hill, "ball": (bend, ball[1])})
+    anew = MeshGround({"hill": hill, "ball": (bend, ball[1])})
     for name in (
         "corner",
         "edge1",
@@ -292,7 +292,7 @@ def test_posed_ground_is_ground_made_anew() -> None:
         assert np.allclose(one.up, two.up, atol=1e-3)
 
 
-def _crowd(ground: Ground, draw: np.random.Generator, count: int) -> tuple:
+def _crowd(ground: MeshGround, draw: np.random.Generator, count: int) -> tuple:
     points = np.column_stack([draw.uniform(-70, 70, count), np.zeros(count), draw.uniform(-70, 70, count)])
     foot, _ = ground.place(points, np.array([0.0, 1, 0]))
     up = ground.upright(foot, np.array([0.0, 1, 0]))

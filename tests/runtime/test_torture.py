@@ -14,8 +14,9 @@ from torture_walks import BODY, STEP, Seen, above, crowd, depth, inside, parts, 
 
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh import self_cuts
-from antdsl.ground.mesh.surface import Ground, MoveResult
+from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.moving import MovingGround
+from antdsl.ground.protocol import Move
 
 SHAPES = shapes()
 N, STEPS = 300, 120
@@ -26,7 +27,7 @@ Floats = NDArray[np.float64]
 def walked(name: str, n: int = N, steps: int = STEPS) -> Seen:
     """A crowd on a shape, held to what is true of any surface."""
     mesh = SHAPES.SHAPES[name]()
-    ground, rng, seen = Ground({name: mesh}), np.random.default_rng(4), Seen()
+    ground, rng, seen = MeshGround({name: mesh}), np.random.default_rng(4), Seen()
     for before, at in wander(ground, crowd(ground, [mesh], n, rng), steps, rng):
         seen.look(ground, [mesh], before, at)
     seen.good()
@@ -42,7 +43,7 @@ def test_a_crowd_stays_on_any_surface(name: str) -> None:
 @pytest.mark.parametrize("name", ["cube", "plate", "torus", "rod", "boulder"])
 def test_who_is_inside_what_is_closed_stays_inside_and_who_is_outside_outside(name: str) -> None:
     mesh = SHAPES.SHAPES[name]()
-    ground, rng = Ground({name: mesh}), np.random.default_rng(5)
+    ground, rng = MeshGround({name: mesh}), np.random.default_rng(5)
     begin = crowd(ground, [mesh], N, rng)
     began = inside(mesh, above(ground, begin))
     assert 0.3 * N < began.sum() < 0.7 * N
@@ -67,7 +68,7 @@ def in_can(points: Floats, tin: float = 0.0) -> NDArray[np.bool_]:
 
 def test_into_a_can_and_out_of_it_leads_only_the_hole_in_its_lid() -> None:
     mesh = SHAPES.can()
-    ground, rng = Ground({"can": mesh}), np.random.default_rng(7)
+    ground, rng = MeshGround({"can": mesh}), np.random.default_rng(7)
     begin = crowd(ground, [mesh], N, rng)
     begin = begin.take(np.flatnonzero(~inside(mesh, above(ground, begin))))  # nobody in the tin
     was, crossed = in_can(above(ground, begin), SHAPES.TIN), 0
@@ -86,7 +87,7 @@ def test_into_a_can_and_out_of_it_leads_only_the_hole_in_its_lid() -> None:
 
 def test_a_sheet_without_thickness_is_gone_through_nowhere() -> None:
     mesh = SHAPES.pot()
-    ground, rng = Ground({"pot": mesh}), np.random.default_rng(7)
+    ground, rng = MeshGround({"pot": mesh}), np.random.default_rng(7)
     begin = crowd(ground, [mesh], N, rng)
     began = in_can(above(ground, begin))
     assert 0.3 < began.mean() < 0.7
@@ -100,7 +101,7 @@ def test_a_sheet_without_thickness_is_gone_through_nowhere() -> None:
 def test_nobody_on_a_stack_of_stones_comes_into_a_stone() -> None:
     mesh = SHAPES.stones()
     stack = parts(mesh, len(SHAPES.STACK))
-    ground, rng = Ground({"stones": mesh}), np.random.default_rng(8)
+    ground, rng = MeshGround({"stones": mesh}), np.random.default_rng(8)
     begin = crowd(ground, [mesh], 2 * N, rng)
     begin = begin.take(np.flatnonzero(~np.any([inside(s, above(ground, begin)) for s in stack], axis=0)))
     piece = ground.triangles[3].piece
@@ -121,7 +122,7 @@ def test_nobody_slips_from_the_ground_into_what_is_sunk_in_it_or_leans_on_it() -
     twig, tilt = SHAPES.rod(), np.radians(-58)
     turn = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
     meshes["rod"] = (twig[0] @ turn.T + np.array([0.0, -1.5, -62.0]), twig[1])
-    ground, rng, seen = Ground(meshes), np.random.default_rng(9), Seen()
+    ground, rng, seen = MeshGround(meshes), np.random.default_rng(9), Seen()
     closed = [meshes["boulder"], meshes["cube"], meshes["rod"], *parts(meshes["stones"], len(SHAPES.STACK))]
     wanted = rng.uniform(-45, 45, (3 * N, 3)) + np.array([0.0, 40.0, -20.0])
     footing, found = ground.place(wanted, np.array([0.0, 1.0, 0.0]))
@@ -142,7 +143,7 @@ def test_nobody_slips_from_the_ground_into_what_is_sunk_in_it_or_leans_on_it() -
 
 def test_a_moebius_strip_is_walked_on_both_its_sides_which_are_one() -> None:
     mesh = SHAPES.moebius()
-    ground = Ground({"strip": mesh})
+    ground = MeshGround({"strip": mesh})
     along = ground.nearest(np.array([[SHAPES.TWISTED[0], 12.0, 0.0]]))[0]
     start = ground.move(along, np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([[0.0, 1, 0]]), BODY)
     at, turns, ups = start, 0.0, []
@@ -168,7 +169,7 @@ def test_a_broken_mesh_is_walked_like_the_mesh_that_was_meant() -> None:
     mesh = SHAPES.broken()
     plain = SHAPES.stone(65, (22.0, 20.0, 22.0), detail=2)
     plain = (plain[0] + np.array([0.0, 19.0, 0.0]), plain[1])
-    ground, whole, rng = Ground({"broken": mesh}), Ground({"whole": plain}), np.random.default_rng(10)
+    ground, whole, rng = MeshGround({"broken": mesh}), MeshGround({"whole": plain}), np.random.default_rng(10)
     outside = crowd(whole, [plain], N, rng)
     outside = outside.take(np.flatnonzero(winding(plain, above(whole, outside)) < 0.5))
     footing = whole.nearest(outside.position)[0], ground.nearest(outside.position)[0]
@@ -220,7 +221,7 @@ def notched(outline: list[list[float]]) -> Mesh:
 @pytest.mark.parametrize("name", NOTCHES)
 def test_no_wall_is_gone_through_where_sheets_that_cut_each_other_share_corners_and_edges(name: str) -> None:
     mesh = notched(NOTCHES[name])
-    assert Ground({"block": mesh}).triangles[3].cuts.cut.any()
+    assert MeshGround({"block": mesh}).triangles[3].cuts.cut.any()
     held(name, mesh, 2 * N, STEPS)
 
 
@@ -232,7 +233,7 @@ def test_a_notch_is_gone_through_where_its_cuts_are_not_known(monkeypatch: pytes
 
 
 def test_who_comes_to_a_cut_goes_on_upon_what_cuts() -> None:
-    ground = Ground({"block": notched(NOTCHES["through the floor"])})
+    ground = MeshGround({"block": notched(NOTCHES["through the floor"])})
     start = np.array([[14.0, 0.0, 6.0], [14.0, 0.0, 6.0]])
     footing, up = ground.nearest(start)[0], np.array([[0.0, 1, 0], [0.0, -1, 0]])  # in the block, and below it
     at = ground.move(footing, np.tile([-6.0, 0, 0], (2, 1)), np.tile([-1.0, 0, 0], (2, 1)), up, BODY)
@@ -258,13 +259,13 @@ def test_cuts_of_a_mesh_that_moves_are_not_gone_through() -> None:
         heading = heading + np.cross(up, heading) * rng.normal(0, 0.3, (len(up), 1))
         at = moving.move(at.footing, heading * STEP, heading, up, BODY)
     moving.pose({"block": mesh[0]})
-    there = Ground({"block": mesh})
+    there = MeshGround({"block": mesh})
     side = np.where(side_of(moving, at, spin) < 0, -1.0, 1.0)
     places = there.position(at.footing) + there.normal(at.footing) * (side * FINE)[:, None]
     assert np.array_equal(np.round(winding(mesh, places)), began)
 
 
-def side_of(ground: Ground, at: MoveResult, spin: Floats) -> Floats:
+def side_of(ground: MeshGround, at: Move, spin: Floats) -> Floats:
     """On which side of their faces agents are, who were there when the mesh was turned by `spin`."""
     return (ground.normal(at.footing) @ spin.T * at.up).sum(axis=1)
 
@@ -276,9 +277,9 @@ def test_a_hose_through_itself_is_gone_through_where_its_cuts_are_not_known(monk
 
 def test_faces_that_cut_each_other_are_known_and_no_others_are() -> None:
     for name, shape in SHAPES.SHAPES.items():
-        assert Ground({name: shape()}).triangles[3].cuts.cut.any() == (name == "eight"), name
+        assert MeshGround({name: shape()}).triangles[3].cuts.cut.any() == (name == "eight"), name
     mesh = SHAPES.eight()
-    table = Ground({"eight": mesh}).triangles[3]
+    table = MeshGround({"eight": mesh}).triangles[3]
     corners, crossings = mesh[0][mesh[1]], 0
     near = np.flatnonzero(np.linalg.norm(corners.mean(axis=1) - [0.0, 12.0, 0.0], axis=1) < 16.0)
     for f in near:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,31 +136,39 @@ def clear_of_rises(corners: Floats, table: Topology) -> Floats:
         if pieces.size > _PIECES:
             found[:] = 0.0
     found[table.cuts.cut] = 0.0
-    return np.maximum(found, 0.0)
+    clear: Floats = np.maximum(found, 0.0)
+    return clear
 
 
-def near_rises(ground: Any, footing: Any, place: Floats, reach: Floats) -> NDArray[np.bool_]:
-    """Whether for agents on a `Ground`, at places [n,3], a surface may rise within `reach` [n] mm: at an inner crease, or another
-    piece, or a mesh that moves. Never false where one does, and the same for an agent whoever else is asked for."""
-    moving = ground.boxes() if hasattr(ground, "boxes") else []
-    if ground.creases is None:
-        vertices, faces, _, table = ground.triangles
-        still = np.ones(len(faces), np.bool_)
-        for own, _, _ in moving:
+class RiseMap:
+    """Where a surface may rise before agents on a ground: `corners` float64[m,3,3] of its faces, the `table` of their topology,
+    and of each mesh that moves bool[m], which faces are its own."""
+
+    def __init__(self, corners: Floats, table: Topology, moving: Sequence[NDArray[np.bool_]]) -> None:
+        still = np.ones(len(corners), np.bool_)
+        for own in moving:
             still &= ~own
-        corners = vertices[faces]
-        clear = clear_of_rises(corners, table) if not moving else np.zeros(len(faces))
-        size = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
-        ground.creases = clear, size, Creases(corners, table, still)
-    clear, size, grid = ground.creases
-    face, known = ground.on_faces(footing)
-    rows = np.flatnonzero(known & (clear.take(face) <= reach))
-    found = np.zeros(len(reach), np.bool_)
-    if rows.size:
-        at = place.take(rows, axis=0)
-        found[rows] = True
-        wide = np.flatnonzero(size.take(face.take(rows)) > reach[rows])  # of such a face only a part is near
-        found[rows[wide]] = grid.near(at[wide].T, reach[rows[wide]])
-        for _, low, high in moving:
-            found[rows] |= ((at >= low - reach[rows, None]) & (at <= high + reach[rows, None])).all(axis=1)
-    return found
+        self._clear = clear_of_rises(corners, table) if not moving else np.zeros(len(corners))
+        self._size: Floats = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
+        self._creases = Creases(corners, table, still)
+
+    def near(
+        self,
+        face: Index,
+        known: NDArray[np.bool_],
+        place: Floats,
+        reach: Floats,
+        moving: Sequence[tuple[Floats, Floats]],
+    ) -> NDArray[np.bool_]:
+        """As `MeshGround.near_rises`, for agents who stand on faces if that is `known`, with the lowest and highest corner of
+        each mesh that moves."""
+        rows = np.flatnonzero(known & (self._clear.take(face) <= reach))
+        found = np.zeros(len(reach), np.bool_)
+        if rows.size:
+            at = place.take(rows, axis=0)
+            found[rows] = True
+            wide = np.flatnonzero(self._size.take(face.take(rows)) > reach[rows])  # of such a face only a part is near
+            found[rows[wide]] = self._creases.near(at[wide].T, reach[rows[wide]])
+            for low, high in moving:
+                found[rows] |= ((at >= low - reach[rows, None]) & (at <= high + reach[rows, None])).all(axis=1)
+        return found

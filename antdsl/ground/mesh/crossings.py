@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,12 +37,13 @@ class Met:
         return Met(np.full(n, -1, np.int64), np.zeros(n), np.zeros(n), towards.copy(), gone.copy(), np.zeros(n, bool))
 
     def take(self, rows: Index) -> Met:
-        return Met(*(getattr(self, f.name).take(rows, axis=-1) for f in fields(Met)))
+        face, b1, b2 = self.face.take(rows), self.b1.take(rows), self.b2.take(rows)
+        return Met(face, b1, b2, self.towards.take(rows, axis=1), self.gone.take(rows), self.shut.take(rows))
 
     def put(self, rows: Index, other: Met) -> None:
         """Some rows are those of another."""
-        for f in fields(Met):
-            getattr(self, f.name)[..., rows] = getattr(other, f.name)
+        self.face[rows], self.b1[rows], self.b2[rows] = other.face, other.b1, other.b2
+        self.towards[:, rows], self.gone[rows], self.shut[rows] = other.towards, other.gone, other.shut
 
 
 def crossed(table: Topology, walkers: Walkers, rows: Index, length: Floats, touch: float) -> Met:
@@ -65,11 +66,13 @@ def crossed(table: Topology, walkers: Walkers, rows: Index, length: Floats, touc
     ends = begins + dot(normal, step) * length.take(which)
     through = (begins * ends <= 0) | ((np.abs(ends) <= touch) & (np.abs(ends) < np.abs(begins)))
     through &= (np.abs(begins) > touch) & _rises(t, other, place.take(which, axis=1), up.take(which, axis=1), touch)
-    which, other, begins, ends, step, normal = (v[..., through] for v in (which, other, begins, ends, step, normal))
+    which, other, begins, ends = which[through], other[through], begins[through], ends[through]
+    step, normal = step[:, through], normal[:, through]
     before = np.clip(begins / np.where(begins != ends, begins - ends, 1.0), 0.0, 1.0) * length.take(which)
     there = place.take(which, axis=1) + step * before
     on = _inside(t, other, there, 4 * touch) & _leads_through(t, walkers, rows.take(which), other, begins, there, touch)
-    which, other, before, there, normal, step = (v[..., on] for v in (which, other, before, there, normal, step))
+    which, other, before = which[on], other[on], before[on]
+    there, normal, step = there[:, on], normal[:, on], step[:, on]
     if not which.size:
         return met
     # Off what was left, or which side of it feet are on could not be told in the next step; and so upon what is first there.
@@ -85,12 +88,12 @@ def crossed(table: Topology, walkers: Walkers, rows: Index, length: Floats, touc
     met.b1[which], met.b2[which] = weights(t, other, there + off)
     own, side = walkers.face.take(rows[which]), walkers.side.take(rows[which])
     back = ~t.together(own, side, other, np.where(towards[first] > 0, -1.0, 1.0))
-    ends = np.flatnonzero(back | _tight(t, other, own, there, off, touch))
+    over = np.flatnonzero(back | _tight(t, other, own, there, off, touch))
     # Up to where feet keep off what they come to, or, in a corner, not at all.
-    near = soonest[ends] - OFF * touch / np.maximum(np.abs(towards[first[ends]]), 1 / LEANING)
-    stop, near = which[ends], np.where(back[ends], np.maximum(near, 0.0), 0.0)
-    met.face[stop], met.gone[stop], met.shut[stop] = own[ends], near, True
-    met.b1[stop], met.b2[stop] = weights(t, own[ends], place[:, stop] + way[:, stop] * near)
+    near = soonest[over] - OFF * touch / np.maximum(np.abs(towards[first[over]]), 1 / LEANING)
+    stop, near = which[over], np.where(back[over], np.maximum(near, 0.0), 0.0)
+    met.face[stop], met.gone[stop], met.shut[stop] = own[over], near, True
+    met.b1[stop], met.b2[stop] = weights(t, own[over], place[:, stop] + way[:, stop] * near)
     met.towards[:, stop] = -up[:, stop]
     return met
 

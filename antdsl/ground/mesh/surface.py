@@ -1,10 +1,10 @@
-"""Surfaces that agents stand and walk on, any side up: a footing is a point of a triangle; one door, `Ground.move`, moves it."""
+"""Surfaces that agents stand and walk on, any side up: a footing is a point of a triangle; one door,
+`MeshGround.move`, moves it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,89 +12,20 @@ from numpy.typing import NDArray
 from antdsl.casting.rays import Mesh, RayScene
 from antdsl.ground.mesh.boxes import Boxes
 from antdsl.ground.mesh.clearances import Clearances, Parts
+from antdsl.ground.mesh.creases import RiseMap
 from antdsl.ground.mesh.crossings import weights
 from antdsl.ground.mesh.surroundings import LIFT, Around, Scale
 from antdsl.ground.mesh.topology import Topology, build, facing
 from antdsl.ground.mesh.walk import Walkers, inside, laid_down, turned, walk
+from antdsl.ground.protocol import Floats, Footing, Index, Move
 from antdsl.numerics import compiled
 from antdsl.numerics.vectors import dot
 
 if TYPE_CHECKING:
     from antdsl.ground.mesh.walk_events import Walk
 
-Floats = NDArray[np.float64]
-Index = NDArray[np.int64]
 
-
-def _rows(array: NDArray[Any], rows: NDArray[np.integer] | NDArray[np.bool_]) -> NDArray[Any]:
-    """Some rows of an array; `take` is several times faster than an index."""
-    return array[rows] if rows.dtype == bool else array.take(rows, axis=0)
-
-
-@dataclass(frozen=True, slots=True)
-class Footing:
-    """Where agents stand: mesh and face (int32[n], -1 = nowhere) and the weights of the face's second and third corner. Who is
-    stepping over a border is `over` mm off it along the face's normal; 0 for others, and for all where it is not given."""
-
-    mesh: NDArray[np.int32]
-    face: NDArray[np.int32]
-    b1: Floats
-    b2: Floats
-    over: Floats = None  # type: ignore[assignment]
-
-    def __post_init__(self) -> None:
-        if self.over is None:
-            object.__setattr__(self, "over", np.zeros(len(self.face)))
-
-    def __len__(self) -> int:
-        return len(self.face)
-
-    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Footing:
-        """The footings of some rows."""
-        return Footing(*(_rows(getattr(self, f.name), rows) for f in fields(self)))
-
-    @staticmethod
-    def chosen(which: NDArray[np.bool_], one: Footing, other: Footing) -> Footing:
-        """The footings of `one` where `which` says so, else those of `other`."""
-        return Footing(*(np.where(which, getattr(one, f.name), getattr(other, f.name)) for f in fields(Footing)))
-
-    @staticmethod
-    def joined(parts: Iterable[Footing]) -> Footing:
-        """Footings one after another."""
-        parts = [Footing.nowhere(0), *parts]
-        return Footing(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Footing)))
-
-    @staticmethod
-    def nowhere(n: int) -> Footing:
-        """Footings of agents that stand on nothing."""
-        return Footing(np.full(n, -1, np.int32), np.full(n, -1, np.int32), np.zeros(n), np.zeros(n))
-
-
-@dataclass(frozen=True, slots=True)
-class MoveResult:
-    """Where a step led. Vectors are float64[n,3], lengths mm.
-
-    Of vectors each component is contiguous. `up` is the smooth normal on the agent's side, `heading` a unit vector at right
-    angles to it. `direction` is the unit direction of travel at the end, in the face: a velocity is carried along by taking
-    its length times this. `travelled` is the way walked. `blocked` says that an open border ended the way, `lost` that there
-    was no footing to walk from.
-    """
-
-    footing: Footing
-    position: Floats
-    up: Floats
-    heading: Floats
-    direction: Floats
-    travelled: Floats
-    blocked: NDArray[np.bool_]
-    lost: NDArray[np.bool_]
-
-    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> MoveResult:
-        """The results of some rows."""
-        return MoveResult(self.footing.take(rows), *(_rows(getattr(self, f.name), rows) for f in fields(self)[1:]))
-
-
-class Ground:
+class MeshGround:
     """One or more surfaces, by name, in the order given: (vertices float64[n,3], faces int32[m,3]) in millimetres.
 
     An obstacle that may be climbed is a surface like any other. Meshes may overlap and need not be closed. With `by_rays` agents
@@ -127,13 +58,17 @@ class Ground:
         self._boxes = Boxes.of(self._vertices, self._faces, np.flatnonzero(self._table.live), self._together())
         self._clearances = Clearances(corners, self._table.piece, self._table.cuts.cut, self.low, self._scale.noise)
         self._fast: Walk | None = None
-        self.creases: Any = None  # where bodies look out for walls, found when somebody asks (`creases.near_rises`)
+        self._rises: RiseMap | None = None  # where bodies look out for walls, found when somebody asks
 
     def _together(self) -> NDArray[np.int32]:
         """Numbers of faces: those of one move together."""
         return np.zeros(len(self._faces), np.int32)
 
     # ---- asking
+
+    def nowhere(self, n: int) -> Footing:
+        """Footings of n agents that stand on nothing yet."""
+        return Footing.nowhere(n)
 
     def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, NDArray[np.bool_]]:
         """Footings below points [n,3]: the first surface that a ray from far above along -`up` ([3] or [n,3]) meets.
@@ -214,14 +149,26 @@ class Ground:
         return self._vertices, self._faces, self._mesh, self._table
 
     @property
-    def meshes(self) -> Ground:
+    def meshes(self) -> MeshGround:
         """The part of the ground that is made of meshes."""
         return self
 
-    def on_faces(self, footing: Any) -> tuple[Index, NDArray[np.bool_]]:
+    def on_faces(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
         """The face of each footing, counted over all surfaces (0 for none), and whether it is on one."""
         known = (footing.face >= 0) & (footing.mesh >= 0) & (footing.mesh < len(self.names))
         return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
+
+    def near_rises(self, footing: Footing, place: Floats, reach: Floats) -> NDArray[np.bool_]:
+        """Whether for agents at places [n,3] a surface may rise within `reach` [n] mm: at an inner crease, or another piece, or a
+        mesh that moves. Never false where one does, and the same for an agent whoever else is asked for."""
+        if self._rises is None:
+            self._rises = RiseMap(self._vertices[self._faces], self._table, [own for own, _, _ in self.boxes()])
+        face, known = self.on_faces(footing)
+        return self._rises.near(face, known, place, reach, [(low, high) for _, low, high in self.boxes()])
+
+    def boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
+        """Meshes that move, where they are now: which faces are theirs, lowest and highest corner."""
+        return []
 
     def laid_out(self, face: Index, c: Floats, s: Floats) -> Floats:
         """Vectors (3, n) in the world, from their parts along the two axes of their faces."""
@@ -231,7 +178,7 @@ class Ground:
 
     def move(
         self, footing: Footing, displacement: Floats, heading: Floats, up: Floats, body: Floats | float, threads: int = 1
-    ) -> MoveResult:
+    ) -> Move:
         """Walk every agent along its surface by a displacement [n,3], on the side its `up` [n,3] points to.
 
         The displacement is laid into the face and keeps its length, unless it points into the ground or off it by more than
@@ -266,32 +213,30 @@ class Ground:
 
     def _moved_fast(
         self, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, parts: Parts, threads: int
-    ) -> MoveResult:
+    ) -> Move:
         """As `_moved`, to the same bits: most by the compiled walk, and those that it leaves by `_moved`."""
         from antdsl.ground.mesh.walk_events import Walk
 
         if self._fast is None:
             self._fast = Walk(self._table, self._mesh, self._first)
         n = len(footing)
-        moved = Footing(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
-        place, above, ahead, direction, gone, blocked = *np.empty((4, 3, n)), np.empty(n), np.zeros(n, np.bool_)
+        moved = Footing.on_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
+        place, above, ahead, direction = np.empty((4, 3, n))
+        gone, blocked = np.empty(n), np.zeros(n, np.bool_)
         at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
         around = Around(self._table, self._boxes, parts, self._scale, body, self._fast.packed)
         results = (*to, place, above, ahead, direction, gone, blocked)
         done = self._fast.step(around, parts, self._boxes, self._scale, body, at, (wish, heading, up), results, threads)
-        result = MoveResult(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
+        result = Move(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
         left = np.flatnonzero(~done)
         if left.size:
             wish, heading, up = (v.take(left, axis=1) for v in (wish, heading, up))
-            rest = self._moved(footing.take(left), wish, heading, up, body.take(left), parts, threads)
-            for whole, part in ((result.footing, rest.footing), (result, rest)):
-                for name in (f.name for f in fields(whole) if f.name != "footing"):
-                    getattr(whole, name)[left] = getattr(part, name)
+            result.put(left, self._moved(footing.take(left), wish, heading, up, body.take(left), parts, threads))
         return result
 
     def _moved(
         self, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, parts: Parts, threads: int
-    ) -> MoveResult:
+    ) -> Move:
         """As `move`, vectors (3, n), one body for each agent."""
         n = len(footing)
         face, known = self._faces_of(footing)
@@ -321,7 +266,7 @@ class Ground:
             for vectors, kept in zip(result, (np.zeros((n, 3)), up.T, heading.T, heading.T), strict=True):
                 vectors[~known] = kept[~known]
         position, above, forward, direction = result
-        return MoveResult(moved, position, above, forward, direction, w.gone, w.blocked, ~known)
+        return Move(moved, position, above, forward, direction, w.gone, w.blocked, ~known)
 
     # ---- parts
 
@@ -369,10 +314,10 @@ class Ground:
         over = np.zeros(face.size) if over is None else over
         if known.all():
             mesh = self._mesh.take(face)
-            return Footing(mesh, (face - self._first.take(mesh)).astype(np.int32), b1, b2, over)
+            return Footing.on_faces(mesh, (face - self._first.take(mesh)).astype(np.int32), b1, b2, over)
         mesh = np.where(known, self._mesh.take(np.maximum(face, 0)) if self._mesh.size else -1, -1).astype(np.int32)
         local = np.where(known, face - self._first.take(np.maximum(mesh, 0)), -1).astype(np.int32)
-        return Footing(mesh, local, *(np.where(known, v, 0.0) for v in (b1, b2, over)))
+        return Footing.on_faces(mesh, local, *(np.where(known, v, 0.0) for v in (b1, b2, over)))
 
     def _smooth(self, face: Index, b1: Floats, b2: Floats) -> Floats:
         """Smooth unit normals (3, n) by how the faces are wound."""
@@ -381,10 +326,10 @@ class Ground:
         return v / np.sqrt(np.maximum(dot(v, v), 1e-300))
 
 
-def _unmoved(footing: Footing, up: Floats, heading: Floats) -> MoveResult:
+def _unmoved(footing: Footing, up: Floats, heading: Floats) -> Move:
     n = len(footing)
     same = np.array(heading, np.float64).reshape(-1, 3)
-    return MoveResult(
+    return Move(
         Footing.nowhere(n),
         np.zeros((n, 3)),
         np.array(up, np.float64).reshape(-1, 3),

@@ -164,16 +164,17 @@ class Around:
         # Onto the nearest that there is of what lies below, from where that is not overhead.
         self._nearest(met, rise, own, place, up, high, gap, upon)
         # Down at the border itself, where what was met may be met sooner; straight across to what is near.
-        low = np.flatnonzero((met.face >= 0) & (rise < -gap))
-        fall = (up * (rise + fine)).take(low, axis=1)
-        face, part, b1, b2 = self._first((place + hair - up * fine).take(low, axis=1), fall, 0.0, face=own.take(low))
+        deeper = np.flatnonzero((met.face >= 0) & (rise < -gap))
+        fall = (up * (rise + fine)).take(deeper, axis=1)
+        edge = (place + hair - up * fine).take(deeper, axis=1)
+        face, part, b1, b2 = self._first(edge, fall, 0.0, face=own.take(deeper))
         sooner = np.flatnonzero(face >= 0)
-        who = low[sooner]
+        who = deeper[sooner]
         met.face[who], met.b1[who], met.b2[who], met.towards[:, who] = face[sooner], b1[sooner], b2[sooner], fall[:, sooner]
         rise[who], met.gone[who] = part[sooner] * (rise[who] + fine) - fine, 0.0
-        level = np.abs(rise) <= gap
-        met.gone[:] = np.where(level, np.sqrt(met.gone * met.gone + rise * rise), met.gone)
-        rise = np.where(level, 0.0, rise)
+        flat = np.abs(rise) <= gap
+        met.gone[:] = np.where(flat, np.sqrt(met.gone * met.gone + rise * rise), met.gone)
+        rise = np.where(flat, 0.0, rise)
         who = np.flatnonzero(self._leads(walkers, rows, met.face, met.towards))
         return self._landing(who, met.take(who), rise[who])
 
@@ -209,7 +210,9 @@ class Around:
             from antdsl.ground.mesh.boxes_compiled import first_of_all
 
             boxes = (self._boxes.order, self._boxes.first, self._boxes.bounds)
-            return first_of_all(self._packed, self._table.piece, boxes, origin, step, fine, passed, beside)
+            found: tuple[Index, Floats, Floats, Floats]
+            found = first_of_all(self._packed, self._table.piece, boxes, origin, step, fine, passed, beside)
+            return found
         return first_met(self._boxes, self._table, origin, step, fine, passed, beside)
 
     def _leads(self, walkers: Walkers, rows: Index, face: Index, towards: Floats) -> NDArray[np.bool_]:

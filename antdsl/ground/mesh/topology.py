@@ -133,7 +133,8 @@ def _shape(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -
 
 
 def _length(v: Floats) -> Floats:
-    return np.sqrt((v * v).sum(axis=1))
+    length: Floats = np.sqrt((v * v).sum(axis=1))
+    return length
 
 
 def _weld(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Ints:
@@ -173,7 +174,7 @@ def _touching(places: Floats, owner: Ints, cell: NDArray[np.int64], grain: float
 def _live(weld: Ints, area: Floats, edges: tuple[Floats, Floats, Floats]) -> NDArray[np.bool_]:
     """Faces that are a triangle, the first of those on the same three corners."""
     longest = np.maximum.reduce([_length(e) for e in edges])
-    live = (area > _FLAT * longest * longest) & (area > 0)
+    live: NDArray[np.bool_] = (area > _FLAT * longest * longest) & (area > 0)
     key = np.sort(weld, axis=1)
     live &= (key[:, 0] != key[:, 1]) & (key[:, 1] != key[:, 2])
     order = np.lexsort((np.arange(len(key)), ~live, key[:, 2], key[:, 1], key[:, 0]))
@@ -318,4 +319,5 @@ def facing(normals: Floats) -> NDArray[np.int64]:
     """Which of six ways normals [n,3] face most: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; the first of equals."""
     n = np.asarray(normals)
     axis = np.abs(n).argmax(axis=1)
-    return 2 * axis + (n[np.arange(len(n)), axis] < 0)
+    side: NDArray[np.int64] = 2 * axis + (n[np.arange(len(n)), axis] < 0)
+    return side

@@ -3,7 +3,7 @@ Exact in float64: the point never leaves its triangle, and the way walked is as 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -38,10 +38,13 @@ class Landing:
 
     @staticmethod
     def nowhere() -> Landing:
-        return Landing(*np.empty((2, 0), np.int64), *np.empty((5, 0)), np.empty(0, bool))
+        who, face = np.empty((2, 0), np.int64)
+        b1, b2, side, gone, rise = np.empty((5, 0))
+        return Landing(who, face, b1, b2, side, gone, rise, np.empty(0, bool))
 
     def take(self, rows: Index | NDArray[np.bool_]) -> Landing:
-        return Landing(*(getattr(self, f.name)[rows] for f in fields(Landing)))
+        b1, b2, side, gone, rise = (v[rows] for v in (self.b1, self.b2, self.side, self.gone, self.rise))
+        return Landing(self.who[rows], self.face[rows], b1, b2, side, gone, rise, self.shut[rows])
 
 
 class Surroundings(Protocol):
@@ -226,12 +229,12 @@ def _land(table: Topology, w: Walkers, asked: Index, landing: Landing, hops: NDA
     before, direction = w.up(table, rows), w.direction(table, rows)
     heading = in_space(table, w.face[rows], w.heading_c[rows], w.heading_s[rows])
     after = table.normal.take(landing.face, axis=1) * landing.side
-    for name_c, name_s, vector in (("c", "s", direction), ("heading_c", "heading_s", heading)):
+    for to_c, to_s, vector in ((w.c, w.s, direction), (w.heading_c, w.heading_s, heading)):
         c, s = in_frame(table, landing.face, turned(vector, before, after, direction))
         size = np.sqrt(c * c + s * s)
         usable = size > 1e-9
-        getattr(w, name_c)[rows] = np.where(usable, c / np.where(usable, size, 1.0), 1.0)
-        getattr(w, name_s)[rows] = np.where(usable, s / np.where(usable, size, 1.0), 0.0)
+        to_c[rows] = np.where(usable, c / np.where(usable, size, 1.0), 1.0)
+        to_s[rows] = np.where(usable, s / np.where(usable, size, 1.0), 0.0)
     w.face[rows], w.b1[rows], w.b2[rows], w.side[rows] = landing.face, landing.b1, landing.b2, landing.side
     w.left[rows] = np.maximum(w.left[rows] - landing.gone, 0.0)
     w.gone[rows] += landing.gone
@@ -326,10 +329,10 @@ def border(
     along = there & (onto < 0)
     rows, half = rows[along], half[along]
     c, s = table.edge_c[half], table.edge_s[half]
-    along = w.c[rows] * c + w.s[rows] * s
-    turn = np.where(along < 0, -1.0, 1.0)
+    part = w.c[rows] * c + w.s[rows] * s
+    turn = np.where(part < 0, -1.0, 1.0)
     w.c[rows], w.s[rows] = turn * c - INWARD * s, turn * s + INWARD * c
-    w.left[rows] = w.left[rows] * np.abs(along)
+    w.left[rows] = w.left[rows] * np.abs(part)
     w.blocked[rows] = True
     _spend_hop(w, rows, hops)
 

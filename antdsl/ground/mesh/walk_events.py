@@ -58,8 +58,8 @@ class Walk:
 
         reals, wholes = (np.concatenate(half, axis=1) for half in zip(*compiled.in_parts(part, n, threads), strict=True))
         topology = self._table
-        known = ((topology.piece, topology.way), topology.cuts.first, (boxes.order, boxes.first, boxes.bounds))
-        known = (*known, (scale.least, scale.fine, scale.under))
+        sides, tree = (topology.piece, topology.way), (boxes.order, boxes.first, boxes.bounds)
+        known = (sides, topology.cuts.first, tree, (scale.least, scale.fine, scale.under))
 
         def further(begin: int, end: int) -> None:
             loop.walk_on(*near, *known, body, reals, wholes, done, *to, begin, end)

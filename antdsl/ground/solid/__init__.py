@@ -7,6 +7,6 @@ is the door: `trilinear` samples between nodes, `carving` digs balls out, `meshi
 from __future__ import annotations
 
 from antdsl.ground.solid.volume import Unusable, Volume
-from antdsl.ground.solid.walking import Moved, move
+from antdsl.ground.solid.walking import move
 
-__all__ = ["Moved", "Unusable", "Volume", "move"]
+__all__ = ["Unusable", "Volume", "move"]

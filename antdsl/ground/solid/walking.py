@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.ground.protocol import Floats, Footing, Index, Move
 from antdsl.ground.solid.bricks import Bricks
 from antdsl.ground.solid.projecting import CLOSE, FLAT, SETTLING, settle
 from antdsl.ground.solid.trilinear import LEAN, distance, field, smooth
@@ -14,8 +15,6 @@ from antdsl.ground.solid.volume import Volume
 from antdsl.numerics import compiled
 from antdsl.numerics.vectors import Vector, cross, dot, unit
 
-Floats = NDArray[np.float64]
-Index = NDArray[np.int64]
 Columns = list[Floats]
 Found = tuple[Columns, Columns, Floats]  # places, and the gradient and distance there
 
@@ -34,25 +33,6 @@ THIN = 0.1  # length of that gradient below which it says nothing: the normal of
 RULES = (STRIDE, LEAST, NEWTON, BISECTIONS, OFF, FARTHER, EDGE, BACK, DONE, CROSSINGS, SETTLING, FLAT, LEAN, THIN)
 
 
-@dataclass(frozen=True, slots=True)
-class Moved:
-    """Where a step led. Vectors are float64[n,3]; lengths mm.
-
-    `up` is the normal out of the solid that the body stands by, even over its length, so that it tilts before an edge and does
-    not jerk; `heading`, and `direction`, that of travel at the end, are unit vectors at right angles to it. `travelled` is the
-    way walked. `blocked` says that the way could not be walked to its end, `lost` that there is no surface near to stand on: then
-    the point stays where it was.
-    """
-
-    points: Floats
-    up: Floats
-    heading: Floats
-    direction: Floats
-    travelled: Floats
-    blocked: NDArray[np.bool_]
-    lost: NDArray[np.bool_]
-
-
 @dataclass(slots=True)
 class _Walk:
     """Walkers on their way, as columns: place, normal, direction; way left and gone, and the stride that went well."""
@@ -69,7 +49,9 @@ class _Walk:
     lost: NDArray[np.bool_]
 
 
-def move(volume: Volume, points: Floats, steps: Floats, heading: Floats, up: Floats, size: Floats | float) -> Moved:
+def move(
+    volume: Volume, points: Floats, steps: Floats, heading: Floats, up: Floats, size: Floats | float, number: int = 0
+) -> Move:
     """Walk agents who stand on the zero level at `points` [n,3] by `steps` [n,3], laid into the surface and kept in length.
 
     `up` [n,3] is the unit normal that each stood by, `heading` [n,3] where it looked. Steps turn from there into the surface
@@ -77,6 +59,9 @@ def move(volume: Volume, points: Floats, steps: Floats, heading: Floats, up: Flo
     places stay within a ten-thousandth of it off the zero level. Who stands in air, because the ground was dug away, first goes
     to the surface. A step that is not finite counts as none, and so does what of a step points off the surface by over
     60 degrees.
+
+    `up` of the result is the normal out of the solid that the body stands by, even over its length, so that it tilts before an
+    edge and does not jerk. Who is lost stays where it was. Footings are on the solid of this `number`.
     """
     bricks = volume.bricks
     columns = [_columns(v) for v in (points, steps, heading, up)]
@@ -85,8 +70,8 @@ def move(volume: Volume, points: Floats, steps: Floats, heading: Floats, up: Flo
     close = np.clip(3e-5 * body, CLOSE * bricks.voxel, 1e-3 * bricks.voxel)
     with np.errstate(over="ignore", invalid="ignore"):
         if compiled.wanted(count):
-            return _moved_compiled(bricks, columns, close, stance(bricks, body))
-        return _moved(bricks, columns, close, stance(bricks, body))
+            return _moved_compiled(bricks, columns, close, stance(bricks, body), number)
+        return _moved(bricks, columns, close, stance(bricks, body), number)
 
 
 def stance(bricks: Bricks, body: Floats) -> Floats:
@@ -96,12 +81,13 @@ def stance(bricks: Bricks, body: Floats) -> Floats:
 
 def upright(bricks: Bricks, place: Columns, lean: Floats, otherwise: Columns) -> Columns:
     """Unit normals to stand by, evened over `lean` voxels; where walls on both sides leave none, `otherwise`."""
-    slope = smooth(bricks, *place, lean)
+    x, y, z = place
+    slope = smooth(bricks, x, y, z, lean)
     clear = dot(slope, slope) > THIN * THIN
     return [np.where(clear, s, o) for s, o in zip(_normal_of(slope, otherwise), otherwise, strict=True)]
 
 
-def _moved(bricks: Bricks, columns: list[Floats], close: Floats, lean: Floats) -> Moved:
+def _moved(bricks: Bricks, columns: list[Floats], close: Floats, lean: Floats, number: int) -> Move:
     """As `move`, of points, steps, headings and up as (3, n)."""
     place, wish, head, above = (list(c.copy()) for c in columns)
     count = close.size
@@ -122,10 +108,12 @@ def _moved(bricks: Bricks, columns: list[Floats], close: Floats, lean: Floats) -
     stood = upright(bricks, w.place, lean, w.normal)
     way = _laid(_turned(w.way, w.normal, stood, w.way), stood)[0]
     head = _laid(_turned(head, above, stood, head), stood)[0]
-    return Moved(_rows(w.place), _rows(stood), _rows(head), _rows(way), w.gone, w.blocked, w.lost)
+    points = _rows(w.place)
+    footing = Footing.on_solids(number, points)
+    return Move(footing, points, _rows(stood), _rows(head), _rows(way), w.gone, w.blocked, w.lost)
 
 
-def _moved_compiled(bricks: Bricks, columns: list[Floats], close: Floats, lean: Floats) -> Moved:
+def _moved_compiled(bricks: Bricks, columns: list[Floats], close: Floats, lean: Floats, number: int) -> Move:
     """As `_moved`."""
     from antdsl.ground.solid.walking_compiled import walk_all
 
@@ -136,7 +124,7 @@ def _moved_compiled(bricks: Bricks, columns: list[Floats], close: Floats, lean: 
         *columns, np.ascontiguousarray(close), np.ascontiguousarray(lean), *vectors, gone, blocked, lost,
     )  # fmt: skip
     place, stood, head, way = (v.T for v in vectors)
-    return Moved(place, stood, head, way, gone, blocked, lost)
+    return Move(Footing.on_solids(number, place), place, stood, head, way, gone, blocked, lost)
 
 
 def _step(bricks: Bricks, w: _Walk, rows: Index) -> Index:

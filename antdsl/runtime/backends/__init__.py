@@ -6,10 +6,14 @@ slots once, `numpy_calls` and `numpy_statements` have the calls, and a condition
 operations are one table for both (`numerics.elementwise`), sums over sets are exact, draws are functions of the id: no result
 depends on rows, chunks or threads. A backend fills an `Effects`; the phases of the step apply it."""
 
+from collections.abc import Callable, Mapping
+
+from antdsl.plan import ir
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 from antdsl.runtime.backends.reference import ReferenceBackend
+from antdsl.runtime.world import Backend
 
-BACKENDS = {
+BACKENDS: Mapping[str, Callable[[ir.Plan], Backend]] = {
     "numpy": NumpyBackend,  # whole arrays: for work
     "reference": ReferenceBackend,  # one agent at a time: the definition, and the one that explains
 }

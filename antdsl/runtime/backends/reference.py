@@ -11,6 +11,7 @@ from math import ldexp
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.numerics import exact_sums
@@ -37,7 +38,7 @@ class ReferenceBackend:
     def begin(self, world: World) -> None:
         """Nothing is kept from step to step."""
 
-    def run(self, world: World, population: Population, block: str, rows: Any = None) -> None:
+    def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Run a block for some rows (None: all), one after the other."""
         rows = np.flatnonzero(~population.quarantined) if rows is None else rows
         with np.errstate(all="ignore"):

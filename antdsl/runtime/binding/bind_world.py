@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.protocol import Obstacle
+from antdsl.casting.rays import RayScene
 from antdsl.diagnostics import Report
+from antdsl.ground.combined import Terrain
+from antdsl.ground.mesh.surface import MeshGround
+from antdsl.ground.moving import MovingGround
 from antdsl.ground.plane import Plane
+from antdsl.ground.protocol import Ground
+from antdsl.ground.solid import Unusable, Volume
+from antdsl.ground.solid_feelers import SolidFeelers
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed
 from antdsl.runtime.backends import BACKENDS
@@ -115,13 +122,12 @@ def _moved(mesh: MeshData, origin: NDArray[np.float64]) -> MeshData:
     return MeshData(mesh.vertices - origin, mesh.faces) if origin.any() else mesh
 
 
-def _solids(setting: Setting, origin: NDArray[np.float64], built: Built) -> dict[str, Any]:
+def _solids(setting: Setting, origin: NDArray[np.float64], built: Built) -> dict[str, Volume]:
     """A volume for each solid; BindError where its mesh can be none."""
     if not setting.solids:
         return {}
-    from antdsl.ground.solid import Unusable, Volume
-
-    found, report = {}, Report()
+    found: dict[str, Volume] = {}
+    report = Report()
     for name, solid in setting.solids.items():
         mesh = _moved(solid.mesh, origin)
         made = built.once_deep("solid", (mesh, solid.voxel), partial(Volume.from_mesh, mesh.vertices, mesh.faces, solid.voxel))
@@ -136,52 +142,40 @@ def _solids(setting: Setting, origin: NDArray[np.float64], built: Built) -> dict
 
 def _ground(
     meshes: dict[str, MeshData],
-    solids: dict[str, Any],
+    solids: dict[str, Volume],
     up: NDArray[np.float64],
     moving: Iterable[str],
     by_rays: bool,
     built: Built,
-) -> Any:
+) -> Ground:
     if not meshes and not solids:
         return Plane(up)
     ground = _meshes(meshes, moving, by_rays, built)
-    if not solids:
+    if ground is not None and not solids:
         return ground
-    from antdsl.ground.combined import Terrain
-
     return Terrain(ground, solids, up / np.sqrt((up[0] * up[0] + up[1] * up[1]) + up[2] * up[2]))
 
 
-def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool, built: Built) -> Any:
+def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool, built: Built) -> MeshGround | None:
     """The part of the ground that is made of meshes; None without any."""
     surfaces = {name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
     moved = [name for name in moving if name in surfaces]
     if moved:
-        from antdsl.ground.moving import MovingGround
-
         made = partial(MovingGround, surfaces, moved, by_rays)
         return built.once("moving ground", (surfaces, moved, by_rays), made, copied=MovingGround.copy)
     if not surfaces:
         return None
-    from antdsl.ground.mesh.surface import Ground
-
-    return built.once("ground", (surfaces, by_rays), partial(Ground, surfaces, by_rays))
+    return built.once("ground", (surfaces, by_rays), partial(MeshGround, surfaces, by_rays))
 
 
-def _scenes(meshes: dict[str, MeshData], solids: dict[str, Any], built: Built) -> dict[str, Any]:
+def _scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], built: Built) -> dict[str, Obstacle]:
     """What rays can be cast at: meshes, and solids as they are at each time."""
     if not meshes and not solids:
         return {}
-    from antdsl.casting.rays import RayScene
-
-    found: dict[str, Any] = {
+    found: dict[str, Obstacle] = {
         name: built.once("rays", mesh, partial(RayScene, mesh.vertices, mesh.faces)) for name, mesh in meshes.items()
     }
-    if solids:
-        from antdsl.ground.solid_feelers import SolidFeelers
-
-        found |= {name: SolidFeelers(volume) for name, volume in solids.items()}
-    return found
+    return found | {name: SolidFeelers(volume) for name, volume in solids.items()}
 
 
 def _items(setting: Setting, plan: ir.ItemsPlan, origin: NDArray[np.float64]) -> Items:

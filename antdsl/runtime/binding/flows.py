@@ -5,7 +5,7 @@ from __future__ import annotations
 from copy import copy
 from functools import partial
 from math import ceil
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +14,16 @@ from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.fields.cost import Land
 from antdsl.fields.face_points import Lattice, LatticeTooFine, cuts_for, slots_of, welded
-from antdsl.fields.flow import Flow, Map, falling, laid, nearest, spread
+from antdsl.fields.flow import Flow, Map, Source, falling, laid, nearest, spread
 from antdsl.fields.solved import Grounds, Solved, least_cost
 from antdsl.ground.mesh.topology import NO_LINK
+from antdsl.ground.protocol import Flags, Floats, Index, Meshes
 from antdsl.runtime.binding.reuse import Built
+from antdsl.runtime.moving.obstacles import mesh_of
 from antdsl.scene.setting import BorderFlow, FlowData, Painted, SolvedFlow, SpreadFlow, Target
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
-
-Floats = NDArray[np.float64]
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 _PIECES = 8  # of a radius or border, where no cell is given
 _ACROSS = 64  # pieces of the ground's extent, where there is no radius either
@@ -104,12 +102,19 @@ def _renew(world: World, made: Flow, flow: SpreadFlow | BorderFlow | SolvedFlow)
     made.lattice, made.c, made.s, made.source = now.lattice, now.c, now.s, now.source
 
 
+def _meshes(world: World) -> Meshes:
+    """The part of the ground with faces, on which flows lie."""
+    meshes = world.ground.meshes
+    assert meshes is not None
+    return meshes
+
+
 # --- painted ---------------------------------------------------------------------------------------------------------
 
 
 def _corners(world: World, painted: Painted) -> Floats:
     """Painted values in the corners of all faces of the ground, (3, faces, width); 0 on other surfaces."""
-    _, faces, mesh, _ = world.ground.meshes.triangles
+    _, faces, mesh, _ = _meshes(world).triangles
     own = np.flatnonzero(mesh == world.surface_index[painted.surface])
     values = painted.values.reshape(len(painted.values), -1)
     found = np.zeros((3, len(faces), values.shape[1]))
@@ -120,7 +125,7 @@ def _corners(world: World, painted: Painted) -> Floats:
 
 
 def _painted(world: World, painted: Painted) -> Flow:
-    table = world.ground.meshes.triangles[3]
+    table = _meshes(world).triangles[3]
     corners = _corners(world, painted)
     parts = [laid(corners[k], table.axis1, table.axis2) for k in range(3)]
     c, s = (np.stack([part[k] for part in parts], axis=1).ravel() for k in range(2))
@@ -132,7 +137,7 @@ def _painted(world: World, painted: Painted) -> Flow:
 
 def _chosen(world: World, on: tuple[str, ...]) -> Flags:
     """Faces of the surfaces that a flow lies on; those without area are left out."""
-    _, _, mesh, table = world.ground.meshes.triangles
+    _, _, mesh, table = _meshes(world).triangles
     wanted = [world.surface_index[name] for name in on] or list(world.surface_index.values())
     chosen: Flags = table.live & np.isin(mesh, wanted)
     return chosen
@@ -140,7 +145,7 @@ def _chosen(world: World, on: tuple[str, ...]) -> Flags:
 
 def _lengths(world: World) -> tuple[Floats, Floats]:
     """The longest edge and the middle (n, 3) of each face."""
-    vertices, faces, _, _ = world.ground.meshes.triangles
+    vertices, faces, _, _ = _meshes(world).triangles
     corners = vertices[faces]
     edges = np.stack([corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)])
     return np.sqrt((edges * edges).sum(axis=2)).max(axis=0), corners.mean(axis=1)
@@ -164,15 +169,15 @@ def _lattice(world: World, chosen: Flags, cell: float | None, own_cell: float) -
 
 def _places(world: World, lattice: Lattice) -> tuple[Index, Floats]:
     """The face and the place (n, 3) of each slot."""
-    table = world.ground.meshes.triangles[3]
+    table = _meshes(world).triangles[3]
     face = lattice.faces()
     b1, b2 = lattice.weights()
     place = table.corner.take(face, axis=1) + b1 * table.edge1.take(face, axis=1) + b2 * table.edge2.take(face, axis=1)
     return face, np.ascontiguousarray(place.T)
 
 
-def _flow(world: World, lattice: Lattice, face: Index, vectors: Floats, chosen: Flags, source: Any = None) -> Flow:
-    table = world.ground.meshes.triangles[3]
+def _flow(world: World, lattice: Lattice, face: Index, vectors: Floats, chosen: Flags, source: Source | None = None) -> Flow:
+    table = _meshes(world).triangles[3]
     c, s = laid(vectors, table.axis1.take(face, axis=1), table.axis2.take(face, axis=1))
     return Flow(lattice, c * chosen[face], s * chosen[face], source)
 
@@ -196,7 +201,7 @@ def _spread(world: World, flow: SpreadFlow) -> Flow:
     if world.ground.meshes is None:
         return Flow(Lattice.of(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
     chosen = near = _chosen(world, flow.on)
-    own = world.ground.meshes.extent / _ACROSS
+    own = _meshes(world).extent / _ACROSS
     if flow.radius is not None:
         longest, middle = _lengths(world)
         near = chosen & (nearest(target, middle)[0] <= flow.radius + longest)
@@ -210,7 +215,7 @@ def _spread(world: World, flow: SpreadFlow) -> Flow:
 
 
 def _border(world: World, flow: BorderFlow) -> Flow:
-    vertices, faces, _, table = world.ground.meshes.triangles
+    vertices, faces, _, table = _meshes(world).triangles
     chosen = _chosen(world, flow.on)
     half = np.flatnonzero((table.link[0] == NO_LINK) & np.repeat(chosen, 3))
     own, k = half // 3, half % 3
@@ -252,7 +257,7 @@ def _border(world: World, flow: BorderFlow) -> Flow:
 
 def _solved(world: World, flow: SolvedFlow) -> Flow:
     chosen = _chosen(world, flow.on)
-    own = world.ground.meshes.extent / (_ACROSS_CROWD if flow.crowding else _ACROSS)
+    own = _meshes(world).extent / (_ACROSS_CROWD if flow.crowding else _ACROSS)
     own = min(own, flow.room / 2 if flow.room else own)
     lattice = _lattice(world, chosen, flow.cell, own)
     grounds = _grounds(world, lattice, chosen)
@@ -286,7 +291,7 @@ def _left(world: World) -> list[int]:
 def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None = None) -> Grounds:
     """The lattice as land: points that are one although of several faces (`point`, where that is known), triangles that no
     obstacle cuts and no undug solid buries, links between surfaces."""
-    _, _, mesh, table = world.ground.meshes.triangles
+    _, _, mesh, table = _meshes(world).triangles
     face, place = _places(world, lattice)
     if point is None:
         point = welded(place, mesh[face])[0]
@@ -314,12 +319,13 @@ def _blocked(world: World, triangles: Index, points: Floats, normal: Floats) -> 
     for name in world.plan.obstacles:
         if name not in world.obstacles:
             continue
+        scene = mesh_of(world, name)
         for k in range(3):
             start, end = points[triangles[:, k]], points[triangles[:, (k + 1) % 3]]
             step = end - start
             lift = _LIFT * np.sqrt((step * step).sum(axis=1))[:, None] * normal
-            cut[world.obstacles[name].cast_within(start + lift, step)[0]] = True
-            cut[world.obstacles[name].cast_within(end + lift, -step)[0]] = True
+            cut[scene.cast_within(start + lift, step)[0]] = True
+            cut[scene.cast_within(end + lift, -step)[0]] = True
     return cut
 
 
@@ -372,7 +378,7 @@ def _cost(world: World, flow: SolvedFlow, grounds: Grounds) -> Floats:
     """What a mm within each triangle costs while nobody is about."""
     land = grounds.land
     _, owner = grounds.lattice.triangles()
-    normal = world.ground.meshes.triangles[3].normal.T[owner]
+    normal = _meshes(world).triangles[3].normal.T[owner]
     upright = np.abs((normal * world.up).sum(axis=1))
     price = 1.0 + flow.slope * np.sqrt(np.maximum(1 - upright * upright, 0.0))
     middle = land.points[land.triangles].mean(axis=1)

@@ -10,13 +10,14 @@ there ever more slowly (J. Feder, Random sequential adsorption, J. Theor. Biol. 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from antdsl.ground.protocol import Floats, Footing
+
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
@@ -33,20 +34,18 @@ _FINE = 8  # of those who may overlap already, one in so small a part of a body 
 class Drawn:
     """Places to start at: footings on the ground, where these are (n, 3), ups (n, 3), and whether an agent may start there."""
 
-    footing: Any
+    footing: Footing
     place: Floats
     up: Floats
     good: Flags
 
     def take(self, rows: Rows) -> Drawn:
         """Copies of some of them."""
-        kept = [getattr(self.footing, f.name)[rows] for f in fields(self.footing)]
-        return Drawn(type(self.footing)(*kept), self.place[rows], self.up[rows], self.good[rows])
+        return Drawn(self.footing.take(rows), self.place[rows], self.up[rows], self.good[rows])
 
     def put(self, rows: Rows, other: Drawn) -> None:
         """Put others into rows."""
-        for f in fields(self.footing):
-            getattr(self.footing, f.name)[rows] = getattr(other.footing, f.name)
+        self.footing.put(rows, other.footing)
         self.place[rows], self.up[rows], self.good[rows] = other.place, other.up, other.good
 
 
@@ -186,7 +185,8 @@ class Room:
 
 def takes_room(radius: NDArray[np.floating[Any]]) -> Flags:
     """Whose radius keeps others away: one above 0 that is a number."""
-    return np.isfinite(radius) & (radius > 0)
+    wide: Flags = np.isfinite(radius) & (radius > 0)
+    return wide
 
 
 def spread(room: Room, draw: Draw, ids: NDArray[np.int64], radius: Floats, first: int) -> tuple[Drawn, Flags]:
@@ -196,7 +196,8 @@ def spread(room: Room, draw: Draw, ids: NDArray[np.int64], radius: Floats, first
     Those who found one are in the room afterwards, the others are not."""
     found: Drawn | None = None
     fits = np.zeros(len(ids), np.bool_)
-    rounds, begin, size = _ROUNDS[0][1], 0, _BATCH
+    rounds: tuple[int, ...] = _ROUNDS[0][1]
+    begin, size = 0, _BATCH
     while begin < len(ids):
         part = slice(begin, begin + size)
         drawn, held = _batch(room, draw, ids[part], radius[part], first + begin, rounds)
@@ -259,10 +260,8 @@ def _score(room: Room, drawn: Drawn, rows: Rows, radius: Floats, wide: Flags, or
 
 
 def _joined(one: Drawn, other: Drawn) -> Drawn:
-    footing = type(one.footing)(
-        *(np.concatenate([getattr(one.footing, f.name), getattr(other.footing, f.name)]) for f in fields(one.footing))
-    )
-    return Drawn(footing, *(np.concatenate([getattr(one, k), getattr(other, k)]) for k in ("place", "up", "good")))
+    place, up = np.concatenate([one.place, other.place]), np.concatenate([one.up, other.up])
+    return Drawn(Footing.joined(one.footing, other.footing), place, up, np.concatenate([one.good, other.good]))
 
 
 def _size_class(radius: Floats) -> NDArray[np.int64]:

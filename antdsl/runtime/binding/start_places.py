@@ -13,6 +13,7 @@ from antdsl.numerics import elementary, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.binding.spacing import Drawn
 from antdsl.runtime.binding.surface_area import Area, areas
+from antdsl.runtime.moving.obstacles import mesh_of
 from antdsl.runtime.world import World
 from antdsl.scene.setting import CrowdData, MeshData
 
@@ -133,8 +134,8 @@ class StartPlaces:
     def _seen_from(self, start: Floats, ids: Ids, tries: range) -> Drawn:
         """Where lines from a place in drawn directions first meet a mesh, ups towards it. A line that meets none, or another than
         those in `on`, leads nowhere: the surface nearest to where it began."""
-        world = self._world
-        meshes = world.ground.meshes
+        world, meshes = self._world, self._world.ground.meshes
+        assert meshes is not None
         wanted = [meshes.names.index(name) for name in (self.place.on or meshes.names) if name in meshes.names]
         far = meshes.extent * 1.8 + float(np.abs(start - (meshes.low + meshes.high) / 2).max())
         u, v = (np.concatenate([self._uniform(ids, 2 * attempt + k, "inside") for attempt in tries]) for k in range(2))
@@ -172,7 +173,7 @@ def inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
         mesh = world.setting.obstacles.get(name)
         if mesh is None or not len(mesh.faces):
             continue
-        hits = world.obstacles[name].cast(points, up)
+        hits = mesh_of(world, name).cast(points, up)
         corners = mesh.vertices[mesh.faces[np.maximum(hits.face, 0)]]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # edges: the origin does not matter
         found |= hits.hit & ((normal * up).sum(axis=1) > 0)

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.faces import nearest_on_triangle
-from antdsl.ground.mesh.surface import Footing
+from antdsl.ground.protocol import Flags, Floats, Footing
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import World
 from antdsl.scene.setting import Point
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _BURIED = 0.05  # voxels below a solid's surface: no ground to stand on
 _HALVINGS = 24  # of the edges of faces that reach out of a ball
@@ -59,7 +55,7 @@ class Area:
         place = self.corner[face] + b1[:, None] * self.edge1[face] + b2[:, None] * self.edge2[face]
         return face, b1, b2, place
 
-    def at(self, *draws: NDArray[np.float32]) -> tuple[Any, Floats, Flags]:
+    def at(self, *draws: NDArray[np.float32]) -> tuple[Footing, Floats, Flags]:
         """Footings, ups off the faces (n, 3), and whether one can stand there: inside the ball, and in no solid."""
         face, b1, b2, place = self.points(*draws)
         found = np.ones(len(face), np.bool_)
@@ -67,29 +63,27 @@ class Area:
             middle, radius = self.ball
             away = place - middle
             found &= away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1] + away[:, 2] * away[:, 2] <= radius * radius
-        up = vec.cross(vec.columns(self.edge1[face], np.float64), vec.columns(self.edge2[face], np.float64))
-        up = vec.rows(vec.scale(up, 1.0 / np.maximum(vec.length(up), 1e-300)))
+        across = vec.cross(vec.columns(self.edge1[face], np.float64), vec.columns(self.edge2[face], np.float64))
+        up = vec.rows(vec.scale(across, 1.0 / np.maximum(vec.length(across), 1e-300)))
         mesh = self.mesh[face]
-        footing: Any = Footing(mesh, self.local[face], b1, b2)
+        footing = Footing.on_faces(mesh, self.local[face], b1, b2)
         if not self.world.solids:
             return footing, up, found
         return self._with_solids(footing, place, up, found)
 
-    def _with_solids(self, footing: Footing, place: Floats, up: Floats, found: Flags) -> tuple[Any, Floats, Flags]:
-        from antdsl.ground.footing_table import Standing
-
-        ground, standing = self.world.ground, Standing.on_mesh(footing)
+    def _with_solids(self, on_mesh: Footing, place: Floats, up: Floats, found: Flags) -> tuple[Footing, Floats, Flags]:
+        ground, footing = self.world.ground, on_mesh.with_places()
         first = len(ground.names) - len(self.world.solids)
         for k, (name, volume) in enumerate(self.world.solids.items()):
-            rows = np.flatnonzero(footing.mesh == first + k)
+            rows = np.flatnonzero(on_mesh.mesh == first + k)
             if rows.size:
                 landed, _ = ground.nearest(place[rows], [name])
-                standing.put(rows, landed)
+                footing.put(rows, landed)
                 found[rows] &= landed.mesh == first + k
                 up[rows] = ground.normal(landed)
-            on_meshes = footing.mesh < first
+            on_meshes = on_mesh.mesh < first
             found[on_meshes] &= volume.sample(place[on_meshes]) >= -_BURIED * volume.voxel
-        return standing, up, found
+        return footing, up, found
 
 
 def areas(world: World, on: tuple[str, ...], density: str | None, around: Point | None, radius: float | None) -> Area:
@@ -116,9 +110,13 @@ def areas(world: World, on: tuple[str, ...], density: str | None, around: Point 
     return Area(world, mesh, local, corner, edge1, edge2, face, weights, cumulative, total, ball)
 
 
-def _faces(world: World, on: tuple[str, ...], density: str | None) -> tuple[Any, ...]:
+_Faces = tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats, Floats, Floats]
+
+
+def _faces(world: World, on: tuple[str, ...], density: str | None) -> _Faces:
     """Mesh, number in it, corner, two edges and density at the corners (k, 3), of all live faces of some surfaces and solids."""
-    ground, found = world.ground.meshes, []
+    ground = world.ground.meshes
+    found: list[_Faces] = []
     if ground is not None:
         _, _, mesh, table = ground.triangles
         rows = np.flatnonzero(table.live & np.isin(mesh, [k for k, name in enumerate(ground.names) if name in on]))
@@ -126,8 +124,8 @@ def _faces(world: World, on: tuple[str, ...], density: str | None) -> tuple[Any,
         weight = np.ones((len(rows), 3))
         if density is not None:
             weight = np.maximum(world.maps[density].corners, 0.0).T[rows]
-        edges = (np.ascontiguousarray(v[:, rows].T) for v in (table.corner, table.edge1, table.edge2))
-        found.append((mesh[rows], (rows - first[mesh[rows]]).astype(np.int32), *edges, weight))
+        corner, edge1, edge2 = (np.ascontiguousarray(v[:, rows].T) for v in (table.corner, table.edge1, table.edge2))
+        found.append((mesh[rows], (rows - first[mesh[rows]]).astype(np.int32), corner, edge1, edge2, weight))
     names = list(world.setting.surfaces)
     for k, (name, solid) in enumerate(world.setting.solids.items()):
         if name in on and density is None:
@@ -136,7 +134,9 @@ def _faces(world: World, on: tuple[str, ...], density: str | None) -> tuple[Any,
             which = np.full(n, len(names) + k, np.int32)
             a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
             found.append((which, np.arange(n, dtype=np.int32), a, b - a, c - a, np.ones((n, 3))))
-    return tuple(np.concatenate(part) for part in zip(*found, strict=True))
+    meshes, locals_, *vectors = zip(*found, strict=True)
+    corner, edge1, edge2, weight = (np.concatenate(v) for v in vectors)
+    return np.concatenate(meshes), np.concatenate(locals_), corner, edge1, edge2, weight
 
 
 def _within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edge2: Floats) -> tuple[NDArray[np.int64], Floats]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.surface import MoveResult
+from antdsl.ground.protocol import Move
 from antdsl.numerics import compiled, elementary
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
@@ -68,7 +68,7 @@ def _arrive(
     population: Population,
     velocity: Vector,
     step: Vector,
-    moved: MoveResult,
+    moved: Move,
     most: NDArray[np.float32],
     dt: np.float32,
     whole: np.float32,
@@ -123,12 +123,13 @@ def _arrive(
 
 def _squared_angle(square: NDArray[np.float32]) -> NDArray[np.float32]:
     """The square of an angle, by the first terms of its series in the squared chord of unit vectors: less beyond 1 rad."""
-    angle: NDArray[np.float32] = square * (_F(1) + square * (_TWELFTH + square * _NINETIETH))
+    inner: NDArray[np.float32] = square * _NINETIETH + _TWELFTH
+    angle: NDArray[np.float32] = square * (square * inner + _F(1))
     return angle
 
 
 def _read(population: Population, name: str) -> Vector:
-    return tuple(population.now[f"{name}.{axis}"] for axis in AXES)  # type: ignore[return-value]
+    return vec.named(population.now, name)
 
 
 def _velocity(world: World, population: Population, up: Vector, dt: np.float32, substep: int) -> Vector:
@@ -163,7 +164,8 @@ def _pushed(now: dict[str, NDArray[Any]], push: Vector, before: Vector, up: Vect
     velocity = vec.add(before, vec.scale(push, _gain(now, time)))
     speed = vec.length(velocity)
     velocity = vec.scale(velocity, np.where(speed > max_speed, max_speed / np.where(speed > 0, speed, _F(1)), _F(1)))
-    return tuple(np.where(np.isfinite(v), v, _F(0)) for v in velocity)  # type: ignore[return-value]
+    x, y, z = (np.where(np.isfinite(v), v, _F(0)) for v in velocity)
+    return x, y, z
 
 
 def _time(now: dict[str, NDArray[Any]], step: np.float32, dt: np.float32, substep: int) -> NDArray[np.float32]:

@@ -6,8 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from antdsl.ground.footing_table import Standing
-from antdsl.ground.mesh.surface import MoveResult
+from antdsl.ground.protocol import Footing, Move
 from antdsl.numerics.vector_rows import length
 from antdsl.runtime.world import Population, World
 
@@ -15,7 +14,7 @@ _LONGER = 1.005  # times the way allowed, above which a step is cut: less is the
 _LENGTHS = 7.5  # body lengths a second at which those fall whose max_speed is 0
 
 
-def in_the_air(world: World, population: Population, moved: MoveResult, dt: np.float32) -> MoveResult:
+def in_the_air(world: World, population: Population, moved: Move, dt: np.float32) -> Move:
     """What a walk led to; those whom it led farther than `max_speed` allows are only as far on the straight way there, in the air
     of the solid that they fall from or come to. Their next step goes on from there."""
     now, first = population.now, len(world.ground.names) - len(world.solids)
@@ -28,7 +27,7 @@ def in_the_air(world: World, population: Population, moved: MoveResult, dt: np.f
         return moved
     place = population.position[rows] + way[rows] * (most[rows] / far[rows])[:, None]
     solid = np.where(from_solid[rows], population.footing.mesh[rows], moved.footing.mesh[rows])
-    footing, position = moved.footing.copy(), moved.position.copy()  # type: ignore[attr-defined]
-    footing.put(rows, Standing.on_solid(solid, place))
+    footing, position = moved.footing.copy(), moved.position.copy()
+    footing.put(rows, Footing.on_solids(solid, place))
     position[rows] = place
     return dataclasses.replace(moved, footing=footing, position=position)

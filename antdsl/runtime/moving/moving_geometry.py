@@ -3,16 +3,16 @@ aside by obstacles that come their way. All of it is a function of the frame and
 
 from __future__ import annotations
 
-from dataclasses import fields
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.surface import Footing
-from antdsl.ground.moving import MovingGround
+from antdsl.casting.curves import Curve
+from antdsl.casting.rays import RayScene
+from antdsl.ground.moving import Axes, MovingGround
+from antdsl.ground.protocol import Move
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
+from antdsl.runtime.moving.obstacles import mesh_of
 from antdsl.runtime.world import AXES, Population, World
 
 _CURVE_PIECE = 1.0  # mm: a curve is asked for its nearest point and way in pieces of this length
@@ -29,7 +29,7 @@ def carry(world: World) -> None:
     standing = [(p, *_stood(ground, p)) for p in world.populations.values() if len(p)]
     pose(world, world.frame + 1)
     for population, rows, before in standing:
-        if ground is not None and len(rows):
+        if ground is not None and before is not None and len(rows):
             _carried(ground, population, rows, before)
     for name in world.plan.obstacles:
         if name in world.setting.moves.meshes and name in world.obstacles:
@@ -62,7 +62,7 @@ def pose(world: World, frame: int) -> None:
 
 def moving(world: World) -> MovingGround | None:
     """The ground of meshes, if some of them move."""
-    meshes = getattr(world.ground, "meshes", None)
+    meshes = world.ground.meshes
     return meshes if isinstance(meshes, MovingGround) else None
 
 
@@ -81,10 +81,8 @@ def vertices_at(world: World, name: str, frame: int) -> NDArray[np.float64]:
     return moves.meshes[name].vertices(mesh.vertices, frame - moves.first) - world.origin
 
 
-def curve(points: NDArray[np.float64]) -> Any:
+def curve(points: NDArray[np.float64]) -> Curve:
     """A curve ready to be asked."""
-    from antdsl.casting.curves import Curve
-
     return Curve(points, _CURVE_PIECE)
 
 
@@ -113,11 +111,11 @@ def rest_places(world: World, population: Population) -> NDArray[np.float64]:
         return population.position
     place = population.position.copy()
     rows = ground.carries(population.footing.mesh)
-    place[rows] = ground.rest_position(_feet(population, rows))
+    place[rows] = ground.rest_position(population.footing.faces(rows))
     return place
 
 
-def turned_from_rest(world: World, population: Population, rows: Any, vectors: tuple[Any, ...]) -> tuple[Any, ...]:
+def turned_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, vectors: Vector) -> Vector:
     """Vectors (three float32 arrays) of the ground as it lay at rest, turned as it lies now under each agent."""
     ground = moving(world)
     if ground is None:
@@ -125,15 +123,15 @@ def turned_from_rest(world: World, population: Population, rows: Any, vectors: t
     on = ground.carries(population.footing.mesh[rows])
     if not len(on):
         return vectors
-    footing = _feet(population, np.arange(len(population))[rows][on])
+    footing = population.footing.faces(np.arange(len(population))[rows][on])
     turned = _turn(ground.rest_axes(footing), ground.axes(footing), np.stack([np.asarray(v, np.float64)[on] for v in vectors]))
-    found = tuple(np.array(v) for v in vectors)
+    found = vec.copy(vectors)
     for component, value in zip(found, turned, strict=True):
         component[on] = value
     return found
 
 
-def from_rest(world: World, population: Population, rows: Any, places: tuple[Any, ...]) -> tuple[Any, ...]:
+def from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, places: Vector) -> Vector:
     """Places (three float32 arrays) beside agents, on the ground as it lay at rest, where they are now: as if all about an agent
     had moved as its own face has."""
     ground = moving(world)
@@ -142,34 +140,32 @@ def from_rest(world: World, population: Population, rows: Any, places: tuple[Any
     on = ground.carries(population.footing.mesh[rows])
     if not len(on):
         return places
-    standing = _feet(population, np.arange(len(population))[rows][on])
+    standing = population.footing.faces(np.arange(len(population))[rows][on])
     there = np.stack([np.asarray(p, np.float64)[on] for p in places])
     away = _turn(ground.rest_axes(standing), ground.axes(standing), there - ground.rest_position(standing).T)
-    found = tuple(np.array(p) for p in places)
+    found = vec.copy(places)
     for component, value in zip(found, ground.position(standing).T + away, strict=True):
         component[on] = value
     return found
 
 
-def _rays(world: World, name: str, frame: int) -> Any:
-    from antdsl.casting.rays import RayScene
-
+def _rays(world: World, name: str, frame: int) -> RayScene:
     setting = world.setting
     mesh = setting.surfaces[name] if name in setting.surfaces else setting.obstacles[name]
     return RayScene(vertices_at(world, name, frame), mesh.faces, brief=True)
 
 
-def _stood(ground: MovingGround | None, population: Population) -> tuple[NDArray[np.intp], Any]:
+def _stood(ground: MovingGround | None, population: Population) -> tuple[NDArray[np.intp], Axes | None]:
     """Who stands on ground that moves, and the frames of the faces before it does."""
     if ground is None:
         return np.empty(0, np.intp), None
     rows = ground.carries(population.footing.mesh)
-    return rows, ground.axes(_feet(population, rows))
+    return rows, ground.axes(population.footing.faces(rows))
 
 
-def _carried(ground: MovingGround, population: Population, rows: NDArray[np.intp], before: Any) -> None:
+def _carried(ground: MovingGround, population: Population, rows: NDArray[np.intp], before: Axes) -> None:
     """Place, up, heading and velocity of those whose ground has moved, turned as their face has."""
-    footing = _feet(population, rows)
+    footing = population.footing.faces(rows)
     after = ground.axes(footing)
     now = population.now
     turned = {name: _turn(before, after, _vectors(population, name, rows)) for name in ("up", "heading", "velocity")}
@@ -186,7 +182,7 @@ def _carried(ground: MovingGround, population: Population, rows: NDArray[np.intp
             now[f"{name}.{axis}"][rows] = component
 
 
-def _turn(before: Any, after: Any, v: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turn(before: Axes, after: Axes, v: NDArray[np.float64]) -> NDArray[np.float64]:
     """Vectors (3, n) that keep their parts along the axes of a frame that has turned."""
     parts = [(a[0] * v[0] + a[1] * v[1]) + a[2] * v[2] for a in before]
     turned: NDArray[np.float64] = (parts[0] * after[0] + parts[1] * after[1]) + parts[2] * after[2]
@@ -199,8 +195,8 @@ def _vectors(population: Population, name: str, rows: NDArray[np.intp]) -> NDArr
 
 def _pushed(world: World, population: Population, name: str) -> None:
     """Walk agents out of an obstacle that has come upon them, away from its nearest face, until its margin is free."""
-    scene, now = world.obstacles[name], population.now
-    place: Vector = tuple(now[f"position.{axis}"] for axis in AXES)  # type: ignore[assignment]
+    scene, now = mesh_of(world, name), population.now
+    place = vec.named(now, "position")
     margin = np.maximum(now["radius"], _F(0)) * _MARGIN
     rows = np.flatnonzero(scene.clearance(*place) <= margin)
     for _ in range(_PUSHES):
@@ -212,15 +208,14 @@ def _pushed(world: World, population: Population, name: str) -> None:
         if not len(here):
             return
         rows, need = rows[here], need[here]
-        up: Vector = tuple(now[f"up.{axis}"][rows] for axis in AXES)  # type: ignore[assignment]
-        heading: Vector = tuple(now[f"heading.{axis}"][rows] for axis in AXES)  # type: ignore[assignment]
+        up, heading = vec.take(vec.named(now, "up"), rows), vec.take(vec.named(now, "heading"), rows)
         away = vec.flat((out[0][here], out[1][here], out[2][here]), up)
         level = vec.length(away)
         # a face that comes down from above leads nowhere: then it goes the way it looks
         away = vec.unit(away, heading)
         far = need / np.maximum(level, _F(0.25))
         moved = world.ground.move(
-            _footing(population, rows),
+            population.footing.take(rows),
             vec.rows(vec.scale(away, far)),
             vec.rows(heading),
             vec.rows(up),
@@ -230,21 +225,9 @@ def _pushed(world: World, population: Population, name: str) -> None:
         _put(population, rows, moved)
 
 
-def _feet(population: Population, rows: NDArray[np.intp]) -> Footing:
-    """The footings of rows that stand on meshes."""
-    footing = population.footing
-    return Footing(*(getattr(footing, f.name)[rows] for f in fields(Footing)))
-
-
-def _footing(population: Population, rows: Any) -> Any:
-    footing = population.footing
-    return type(footing)(*(getattr(footing, name)[rows] for name in type(footing).__dataclass_fields__))
-
-
-def _put(population: Population, rows: NDArray[np.intp], moved: Any) -> None:
+def _put(population: Population, rows: NDArray[np.intp], moved: Move) -> None:
     """Where a push has led some agents; their velocity goes on along the ground there."""
-    for name in type(population.footing).__dataclass_fields__:
-        getattr(population.footing, name)[rows] = getattr(moved.footing, name)
+    population.footing.put(rows, moved.footing)
     population.position[rows] = moved.position
     velocity = _vectors(population, "velocity", rows)
     up = np.asarray(moved.up).T

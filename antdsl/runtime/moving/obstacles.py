@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.rays import RayScene
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.clearances import clearance, may_touch
@@ -18,14 +17,20 @@ _MARGIN = _F(0.5)  # of the radius: how near the centre comes to a face that it 
 
 def slide(world: World, population: Population, step: Vector, up: Vector, radius: NDArray[np.float32]) -> Vector:
     """The step (mm) of every agent, bent along the obstacles in its way; up is the ground's."""
-    place: Vector = tuple(population.now[f"position.{axis}"] for axis in AXES)  # type: ignore[assignment]
+    place = vec.named(population.now, "position")
     for name in world.plan.obstacles:
         if name in world.obstacles:
-            clear = (
-                clearance(world, population, name) if _where_they_were(population) else world.obstacles[name].clearance(*place)
-            )
-            step = _along(world.obstacles[name], place, step, up, radius, clear, world.options.threads)
+            scene = mesh_of(world, name)
+            clear = clearance(world, population, name) if _where_they_were(population) else scene.clearance(*place)
+            step = _along(scene, place, step, up, radius, clear, world.options.threads)
     return step
+
+
+def mesh_of(world: World, name: str) -> RayScene:
+    """An obstacle that nobody walks through; solids are none."""
+    scene = world.obstacles[name]
+    assert isinstance(scene, RayScene)
+    return scene
 
 
 def _where_they_were(population: Population) -> bool:
@@ -34,7 +39,7 @@ def _where_they_were(population: Population) -> bool:
 
 
 def _along(
-    scene: Any,
+    scene: RayScene,
     place: Vector,
     step: Vector,
     up: Vector,
@@ -48,14 +53,14 @@ def _along(
         return step
     place, up, clear = vec.take(place, near), vec.take(up, near), clear[near]
     bent = _bent(scene, place, vec.take(step, near), up, size[near], margin[near], clear, threads)
-    result = tuple(component.copy() for component in step)
+    result = vec.copy(step)
     for component, value in zip(result, bent, strict=True):
         component[near] = value
-    return result  # type: ignore[return-value]
+    return result
 
 
 def _bent(
-    scene: Any,
+    scene: RayScene,
     place: Vector,
     step: Vector,
     up: Vector,
@@ -89,7 +94,7 @@ def _bent(
 
 
 def _keep_off(
-    scene: Any,
+    scene: RayScene,
     place: Vector,
     step: Vector,
     up: Vector,
@@ -108,7 +113,7 @@ def _keep_off(
 
 
 def _ahead(
-    scene: Any,
+    scene: RayScene,
     place: Vector,
     step: Vector,
     margin: NDArray[np.float32],

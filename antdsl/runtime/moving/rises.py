@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.creases import near_rises
+from antdsl.ground.protocol import Meshes
 from antdsl.numerics import elementary
 from antdsl.numerics.vectors import Vector, dot, stacked_cross
 from antdsl.runtime.moving.heads import RAISED
@@ -39,6 +38,11 @@ class Rises:
     @staticmethod
     def none() -> Rises:
         return Rises(np.empty(0, np.intp), np.empty((3, 0)), np.empty((3, 0)), *np.empty((4, 0)))
+
+    def take(self, which: Rows) -> Rises:
+        """Some of the walls."""
+        wall, ahead = self.wall[:, which], self.ahead[:, which]
+        return Rises(self.rows[which], wall, ahead, self.angle[which], self.far[which], self.over[which], self.half[which])
 
     def tilted(self, rows: Rows, normal: Floats, gone: Floats) -> Floats:
         """How bodies of `rows` (ascending, all of the own among them) should stand on ground of a normal (3, m), when they have
@@ -101,7 +105,7 @@ def rises(world: World, population: Population, looking: NDArray[np.float32], st
         return Rises.none()
     size = np.maximum(population.now["size"], np.float32(0)).astype(np.float64)
     half = np.where(np.isfinite(size), size / 2, 0.0)
-    rows = np.flatnonzero(near_rises(meshes, population.footing, population.position, _WIDEST * half) & (half > 0))
+    rows = np.flatnonzero(meshes.near_rises(population.footing, population.position, _WIDEST * half) & (half > 0))
     if not len(rows):
         return Rises.none()
     half, normal, look = half[rows], population.normal[rows].T.astype(np.float64), looking[:, rows].astype(np.float64)
@@ -119,17 +123,17 @@ def rises(world: World, population: Population, looking: NDArray[np.float32], st
     tilt = (1.0 - found.far / found.over) * found.angle
     order = np.lexsort((-tilt, found.rows))
     first = order[np.unique(found.rows[order], return_index=True)[1]]
-    return Rises(*(getattr(found, each.name)[..., first] for each in fields(Rises)))
+    return found.take(first)
 
 
 def _seen(
-    meshes: Any, threads: int, rows: Rows, place: Floats, ahead: Floats, normal: Floats, half: Floats, step: Floats
+    meshes: Meshes, threads: int, rows: Rows, place: Floats, ahead: Floats, normal: Floats, half: Floats, step: Floats
 ) -> Rises:
     """Walls that rays along `ahead` (3, k) meet from just above the ground, so near that the body tilts within a `step` (mm)."""
     high, reach = 2 * _EYE * half, _WIDEST * half
     met, part, footing = meshes.met((place + normal * high).T, (ahead * reach).T, threads)
     hit = np.flatnonzero(met)
-    rows, half, step, high, reach = (v.take(hit) for v in (rows, half, step, high, reach))
+    rows, half, step, high, reach = rows.take(hit), half.take(hit), step.take(hit), high.take(hit), reach.take(hit)
     ahead, normal, part = ahead.take(hit, axis=1), normal.take(hit, axis=1), part.take(hit)
     wall = meshes.normal(footing.take(hit)).T
     wall = np.where(dot(wall, ahead) > 0, -wall, wall)

@@ -140,7 +140,7 @@ def _of_agents(world: World, program: Program, population: Population) -> list[C
         else:
             found.append(column)
     kept = [population.born, population.quarantined, *population.position.T]
-    kept += [np.asarray(getattr(population.footing, part)) for part in type(population.footing).__dataclass_fields__]
+    kept += population.footing.columns.values()
     kept += [flags for _, flags in sorted(population.events.items())]
     for array in kept:
         for part in array.T if array.ndim == 2 else (array,):
