@@ -88,17 +88,17 @@ def test_solids_come_in_pieces_and_are_whole_again_after_going_back(tmp_path: Pa
             a, b, c = (places[faces[:, k]] for k in range(3))
             out = np.cross(b - a, c - a)
             assert (np.einsum("nk,nk->n", out, normals[faces[:, 0]]) > 0).mean() > 0.98, "both say which side the air is on"
-        page.ask("step", count=60)
-        expected = page.hash_at(61)
-        page.shown(61)
+        page.ask("step", count=120)
+        expected = page.hash_at(121)
+        page.shown(121)
         dug = page.until(lambda: changed(whole, pieces(page)))
         assert dug < set(pieces(page)) | set(whole), "most of the hill is as it was, and not sent again"
         page.ask("seek", frame=1, exact=True)
         page.shown(1)
         page.until(lambda: not changed(whole, pieces(page)))
-        page.ask("seek", frame=61, exact=True)
-        assert page.hash_at(61) == expected
-        assert expected == hashes(folder / "scene.yaml", 61)[61]
+        page.ask("seek", frame=121, exact=True)
+        assert page.hash_at(121) == expected
+        assert expected == hashes(folder / "scene.yaml", 121)[121]
     finally:
         live.stop()
 

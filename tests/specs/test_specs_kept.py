@@ -139,13 +139,13 @@ def test_what_is_saved_is_the_run_that_was_judged_and_goes_on(folder: Path, run)
 
 
 def test_where_failures_are_saved(folder: Path, run) -> None:  # type: ignore[no-untyped-def]
-    _, text = run("test", "a.ant", "--no-keep")
+    _, text = run("test", "a.ant", "-k", "rests", "--no-keep")
     assert "saved" not in text and not (folder / "out").exists()
-    _, text = run("test", "a.ant", "--keep", "here")
+    _, text = run("test", "a.ant", "-k", "rests", "--keep", "here")
     assert (folder / "here" / "nobody-rests-long-5" / "manifest.json").is_file() and not (folder / "out").exists()
     (folder / "foreign" / "nobody-rests-long-5").mkdir(parents=True)
     (folder / "foreign" / "nobody-rests-long-5" / "mine.txt").write_text("mine")
-    _, text = run("test", "a.ant", "--keep", "foreign")
+    _, text = run("test", "a.ant", "-k", "rests", "--keep", "foreign")
     assert "not saved: " in text and "mine.txt" in text
     (folder / "a.ant").write_text(PROGRAM + 'spec "no" on "scene.yaml" { for 0.1 s; seeds 1 .. 7; always: count(a) == 0 }\n')
     _, text = run("test", "a.ant")
