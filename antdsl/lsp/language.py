@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
-from antdsl.lsp.names import Key
 from antdsl.lsp.samples import (
     CALL_FORMS,
     INNER_FORMS,
@@ -31,6 +30,7 @@ from antdsl.lsp.words import (
 )
 from antdsl.program.expectations import GEOMETRY, MOTION
 from antdsl.program.kinds import Dim
+from antdsl.program.names.bindings import Key
 from antdsl.program.names.collect import EVENTS
 from antdsl.program.tables.colours import COLOURS
 from antdsl.program.tables.units import dimension_words, measure, unit_of
