@@ -6,12 +6,13 @@ from collections.abc import Callable
 from typing import Any
 
 from antdsl.lsp.language import LANGUAGE, flat, markdown, signature
-from antdsl.lsp.names import Key, declaration
 from antdsl.lsp.navigation import declared
 from antdsl.lsp.words import KINDS
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.kinds import Kind, Type
 from antdsl.program.model import Program
+from antdsl.program.names.bindings import Key
+from antdsl.program.names.declared import declaration
 from antdsl.program.tables.units import unit_of
 from antdsl.program.types.descriptions import type_words
 from antdsl.syntax import nodes

@@ -6,7 +6,6 @@ from collections.abc import Callable, Collection, Iterator
 from functools import lru_cache
 from typing import Any
 
-from antdsl.lsp.names import Key
 from antdsl.lsp.samples import (
     CALL_FORMS,
     INNER_FORMS,
@@ -32,6 +31,7 @@ from antdsl.lsp.words import (
 )
 from antdsl.program.expectations import GEOMETRY, MOTION
 from antdsl.program.kinds import Dim
+from antdsl.program.names.bindings import Key
 from antdsl.program.names.collect import EVENTS
 from antdsl.program.tables.colours import COLOURS
 from antdsl.program.tables.rows import Builtin

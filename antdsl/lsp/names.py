@@ -1,27 +1,35 @@
-"""What a file declares by name, from its tree alone: the tables by which the index and completion know what a name stands for."""
+"""What a file declares by name, and every name in it with what it stands for: the checker's bindings, laid over the tree."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from antdsl.bounded import real_path
+from antdsl.program.expectations import MOTION
+from antdsl.program.names.bindings import Bindings, Key
+from antdsl.program.names.declared import Declaration, declarations
+from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES
+from antdsl.program.traverse import written
+from antdsl.program.types.aggregates import WHOLES
+from antdsl.program.types.states import STATE_WORDS
 from antdsl.resources import library_file
+from antdsl.source import Span
 from antdsl.syntax import nodes
 
-# A symbol is known by its kind and the names that lead to it, the same in all files: ("own", "forager", "load").
-Key = tuple[Any, ...]
+_WORDS = frozenset({*RUN_NAMES, *SENSED_NAMES, *STATE_WORDS, "self", "true", "false", "it", "at_start", "motion"})
+_CALLED = frozenset({*BUILTINS, *REDUCERS, *WHOLES, "at_start"})
 
 
 @dataclass(frozen=True, slots=True)
-class Declared:
-    """One thing that has a name: `node` is its declaration, `name` the place to jump to."""
+class Occurrence:
+    """A name in the text. Where one word stands for two things at once, as in `take 1 load from meal`, there are two."""
 
+    span: Span
     key: Key
-    name: nodes.Name
-    node: Any
+    declares: bool = False
 
 
 @dataclass(slots=True)
@@ -33,15 +41,10 @@ class SpeciesTable:
     own: dict[str, Any] = field(default_factory=dict)  # declarations of params, attributes, lets, latches, fuzzies
     machines: dict[str, dict[str, nodes.State]] = field(default_factory=dict)
 
-    def machine_of(self, state: str, first: str | None = None) -> str | None:
-        """The machine that has a state, the given one before others."""
-        order = [first] if first in self.machines else []
-        return next((name for name in (*order, *self.machines) if name is not None and state in self.machines[name]), None)
-
 
 @dataclass(slots=True)
 class Names:
-    """The names of one file. `behaviours` are its own; `library` those that `use` brings bare, by name the file they are in."""
+    """The declarations of one file, by their key and by what they are. `libraries` are the files of those that `use` brings."""
 
     path: Path
     file: nodes.File
@@ -52,138 +55,181 @@ class Names:
     libraries: dict[str, Path] = field(default_factory=dict)
     modules: dict[str, Path] = field(default_factory=dict)
     events: dict[str, nodes.Name] = field(default_factory=dict)
-    declared: dict[Key, Declared] = field(default_factory=dict)
-
-    def add(self, key: Key, name: nodes.Name, node: Any) -> None:
-        self.declared.setdefault(key, Declared(key, name, node))
+    declared: dict[Key, Declaration] = field(default_factory=dict)
+    places: dict[Span, Key] = field(default_factory=dict)  # where names are declared, again ones too
 
 
 def names_of(path: Path, file: nodes.File) -> Names:
     """The tables of a file. Where a name is declared twice the first counts, as for the checker."""
     names = Names(path, file)
-    for item in file.items:
-        _TOP[type(item)](names, item)
-    for table in names.species.values():
-        for name in _events(table):
-            names.events.setdefault(name.text, name)
-            names.add(("event", name.text), name, name)
+    for each in declarations(file):
+        names.declared.setdefault(each.key, each)
+        kind, *_, last = each.key
+        if kind != "event":  # to raise one is no declaration
+            names.places[each.name.span] = each.key
+        if kind == "thing":
+            names.things.setdefault(last, each.node)
+        elif kind == "field":
+            names.fields.setdefault(last, each.node)
+        elif kind == "behaviour":
+            names.behaviours.setdefault(last, each.node)
+        elif kind == "event":
+            names.events.setdefault(last, each.node)
+        elif kind == "alias" and each.node.path is not None:
+            names.modules[last] = real_path(path.parent.joinpath(each.node.path.text))
+        elif kind == "species":
+            names.species.setdefault(last, SpeciesTable(last, each.node if isinstance(each.node, nodes.Species) else None))
+        elif kind == "own":
+            names.species[each.key[1]].own.setdefault(last, each.node)
+        elif kind == "machine":
+            names.species[each.key[1]].machines.setdefault(last, {})
+        elif kind == "state":
+            names.species[each.key[1]].machines.setdefault(each.key[2], {}).setdefault(last, each.node)
+    used = [item.library.text for item in file.items if isinstance(item, nodes.Use) and item.library is not None]
+    names.libraries = {name: found for name in used if (found := library_file(name)) is not None}
     return names
 
 
-def _use(names: Names, item: nodes.Use) -> None:
-    if item.library is not None:
-        found = library_file(item.library.text)
-        if found is not None:
-            names.libraries[item.library.text] = found
-    elif item.path is not None and item.alias is not None:
-        names.modules[item.alias.text] = real_path(names.path.parent.joinpath(item.path.text))
-        names.add(("alias", str(names.path), item.alias.text), item.alias, item)
+# --- every name ------------------------------------------------------------------------------------------------------
 
 
-def _world(names: Names, item: nodes.World) -> None:
-    for thing in item.items:
-        name = thing.name.text
-        kind = "attribute"
-        if thing.kind.text == "species":
-            table = names.species.setdefault(name, SpeciesTable(name, None))
-            names.add(("species", name), thing.name, thing)
-            for each in thing.attributes:
-                table.own.setdefault(each.name.text, each)
-            kind = "own"
-        else:
-            names.things.setdefault(name, thing)
-            names.add(("thing", name), thing.name, thing)
-        for each in thing.attributes:
-            names.add((kind, name, each.name.text), each.name, each)
+def occurrences(names: Names, bindings: Bindings) -> list[Occurrence]:
+    """Every name of a file: declared there, or bound by the checker, or a word of the language by its place. Of what the checker
+    could not resolve, or did not come to, the kind begins with `?`."""
+    bound: dict[Span, dict[Key, None]] = {}
+    for span, declared in bindings.uses:
+        key = names.places.get(declared) or _element(names, declared) if isinstance(declared, Span) else declared
+        bound.setdefault(span, {})[key] = None
+    index = _Index(names, bound)
+    for item in names.file.items:
+        index.look(item)
+    return index.found
 
 
-def _field(names: Names, item: nodes.FieldDecl) -> None:
-    names.fields.setdefault(item.name.text, item)
-    names.add(("field", item.name.text), item.name, item)
+def _element(names: Names, declared: Span) -> Key:
+    """The key of what is seen from one expression or handler alone: a name says which only with its place."""
+    return ("element", str(names.file.whole(declared).start), declared.text)
 
 
-def _behaviour(names: Names, item: nodes.Behaviour) -> None:
-    name, path = item.name.text, str(names.path)
-    names.behaviours.setdefault(name, item)
-    names.add(("behaviour", path, name), item.name, item)
-    for argument in item.arguments:
-        names.add(("inner", path, name, argument.name.text), argument.name, argument)
-    for line in item.body:
-        names.add(("inner", path, name, line.name.text), line.name, line)
+@dataclass(slots=True)
+class _Index:
+    """One walk over a file. `meant`: what the word at a place is if it is neither declared there nor bound, and whether that
+    declares it."""
 
+    names: Names
+    bound: dict[Span, dict[Key, None]]
+    meant: dict[Span, tuple[Key, bool] | None] = field(default_factory=dict)
+    found: list[Occurrence] = field(default_factory=list)
 
-def _species(names: Names, item: nodes.Species) -> None:
-    name = item.name.text
-    known = names.species.get(name)
-    if known is None or known.node is None:
-        names.species[name] = SpeciesTable(name, item, known.own if known else {})
-        names.declared.pop(("species", name), None)
-    names.add(("species", name), item.name, item)
-    table = names.species[name]
-    loose = {m.name.text: m for m in reversed(item.members) if isinstance(m, nodes.State)}
-    if loose:
-        _states(names, table, "main", dict(reversed(loose.items())))
-    for member in members(item):
-        if isinstance(member, nodes.Machine):
-            names.add(("machine", name, member.name.text), member.name, member)
-            states = {m.name.text: m for m in member.members if isinstance(m, nodes.State)}
-            _states(names, table, member.name.text, states)
-        declared = declaration(member)
+    def look(self, item: nodes.TopItem) -> None:
+        for part, _ in written(item):
+            if isinstance(part, nodes.Name):
+                self.name(part, item)
+            elif type(part) in _BY_PLACE:
+                for field_name, kind in _BY_PLACE[type(part)]:
+                    self.by_place(getattr(part, field_name), kind)
+            if type(part) in _RULES:
+                _RULES[type(part)](self, part)
+
+    def name(self, name: nodes.Name, item: nodes.TopItem) -> None:
+        span = Span(name.span.source, name.span.start, name.span.start + len(name.text))  # without the colon of an argument
+        declared = self.names.places.get(name.span)
         if declared is not None:
-            table.own[declared.name.text] = member
-            names.declared.pop(("own", name, declared.name.text), None)
-            names.add(("own", name, declared.name.text), declared.name, member)
+            self.found.append(Occurrence(span, declared, True))
+        elif name.span in self.bound:
+            self.found += [Occurrence(span, key) for key in self.bound[name.span]]
+        elif (meant := self.meant.get(name.span)) is not None:
+            self.found.append(Occurrence(span, self.near(meant[0], item), meant[1]))
+
+    def near(self, key: Key, item: nodes.TopItem) -> Key:
+        """Where the checker did not come to, a name is taken for one of the behaviour or species around it, if there is one."""
+        if key[0] in ("?", "?state") and isinstance(item, (nodes.Behaviour, nodes.Species)):
+            around = ("inner", str(self.names.path), item.name.text) if isinstance(item, nodes.Behaviour) else (item.name.text,)
+            for each in self.names.declared:
+                inner = each[0] in ("own", "machine", "state") and each[1:2] == around
+                if each[-1] == key[-1] and (inner or each[:-1] == around):
+                    return each
+        return key
+
+    def by_place(self, names: nodes.Name | tuple[nodes.Name, ...] | None, kind: str) -> None:
+        for name in names if isinstance(names, tuple) else (names,):
+            if name is not None:
+                self.meant.setdefault(name.span, ((kind, name.text), False))
+
+    def text(self, text: object, kind: str = "file") -> None:
+        if isinstance(text, nodes.Text):
+            self.found.append(Occurrence(text.span, (kind, str(real_path(self.names.path.parent.joinpath(text.text))))))
+
+    def use(self, node: nodes.Use) -> None:
+        if node.alias is not None:
+            self.text(node.path)
+
+    def spec(self, node: nodes.Spec) -> None:
+        self.text(node.scene)
+
+    def spec_line(self, node: nodes.SpecLine) -> None:
+        self.text(node.target)
+
+    def quantity(self, node: nodes.Quantity) -> None:
+        self.found.append(Occurrence(node.unit_span, ("unit", node.unit)))
+
+    def setting(self, node: nodes.Setting) -> None:
+        if node.name.text == "combine":
+            self.meant[node.value.span] = None  # `add` and `max` are no names there
+
+    def target(self, node: nodes.Target) -> None:
+        if node.previous and node.name is not None:
+            self.meant[node.name.span] = None
+
+    def layer(self, node: nodes.Layer) -> None:
+        if isinstance(node.push, nodes.NameRef) and node.push.name.text == "state":
+            self.meant[node.push.name.span] = (("steered", "state"), False)
+
+    def handler(self, node: nodes.On) -> None:
+        self.meant[node.event.span] = (("event", node.event.text), True)
+        self.element(node.variable)
+
+    def element(self, variable: nodes.Name | None) -> None:
+        if variable is not None:
+            self.meant[variable.span] = (_element(self.names, variable.span), True)
+
+    def comprehension(self, node: nodes.Comprehension) -> None:
+        self.element(node.variable)
+
+    def reference(self, node: nodes.NameRef) -> None:
+        name = node.name.text
+        self.by_place(node.name, "given" if name in GIVEN else "word" if name in _WORDS else "?")
+
+    def member(self, node: nodes.Member) -> None:
+        motion = isinstance(node.owner, nodes.NameRef) and node.owner.name.text == "motion" and node.name.text in MOTION
+        self.by_place(node.name, "motion" if motion else "word" if node.name.text in STATE_WORDS else "?member")
+
+    def call(self, node: nodes.Call | nodes.Emit | nodes.Carve) -> None:
+        called = type(node).__name__.lower()
+        if isinstance(node, nodes.Call):
+            function = node.function
+            called = function.name.text if isinstance(function, (nodes.NameRef, nodes.Member)) else ""
+            if isinstance(function, (nodes.NameRef, nodes.Member)):
+                bare = isinstance(function, nodes.NameRef)
+                self.by_place(function.name, "builtin" if bare and called in _CALLED else "?behaviour")
+        for each in node.arguments:
+            if isinstance(each, nodes.Argument) and each.name is not None:
+                self.meant[each.name.span] = (("builtin-argument", called, each.name.text), False)
 
 
-def _states(names: Names, table: SpeciesTable, machine: str, states: dict[str, nodes.State]) -> None:
-    table.machines.setdefault(machine, {}).update(states)
-    for state in states.values():
-        names.add(("state", table.name, machine, state.name.text), state.name, state)
-        for line in state.body:
-            if isinstance(line, nodes.Let):
-                names.add(("let", table.name, machine, state.name.text, line.name.text), line.name, line)
-
-
-def declaration(member: Any) -> Any:
-    """What declares a name of the species' own, or None."""
-    if isinstance(member, nodes.ParamDecl):
-        return member.declaration
-    return member if isinstance(member, (nodes.Declaration, nodes.Let, nodes.Latch, nodes.Fuzzy)) else None
-
-
-def members(species: nodes.Species) -> Iterator[Any]:
-    """The members of a species with those of its machines, in text order."""
-    for member in species.members:
-        yield member
-        if isinstance(member, nodes.Machine):
-            yield from member.members
-
-
-def _events(table: SpeciesTable) -> Iterator[nodes.Name]:
-    """Names of events that are raised or handled; the two that the language raises itself are not declared anywhere."""
-    for member in members(table.node) if table.node is not None else ():
-        if isinstance(member, nodes.On):
-            if member.event.text not in ("spawn", "collision"):
-                yield member.event
-            yield from _emitted(member.actions)
-        elif isinstance(member, nodes.Change):
-            yield from _emitted(member.actions)
-        elif isinstance(member, nodes.State):
-            yield from _emitted((*member.body, *member.enter, *member.exit))
-            for line in member.body:
-                if isinstance(line, nodes.Change):
-                    yield from _emitted(line.actions)
-
-
-def _emitted(lines: tuple[Any, ...]) -> Iterator[nodes.Name]:
-    return (line.event for line in lines if isinstance(line, nodes.Emit))
-
-
-def _nothing(names: Names, item: object) -> None:
-    """A spec declares nothing."""
-
-
-_TOP: dict[type, Any] = {
-    nodes.Use: _use, nodes.World: _world, nodes.FieldDecl: _field, nodes.Behaviour: _behaviour, nodes.Species: _species,
-    nodes.Spec: _nothing,
+# Names of which the place in the tree says what they are, or what they are looked for as: by node and field.
+_BY_PLACE: dict[type, tuple[tuple[str, str], ...]] = {
+    nodes.TypeName: (("name", "type"), ("of", "?")), nodes.WorldItem: (("kind", "kind"),), nodes.Setting: (("name", "setting"),),
+    nodes.Given: (("name", "given"),), nodes.Use: (("library", "library"),), nodes.NoneOf: (("of", "?"),),
+    nodes.State: (("colour", "colour"),), nodes.FieldDecl: (("surfaces", "thing"),), nodes.Deposit: (("field", "field"),),
+    nodes.Carve: (("solid", "thing"),), nodes.Emit: (("event", "event"),), nodes.Spawn: (("species", "species"),),
+    nodes.ForEach: (("species", "species"),), nodes.Take: (("attribute", "?"),), nodes.Give: (("attribute", "?"),),
+    nodes.Start: (("state", "?state"),), nodes.Target: (("name", "?state"),), nodes.Weight: (("target", "?state"),),
+    nodes.Change: (("any_except", "?state"),),
+}  # fmt: skip
+_RULES: dict[type, Callable[[_Index, Any], None]] = {
+    nodes.Use: _Index.use, nodes.Spec: _Index.spec, nodes.SpecLine: _Index.spec_line, nodes.Quantity: _Index.quantity,
+    nodes.Setting: _Index.setting, nodes.Layer: _Index.layer, nodes.On: _Index.handler, nodes.NameRef: _Index.reference,
+    nodes.Comprehension: _Index.comprehension, nodes.Member: _Index.member, nodes.Call: _Index.call, nodes.Emit: _Index.call,
+    nodes.Carve: _Index.call, nodes.Target: _Index.target,
 }  # fmt: skip

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from antdsl import limits
-from antdsl.lsp.names import Declared, Key
+from antdsl.lsp.names import Occurrence
 from antdsl.lsp.text import Range
 from antdsl.lsp.tokens import keywords
-from antdsl.lsp.uses import Occurrence
 from antdsl.lsp.workspace import Document, Workspace
+from antdsl.program.names.bindings import Key
+from antdsl.program.names.declared import Declaration
 from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
 from antdsl.program.types.states import STATE_WORDS
 from antdsl.source import Span
@@ -25,7 +26,7 @@ GIVEN_BY_AUTHOR = frozenset(
 _NAME = re.compile(r"[a-z][a-z_0-9]*")
 _TAKEN = frozenset({*RUN_NAMES, *SENSED_NAMES, *RESERVED, *STATE_WORDS, "self", "true", "false", "it"})
 _UNKNOWN = {
-    "?": ("thing", "field", "species"), "?behaviour": ("behaviour",), "?member": ("own", "attribute"),
+    "?": ("thing", "field", "species"), "?state": ("state",), "?behaviour": ("behaviour",), "?member": ("own", "attribute"),
     "?scene": ("thing", "scene-item"), "?layer": ("own", "thing", "field", "species", "behaviour", "inner"),
 }  # fmt: skip
 
@@ -44,7 +45,7 @@ class Found:
         return self.document.range(self.span)
 
 
-def declared(workspace: Workspace, document: Document, key: Key) -> tuple[Document, Declared] | None:
+def declared(workspace: Workspace, document: Document, key: Key) -> tuple[Document, Declaration] | None:
     """Where a symbol is declared: in the document itself before others."""
     if key[0] in ("behaviour", "inner", "alias"):
         paths = [Path(key[1])]
@@ -88,7 +89,7 @@ def definition(workspace: Workspace, document: Document, offset: int) -> list[Fo
             for other in _files(workspace, key):
                 return [Found(other, Span(_source(other), 0, 0))]
         elif key[0] == "element":
-            return [Found(document, key[1].span)]
+            return [Found(document, each.span) for each in document.occurrences if each.key == key and each.declares]
         elif key[0] in ("scene-item", "?scene") and (items := list(_items(workspace, document, key[-1]))):
             return items[:1]
         else:

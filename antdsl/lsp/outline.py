@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from antdsl.lsp.names import declaration
 from antdsl.lsp.workspace import Document
+from antdsl.program.names.declared import declaration
 from antdsl.scene.document import MappingNode, Node, ScalarNode, SequenceNode
 from antdsl.source import Span
 from antdsl.syntax import nodes

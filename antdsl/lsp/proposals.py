@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from antdsl.lsp.context import Context
 from antdsl.lsp.language import builtin_form, signature
-from antdsl.lsp.names import Names, declaration
-from antdsl.lsp.owners import owner_of
-from antdsl.lsp.uses import Place
+from antdsl.lsp.names import Names
 from antdsl.lsp.workspace import Document, Workspace
+from antdsl.program.kinds import Kind, Type
+from antdsl.program.names.declared import declaration
+from antdsl.program.names.scope import type_from_words
 from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES
 from antdsl.program.types.states import STATE_WORDS
-from antdsl.source import Source, Span
 from antdsl.syntax import nodes
 
 
@@ -72,31 +71,41 @@ def species(request: Request) -> Iterator[Item]:
         yield Item(name, "thing", "species")
 
 
-def _place(request: Request) -> Place:
-    behaviour = request.context.around("top", "behaviour")
-    local: dict[str, Any] = {}
-    node = request.names.behaviours.get(behaviour or "")
-    if node is not None:
-        for each in (*node.arguments, *node.body):
-            local[each.name.text] = (("inner", "", behaviour, each.name.text), None)
-    for variable, over in re.findall(r"\(\s*([a-z_][a-z_0-9]*)\s+in\s+([a-z_][a-z_0-9]*)", request.context.line):
-        owner = _owner_of_text(request, Place(request.species, locals={}), over)
+def _locals(request: Request) -> dict[str, tuple[str, Type | None]]:
+    """What is seen from this place alone, by name: what it is in words, and its type as far as it is known."""
+    behaviour = request.names.behaviours.get(request.context.around("top", "behaviour") or "")
+    found: dict[str, tuple[str, Type | None]] = {}
+    for each in (*behaviour.arguments, *behaviour.body) if behaviour is not None else ():
+        written = each.type if isinstance(each, nodes.BehaviourArgument) else None
+        of = written.of.text if written is not None and written.of is not None else None
+        found[each.name.text] = ("argument", type_from_words(written.name.text, of) if written is not None else None)
+    for variable, over, first in re.findall(r"\(\s*(\w+)\s+in\s+(\w+)(?:\(\s*([a-z_]\w*))?", request.context.line):
         if over == "neighbours":
-            owner = ("agent", request.species or "")
+            type = Type(Kind.AGENT, of=request.species)
         elif over in ("feelers", "ray"):
-            owner = ("hit", "")
-        elif over in ("all", "nearest"):
-            inner = re.search(rf"{variable}\s+in\s+{over}\(\s*([a-z_][a-z_0-9]*)", request.context.line)
-            owner = _owner_of_text(request, Place(request.species, locals={}), inner.group(1)) if inner else None
-        if owner is not None:
-            owner = ({"things": "item", "species": "agent"}.get(owner[0], owner[0]), owner[1])
-        local[variable] = (("element", None), owner)
-    return Place(request.species, request.machine, behaviour, local, None, request.context.around("top", "spec") is not None)
+            type = Type(Kind.HIT)
+        else:
+            type = _type(request, first if over in ("all", "nearest") else over, {})
+        found[variable] = ("element", type)
+    return found
 
 
-def _owner_of_text(request: Request, place: Place, name: str) -> Any:
-    span = Span(Source("", name), 0, len(name))
-    return owner_of(request.names, place, nodes.NameRef(nodes.Name(name, span), span))
+def _type(request: Request, name: str, local: Mapping[str, tuple[str, Type | None]]) -> Type | None:
+    """The type of a name as the last check found it, or the last one without errors where this one could not."""
+    if name in local:
+        return local[name][1]
+    if name == "self" and request.species:
+        return Type(Kind.AGENT, of=request.species)
+    checked, path = request.workspace.check(request.document.path), request.document.path
+    for program in (checked.program if checked is not None else None, request.workspace.good(path)):
+        species = program.species.get(request.species or "") if program is not None else None
+        own = (*species.attributes, *species.lets, *species.latches) if species is not None else ()
+        found = next((each.type for each in own if each.name == name and each.type.kind is not Kind.BAD), None)
+        if found is not None:
+            return found
+    if name in request.names.species:
+        return Type(Kind.SPECIES, of=name)
+    return Type(Kind.ITEMS, of=name) if name in request.names.things else None
 
 
 def members(request: Request) -> Iterator[Item]:
@@ -106,9 +115,9 @@ def members(request: Request) -> Iterator[Item]:
     if name is None:
         return
     word = name.group(1)
-    place = _place(request)
+    local = _locals(request)
     table = request.names.species.get(request.species or "")
-    if word in request.names.modules and word not in place.locals:
+    if word in request.names.modules and word not in local:
         module = request.workspace.document(request.names.modules[word])
         for behaviour in module.names.behaviours.values() if module is not None else ():
             yield _call(behaviour)
@@ -117,25 +126,25 @@ def members(request: Request) -> Iterator[Item]:
         for each in STATE_WORDS:
             yield Item(each, "property", f"of machine {word}")
         return
-    owner = _owner_of_text(request, place, word)
+    owner = _type(request, word, local)
     if owner is None:
         return
-    kind, whose = owner
-    if kind in ("item", "things"):
+    whose = owner.of or ""
+    if owner.kind in (Kind.ITEM, Kind.ITEMS):
         thing = request.names.things.get(whose)
         for attribute in thing.attributes if thing is not None else ():
             yield Item(attribute.name.text, "property", f"value of {whose}", attribute.help.text if attribute.help else "")
         for given, type in ITEM_GIVEN.items():
             yield Item(given, "property", type)
-    elif kind == "hit":
+    elif owner.kind is Kind.HIT:
         for given, type in HIT_GIVEN.items():
             yield Item(given, "property", type)
-    else:
+    elif owner.kind in (Kind.AGENT, Kind.SPECIES):
         other = request.names.species.get(whose)
         for own, member in (other.own if other is not None else {}).items():
             node = declaration(member)
             yield Item(own, "property", f"of {whose}", node.help.text if node is not None and node.help is not None else "")
-        if kind == "agent":
+        if owner.kind is Kind.AGENT:
             for given, row in GIVEN.items():
                 yield Item(given, "property", row.type, row.help)
 
@@ -218,10 +227,9 @@ def own(request: Request, assignable: bool = False) -> Iterator[Item]:
 
 def values(request: Request) -> Iterator[Item]:
     """Everything that can be a value, or begin one."""
-    place = _place(request)
-    for name, (key, _) in place.locals.items():
-        yield Item(name, "variable", "argument" if key[0] == "inner" else "element")
-    if place.behaviour is None:
+    for name, (what, _) in _locals(request).items():
+        yield Item(name, "variable", what)
+    if request.context.around("top", "behaviour") is None:
         yield from own(request)
         for word in (
             *STATE_WORDS,
@@ -259,6 +267,6 @@ def values(request: Request) -> Iterator[Item]:
         "self",
     ):
         yield Item(word, "keyword")
-    if place.spec:
+    if request.context.around("top", "spec") is not None:
         for word in ("total", "share", "at_start", "motion"):
             yield Item(word, "keyword", "of the whole crowd")

@@ -6,10 +6,10 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from antdsl.lsp.names import declaration
 from antdsl.lsp.proposals import Item
 from antdsl.lsp.words import SCENE_HELP
 from antdsl.lsp.workspace import Document, Workspace
+from antdsl.program.names.declared import declaration
 from antdsl.scene import model
 from antdsl.scene.matching import FRAME_ATTRIBUTES
 from antdsl.syntax import nodes

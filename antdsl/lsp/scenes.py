@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from antdsl.bounded import real_path
-from antdsl.lsp.names import Key
-from antdsl.lsp.uses import Occurrence
+from antdsl.lsp.names import Occurrence
+from antdsl.program.names.bindings import Key
 from antdsl.program.tables.vocabulary import ITEM_GIVEN
 from antdsl.scene.document import MappingNode, Node, ScalarNode, SequenceNode, read_document
 from antdsl.scene.model import ItemThing

@@ -45,7 +45,7 @@ def tokens(document: Document, first: int = 0, last: int | None = None) -> list[
     text, words = document.text, keywords()
     begin = text.starts[min(first, len(text.starts) - 1)]
     end = len(text.text) if last is None or last + 1 >= len(text.starts) else text.starts[last + 1]
-    known = document.meanings
+    known = document.index.meanings
     data: list[int] = []
     line, column = 0, 0
     for piece in _PIECE.finditer(text.text, begin, end):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from bisect import bisect_right
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -17,13 +18,12 @@ from antdsl.diagnostics import Diagnostic, Report
 from antdsl.diagnostics.ignoring import judged
 from antdsl.files import find_files
 from antdsl.loading import Parsed
-from antdsl.lsp.index import occurrences
-from antdsl.lsp.names import Names, names_of
+from antdsl.lsp.names import Names, Occurrence, names_of, occurrences
 from antdsl.lsp.scenes import SceneIndex, scene_index
 from antdsl.lsp.text import Range, Text, normal
-from antdsl.lsp.uses import Occurrence
 from antdsl.pipeline import check_scene_text, compile_files
 from antdsl.program.memo import Memo
+from antdsl.program.names.bindings import Bindings
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
 from antdsl.syntax.parts import Parts
@@ -33,20 +33,38 @@ if TYPE_CHECKING:
     from antdsl.scene import Scene
 
 PROGRAM = ".ant"
+NO_BINDINGS = Bindings()
 _MOST = 8  # symbols that one word can stand for
 _SCENE = re.compile(r"^(?:antdsl|crowd|extends)[ \t]*:", re.MULTILINE)  # keys that scenes have, and few other files
 
 
+@dataclass(frozen=True)
+class Index:
+    """The names of a document in text order, with where each begins."""
+
+    occurrences: list[Occurrence]
+    starts: list[int]
+
+    @cached_property
+    def meanings(self) -> dict[int, tuple[str, bool]]:
+        """What the word at an offset is: the kind of its symbol, and whether it is declared there."""
+        pairs = zip(reversed(self.starts), reversed(self.occurrences), strict=True)
+        return {start: (str(each.key[0]), each.declares) for start, each in pairs}
+
+
 @dataclass(eq=False)
 class Document:
-    """A file as it is now, in the editor or on disk. `stamp` is None for an open buffer."""
+    """A file as it is now, in the editor or on disk. `stamp` is None for an open buffer; `resolve` gives the bindings of the file
+    with all that it uses."""
 
     path: Path
     text: Text
+    resolve: Callable[[Path], Bindings]
     stamp: tuple[int, int] | None = None
     version: int | None = None
     earlier: SceneIndex | None = None  # of the text before, for while this one is no YAML
     parts: Parts = field(default_factory=Parts)  # go from one version of an open buffer to the next
+    _index: tuple[Bindings, Index] | None = None
 
     @property
     def is_program(self) -> bool:
@@ -66,11 +84,19 @@ class Document:
         written = (item.path for item in self.parsed[0].items if isinstance(item, nodes.Use))
         return [real_path(self.path.parent.joinpath(path.text)) for path in written if path is not None]
 
-    @cached_property
+    @property
+    def index(self) -> Index:
+        """Every name in the document; anew where a check of it gave other bindings."""
+        bindings = self.resolve(self.path) if self.is_program else NO_BINDINGS
+        if self._index is None or self._index[0] is not bindings:
+            found = occurrences(self.names, bindings) if self.is_program else self.scene.occurrences
+            found = sorted(found, key=lambda each: self.start(each.span))
+            self._index = bindings, Index(found, [self.start(each.span) for each in found])
+        return self._index[1]
+
+    @property
     def occurrences(self) -> list[Occurrence]:
-        """Every name in the document, in text order."""
-        found = occurrences(self.names) if self.is_program else self.scene.occurrences
-        return sorted(found, key=lambda each: self.start(each.span))
+        return self.index.occurrences
 
     @cached_property
     def scene(self) -> SceneIndex:
@@ -78,15 +104,6 @@ class Document:
         if made.document is None and self.earlier is not None:
             made.files, made.items, made.fps = self.earlier.files, self.earlier.items, self.earlier.fps
         return made
-
-    @cached_property
-    def meanings(self) -> dict[int, tuple[str, bool]]:
-        """What the word at an offset is: the kind of its symbol, and whether it is declared there."""
-        return {self.start(each.span): (each.key[0], each.declares) for each in reversed(self.occurrences)}
-
-    @cached_property
-    def _starts(self) -> list[int]:
-        return [self.start(each.span) for each in self.occurrences]
 
     def start(self, span: Span) -> int:
         """Where a span of this document begins in its text."""
@@ -103,9 +120,10 @@ class Document:
 
     def at(self, offset: int) -> list[Occurrence]:
         """The names at an offset, those that begin or go on there before one that ends there."""
-        found = []
-        for number in range(bisect_right(self._starts, offset) - 1, -1, -1):
-            each = self.occurrences[number]
+        index = self.index
+        found: list[Occurrence] = []
+        for number in range(bisect_right(index.starts, offset) - 1, -1, -1):
+            each = index.occurrences[number]
             if self.end(each.span) < offset or len(found) > _MOST:
                 break
             found.insert(0, each)
@@ -147,14 +165,14 @@ class Workspace:
 
     def put(self, path: Path, text: str, version: int | None = None) -> Document:
         """An open buffer, new or changed."""
-        document = self.open[path] = Document(path, Text(normal(text), self.encoding), None, version)
+        document = self.open[path] = Document(path, Text(normal(text), self.encoding), self.bindings, None, version)
         return document
 
     def change(self, path: Path, text: Text, version: int | None) -> Document:
         before = self.open.get(path)
         earlier = before.scene if before is not None and not before.is_program else None
         parts = before.parts if before is not None else Parts()
-        document = self.open[path] = Document(path, text, None, version, earlier, parts)
+        document = self.open[path] = Document(path, text, self.bindings, None, version, earlier, parts)
         return document
 
     def close(self, path: Path) -> None:
@@ -178,7 +196,7 @@ class Workspace:
             source, _ = syntax.read(path)
             if source is None:
                 return None
-            known = self._disk[path] = Document(path, Text(source.text, self.encoding), stamp)
+            known = self._disk[path] = Document(path, Text(source.text, self.encoding), self.bindings, stamp)
         return known
 
     def span_of(self, span: Span) -> tuple[Document, Range] | None:
@@ -211,6 +229,11 @@ class Workspace:
         """All that a check depends on: the documents that belong together, as they are."""
         return [(each, self.document(each)) for each in self.linked(path)]
 
+    def bindings(self, path: Path) -> Bindings:
+        """What the names of a program were resolved to, as far as it makes sense."""
+        checked = self.check(path)
+        return NO_BINDINGS if checked is None or checked.program is None else checked.program.bindings
+
     def good(self, path: Path) -> Program | None:
         """The last program of this document that checked without errors, for what is asked while it is being changed."""
         checked = self.check(path)
@@ -233,7 +256,8 @@ class Workspace:
 
     def _check_program(self, document: Document) -> Checked:
         # a text that had to be read as a whole has nothing in common with the one before, which may come back
-        memo = self._memos.setdefault(document.path, Memo()) if document.parsed[0].parts else None
+        kept = document.path in self.open and document.parsed[0].parts
+        memo = self._memos.setdefault(document.path, Memo()) if kept else None
         program, report = compile_files([document.path], parsed=self.parsed(document.path), memo=memo)
         return Checked(program, None, report)
 

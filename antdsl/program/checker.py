@@ -15,6 +15,7 @@ from antdsl.program.declarations.species import complete, draft
 from antdsl.program.declarations.specs import check_spec
 from antdsl.program.declarations.world import check_brought, check_field, declare_fields, declare_world
 from antdsl.program.memo import Memo, part, seen
+from antdsl.program.names.bindings import Bindings
 from antdsl.program.names.collect import Library, Loader, declare
 from antdsl.program.names.scope import Declared, FileNames, SpeciesNames
 from antdsl.program.types.descriptions import quoted
@@ -67,6 +68,7 @@ def check(
         if any(each.wanting for each in loader.known.values()):
             memo.known.clear()  # parts kept silent about what a missing `use` would bring
     places = {first: tuple(dict.fromkeys(others)) for first, *others in declared.told.values() if others}
+    program = replace(program, bindings=Bindings(tuple(declared.bound)))
     return program, without_consequences(*_whole(loader, with_all_places(report, places), doubtful))
 
 

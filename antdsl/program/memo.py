@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from antdsl.diagnostics import Diagnostic
+from antdsl.program.names.bindings import Use
 from antdsl.source import Span
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ class _Known:
     used: frozenset[tuple[str, str]]
     written: frozenset[str]
     expanded: int
+    bound: tuple[Use, ...]
 
 
 class _Told(dict[tuple[str, ...], list[Span]]):
@@ -70,8 +72,8 @@ class Memo:
         return self.numbers[value]
 
     def part(self, declared: Declared, key: _Key, make: Callable[[], T]) -> T:
-        """What `make` gives, or gave for the same key; with it goes what it complained about, and what it counted as used and
-        written."""
+        """What `make` gives, or gave for the same key; with it goes what it complained about, what it resolved names to, and what
+        it counted as used and written."""
         self.asked.add(key)
         known = self.known.get(key)
         if known is None:
@@ -79,11 +81,13 @@ class Memo:
         declared.used |= known.used
         declared.written |= known.written
         declared.expanded += known.expanded
+        declared.bound += known.bound
         declared.report.extend(known.said)
         return known.result  # type: ignore[no-any-return]
 
     def _made(self, declared: Declared, key: _Key, make: Callable[[], T]) -> T:
         said, expanded, told = len(declared.report.diagnostics), declared.expanded, len(declared.told)
+        bound = len(declared.bound)
         used, written, names = declared.used, declared.written, declared.told
         declared.used, declared.written, declared.told = set(), set(), _Told(names)
         try:
@@ -94,7 +98,8 @@ class Memo:
         if len(own_told) == told and not (isinstance(own_told, _Told) and own_told.silenced):
             complaints = tuple(declared.report.diagnostics[said:])
             spent = declared.expanded - expanded
-            self.known[key] = _Known(result, complaints, frozenset(own_used), frozenset(own_written), spent)
+            names_there = tuple(declared.bound[bound:])
+            self.known[key] = _Known(result, complaints, frozenset(own_used), frozenset(own_written), spent, names_there)
         return result
 
     def keep(self, kinds: Collection[Hashable]) -> None:

@@ -12,6 +12,7 @@ from antdsl.program.kinds import Dim as Dim
 from antdsl.program.kinds import Kind as Kind
 from antdsl.program.kinds import Rate as Rate
 from antdsl.program.kinds import Type as Type
+from antdsl.program.names.bindings import Bindings as Bindings
 from antdsl.program.typed import Attribute as Attribute
 from antdsl.program.typed import Binding as Binding
 from antdsl.program.typed import Const as Const
@@ -294,3 +295,4 @@ class Program:
     events: tuple[str, ...]
     specs: tuple[Spec, ...]
     sources: tuple[nodes.File, ...] = field(default=())
+    bindings: Bindings = field(default=Bindings())

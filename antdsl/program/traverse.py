@@ -7,7 +7,7 @@ from dataclasses import fields, is_dataclass
 
 from antdsl.program import model
 from antdsl.program.kinds import Dim, Rate, Type
-from antdsl.source import Span
+from antdsl.source import Source, Span
 from antdsl.syntax import nodes
 
 _INNER: dict[type, tuple[str, ...]] = {}  # by type, the fields with something inside, the last one first
@@ -63,10 +63,10 @@ def written(root: object) -> Iterator[tuple[object, int]]:
             continue
         names = _FIELDS.get(type(part))
         if names is None:
-            if not is_dataclass(part) or isinstance(part, Span):
+            if not is_dataclass(part) or isinstance(part, (Span, Source)):
                 continue
             names = _FIELDS[type(part)] = tuple(
-                f.name for f in fields(part) if f.name not in ("span", "op_span", "unit_span", "source", "comments")
+                f.name for f in fields(part) if f.name not in ("span", "op_span", "unit_span", "comments")
             )
         yield part, depth
         stack += [(getattr(part, name), depth + 1) for name in reversed(names)]

@@ -181,6 +181,8 @@ def returned_type(scope: Scope, node: nodes.Behaviour) -> Type:
 
 def declared_type(scope: Scope, written_type: nodes.TypeName) -> Type:
     name = written_type.name
+    if written_type.of is not None:
+        scope.bind_thing(written_type.of)
     type = type_from_words(name.text, written_type.of.text if written_type.of else None)
     if type is None:
         scope.report.error(
@@ -244,6 +246,7 @@ def call_behaviour(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
         return bad(node.span)
     name = info.node.name.text
     scope.use("behaviour", f"{info.node.name.span}")
+    _bind(scope, info, node)
     if not check_behaviour(scope.declared, info):
         type_all(scope, node)
         return bad(node.span)
@@ -264,6 +267,17 @@ def call_unwritten(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> Expr:
     if not check_behaviour(scope.declared, info) or not _allowed(scope, info, node):
         return bad(node.span)
     return _in_place(scope, info, node, {})
+
+
+def _bind(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> None:
+    """What the call names: a module, the behaviour, and arguments that it has."""
+    path, name, function = info.file.node.source.path, info.node.name.text, node.function
+    if isinstance(function, nodes.Member) and isinstance(function.owner, nodes.NameRef):
+        scope.bind(function.owner.span, "alias", scope.file.node.source.path, function.owner.name.text)
+    scope.bind(function.name.span if isinstance(function, nodes.Member) else function.span, "behaviour", path, name)
+    for argument in node.arguments:
+        if isinstance(argument, nodes.Argument) and argument.name is not None:
+            scope.bind(argument.name.span, "inner", path, name, argument.name.text)
 
 
 def _called(scope: Scope, function: nodes.Expr) -> BehaviourInfo | None:

@@ -55,6 +55,8 @@ def _soil(scope: Scope, node: nodes.Expr) -> str | None:
     species = scope.species
     assert species is not None
     type = species.attributes.get(node.name.text) if isinstance(node, nodes.NameRef) else None
+    if isinstance(node, nodes.NameRef):
+        scope.bind_own(node.span, node.name.text)
     if isinstance(node, nodes.NameRef) and type == Type(Kind.NUMBER, Dim(length=3)):
         scope.declared.written.add(f"{species.name}.{node.name.text}")
         return node.name.text

@@ -61,10 +61,7 @@ def _start(scope: Scope, names: MachineNames, members: Sequence[object], span: S
             labels=(Label(starts[0].span, "first here"),),
         )
     if starts:
-        index = names.states.get(starts[0].state.text)
-        if index is None:
-            index = names.states.get(unknown_state(scope, starts[0].state, names.key.partition(".")[0], list(names.states)) or "")
-        return index or 0
+        return _named(scope, names, starts[0].state) or 0
     if len(names.states) > 1:
         scope.report.error(
             "missing-start",
@@ -73,6 +70,15 @@ def _start(scope: Scope, names: MachineNames, members: Sequence[object], span: S
             f"write `start {next(iter(names.states))}`",
         )
     return 0
+
+
+def _named(scope: Scope, names: MachineNames, state: nodes.Name) -> int | None:
+    """The index of a state, or of the one that was probably meant."""
+    species, _, machine = names.key.partition(".")
+    if state.text in names.states:
+        scope.bind(state.span, "state", species, machine, state.text)
+        return names.states[state.text]
+    return names.states.get(unknown_state(scope, state, species, list(names.states)) or "")
 
 
 # --- one state -------------------------------------------------------------------------------------------------------
@@ -162,8 +168,7 @@ def _duration(scope: Scope, node: nodes.Expr | None, who: str) -> Expr | None:
 
 def _from_any(scope: Scope, names: MachineNames, node: nodes.Change) -> model.Transition | None:
     for name in node.any_except or ():
-        if name.text not in names.states:
-            unknown_state(scope, name, names.key.partition(".")[0], list(names.states))
+        _named(scope, names, name)
     return _change(scope, names, node, scope.keys.path)
 
 
@@ -227,11 +232,7 @@ def _target_word(target: nodes.Target) -> str:
 def _target(scope: Scope, names: MachineNames, target: nodes.Target) -> int | None:
     if target.name is None or target.previous:
         return None
-    index = names.states.get(target.name.text)
-    if index is None:
-        meant = unknown_state(scope, target.name, names.key.partition(".")[0], list(names.states))
-        index = names.states.get(meant or "")
-    return index
+    return _named(scope, names, target.name)
 
 
 def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[tuple[int, Expr], ...]:
@@ -246,10 +247,7 @@ def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[t
                 choice.weight.span,
                 "write a weight of 0 or more",
             )
-        index = names.states.get(choice.target.text)
-        if index is None:
-            meant = unknown_state(scope, choice.target, names.key.partition(".")[0], list(names.states))
-            index = names.states.get(meant or "")
+        index = _named(scope, names, choice.target)
         if index is not None:
             made.append((index, weight))
     weights = [constant_behind(weight) for _, weight in made]

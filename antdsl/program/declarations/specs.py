@@ -181,6 +181,7 @@ def _set(work: _Work, line: nodes.SpecLine) -> None:
     if text in work.params:
         param = work.params[text]
         declared.used.add(("param", text))
+        _bind(scope, line.target, "species", "own")
         found = wanted(scope, line.condition, param.type, f"`{text}`")
         if found.type.kind is Kind.BAD:
             return
@@ -191,6 +192,7 @@ def _set(work: _Work, line: nodes.SpecLine) -> None:
         work.changes.append(Changed(text, found, line.span))
     elif thing in work.fields and word in SETTINGS and word not in _FIXED:
         declared.used.add(("field", thing))
+        _bind(scope, line.target, "field", "setting")
         value = SETTINGS[word](scope, nodes.Setting(nodes.Name(word, line.target.span), line.condition, line.span))
         if value is not None:
             work.changes.append(Changed(text, value, line.span))
@@ -198,6 +200,14 @@ def _set(work: _Work, line: nodes.SpecLine) -> None:
         known = [*work.params, *(f"{name}.{word}" for name in work.fields for word in SETTINGS if word not in _FIXED)]
         advice = did_you_mean(text, known, f"there is {listed(work.params)}" if work.params else None)
         declared.report.error("unknown-name", f"no param `{text}` to set", line.target.span, advice)
+
+
+def _bind(scope: Scope, target: nodes.Expr | nodes.Text, owner: str, value: str) -> None:
+    """What `forager.smell` or `trail.half_life` names: `owner` and `value` are the kinds of the two."""
+    if isinstance(target, nodes.Member) and isinstance(target.owner, nodes.NameRef):
+        name, word = target.owner.name.text, target.name.text
+        scope.bind(target.owner.span, owner, name)
+        scope.bind(target.name.span, *((value, word) if value == "setting" else (value, name, word)))
 
 
 def _in_range(work: _Work, node: nodes.Expr, param: Param, found: Expr) -> None:
@@ -227,6 +237,7 @@ def _each(work: _Work, line: nodes.SpecLine) -> None:
         )
         return
     declared.used.add(("species", species))
+    outside(declared, work.names, "spec").bind(line.target.span, "species", species)
     work.blocks += 1
     for inner in line.lines:
         if inner.kind in ("seeds", "pass", "set", "against", "sooner", "each") or (inner.kind == "for" and not inner.condition):

@@ -179,6 +179,7 @@ def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) ->
     """The attribute that a bare name on the left stands for."""
     species, report, text = scope.species, scope.report, name.text
     assert species is not None
+    scope.bind_own(name.span, name.text)
     if text in species.each:
         report.error("wrong-kind", f"`{text}` is a value per pair: say about whom", name.span, f"write `{text}[other]`")
         return None
@@ -317,6 +318,7 @@ def _own_amount(scope: Scope, name: nodes.Name, why: str) -> Type | None:
     species = scope.species
     assert species is not None
     type = species.attributes.get(name.text)
+    scope.bind_own(name.span, name.text)
     if type is None or name.text in species.each:
         known = [a for a in species.attributes if a not in species.each]
         scope.report.error(
@@ -354,6 +356,7 @@ def _holds(scope: Scope, node: nodes.Expr, found: Expr, attribute: nodes.Name, o
             ),
         )
         return False
+    scope.bind_value(attribute.span, found.type, attribute.text)
     if not fits(held[attribute.text], own):
         a = model.Attribute(own, model.Rate.AGENT, attribute.span, None, attribute.text)
         b = model.Attribute(held[attribute.text], model.Rate.AGENT, node.span, found, attribute.text)

@@ -10,6 +10,7 @@ from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.memo import Memo
 from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, Thing, Type, WorldThing
+from antdsl.program.names.bindings import Use
 from antdsl.program.tables.vocabulary import GIVEN, HIT_GIVEN, ITEM_GIVEN, TYPE_WORDS
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -91,6 +92,7 @@ class Declared:
     fields: dict[str, nodes.FieldDecl] = field(default_factory=dict)
     species: dict[str, SpeciesNames] = field(default_factory=dict)
     events: dict[str, Span] = field(default_factory=dict)
+    bound: list[Use] = field(default_factory=list)  # names with what they were resolved to, in the order of checking
     used: set[tuple[str, str]] = field(default_factory=set)
     written: set[str] = field(default_factory=set)  # attributes, as `species.name`
     unclear: set[str] = field(default_factory=set)  # things of the world of which the kind is not known, told already
@@ -153,6 +155,48 @@ class Scope:
     def typed(self, node: nodes.Expr, want: Type | None = None) -> Expr:
         """The expression with its type. `want` lets `none` and bare names know what they stand for; it is not enforced."""
         return self.declared.rules[type(node)](self, node, want)
+
+    def bind(self, span: Span, *key: str) -> None:
+        """Leave behind what the name at a place was resolved to. A behaviour put in place of its call is no place of the text."""
+        if self.behaviour is None or self.generic:
+            self.declared.bound.append(Use(span, key))
+
+    def bind_local(self, span: Span, declared: Span) -> None:
+        """The same for a name that is declared in the text around."""
+        if self.behaviour is None or self.generic:
+            self.declared.bound.append(Use(span, declared))
+
+    def bind_thing(self, name: nodes.Name) -> None:
+        """The same for a name that can only be that of a species or a thing of the world."""
+        kinds = (("species", self.declared.species), ("thing", self.declared.things))
+        for kind in (kind for kind, known in kinds if name.text in known):
+            self.bind(name.span, kind, name.text)
+            return
+
+    def bind_own(self, span: Span, name: str, own: SpeciesNames | None = None) -> None:
+        """The same for a name that can only be a species' own, this one's or another's."""
+        own = own or self.species
+        if own is not None and (name in own.attributes or name in own.params or name in own.bindings or name in own.pending):
+            self.bind(span, "own", own.name, name)
+
+    def bind_value(self, span: Span, owner: Type, name: str) -> None:
+        """The same for a value of an item, agent or hit, which is there."""
+        if owner.kind is Kind.AGENT:
+            self.bind(span, *(("given", name) if name in GIVEN else ("own", owner.of or "", name)))
+        elif owner.kind is Kind.HIT or owner.of == "hit":
+            self.bind(span, "hit-given", name)
+        else:
+            thing = self.declared.things.get(owner.of or "")
+            own = thing is not None and any(each.name == name for each in thing.attributes)
+            self.bind(span, *(("attribute", owner.of or "", name) if own else ("item-given", name)))
+
+    def bind_unreadable(self, name: nodes.Name, owner: Type) -> None:
+        """The same for what is declared and cannot be read so: a param of one agent, a value of all items."""
+        one = Type(Kind.ITEM, of=owner.of)
+        if owner.kind in (Kind.AGENT, Kind.SPECIES) and owner.of in self.declared.species:
+            self.bind_own(name.span, name.text, self.declared.species[owner.of])
+        elif owner.kind is Kind.ITEMS and name.text in attributes_of(self.declared, one):
+            self.bind_value(name.span, one, name.text)
 
     def use(self, kind: str, name: str) -> None:
         self.declared.used.add((kind, name))

@@ -110,9 +110,12 @@ class SpecRules:
                 and name not in species.attributes
             ):
                 scope.use("param", f"{species.name}.{name}")
+                scope.bind(owner.span, "species", species.name)
+                scope.bind(node.name.span, "own", species.name, name)
                 return ParamRef(species.params[name], Rate.RUN, node.span, f"{species.name}.{name}")
             bodily = species is not None and name in GEOMETRY and name not in {*species.attributes, *species.params}
             if bodily and isinstance(self_there, Thing):
+                scope.bind(owner.span, "species", owner.name.text)
                 return Bodily(type_from_words(GEOMETRY[name]) or NUMBER, Rate.AGENT, node.span, name)
             if self._one_of_many(scope, owner.name.text, node):
                 return bad(node.span)
@@ -120,6 +123,7 @@ class SpecRules:
 
     def _cell(self, scope: Scope, node: nodes.Member, field: str) -> Expr:
         scope.use("field", field)
+        scope.bind(node.owner.span, "field", field)
         if self.cells == field:
             return CellValue(NUMBER, Rate.ELEMENT, node.span, field)
         scope.report.error(
@@ -136,6 +140,9 @@ class SpecRules:
         known = kind is not None and name in {*attributes_of(scope.declared, type), *(GEOMETRY if kind is Kind.SPECIES else ())}
         if not known or owner in scope.locals or name in params:
             return False
+        if isinstance(node.owner, nodes.NameRef):
+            scope.bind_thing(node.owner.name)
+        scope.bind_value(node.name.span, type, name)
         who = "agent" if kind is Kind.SPECIES else "item"
         also = f", or of each: `each {owner} {{ always: {name} … }}`" if kind is Kind.SPECIES else ""
         scope.report.error(
@@ -217,15 +224,19 @@ class SpecRules:
             bare = bare if name in _TRUTHS else field
         if bare in scope.declared.fields and name in (*_OF_CELLS, "count"):
             scope.use("field", bare)
+            scope.bind(asked.owner.span if isinstance(asked, nodes.Member) else asked.span, "field", bare)
             return Whole(NUMBER, Rate.STEP, node.span, how, Type(Kind.FIELD, of=bare), (), None, None)
         solid = scope.declared.things.get(bare)
         if solid is not None and solid.kind == "solid" and name == "total":
             scope.use("thing", bare)
+            scope.bind(asked.span, "thing", bare)
             return Whole(_VOLUME, Rate.STEP, node.span, how, Type(Kind.SOLID, of=bare), (), None, None)
         over = Type(Kind.FIELD, of=field) if field else _whom(scope, node, asked)
         if over is None:
             return bad(node.span)
         inner, elements = (scope.inside(species=None), ()) if field else _one_of(scope, over, node.span)
+        if isinstance(asked, nodes.NameRef) and bare == over.of:
+            scope.bind_thing(asked.name)
         self.cells = field
         body: Expr | None = None
         if not (name in ("count", "any") and bare == over.of):

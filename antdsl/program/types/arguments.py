@@ -119,7 +119,10 @@ def type_all(scope: Scope, node: Called) -> None:
             scope.typed(argument.value.low)
             scope.typed(argument.value.high)
         else:
+            known = len(scope.declared.bound)
             scope.typed(argument.value)
+            if argument.name is not None and argument.name.text == "with":
+                del scope.declared.bound[known:]  # its names may be those of what is looked for
 
 
 def _late(scope: Scope, first: nodes.Name, late: Sequence[tuple[nodes.Argument, str]]) -> None:

@@ -79,9 +79,11 @@ def referable(scope: Scope, name: nodes.Name) -> Type | None:
     thing = declared.things.get(name.text)
     if thing is not None and thing.kind == "items":
         scope.use("thing", name.text)
+        scope.bind(name.span, "thing", name.text)
         return Type(Kind.ITEM, of=name.text)
     if name.text in declared.species:
         scope.use("species", name.text)
+        scope.bind(name.span, "species", name.text)
         return Type(Kind.AGENT, of=name.text)
     known = [t.name for t in declared.things.values() if t.kind == "items"] + list(declared.species)
     scope.report.error(
@@ -109,7 +111,12 @@ def _local(scope: Scope, name: str, span: Span) -> Expr | None:
         return None
     if isinstance(found, Binding):
         scope.use("local", f"{found.span}:{name}")
+        scope.bind_local(span, found.span)
         return read(scope, found, span)
+    if found.type.kind is Kind.BAD:
+        scope.bind_local(span, found.span)
+    else:
+        scope.bind(span, "species" if found.type.kind is Kind.AGENT else "thing", name)  # one of them, in a spec
     return found
 
 
@@ -136,7 +143,10 @@ def _of_element(scope: Scope, name: str, span: Span) -> Expr | None:
     if name in STATE_WORDS and element.type.kind is Kind.AGENT:
         return state_word(scope, owner, name, span, None)
     type = attributes_of(scope.declared, element.type).get(name)
-    return None if type is None else value_of(scope, owner, name, type, span)
+    if type is None:
+        return None
+    scope.bind_value(span, element.type, name)
+    return value_of(scope, owner, name, type, span)
 
 
 def _word(scope: Scope, name: str, span: Span) -> Expr | None:
@@ -152,6 +162,7 @@ def _own(scope: Scope, name: str, span: Span) -> Expr | None:
     species = scope.species
     if species is None or scope.behaviour is not None:
         return None
+    scope.bind_own(span, name)
     if name in species.params:
         scope.use("param", f"{species.name}.{name}")
         return ParamRef(species.params[name], Rate.RUN, span, f"{species.name}.{name}")
@@ -187,16 +198,20 @@ def _of_world(scope: Scope, name: str, span: Span) -> Expr | None:
     declared = scope.declared
     if name in declared.fields:
         scope.use("field", name)
+        scope.bind(span, "field", name)
         return Thing(Type(Kind.FIELD), Rate.CONST, span, name)
     if name in declared.species:
         scope.use("species", name)
+        scope.bind(span, "species", name)
         return Thing(Type(Kind.SPECIES, of=name), Rate.CONST, span, name)
     thing = declared.things.get(name)
     if thing is not None:
         scope.use("thing", name)
+        scope.bind(span, "thing", name)
         return Thing(Type(Kind(thing.kind), of=name), Rate.CONST, span, name)
     if name in declared.events and scope.species is not None:
         scope.use("event", name)
+        scope.bind(span, "event", name)
         return Op(BOOL, Rate.AGENT, span, "event", (Thing(BOOL, Rate.CONST, span, name),))
     return None
 
@@ -268,6 +283,7 @@ def value_of(scope: Scope, owner: Expr, name: str, type: Type, span: Span) -> Ex
 def member_of(scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
     machine = machine_named(scope, node.owner)
     if machine is not None:
+        scope.bind(node.owner.span, "machine", machine.key.partition(".")[0], machine.name)
         return of_machine(scope, machine, node)
     owner = scope.typed(node.owner)
     name, kind = node.name.text, owner.type.kind
@@ -279,7 +295,9 @@ def member_of(scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
         return state_word(scope, owner, name, node.span, node.name.span)
     known = attributes_of(scope.declared, owner.type)
     if name in known:
+        scope.bind_value(node.name.span, owner.type, name)
         return value_of(scope, owner, name, known[name], node.span)
+    scope.bind_unreadable(node.name, owner.type)
     _no_member(scope, owner, node, known)
     return bad(node.span)
 
@@ -312,7 +330,9 @@ def _param_of(scope: Scope, owner: Expr, node: nodes.Member) -> Expr:
     names = scope.declared.species[owner.type.of] if owner.type.of else None
     if names is not None and node.name.text in names.params:
         scope.use("param", f"{names.name}.{node.name.text}")
+        scope.bind(node.name.span, "own", names.name, node.name.text)
         return ParamRef(names.params[node.name.text], Rate.RUN, node.span, f"{names.name}.{node.name.text}")
+    scope.bind_unreadable(node.name, owner.type)
     species = owner.type.of or "species"
     scope.report.error(
         "wrong-kind", f"`{species}` is a whole species, and `{node.name.text}` is a value of one agent", node.span,
@@ -328,6 +348,7 @@ def index_of(scope: Scope, node: nodes.Index, want: Type | None) -> Expr:
     if isinstance(owner, nodes.NameRef) and species is not None and scope.behaviour is None and owner.name.text in species.each:
         name = owner.name.text
         scope.use("attribute", f"{species.name}.{name}")
+        scope.bind(owner.span, "own", species.name, name)
         wanted = Type(Kind.AGENT, of=species.each[name])
         if not fits(index.type, wanted):
             mismatch(scope.report, node.index, index.type, wanted, f"`{name}[…]`")

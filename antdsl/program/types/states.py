@@ -69,6 +69,7 @@ def state_named(scope: Scope, asked: Expr, node: nodes.Expr) -> tuple[Expr, Expr
     for machine in order:
         index = machine.states.get(node.name.text)
         if index is not None:
+            scope.bind(node.span, "state", species, machine.name, node.name.text)
             word = asked.name.partition(".")[2]
             return _machine_word(machine, asked.of, word, asked.span), StateConst(
                 Type(Kind.STATE, of=machine.key), Rate.CONST, node.span, machine.key, index

@@ -1,0 +1,97 @@
+"""All that a file declares by name, from its tree: the other ends of the checker's bindings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from antdsl.program.names.bindings import Key
+from antdsl.program.names.collect import EVENTS
+from antdsl.program.traverse import written
+from antdsl.syntax import nodes
+
+Found = Iterator["Declaration"]
+
+
+@dataclass(frozen=True, slots=True)
+class Declaration:
+    """`key` is kind, owners and name; `name` the place to go to, `node` all of it."""
+
+    key: Key
+    name: nodes.Name
+    node: Any
+
+
+def declarations(file: nodes.File) -> Found:
+    """The declarations of a file. Of those with one key the first counts, as for the checker: the `species` itself before what
+    `world` says of it."""
+    for item in sorted(file.items, key=lambda item: isinstance(item, nodes.World)):
+        yield from _TOP[type(item)](file.source.path, item)
+
+
+def declaration(member: object) -> Any:
+    """What declares a name of the species' own, or None."""
+    if isinstance(member, nodes.ParamDecl):
+        return member.declaration
+    return member if isinstance(member, (nodes.Declaration, nodes.Let, nodes.Latch, nodes.Fuzzy)) else None
+
+
+def _use(path: str, item: nodes.Use) -> Found:
+    if item.alias is not None:
+        yield Declaration(("alias", path, item.alias.text), item.alias, item)
+
+
+def _world(path: str, item: nodes.World) -> Found:
+    for thing in item.items:
+        name, species = thing.name.text, thing.kind.text == "species"
+        yield Declaration(("species" if species else "thing", name), thing.name, thing)
+        for each in thing.attributes:
+            yield Declaration(("own" if species else "attribute", name, each.name.text), each.name, each)
+
+
+def _field(path: str, item: nodes.FieldDecl) -> Found:
+    yield Declaration(("field", item.name.text), item.name, item)
+
+
+def _behaviour(path: str, item: nodes.Behaviour) -> Found:
+    name = item.name.text
+    yield Declaration(("behaviour", path, name), item.name, item)
+    for each in (*item.arguments, *item.body):
+        yield Declaration(("inner", path, name, each.name.text), each.name, each)
+
+
+def _species(path: str, item: nodes.Species) -> Found:
+    name = item.name.text
+    yield Declaration(("species", name), item.name, item)
+    yield from _members(name, "main", item.members)
+    for part, _ in written(item.members):
+        event = part.event if isinstance(part, (nodes.On, nodes.Emit)) else None
+        if event is not None and event.text not in EVENTS:
+            yield Declaration(("event", event.text), event, event)
+
+
+def _members(species: str, machine: str, members: tuple[object, ...]) -> Found:
+    for member in members:
+        own = declaration(member)
+        if own is not None:
+            yield Declaration(("own", species, own.name.text), own.name, member)
+        elif isinstance(member, nodes.Machine):
+            yield Declaration(("machine", species, member.name.text), member.name, member)
+            yield from _members(species, member.name.text, member.members)
+        elif isinstance(member, nodes.State):
+            state = member.name.text
+            yield Declaration(("state", species, machine, state), member.name, member)
+            lets = (line for line in member.body if isinstance(line, nodes.Let))
+            yield from (Declaration(("let", species, machine, state, each.name.text), each.name, each) for each in lets)
+
+
+def _nothing(path: str, item: nodes.Spec) -> Found:
+    """A spec declares nothing."""
+    return iter(())
+
+
+_TOP: dict[type, Callable[[str, Any], Found]] = {
+    nodes.Use: _use, nodes.World: _world, nodes.FieldDecl: _field, nodes.Behaviour: _behaviour, nodes.Species: _species,
+    nodes.Spec: _nothing,
+}  # fmt: skip
