@@ -26,12 +26,12 @@ DRIVER_LIBRARIES = {"libatomic.so.1": "libatomic1"}
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 # What `test --quick` runs: text, programs, plans, passes, diagnostics, and one shot on both backends.
 QUICK = (
-    "tests/test_syntax_*.py",
+    "tests/syntax/test_syntax_*.py",
     "tests/program/test_program.py",
-    "tests/test_program_c*.py",
-    "tests/test_plan_*.py",
+    "tests/program/test_program_c*.py",
+    "tests/plan/test_plan_*.py",
     "tests/passes/test_passes.py",
-    "tests/test_diagnostics*.py",
+    "tests/diagnostics/test_diagnostics*.py",
     "tests/runtime/test_backends.py",
 )
 INSTALL = "apt-get install -y --no-install-recommends"
@@ -113,7 +113,7 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
     if subprocess.run([sys.executable, "-m", "venv", str(folder)]).returncode:
         sys.exit("no virtual environment could be made; on Debian or Ubuntu, run as root:\n  apt-get install -y python3-venv")
     pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
-    subprocess.run([*pip, "--editable", f"{ROOT}[test]", *requirements], check=True)
+    subprocess.run([*pip, "--editable", f"{ROOT}[test,quality]", *requirements], check=True)
     # An editable install compiles nothing, and where no bytecode may be written every command would compile it all anew.
     subprocess.run([str(python), "-m", "compileall", "-q", str(ROOT / "antdsl")], check=False)
     stamp.write_text(wanted)
@@ -142,9 +142,21 @@ def run_tests(python: Path, quick: bool, arguments: list[str]) -> int:
     return subprocess.run([str(python), "-m", "pytest", "-q", *parallel, *arguments, *files], cwd=ROOT).returncode
 
 
+def run_gate(python: Path) -> int:
+    """Linter, formatter and types of the package and its tests; those of the page where node and its packages are."""
+    tools = [[str(python), "-m", *words.split()] for words in ("ruff check .", "ruff format --check .", "mypy")]
+    codes = [subprocess.run(tool, cwd=ROOT).returncode for tool in tools]
+    page = ROOT / "antdsl" / "preview" / "web"
+    if shutil.which("npm") and (page / "node_modules").is_dir():
+        codes.append(subprocess.run(["npm", "run", "--silent", "gate"], cwd=page).returncode)
+    else:
+        print("the page's checks are skipped: they need node, and `npm ci` in antdsl/preview/web", flush=True)
+    return max(codes)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python3 -m antdsl.bootstrap", description=__doc__)
-    parser.add_argument("job", choices=("example", "test"))
+    parser.add_argument("job", choices=("example", "test", "gate"))
     parser.add_argument("--env", type=Path, default=ROOT / ".venv", help="where the virtual environment is made")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "foraging", help="where the example's cache goes")
     parser.add_argument("--require", action="append", default=[], help="a further requirement, such as open3d-cpu==0.18.0")
@@ -164,6 +176,8 @@ def main() -> int:
         sys.exit(f"this did not work, for the reason above; start again when it is mended:\n  {words}")
     if arguments.job == "example":
         return run_example(python, arguments.out.resolve())
+    if arguments.job == "gate":
+        return run_gate(python)
     return run_tests(python, arguments.quick, rest)
 
 
