@@ -1,6 +1,6 @@
 """Sets up a checkout on a machine that has Python and nothing else, then runs the foraging example or the tests.
 
-`python3 -m antdsl.bootstrap example`, `python3 -m antdsl.bootstrap test` and, while you write, `test --quick`.
+`python3 -m antdsl.bootstrap example`, `python3 -m antdsl.bootstrap test` and, while you write, `test --quick` and `gate`.
 Standard library only: nothing is installed yet.
 """
 

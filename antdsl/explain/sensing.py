@@ -61,7 +61,8 @@ def _sense(node: Node, value: Any) -> Iterator[Sense]:
     row = SENSES[node.op]
     kind, _, what = node.op.partition(".")
     values = tuple(bool(v) if isinstance(v, np.bool_) else float(v) for v in (value if isinstance(value, tuple) else (value,)))
-    yield Sense(f"{kind} {what}".strip(), str(node.attrs[0]) if row.of else "", _text(node), _words(row, values), values)
+    told, name = (f"{kind} {what}".strip(), str(node.attrs[0])) if row.of else ("sense", node.op)
+    yield Sense(told, name, _text(node), _words(row, values), values)
 
 
 def _words(row: rows.Sense, values: tuple[bool | float, ...]) -> str:

@@ -36,10 +36,7 @@ def _typed(program: Program | None, key: Key) -> Type | None:
     species = program.species.get(key[1]) if program is not None else None
     if species is None:
         return None
-    for each in (*species.attributes, *species.lets, *species.latches):
-        if each.name == key[-1]:
-            return each.type
-    return next((p.type for p in species.params if p.name == f"{key[1]}.{key[-1]}"), None)
+    return species.own.get(key[-1]) or next((p.type for p in species.params if p.name == f"{key[1]}.{key[-1]}"), None)
 
 
 def _kind_line(type: Type | None, *more: str) -> str:

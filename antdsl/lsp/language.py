@@ -80,7 +80,7 @@ def _event(key: Key) -> str | None:
 
 
 def _element(key: Key) -> str | None:
-    return markdown(key[1].text, "one of the set, each in turn")
+    return markdown(key[-1], "one of the set, each in turn")
 
 
 def _given(key: Key) -> str | None:

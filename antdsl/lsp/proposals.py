@@ -80,6 +80,7 @@ def _locals(request: Request) -> dict[str, tuple[str, Type | None]]:
         of = written.of.text if written is not None and written.of is not None else None
         found[each.name.text] = ("argument", type_from_words(written.name.text, of) if written is not None else None)
     for variable, over, first in re.findall(r"\(\s*(\w+)\s+in\s+(\w+)(?:\(\s*([a-z_]\w*))?", request.context.line):
+        type: Type | None
         if over == "neighbours":
             type = Type(Kind.AGENT, of=request.species)
         elif over in ("feelers", "ray"):
@@ -99,9 +100,8 @@ def _type(request: Request, name: str, local: Mapping[str, tuple[str, Type | Non
     checked, path = request.workspace.check(request.document.path), request.document.path
     for program in (checked.program if checked is not None else None, request.workspace.good(path)):
         species = program.species.get(request.species or "") if program is not None else None
-        own = (*species.attributes, *species.lets, *species.latches) if species is not None else ()
-        found = next((each.type for each in own if each.name == name and each.type.kind is not Kind.BAD), None)
-        if found is not None:
+        found = species.own.get(name) if species is not None else None
+        if found is not None and found.kind is not Kind.BAD:
             return found
     if name in request.names.species:
         return Type(Kind.SPECIES, of=name)

@@ -110,7 +110,8 @@ def _exit(ls: Server, *params: object) -> None:
 
 @server.feature(lsp.INITIALIZED)
 def _initialized(ls: Server, params: lsp.InitializedParams) -> None:
-    ls.files.encoding = str(ls.workspace.position_encoding.value if ls.workspace.position_encoding else "utf-16")
+    encoding = ls.workspace.position_encoding
+    ls.files.encoding = encoding.value if isinstance(encoding, lsp.PositionEncodingKind) else encoding or "utf-16"
     ls.files.roots = [path for uri in ls.workspace.folders if (path := path_of(uri)) is not None]
     if not ls.files.roots and ls.workspace.root_uri and (root := path_of(ls.workspace.root_uri)) is not None:
         ls.files.roots = [root]

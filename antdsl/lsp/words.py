@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.senses import spoken
 from antdsl.program.tables.things import KINDS_OF_THINGS
 
@@ -42,13 +43,9 @@ FORM_HELP = {
     "steer": "what the animal wants in this state, a push",
     "when": "leads to another state",
     "interrupt": "a change that leaves before all others",
-    "deposit": "lays scent into a field",
-    "carve": "digs a ball out of a solid",
+    **{row.op: row.help for row in EFFECTS.values()},
     "give": "hands an amount to an item",
     "take": "gets an amount from an item, as part of the condition",
-    "emit": "raises an event",
-    "spawn": "makes a new agent",
-    "die": "ends this agent",
     "enter": "once, when the state begins",
     "exit": "once, when the state ends",
     "param": "a value that a scene may set, with its range",

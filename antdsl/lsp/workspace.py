@@ -177,8 +177,9 @@ class Workspace:
 
     def close(self, path: Path) -> None:
         self.open.pop(path, None)
-        for kept in (self._checked, self._good, self._memos):
-            kept.pop(path, None)  # type: ignore[attr-defined]
+        self._checked.pop(path, None)
+        self._good.pop(path, None)
+        self._memos.pop(path, None)
 
     def document(self, path: Path) -> Document | None:
         """A file as the editor has it, or else as it is on disk; None when it cannot be read."""
@@ -206,8 +207,8 @@ class Workspace:
                 file = document.parsed[0]
                 if span.source is file.source or span.source in file.parts:
                     return document, document.range(span)
-        document = self.document(Path(os.path.realpath(span.source.path)))
-        return (document, document.range(span)) if document is not None else None
+        named = self.document(Path(os.path.realpath(span.source.path)))
+        return (named, named.range(span)) if named is not None else None
 
     # --- checking ---
 

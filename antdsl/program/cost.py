@@ -8,9 +8,6 @@ from dataclasses import dataclass
 
 from antdsl.program.model import (
     Assign,
-    Carve,
-    Deposit,
-    Emit,
     Expr,
     Local,
     Machine,
@@ -127,20 +124,8 @@ def _use(part: object) -> Iterable[Use]:
             return [] if cost is None or (cost.named and not thing) else [_said(cost, thing, part.args, part.name)]
         case Take():
             return [_said(_TAKE, part.attribute)]
-        case Deposit() | Carve() | Emit():
-            cost = EFFECTS[type(part).__name__.lower()].cost
-            return [] if cost is None else [_said(cost, _target(part))]
-    return []
-
-
-def _target(part: Deposit | Carve | Emit) -> str:
-    match part:
-        case Deposit():
-            return part.field
-        case Carve():
-            return part.solid
-        case Emit():
-            return part.event
+    row = EFFECTS.get(type(part).__name__.lower())  # a statement of the typed tree keeps what it names under the kind of that
+    return [] if row is None or row.cost is None else [_said(row.cost, getattr(part, row.target))]
 
 
 def _said(cost: Cost, thing: str, args: tuple[Expr | None, ...] = (), op: str = "") -> Use:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import field
 from typing import TYPE_CHECKING
 
@@ -246,6 +247,12 @@ class Species:
     layers: Layers
     span: Span
     rest: Rest | None = None  # None: every state steers, or none does
+
+    @property
+    def own(self) -> Mapping[str, Type]:
+        """The types of what each of the species has by name: attributes, lets and latches."""
+        lines: tuple[AttributeDecl | Binding, ...] = (*self.attributes, *self.lets, *self.latches)
+        return {each.name: each.type for each in reversed(lines)}
 
 
 @value

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.rays import RayScene
 from antdsl.runtime.world import Population, World
 from antdsl.senses.overlaps import worst_overlaps
 
@@ -36,7 +37,7 @@ def _penetration(world: World, population: Population) -> Floats:
     deep = np.zeros(len(population))
     for name in world.plan.obstacles:
         scene = world.obstacles.get(name)
-        if scene is not None:
+        if isinstance(scene, RayScene):
             deep = np.maximum(deep, scene.depth(population.position))
     for volume in world.solids.values():
         deep = np.maximum(deep, -volume.sample(population.position))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.ground.protocol import Footing
 from antdsl.plan import ir
 from antdsl.plan.lowering.spec_blocks import OtherPlan, SpecPlan, StartPlan, WholePlan
 from antdsl.plan.traverse import needed, operands, statements
@@ -90,9 +91,9 @@ class Asker:
         """Cells of a field as if they were agents."""
         plan, values = self.plan.plan.species[name], np.asarray(there.fields[name].values)
         start, count = {"value": values.astype(np.float32)}, len(values)
-        nobody, nowhere = np.zeros(count, np.bool_), np.broadcast_to(np.zeros(3), (count, 3))
+        nowhere = np.broadcast_to(np.zeros(3), (count, 3))
         now = _answers(plan.registers, start, count)
-        return Population(plan, np.arange(count), np.zeros(count, np.int64), nobody, start, now, nowhere, None, {}, {})
+        return _asked(plan, start, now, nowhere)
 
     def _agents(self, there: World, population: Population) -> Population:
         """A population with the same agents and registers for answers."""
@@ -113,9 +114,8 @@ class Asker:
         plan, count = self.plan.plan.species[items.name], len(items)
         start = {f"position.{axis}": items.seen[axis] for axis in AXES}
         start |= {name: items.seen[name] for name in ("radius", *items.amounts)}
-        nobody = np.zeros(count, np.bool_)
         now = _answers(plan.registers, start, count)
-        return Population(plan, np.arange(count), np.zeros(count, np.int64), nobody, start, now, items.position, None, {}, {})
+        return _asked(plan, start, now, items.position)
 
     def _remember(self, judged: Population, name: str, asked: str) -> None:
         """What a number was in each agent's first frame, into the register that the conditions read."""
@@ -129,6 +129,15 @@ def by_id(table: NDArray[Any], ids: NDArray[np.int64], unknown: Any) -> NDArray[
     """The table, long enough for every id that there is; ids are counted from 0."""
     more = int(ids.max(initial=-1)) + 1 - len(table)
     return table if more <= 0 else np.concatenate([table, np.full(max(more, len(table)), unknown, table.dtype)])
+
+
+def _asked(
+    plan: ir.SpeciesPlan, start: dict[str, NDArray[Any]], now: dict[str, NDArray[Any]], place: NDArray[np.float64]
+) -> Population:
+    """A population of what is no agent, at places [n,3], on no ground."""
+    n = len(place)
+    nobody, ids = np.zeros(n, np.bool_), np.arange(n)
+    return Population(plan, ids, np.zeros(n, np.int64), nobody, start, now, place, Footing.nowhere(n), {}, {})
 
 
 def _answers(registers: Mapping[str, ir.Register], known: Mapping[str, Any], count: int) -> dict[str, NDArray[Any]]:

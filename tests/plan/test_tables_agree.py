@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import plans
@@ -109,7 +111,9 @@ def marked(world: World) -> None:
 
 def test_an_effect_is_a_row_and_a_function(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that only this test has is shown, verified, recorded and settled on both backends."""
-    row = Effect("mark", "", ("amount",), "effects", "marks", "mark {amount}", "mark {amount}", refused="mark", above_0=True)
+    row = Effect(
+        "mark", "", ("amount",), "effects", "marks", "marks", "mark {amount}", "mark {amount}", refused="mark", above_0=True
+    )
     monkeypatch.setitem(EFFECTS, "mark", row)
     monkeypatch.setitem(phases.SETTLES, "mark", marked)
     t = plans.Text()
@@ -149,3 +153,11 @@ def test_every_kind_of_thing_has_its_word_its_kind_and_its_list() -> None:
         assert Kind(row.word) and row.help and row.word in row.sample
         assert not row.held or row.held in held
         assert set(row.serves) <= set(KINDS_OF_THINGS)
+
+
+def test_the_reference_tells_of_every_sense_and_set() -> None:
+    text = (Path(__file__).resolve().parents[2] / "grammar" / "README.md").read_text(encoding="utf-8")
+    part = text.split("## 10. Senses")[1].split("## 11. ")[0]
+    told = {word for line in part.splitlines() if line.startswith("| `") for word in re.findall(r"`(\w+)", line.split(" | ")[0])}
+    words = {word.name for how in ("call", "name") for word in spoken(how)} | set(SET_SENSES)
+    assert words - told == {"match"}  # in the section about numbers: it asks nothing of the place

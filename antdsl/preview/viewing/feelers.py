@@ -32,8 +32,9 @@ def felt(world: World, program: Program, species: str, agent: int) -> dict[str, 
     unit = (way / np.maximum(reach, 1e-12)[:, None]).astype(np.float32)
     start = lines[:, 0].astype(np.float32)
     nearest = np.full(len(lines), np.inf, np.float32)
+    (x, y, z), (dx, dy, dz) = start.T, unit.T
     for name in (*world.plan.obstacles, *world.plan.solids):
-        met = world.obstacles[name].feelers(*start.T, *unit.T, reach.astype(np.float32))
+        met = world.obstacles[name].feelers(x, y, z, dx, dy, dz, reach.astype(np.float32))
         nearest = np.minimum(nearest, np.where(met.hit, met.t, np.inf))
     hit = np.isfinite(nearest)
     lines[hit, 1] = start[hit] + unit[hit] * nearest[hit, None]

@@ -18,7 +18,7 @@ from antdsl.program.tables.rows import Cost
 @dataclass(frozen=True, slots=True)
 class Effect:
     """`target`: the kind of thing it names, "" for none. `operands`: numbers, by name; those of `optional` may be missing.
-    `phase`: the phase of a step that settles it.
+    `phase`: the phase of a step that settles it. `help`: for the editor; `meaning`: for readers of plans.
 
     `shown` is its line of a plan and `told` that of a trace: `{of}` what it names, `{own}` the agent's register that it fills
     after the blocks, and the operands by name; a part in square brackets is left out where one of these is missing. `refused`:
@@ -29,6 +29,7 @@ class Effect:
     target: str
     operands: tuple[str, ...]
     phase: str
+    help: str
     meaning: str
     shown: str
     told: str
@@ -45,6 +46,7 @@ _ROWS = (
         "field",
         ("amount",),
         "effects",
+        "lays scent into a field",
         "lands in the agent's own cell at t+1; the amount of a step (already multiplied by dt)",
         "deposit {amount} in {of}",
         "deposit {of} {amount}",
@@ -57,6 +59,7 @@ _ROWS = (
         "solid",
         ("radius", "x", "y", "z"),
         "solids",
+        "digs a ball out of a solid",
         "digs a ball of `radius` (mm) with its middle at (x, y, z) out of a solid, to be gone at t+1; what it had of the solid "
         "(mm³) is added to the agent's own register, if one is named, after the step's blocks",
         "carve {of} ball {radius} at {x}, {y}, {z}[ -> {own}]",
@@ -70,14 +73,24 @@ _ROWS = (
         "event",
         ("within",),
         "effects",
+        "raises an event",
         "raises an event for all agents that handle it within a distance (mm; none: only for itself), seen at t+1",
         "emit {of}[ within {within}]",
         "emit {of}[ within {within} mm]",
         optional=frozenset(("within",)),
         cost=Cost(50, "raises {thing}"),
     ),
-    Effect("spawn", "species", (), "births", "a new agent where this one stands, at t+1", "spawn {of}", "spawn {of}"),
-    Effect("die", "", (), "births", "the agent is gone at t+1", "die", "die"),
+    Effect(
+        "spawn",
+        "species",
+        (),
+        "births",
+        "makes a new agent",
+        "a new agent where this one stands, at t+1",
+        "spawn {of}",
+        "spawn {of}",
+    ),
+    Effect("die", "", (), "births", "ends this agent", "the agent is gone at t+1", "die", "die"),
 )
 EFFECTS: dict[str, Effect] = {row.op: row for row in _ROWS}
 
