@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from conftest import LONGEST
+from house_counts import places
 
 from antdsl.bootstrap import QUICK
 from antdsl.diagnostics.codes import CODES
@@ -276,3 +277,7 @@ def test_scenes_of_the_examples_check_clean(path: Path) -> None:
 
     program, report = check_path(path)
     assert program is not None and not report.diagnostics, [(d.code, d.message, str(d.span)) for d in report.diagnostics]
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    assert not places(ROOT)["circles of modules"]

@@ -8,7 +8,7 @@ import pytest
 from plan_agent import Agent
 from plan_text import codes, lowered, plan_of
 
-from antdsl.plan.lowering.rules import RULES
+from antdsl.plan.lowering.rules import OPERATIONS
 from antdsl.plan.lowering.sets import quantum
 from antdsl.plan.traverse import needed, operands, statements
 from antdsl.program.model import Dim
@@ -19,7 +19,7 @@ from antdsl.program.tables.senses import SET_SENSES
 def test_every_operation_of_the_vocabulary_has_a_rule():
     words = {row.op for rows in vocabulary.BUILTINS.values() for row in rows} - set(SET_SENSES)  # sets come as SetOf
     words |= set(vocabulary.SIGN_OPS.values()) | set(vocabulary.OTHER_OPS)
-    assert words - set(RULES) == set()
+    assert words - set(OPERATIONS) == set()
 
 
 def one(expression: str, **senses) -> Agent:

@@ -13,7 +13,7 @@ from plan_text import plan_of
 
 from antdsl.plan import ir, verify
 from antdsl.plan.lowering.builder import PlanError
-from antdsl.plan.lowering.rules import RULES
+from antdsl.plan.lowering.rules import OPERATIONS
 from antdsl.plan.show import show
 from antdsl.plan.traverse import statements
 from antdsl.plan.verify import named
@@ -49,7 +49,7 @@ def test_every_word_of_a_sense_has_a_rule_and_a_name_in_the_vocabulary() -> None
     words: list[Builtin] = [*WORDS, *(word for row in SENSES.values() for word in row.words)]
     assert len({word.op for word in words}) == len(words)
     for word in words:
-        assert word.op in RULES
+        assert word.op in OPERATIONS
         assert word.help and (word.sample or word.called or word.spoken == "value")
         assert type_from_words(word.result) is not None or word.result.startswith("vector ") or word.result == "hit"
         if word.spoken == "call":

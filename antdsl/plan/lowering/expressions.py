@@ -318,24 +318,18 @@ def _of_hit(w: Writer, hit: Hit, e: model.Attribute) -> Value:
 
 
 def _op(w: Writer, e: model.Op) -> Value:
-    from antdsl.plan.lowering.rules import RULES
-
-    rule = RULES.get(e.name)
+    rule = w.rules.operations.get(e.name)
     if rule is None:
         raise NotYet(f"`{e.name}`", e.span, "leave the line out")
     return rule(w, e)
 
 
 def _set(w: Writer, e: model.SetOf) -> Value:
-    from antdsl.plan.lowering.sets import gather
-
-    return gather(w, e)
+    return w.rules.gather(w, e)
 
 
 def _reduce(w: Writer, e: model.Reduce) -> Value:
-    from antdsl.plan.lowering.sets import reduce
-
-    return reduce(w, e)
+    return w.rules.reduce(w, e)
 
 
 def _told(w: Writer, e: model.Expr) -> Value:

@@ -17,6 +17,7 @@ from antdsl.plan.lowering.expressions import own, scalar, truth, vector
 from antdsl.plan.lowering.lazy import lazy
 from antdsl.plan.lowering.machines import MachineWriter
 from antdsl.plan.lowering.resting import stand_still
+from antdsl.plan.lowering.rules import RULES
 from antdsl.plan.lowering.source_map import Notes, NotingWriter
 from antdsl.plan.lowering.values import Vec, scale, sub
 from antdsl.plan.lowering.values import add as add_vectors
@@ -40,9 +41,9 @@ def lower(
 
     def species_plan(s: model.Species) -> ir.SpeciesPlan:
         if notes is None:
-            return _species(Writer(builder, program, s, report), (orders or {}).get(s.name))
+            return _species(Writer(builder, program, s, report, RULES), (orders or {}).get(s.name))
         notes[s.name] = Notes()
-        return _species(NotingWriter(builder, program, s, report, notes[s.name]), (orders or {}).get(s.name))
+        return _species(NotingWriter(builder, program, s, report, RULES, notes[s.name]), (orders or {}).get(s.name))
 
     with _deep():
         species = {s.name: species_plan(s) for s in program.species.values()}
@@ -163,7 +164,7 @@ def _handler(w: Writer, handler: model.Handler, number: int) -> None:
 def _outside(builder: Builder, program: model.Program, e: model.Expr, report: Report) -> Node:
     """An expression that no agent is needed for."""
     nobody = model.Species("", "", (), (), (), (), (), (), model.Layers("budget", (), e.span), e.span)
-    return scalar(Writer(builder, program, nobody, report), e)
+    return scalar(Writer(builder, program, nobody, report, RULES), e)
 
 
 def _field(builder: Builder, program: model.Program, f: model.Field, report: Report) -> ir.FieldPlan:

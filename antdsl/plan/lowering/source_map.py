@@ -14,7 +14,7 @@ from antdsl.plan.lowering import values
 from antdsl.plan.lowering.builder import Builder, PlanError
 from antdsl.plan.lowering.durations import passed, steps
 from antdsl.plan.lowering.expressions import lower, present, scalar, truth
-from antdsl.plan.lowering.writing import Writer
+from antdsl.plan.lowering.writing import Rules, Writer
 from antdsl.program import model
 from antdsl.program.tables.units import measure, unit_of
 from antdsl.source import Span
@@ -115,8 +115,10 @@ class Notes:
 class NotingWriter(Writer):
     """Writes the same and keeps notes."""
 
-    def __init__(self, builder: Builder, program: model.Program, species: model.Species, report: Report, notes: Notes) -> None:
-        super().__init__(builder, program, species, report)
+    def __init__(
+        self, builder: Builder, program: model.Program, species: model.Species, report: Report, rules: Rules, notes: Notes
+    ) -> None:
+        super().__init__(builder, program, species, report, rules)
         self.notes = notes
 
     def weighed(self, machine: str, number: int, state: model.State, t: model.Transition, fires: Node) -> None:

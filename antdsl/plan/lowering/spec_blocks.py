@@ -18,6 +18,7 @@ from antdsl.plan.lowering.builder import Builder
 from antdsl.plan.lowering.expressions import lower, scalar, truth
 from antdsl.plan.lowering.lazy import lazy
 from antdsl.plan.lowering.lower import DEEP
+from antdsl.plan.lowering.rules import RULES
 from antdsl.plan.lowering.values import Own, Ref, Value, Vec, length
 from antdsl.plan.lowering.writing import NotYet, Writer
 from antdsl.plan.traverse import needed
@@ -109,7 +110,7 @@ class _Writer(Writer):
     """A writer that knows what only a spec can ask."""
 
     def __init__(self, work: _Work, species: model.Species, registers: dict[str, Register]) -> None:
-        super().__init__(work.b, work.program, species, work.report)
+        super().__init__(work.b, work.program, species, work.report, RULES)
         self.work = work
         self.registers = dict(registers)
         self.blocks: dict[str, list[Store]] = {"decide": [], "act": [], "blend": []}

@@ -6,9 +6,9 @@ with every other place; after a possible write it reads as `load`, counted by th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 from antdsl.diagnostics import Report
 from antdsl.plan.ir import Block, If, Kind, Node, Register, Statement, Store
@@ -36,11 +36,21 @@ class NotYet(Exception):
         self.what, self.span, self.help = what, span, help
 
 
+class Rules(NamedTuple):
+    """How what is made of other expressions becomes nodes: operations by name, sets, and what is reduced over sets. All of them
+    lower the parts of what they are given, so they come to a Writer from outside."""
+
+    operations: Mapping[str, Callable[[Writer, model.Op], values.Value]]
+    gather: Callable[[Writer, model.SetOf], values.Value]
+    reduce: Callable[[Writer, model.Reduce], values.Value]
+
+
 class Writer:
     """The place where the statements of one species go. `born`: nothing is a snapshot yet, every read is a `load`."""
 
-    def __init__(self, builder: Builder, program: model.Program, species: model.Species, report: Report) -> None:
+    def __init__(self, builder: Builder, program: model.Program, species: model.Species, report: Report, rules: Rules) -> None:
         self.b = builder
+        self.rules = rules
         self.program = program
         self.species = species
         self.report = report

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from antdsl.plan.lowering.rules import chance, logic, numbers, places, senses, vectors
+from antdsl.plan.lowering.sets import gather, reduce
 from antdsl.plan.lowering.values import Value
-from antdsl.plan.lowering.writing import Writer
+from antdsl.plan.lowering.writing import Rules, Writer
 from antdsl.program import model
 
-Rule = Callable[[Writer, model.Op], Value]
-
-RULES: dict[str, Rule] = {
+OPERATIONS: dict[str, Callable[[Writer, model.Op], Value]] = {
     **numbers.RULES,
     **vectors.RULES,
     **logic.RULES,
@@ -19,3 +18,4 @@ RULES: dict[str, Rule] = {
     **places.RULES,
     **senses.RULES,
 }
+RULES = Rules(OPERATIONS, gather, reduce)
