@@ -13,7 +13,7 @@ import pytest
 
 from antdsl.explain import CacheHistory, Explanation, Replay, accounts, open_shot
 from antdsl.numerics import randomness
-from antdsl.outputs.cache.reading import Cache, open_cache
+from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.runtime import Options, World, bind, state_hash

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from antdsl.pipeline import open_scene, simulate
 from antdsl.preview import Live
-from antdsl.preview.packing import unpack
+from antdsl.preview.binary_packets import unpack
 from antdsl.preview.requests import ASK
 from antdsl.runtime import state_hash
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.preview.packing import pack
+from antdsl.preview.binary_packets import pack
 
 TEXT = """ant 1
 # 🐜 a comment with a letter of two units

@@ -13,7 +13,7 @@ import typer  # noqa: E402
 
 from antdsl.cli import check, doctor, explain, export, fmt, graph, info, lsp, new, plan, preview, render, run, sweep, test  # noqa: E402
 from antdsl.cli.exits import Exit, Stop  # noqa: E402
-from antdsl.cli.printing.lines import closed  # noqa: E402
+from antdsl.cli.printing.messages import closed  # noqa: E402
 
 # In the order of `antdsl --help`: what one does first comes first.
 COMMANDS = (

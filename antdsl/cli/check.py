@@ -102,7 +102,7 @@ def _explain(word: str) -> None:
     from antdsl.diagnostics.codes import CODES
     from antdsl.diagnostics.suggestion import nearest_name
     from antdsl.lsp.language import about, words
-    from antdsl.syntax.mistakes.numbers import unit_help
+    from antdsl.syntax.mistakes.number_slips import unit_help
     from antdsl.syntax.words import UNIT_NAMES
 
     if word in CODES:

@@ -13,7 +13,7 @@ from typing import TextIO
 import typer
 
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.lines import closed
+from antdsl.cli.printing.messages import closed
 from antdsl.whole import new_beside
 
 

@@ -24,8 +24,8 @@ def explain(
     from antdsl.cli.run import cores
     from antdsl.explain import ExplainError, as_json, tell
     from antdsl.explain import explain as explained
+    from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
-    from antdsl.outputs.cache.reading import CacheError, open_cache
     from antdsl.runtime import BindError
 
     try:

@@ -18,8 +18,8 @@ def export(
 ) -> None:
     """Write a cache as a USD file: agents as instances, meshes, items, camera. Needs the extra [usd]."""
     from antdsl.cli.arguments import frame_range
+    from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
-    from antdsl.outputs.cache.reading import CacheError, open_cache
     from antdsl.outputs.gallery import Gallery, NoPicture
     from antdsl.outputs.usd_export import SUFFIXES, export_usd
     from antdsl.scene.geometry.usd import UsdError

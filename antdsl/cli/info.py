@@ -12,7 +12,7 @@ import typer
 from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
-    from antdsl.outputs.cache.reading import Cache
+    from antdsl.outputs.cache.cache_reader import Cache
 
 
 def info(
@@ -20,8 +20,8 @@ def info(
     verify: bool = typer.Option(False, "--verify", help="Read everything, and compare it with what was written."),
 ) -> None:
     """Say what is in a cache and what it was made from."""
+    from antdsl.outputs.cache.cache_reader import open_cache
     from antdsl.outputs.cache.manifest import ManifestError
-    from antdsl.outputs.cache.reading import open_cache
 
     try:
         found = open_cache(cache)
@@ -69,8 +69,8 @@ def _fps(text: str) -> str:
 
 def _verify(cache: Cache) -> None:
     """Hold every frame and checkpoint against what was written. What is missing between frames counts as damage."""
+    from antdsl.outputs.cache.cache_reader import STATIC
     from antdsl.outputs.cache.hashes import HASHES
-    from antdsl.outputs.cache.reading import STATIC
 
     lines, frames, checkpoints = cache.lines(), cache.frames(), cache.checkpoints()
     first, last = cache.manifest.first, cache.manifest.last
@@ -108,7 +108,7 @@ def _verify(cache: Cache) -> None:
 
 def _unread(read: Callable[[], object]) -> list[str]:
     """Why something cannot be read."""
-    from antdsl.outputs.cache.reading import CacheError
+    from antdsl.outputs.cache.cache_reader import CacheError
 
     try:
         read()

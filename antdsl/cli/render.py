@@ -88,8 +88,8 @@ def _cut(text: str | None) -> Cut | None:
 
 
 def _gallery(folder: Path, cut: Cut | None) -> Gallery:
+    from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
-    from antdsl.outputs.cache.reading import CacheError, open_cache
     from antdsl.outputs.gallery import Gallery, NoPicture
 
     try:
@@ -140,7 +140,7 @@ def _draw(
     rest: bool,
 ) -> Iterator[tuple[int, Any]]:
     """Frames with their pictures; with `rest` a camera at eye level stays where the first frame put it, as a film needs it."""
-    from antdsl.outputs.cache.reading import CacheError
+    from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.pictures.render import Renderer
 
     renderer = Renderer(width, height, threads=threads)

@@ -10,7 +10,7 @@ import typer
 
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs, put, words_aside
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.lines import say
+from antdsl.cli.printing.messages import say
 
 if TYPE_CHECKING:
     from antdsl.outputs.recording import Recording
@@ -57,7 +57,7 @@ def run(
     """Simulate a scene and write a cache."""
     from antdsl.cli.arguments import frame_range, grants, pairs
     from antdsl.cli.printing.reports import demand
-    from antdsl.outputs.cache.reading import NAMES
+    from antdsl.outputs.cache.cache_reader import NAMES
     from antdsl.pipeline import Choices, open_scene
 
     if scene.suffix == ".ant":
@@ -125,7 +125,7 @@ def _again(scene: Path, out: Path | None) -> str:
 
 def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume: bool, force: bool) -> Recording:
     from antdsl.cli.printing.reports import demand, show
-    from antdsl.outputs.cache.writing import DifferentInputs, ForeignFolder, InTheWay
+    from antdsl.outputs.cache.cache_writer import DifferentInputs, ForeignFolder, InTheWay
     from antdsl.outputs.recording import NothingToResume, begin
     from antdsl.outputs.starting import StartError
     from antdsl.runtime import BindError

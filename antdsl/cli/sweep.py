@@ -11,7 +11,7 @@ import typer
 
 from antdsl.cli.destinations import folder_to_write, keeping_inputs
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.lines import say
+from antdsl.cli.printing.messages import say
 
 if TYPE_CHECKING:
     from antdsl.sweep import Job, Keeper, Outcome
@@ -46,7 +46,7 @@ def sweep(
     from antdsl.cli.run import cores
     from antdsl.sweep import Keeper, run_all, variations
     from antdsl.sweep import jobs as all_jobs
-    from antdsl.sweep.store import OtherFiles
+    from antdsl.sweep.finished_runs import OtherFiles
 
     for scene in scenes:
         if scene.suffix == ".ant":

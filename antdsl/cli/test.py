@@ -11,7 +11,7 @@ import typer
 
 from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs, put, words_aside
 from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.lines import say
+from antdsl.cli.printing.messages import say
 from antdsl.cli.run import Backend
 
 if TYPE_CHECKING:
@@ -45,10 +45,10 @@ def test(
     from antdsl.files import find_files
     from antdsl.runtime import Options
     from antdsl.specs import Work, cases, run_cases
+    from antdsl.specs.failure_cache import Keeper
     from antdsl.specs.golden.comparing import Goldens
     from antdsl.specs.golden.recorded import golden_path
     from antdsl.specs.reports import as_json, as_junit
-    from antdsl.specs.store import Keeper
     from antdsl.specs.text_report import counted, covered, failed, golden, one_line, settled, uncovered
     from antdsl.specs.verdicts import settle
 

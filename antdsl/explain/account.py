@@ -15,7 +15,7 @@ from antdsl.explain.pushing import layers, pushed, steers
 from antdsl.explain.replaying import Replay
 from antdsl.explain.sensing import draws, fields, seen, senses
 from antdsl.explain.tracing import Trace
-from antdsl.explain.values import place, triple
+from antdsl.explain.value_text import place, triple
 from antdsl.plan.lowering.source_map import resting_site
 from antdsl.program.model import Species
 from antdsl.runtime.world import AXES, Population, World

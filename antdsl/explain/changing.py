@@ -9,12 +9,12 @@ import numpy as np
 
 from antdsl.explain.model import Changed
 from antdsl.explain.tracing import Trace
-from antdsl.explain.values import in_unit, said, triple, value
+from antdsl.explain.value_text import in_unit, said, triple, value
 from antdsl.plan.ir import Register
 from antdsl.program.model import Dim, Kind, Species, Type
 from antdsl.program.tables.effects import EFFECTS, Effect, phrase
 from antdsl.program.tables.units import unit_of
-from antdsl.runtime.effects import Asked, Effects
+from antdsl.runtime.requests import Asked, Effects
 from antdsl.runtime.world import AXES, Population, World
 
 _VECTORS = {"position": "mm", "velocity": "mm/s", "heading": "", "up": ""}

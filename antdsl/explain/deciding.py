@@ -6,12 +6,12 @@ import numpy as np
 
 from antdsl.explain.model import Choice, Claim, Looked, MachineStep
 from antdsl.explain.tracing import Trace
-from antdsl.explain.values import part, place, timer
+from antdsl.explain.value_text import part, place, timer
 from antdsl.numerics import randomness
 from antdsl.plan.ir import MachinePlan
 from antdsl.plan.lowering.source_map import ChangeNote, ChoiceNote, Notes
 from antdsl.program import model
-from antdsl.runtime.effects import ClaimEntry
+from antdsl.runtime.requests import ClaimEntry
 from antdsl.runtime.world import Population, World
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from antdsl.explain.opening import ExplainError
-from antdsl.outputs.cache.reading import Cache, CacheError
-from antdsl.outputs.cache.writing import read_checkpoint
+from antdsl.outputs.cache.cache_reader import Cache, CacheError
+from antdsl.outputs.cache.cache_writer import read_checkpoint
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, restore, state_hash
 

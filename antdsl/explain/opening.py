@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from antdsl.diagnostics import Report
-from antdsl.outputs.cache.reading import Cache
+from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.outputs.starting import StartError, start_hash
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.scene.values import FrameRange

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from antdsl.explain.model import Layer, Steer
 from antdsl.explain.tracing import Trace
-from antdsl.explain.values import part, place, triple
+from antdsl.explain.value_text import part, place, triple
 from antdsl.plan.lowering.source_map import LayerNote, Notes
 from antdsl.runtime.world import AXES, World
 

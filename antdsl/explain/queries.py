@@ -13,7 +13,7 @@ from antdsl.explain.model import Explanation, Stretch
 from antdsl.explain.opening import ExplainError, open_shot
 from antdsl.explain.replaying import Replay
 from antdsl.explain.strip import strip
-from antdsl.outputs.cache.reading import Cache
+from antdsl.outputs.cache.cache_reader import Cache
 
 
 def explain(

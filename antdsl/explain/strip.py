@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from antdsl.explain.model import Stretch
-from antdsl.outputs.cache.reading import Cache
+from antdsl.outputs.cache.cache_reader import Cache
 
 _NAMES = frozenset(("id", "state", "species"))
 

@@ -15,7 +15,7 @@ from antdsl.plan.lowering.source_map import ChangeNote, LayerNote, Notes, PartNo
 from antdsl.plan.register_reads import places
 from antdsl.program.tables.senses import SENSES
 from antdsl.runtime.backends.reference import BLOCKS, Agent, Member, with_winnings
-from antdsl.runtime.effects import ClaimEntry, Effects
+from antdsl.runtime.requests import ClaimEntry, Effects
 from antdsl.runtime.world import DTYPES, Population, World
 
 _DRAWN = frozenset(("draw", "draw.agent"))

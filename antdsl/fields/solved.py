@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.fields import cost
-from antdsl.fields.cost import Land
+from antdsl.fields import path_cost as cost
 from antdsl.fields.face_points import Lattice
 from antdsl.fields.flow import Flow, laid
+from antdsl.fields.path_cost import Land
 from antdsl.ground.protocol import Floats, Index
 
 if TYPE_CHECKING:

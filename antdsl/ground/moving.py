@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.rays import Hits, Mesh, RayScene
-from antdsl.ground.mesh.clearances import Clearances, Parts
 from antdsl.ground.mesh.surface import MeshGround
+from antdsl.ground.mesh.surface_clearance import Clearances, Parts
 from antdsl.ground.mesh.surroundings import NOISE
 from antdsl.ground.mesh.topology import repose
 from antdsl.ground.protocol import Floats, Footing, Index

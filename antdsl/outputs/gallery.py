@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from antdsl.bodies.body import turned
 from antdsl.bodies.catalogue import BODIES, body_of
 from antdsl.bodies.placed import shape_of
+from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cache.manifest import CameraEntry, SpeciesEntry
-from antdsl.outputs.cache.reading import Arrays, Cache, CacheError
 from antdsl.outputs.cutting import Cut
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.flow_arrows import drawn

@@ -10,12 +10,12 @@ from typing import Any, Literal
 
 from numpy.typing import NDArray
 
+from antdsl.outputs.cache.cache_reader import Cache, CacheError, checkpoint_path
+from antdsl.outputs.cache.cache_writer import CacheWriter, Whole, prepare_folder, read_checkpoint, whole_part
 from antdsl.outputs.cache.frames import FrameMaker, describe, static_arrays
 from antdsl.outputs.cache.hashes import Line
 from antdsl.outputs.cache.manifest import CameraEntry, way_to
-from antdsl.outputs.cache.reading import Cache, CacheError, checkpoint_path
 from antdsl.outputs.cache.solid_pieces import PieceMaker
-from antdsl.outputs.cache.writing import CacheWriter, Whole, prepare_folder, read_checkpoint, whole_part
 from antdsl.outputs.feelers import feelers_of
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot

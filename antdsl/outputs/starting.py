@@ -10,9 +10,9 @@ import numpy as np
 
 from antdsl.bounded import blocks
 from antdsl.diagnostics import Report
+from antdsl.outputs.cache.cache_reader import CacheError, checkpoint_path, open_cache
 from antdsl.outputs.cache.manifest import ManifestError
 from antdsl.outputs.cache.npz import FILE_BYTES
-from antdsl.outputs.cache.reading import CacheError, checkpoint_path, open_cache
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, World, restore
 from antdsl.runtime.moving.moving_geometry import pose

@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 from antdsl.outputs.recording import Recording
-from antdsl.outputs.writer.memory import peak_memory
+from antdsl.outputs.writer.process_memory import peak_memory
 
 
 def summary(recording: Recording) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from antdsl import __version__
 from antdsl.bodies.catalogue import body
 from antdsl.bodies.placed import placed
 from antdsl.numerics.vector_rows import unit_or
-from antdsl.outputs.cache.reading import Arrays
+from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd, Item, Solid

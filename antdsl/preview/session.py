@@ -15,7 +15,7 @@ from antdsl.pipeline import Choices, Shot
 from antdsl.preview.binding_params import asked_before_the_first_step
 from antdsl.preview.compiling import Compiler
 from antdsl.preview.differing import differing
-from antdsl.preview.layers import Off, texts_without
+from antdsl.preview.layer_order import Off, texts_without
 from antdsl.preview.timeline import Light, Stretch, Timeline, nearest_checkpoint
 from antdsl.reload import taken_line
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step

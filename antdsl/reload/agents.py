@@ -12,8 +12,8 @@ from antdsl.numerics.vector_rows import length
 from antdsl.plan import ir
 from antdsl.reload.footing import TOLD, stand, turn
 from antdsl.runtime.binding.birth_values import birth_values, params_at_birth
-from antdsl.runtime.effects import Effects
 from antdsl.runtime.lifecycle import come_alive
+from antdsl.runtime.requests import Effects
 from antdsl.runtime.world import Population, World, add_rows, stored_registers
 
 Rows = NDArray[np.intp]

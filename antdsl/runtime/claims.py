@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import randomness
-from antdsl.runtime.effects import ClaimEntry, GiveEntry
+from antdsl.runtime.requests import ClaimEntry, GiveEntry
 from antdsl.runtime.world import Population, World
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.fields.walls import grow
-from antdsl.runtime.effects import Asked
+from antdsl.runtime.requests import Asked
 from antdsl.runtime.world import Population, World
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from antdsl.runtime.effects import FaultEntry
+from antdsl.runtime.requests import FaultEntry
 from antdsl.source import Span
 
 if TYPE_CHECKING:

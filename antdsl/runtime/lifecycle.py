@@ -12,8 +12,8 @@ from antdsl.fields.cells import Cells
 from antdsl.ground.protocol import Footing
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed, operands, placed
-from antdsl.runtime.effects import Asked
 from antdsl.runtime.moving.moving_geometry import rest_places
+from antdsl.runtime.requests import Asked
 from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows, shares_start, stored_registers
 
 _BLOCK = 1 << 22  # pairs of emitter and receiver that are measured at once

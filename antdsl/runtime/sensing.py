@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from antdsl.numerics import noise, randomness
 from antdsl.plan import ir
 from antdsl.runtime.moving import moving_geometry
-from antdsl.runtime.moving.clearances import clearance, may_touch
+from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
 from antdsl.runtime.world import AXES, Population, World
 
 Value = Any

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from antdsl.ground.protocol import Footing, Ground
 from antdsl.numerics.sorting import stable_order
 from antdsl.plan import ir
-from antdsl.runtime.effects import Effects
+from antdsl.runtime.requests import Effects
 from antdsl.scene.setting import Setting
 
 if TYPE_CHECKING:
     from antdsl.casting.curves import Curve
-    from antdsl.casting.protocol import Obstacle
+    from antdsl.casting.obstacle import Obstacle
     from antdsl.fields.flow import Flow, Map
     from antdsl.fields.pheromone import PheromoneField
     from antdsl.ground.solid import Volume

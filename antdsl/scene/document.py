@@ -12,7 +12,7 @@ from antdsl import limits
 from antdsl.diagnostics import Diagnostic, Label, Report
 from antdsl.scene.indentation import indented_otherwise, without_colon
 from antdsl.source import Source, Span
-from antdsl.syntax.mistakes.numbers import comma_in_number, number_with_comma
+from antdsl.syntax.mistakes.number_slips import comma_in_number, number_with_comma
 
 Key = str | int
 

@@ -16,7 +16,7 @@ from antdsl.scene.document import Key, MappingNode, ScalarNode, decode, find, pl
 from antdsl.scene.inheritance import extended
 from antdsl.scene.paths import PathRefused, Roots, read_named
 from antdsl.source import Source, Span
-from antdsl.syntax.mistakes.numbers import WITH_COMMAS, comma_in_number
+from antdsl.syntax.mistakes.number_slips import WITH_COMMAS, comma_in_number
 
 if TYPE_CHECKING:
     from antdsl.scene.model import SceneModel

@@ -142,7 +142,7 @@ def _thing(scene: Scene, program: Program, report: Report, name: str, thing: Wor
     elif isinstance(value, CurveThing):
         _file(scene, report, value.curve, "world", name, "curve")
     elif isinstance(value, (FlowThing, PaintedThing)):
-        from antdsl.scene.staging.flows import match_flow  # late: a scene without flows is checked without NumPy
+        from antdsl.scene.staging.stage_flows import match_flow  # late: a scene without flows is checked without NumPy
 
         file = match_flow(scene, program, report, name, value)
         if file is not None:

@@ -10,7 +10,7 @@ from antdsl import limits
 from antdsl.program.model import Dim
 from antdsl.program.tables.units import measure
 from antdsl.source import Source, Span
-from antdsl.syntax.mistakes.numbers import WITH_COMMAS, comma_in_number
+from antdsl.syntax.mistakes.number_slips import WITH_COMMAS, comma_in_number
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
 

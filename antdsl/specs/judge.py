@@ -16,7 +16,7 @@ from antdsl.specs.cases import TOLD_AGENTS, Failure
 from antdsl.specs.comparison import Rival
 from antdsl.specs.lines import Ids, Line, Seen, about_the_whole, in_steps
 from antdsl.specs.queries import Asker, by_id
-from antdsl.specs.values import shown, whereabouts
+from antdsl.specs.value_text import shown, whereabouts
 
 _NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 

@@ -19,8 +19,8 @@ from antdsl.plan.lowering.spec_blocks import OtherPlan, SpecPlan, StartPlan, Who
 from antdsl.plan.traverse import needed, operands, statements
 from antdsl.program.expectations import MOTION
 from antdsl.runtime.backends import BACKENDS
-from antdsl.runtime.effects import Effects
 from antdsl.runtime.lifecycle import find_cells
+from antdsl.runtime.requests import Effects
 from antdsl.runtime.world import AXES, DTYPES, Items, Population, World
 from antdsl.specs.aggregates import value_of, whole
 from antdsl.specs.overlap_measures import measured

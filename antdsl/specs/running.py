@@ -11,9 +11,9 @@ from antdsl.runtime import BindError, FaultStop, Options, World, bind, step
 from antdsl.specs.cases import Case, Failure, Run
 from antdsl.specs.comparison import Rival
 from antdsl.specs.coverage import Coverage
+from antdsl.specs.failure_cache import Keeper, Moment, Trail
 from antdsl.specs.golden.comparing import Goldens
 from antdsl.specs.judge import Judge, last_frame
-from antdsl.specs.store import Keeper, Moment, Trail
 
 Told = Callable[[Run, int, int], None]
 

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from antdsl.sweep.finished_runs import about
 from antdsl.sweep.jobs import Job
-from antdsl.sweep.store import about
 
 Result = tuple[Job, Mapping[str, Any]]
 NOT_COMPARED = ("seconds", "fps")  # say something about the machine

@@ -12,7 +12,7 @@ from antdsl import limits
 from antdsl.diagnostics.model import Fix, Report
 from antdsl.source import Source, Span
 from antdsl.syntax.mistakes.lookalikes import DOUBLE_QUOTES, SINGLE_QUOTES, WRONG_SIGNS, ascii_for, word_instead
-from antdsl.syntax.mistakes.numbers import NO_SECOND, WITH_COMMAS, comma_in_number, number_problem, unit_help
+from antdsl.syntax.mistakes.number_slips import NO_SECOND, WITH_COMMAS, comma_in_number, number_problem, unit_help
 from antdsl.syntax.mistakes.stray_text import blank_lines, look_over
 from antdsl.syntax.nodes import Comment
 from antdsl.syntax.words import UNIT_NAMES, UNIT_SLIPS

@@ -14,8 +14,8 @@ from explained import cached, differences, explanations, facts, shot_of
 
 from antdsl.cli import _run as run_in_process
 from antdsl.explain import CacheHistory, ExplainError, Explanation, Replay, accounts, as_json, explain, open_shot, tell
+from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.cache.manifest import ManifestError, way_to
-from antdsl.outputs.cache.reading import Cache, open_cache
 
 ROOT = Path(__file__).resolve().parents[2]
 BUG = """ant 1

@@ -95,7 +95,7 @@ def test_ground_without_a_triangle_is_met_nowhere() -> None:
 def test_the_compiled_twin_meets_the_same_to_the_bit() -> None:
     pytest.importorskip("numba")
     from antdsl.ground.mesh.boxes_compiled import first_of, gather
-    from antdsl.ground.mesh.packing import packed
+    from antdsl.ground.mesh.face_table import packed
 
     ground, rng = scene(), np.random.default_rng(4)
     table = ground.triangles[3]

@@ -10,7 +10,7 @@ from open_shapes import WORSE
 from torture_walks import shapes
 
 from antdsl.casting.rays import RayScene
-from antdsl.ground.mesh import clearances
+from antdsl.ground.mesh import surface_clearance
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.moving import MovingGround
 from antdsl.ground.protocol import Footing, Move
@@ -163,7 +163,7 @@ def test_looking_out_everywhere_finds_nothing_more(monkeypatch: pytest.MonkeyPat
         for _ in range(10):
             expected = ground.move(at.footing, at.heading * 1.7, at.heading, at.up, 4.0)
             with monkeypatch.context() as patch:
-                patch.setattr(clearances.Parts, "of", lambda self, face, b1, b2: np.zeros(face.size))
+                patch.setattr(surface_clearance.Parts, "of", lambda self, face, b1, b2: np.zeros(face.size))
                 assert_same(ground.move(at.footing, at.heading * 1.7, at.heading, at.up, 4.0), expected)
             at = expected
 

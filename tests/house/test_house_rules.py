@@ -122,7 +122,7 @@ OWN_FILES = {
     "lsp/tokens.py": "the grammar",
     "outputs/writer/background.py": "the null device",
     "outputs/cache/lock.py": "its own lock, and what the system tells about a process",
-    "outputs/writer/memory.py": "what the system tells about memory",
+    "outputs/writer/process_memory.py": "what the system tells about memory",
     "outputs/cache/npz.py": "files and folders just written, to see them on the disk",
     "preview/serving/pages.py": "the page that comes with antdsl",
     "preview/serving/returning.py": "its own keys, of the last starts",

@@ -25,12 +25,12 @@ from typer.testing import CliRunner
 from antdsl.cli import app
 from antdsl.cli.exits import Stop
 from antdsl.cli.new import ground
+from antdsl.outputs.cache.cache_reader import SURFACE_ERROR, CacheError, checkpoint_path, frame_path, open_cache
+from antdsl.outputs.cache.cache_writer import ForeignFolder, prepare_folder
 from antdsl.outputs.cache.frames import orientation
 from antdsl.outputs.cache.hashes import HASHES, read_lines
 from antdsl.outputs.cache.lock import FolderLock, Locked
 from antdsl.outputs.cache.npz import ArrayFileError, parse_npy, read_npz, to_bytes, write_whole
-from antdsl.outputs.cache.reading import SURFACE_ERROR, CacheError, checkpoint_path, frame_path, open_cache
-from antdsl.outputs.cache.writing import ForeignFolder, prepare_folder
 from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import open_scene
 from antdsl.runtime import CheckpointError, Options, bind, checkpoint, restore

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from antdsl.cli import app
 from antdsl.cli.render import View, _camera
-from antdsl.outputs.cache.reading import open_cache
+from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.camera import view
 from antdsl.pipeline import open_scene

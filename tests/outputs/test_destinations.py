@@ -15,7 +15,7 @@ from antdsl.cli import app
 from antdsl.cli.destinations import file_to_write, folder_to_write
 from antdsl.cli.exits import Exit, Stop
 from antdsl.outputs.cache.npz import write_whole
-from antdsl.outputs.pictures.files import still
+from antdsl.outputs.pictures.image_files import still
 from antdsl.whole import new_beside, whole
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"

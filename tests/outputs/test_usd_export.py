@@ -14,7 +14,7 @@ import usd_sets  # noqa: E402
 
 from antdsl.bodies.body import rotation  # noqa: E402
 from antdsl.cli import _run as run_command  # noqa: E402
-from antdsl.outputs.cache.reading import open_cache  # noqa: E402
+from antdsl.outputs.cache.cache_reader import open_cache  # noqa: E402
 from antdsl.outputs.recording import begin, record  # noqa: E402
 from antdsl.pipeline import Choices, Shot, open_scene  # noqa: E402
 from antdsl.runtime import Options  # noqa: E402

@@ -12,7 +12,7 @@ from browsing import chromium
 from page_messages import TEXT, frame, problems, scene, status, texts
 from page_stage import Stage, stage
 
-from antdsl.preview.packing import pack, unpack
+from antdsl.preview.binary_packets import pack, unpack
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

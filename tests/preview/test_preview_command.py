@@ -23,7 +23,7 @@ pytest.importorskip("websockets")
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidStatus
 
-from antdsl.preview.packing import unpack
+from antdsl.preview.binary_packets import unpack
 
 ROOT = Path(__file__).resolve().parents[2]
 SECONDS = 60

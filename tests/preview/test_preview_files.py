@@ -11,7 +11,7 @@ import pytest
 from live_client import EXAMPLES, Page
 
 from antdsl.preview import Live, Session
-from antdsl.preview.packing import unpack
+from antdsl.preview.binary_packets import unpack
 
 
 @pytest.fixture

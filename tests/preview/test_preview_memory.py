@@ -13,7 +13,7 @@ from live_client import Page, places
 from preview_page import few
 
 from antdsl.preview import Live, Session, timeline
-from antdsl.preview.packing import unpack
+from antdsl.preview.binary_packets import unpack
 from antdsl.preview.spec_judgement import Specs
 from antdsl.preview.viewing.curves import Told
 from antdsl.preview.viewing.scene import Box

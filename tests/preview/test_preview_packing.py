@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from antdsl.preview.packing import pack, unpack
+from antdsl.preview.binary_packets import pack, unpack
 
 
 def test_what_is_packed_comes_out_again() -> None:

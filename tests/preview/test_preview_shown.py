@@ -13,7 +13,7 @@ from live_client import EXAMPLES, Page, hashes, places
 from preview_page import few
 
 from antdsl.preview import Live, Session
-from antdsl.preview.packing import unpack
+from antdsl.preview.binary_packets import unpack
 from antdsl.preview.viewing.feelers import felt
 
 pytestmark = pytest.mark.usefixtures("kept_meshes")

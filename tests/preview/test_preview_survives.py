@@ -22,7 +22,7 @@ from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed
 
 from antdsl.preview import Live
-from antdsl.preview.packing import unpack
+from antdsl.preview.binary_packets import unpack
 from antdsl.preview.serving.addresses import listen
 from antdsl.preview.serving.guard import Guard
 from antdsl.preview.serving.pages import pages

@@ -16,8 +16,8 @@ from antdsl.ground.combined import Terrain
 from antdsl.ground.protocol import Footing
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid_feelers import SolidFeelers
+from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.cache.dug_solids import DugSolids
-from antdsl.outputs.cache.reading import open_cache
 from antdsl.outputs.cutting import Cut
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, state_hash, step

@@ -11,7 +11,7 @@ import trimesh
 
 from antdsl.cli.new import ground
 from antdsl.diagnostics import Report
-from antdsl.outputs.cache.reading import open_cache
+from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures import Camera, render_frame
 from antdsl.outputs.recording import begin, record

@@ -13,7 +13,7 @@ import pytest
 from antdsl.diagnostics import Report
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.moving import MovingGround
-from antdsl.outputs.cache.reading import open_cache
+from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import Choices, Shot, open_scene, simulate

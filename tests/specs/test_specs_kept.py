@@ -16,7 +16,7 @@ from test_cli import ROOT, antdsl
 from test_specs import GROUND
 
 from antdsl.cli import _run as run_in_process
-from antdsl.outputs.cache.reading import open_cache
+from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.pipeline import Choices, open_scene
 from antdsl.runtime import bind, state_hash, step
 from antdsl.specs.golden.recorded import golden_path, read_golden

@@ -16,8 +16,8 @@ import pytest
 
 from antdsl.cli import _run as run_in_process
 from antdsl.sweep import Job, Keeper, Variation, jobs, rows, run_all, variations
+from antdsl.sweep.finished_runs import OtherFiles
 from antdsl.sweep.measuring import measure
-from antdsl.sweep.store import OtherFiles
 from antdsl.sweep.table import NOT_COMPARED, as_csv, quantile, shown, text
 
 ROOT = Path(__file__).resolve().parents[2]

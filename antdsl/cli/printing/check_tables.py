@@ -90,7 +90,7 @@ def _asked(part: Part) -> Iterator[str]:
 def _memory(program: Program) -> dict[str, str]:
     """For each species a few words; none where the program cannot be turned into a plan yet."""
     from antdsl import passes, plan
-    from antdsl.plan.memory import memory
+    from antdsl.plan.register_bytes import memory
 
     lowered, report = plan.lower(program)
     if not report.ok:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from antdsl.cli.printing.lines import say
+from antdsl.cli.printing.messages import say
 from antdsl.runtime.profiling import Profile
 
 MOST = 10  # lines that are told

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from antdsl.cli.printing.lines import say
+from antdsl.cli.printing.messages import say
 from antdsl.outputs.recording import Recording
 from antdsl.outputs.summary import states
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.ground.mesh.boxes_compiled import first_of, gather
-from antdsl.ground.mesh.packing import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, NORMAL, WIDTH
+from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, NORMAL, WIDTH
 from antdsl.ground.mesh.surroundings import DEEP, GAP, HIGH, LIFT, STEEPEST, TURNED
 from antdsl.numerics.kernel_cache import njit
 from antdsl.numerics.vectors_compiled import at, dot, inside, less, level, minus, more, nearest, plus, times, turned

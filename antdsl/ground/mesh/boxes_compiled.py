@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.ground.mesh.boxes import EDGE, FARTHEST, LEVEL, WIDE
-from antdsl.ground.mesh.packing import CORNER, EDGE1, EDGE2, WIDTH
+from antdsl.ground.mesh.face_table import CORNER, EDGE1, EDGE2, WIDTH
 from antdsl.numerics.kernel_cache import njit
 from antdsl.numerics.vectors_compiled import at, cross, dot, minus
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from antdsl.casting.rays import Mesh, RayScene
 from antdsl.ground.mesh.boxes import Boxes
-from antdsl.ground.mesh.clearances import Clearances, Parts
 from antdsl.ground.mesh.creases import RiseMap
 from antdsl.ground.mesh.crossings import weights
+from antdsl.ground.mesh.surface_clearance import Clearances, Parts
 from antdsl.ground.mesh.surroundings import LIFT, Around, Scale
 from antdsl.ground.mesh.topology import Topology, build, facing
 from antdsl.ground.mesh.walk import Walkers, inside, laid_down, turned, walk

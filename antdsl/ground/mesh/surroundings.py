@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.boxes import Boxes, first_met
-from antdsl.ground.mesh.clearances import Parts
 from antdsl.ground.mesh.crossings import Met, crossed
+from antdsl.ground.mesh.surface_clearance import Parts
 from antdsl.ground.mesh.topology import Topology
 from antdsl.ground.mesh.walk import Landing, Walkers, in_space, inside, nearest
 from antdsl.numerics.vectors import dot

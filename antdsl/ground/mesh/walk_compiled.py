@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.ground.mesh.around_compiled import beyond, landed, other_ahead
-from antdsl.ground.mesh.packing import (  # fmt: skip
+from antdsl.ground.mesh.face_table import (
     AXIS1,
     AXIS2,
     CORNER,

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from antdsl.ground.mesh import walk_compiled as loop
 from antdsl.ground.mesh.boxes import Boxes
-from antdsl.ground.mesh.clearances import Parts
-from antdsl.ground.mesh.packing import pack, packed
+from antdsl.ground.mesh.face_table import pack, packed
+from antdsl.ground.mesh.surface_clearance import Parts
 from antdsl.ground.mesh.surroundings import Around, Scale
 from antdsl.ground.mesh.topology import Topology
 from antdsl.ground.mesh.walk import Walkers, climb

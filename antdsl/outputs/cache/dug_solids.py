@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.solid import Volume
-from antdsl.outputs.cache.reading import Cache, CacheError
+from antdsl.outputs.cache.cache_reader import Cache, CacheError
 from antdsl.outputs.cache.solid_pieces import Piece, joined, started
 from antdsl.outputs.cutting import Cut
 from antdsl.outputs.pictures.model import Solid

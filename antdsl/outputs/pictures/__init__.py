@@ -1,7 +1,7 @@
 """Pictures of a frame: what is on them (`Picture`), from where (`Camera`), drawn by rays (`Renderer`), on sheets and films."""
 
 from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_over
-from antdsl.outputs.pictures.files import film, film_ready, still
+from antdsl.outputs.pictures.image_files import film, film_ready, still
 from antdsl.outputs.pictures.model import Camera, Crowd, Item, LegendRow, Picture, Solid, Trail
 from antdsl.outputs.pictures.render import SHOWN, Renderer, render_frame
 from antdsl.outputs.pictures.sheet import contact_sheet

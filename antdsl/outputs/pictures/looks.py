@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.light import decoded
-from antdsl.outputs.pictures.noise import value_noise
 from antdsl.outputs.pictures.shading_rows import Floats, dots, units
+from antdsl.outputs.pictures.texture_noise import value_noise
 
 KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain", "figure")
 GROUND, STONE, BOULDER, HILL, TABLE, EDGE, GRAIN, FIGURE = range(len(KINDS))

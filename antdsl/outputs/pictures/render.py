@@ -17,10 +17,10 @@ from antdsl.outputs.pictures.light import Sun, encoded, sun_over
 from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.pictures.overlay import draw_overlay
+from antdsl.outputs.pictures.samples import Stage, each, open_share, stage
 from antdsl.outputs.pictures.setting import Setting, setting
 from antdsl.outputs.pictures.shading import Frame, lit_strip
 from antdsl.outputs.pictures.shading_rows import Floats
-from antdsl.outputs.pictures.stage import Stage, each, open_share, stage
 from antdsl.outputs.pictures.trails import TrailCloth, dyed
 
 Array = NDArray[np.float64]

@@ -10,9 +10,9 @@ from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.actors import Actors
 from antdsl.outputs.pictures.light import SUN, Sun, ambient, displayed, hazed, sky
 from antdsl.outputs.pictures.looks import Scales
-from antdsl.outputs.pictures.noise import dither
+from antdsl.outputs.pictures.samples import Stage, screen_places
 from antdsl.outputs.pictures.shading_rows import Floats, blended, dots, units
-from antdsl.outputs.pictures.stage import Stage, screen_places
+from antdsl.outputs.pictures.texture_noise import dither
 
 Rows = NDArray[np.int64]
 

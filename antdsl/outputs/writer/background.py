@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import NoReturn
 
-from antdsl.outputs.writer.memory import own_peak_memory
+from antdsl.outputs.writer.process_memory import own_peak_memory
 from antdsl.outputs.writer.shared_memory import Arrays, Channel, Message, Pipes, Slot, two_pipes, two_queues
 
 # Windows has no fork; on macOS the system's own libraries may break in a process that was forked and did not begin anew.

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.outputs.cache.cache_reader import SURFACE_ERROR, checkpoint_path, frame_path
 from antdsl.outputs.cache.frames import FrameMaker
 from antdsl.outputs.cache.hashes import HASHES, Line, line_of, read_lines, with_checkpoint
 from antdsl.outputs.cache.npz import sync_file, sync_folder, to_bytes, write_whole
-from antdsl.outputs.cache.reading import SURFACE_ERROR, checkpoint_path, frame_path
 from antdsl.runtime import World, dig_again, show, solid_state, state_hash
 
 Arrays = Mapping[str, NDArray[Any]]

@@ -11,7 +11,7 @@ from antdsl.plan.lowering import values
 from antdsl.plan.lowering.builder import PlanError
 from antdsl.plan.lowering.expressions import lower, own, scalar, vector
 from antdsl.plan.lowering.values import Named, Own, Ref, Vec
-from antdsl.plan.lowering.writing import AXES, NotYet, Writer
+from antdsl.plan.lowering.writer import AXES, NotYet, Writer
 from antdsl.program import model
 
 STEER = "~steer"  # temps begin with a sign that no name of an author has

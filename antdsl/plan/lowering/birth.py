@@ -12,7 +12,7 @@ from antdsl.plan.lowering.expressions import as_truth, lower
 from antdsl.plan.lowering.machines import MachineWriter
 from antdsl.plan.lowering.traversal import inside
 from antdsl.plan.lowering.values import Value
-from antdsl.plan.lowering.writing import NotYet, Writer
+from antdsl.plan.lowering.writer import NotYet, Writer
 from antdsl.program import model
 
 VECTORS = ("position", "velocity", "heading", "up")

@@ -9,7 +9,7 @@ from antdsl.plan.lowering import values
 from antdsl.plan.lowering.actions import STEER, complain
 from antdsl.plan.lowering.expressions import truth, vector
 from antdsl.plan.lowering.values import Vec
-from antdsl.plan.lowering.writing import AXES, NotYet, Writer
+from antdsl.plan.lowering.writer import AXES, NotYet, Writer
 from antdsl.program import model
 
 PUSH, LEFT = "push", "~left"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from antdsl.plan.ir import Node
 from antdsl.plan.lowering.expressions import scalar
-from antdsl.plan.lowering.writing import Writer
+from antdsl.plan.lowering.writer import Writer
 from antdsl.program import model
 
 SLACK = 1 - 4e-7  # 0.5 s at 24 frames a second is 12 steps, also where the quotient of two float32 says 12.000001

@@ -10,7 +10,7 @@ from antdsl.plan.lowering import values
 from antdsl.plan.lowering.builder import PlanError
 from antdsl.plan.lowering.traversal import inside
 from antdsl.plan.lowering.values import Element, Group, Hit, Hits, Named, Own, Ref, Value, Vec
-from antdsl.plan.lowering.writing import AXES, KINDS, NONE, NotYet, Writer
+from antdsl.plan.lowering.writer import AXES, KINDS, NONE, NotYet, Writer
 from antdsl.program import expectations, model
 
 

@@ -21,7 +21,7 @@ from antdsl.plan.lowering.rules import RULES
 from antdsl.plan.lowering.source_map import Notes, NotingWriter
 from antdsl.plan.lowering.values import Vec, scale, sub
 from antdsl.plan.lowering.values import add as add_vectors
-from antdsl.plan.lowering.writing import NotYet, Writer
+from antdsl.plan.lowering.writer import NotYet, Writer
 from antdsl.plan.traverse import needed, operands, statements
 from antdsl.program import model
 from antdsl.program.tables.things import HELD

@@ -16,7 +16,7 @@ from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.durations import advance, passed, steps
 from antdsl.plan.lowering.expressions import lower, present, scalar, truth
 from antdsl.plan.lowering.values import Ref
-from antdsl.plan.lowering.writing import NotYet, Writer
+from antdsl.plan.lowering.writer import NotYet, Writer
 from antdsl.program import model
 
 

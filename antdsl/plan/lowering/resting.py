@@ -8,7 +8,7 @@ from antdsl.plan.ir import Kind
 from antdsl.plan.lowering.actions import STEER
 from antdsl.plan.lowering.expressions import vector
 from antdsl.plan.lowering.machines import MachineWriter
-from antdsl.plan.lowering.writing import AXES, Writer
+from antdsl.plan.lowering.writer import AXES, Writer
 
 
 def stand_still(w: Writer, machines: Sequence[MachineWriter]) -> None:

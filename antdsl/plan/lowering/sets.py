@@ -12,7 +12,7 @@ from antdsl.plan.lowering.builder import PlanError
 from antdsl.plan.lowering.expressions import lower, scalar, select, truth
 from antdsl.plan.lowering.simplify import value
 from antdsl.plan.lowering.values import Element, Group, Hit, Hits, Ref, Value, Vec
-from antdsl.plan.lowering.writing import NotYet, Writer
+from antdsl.plan.lowering.writer import NotYet, Writer
 from antdsl.program import model
 from antdsl.program.model import Dim
 

@@ -14,7 +14,7 @@ from antdsl.plan.lowering import values
 from antdsl.plan.lowering.builder import Builder, PlanError
 from antdsl.plan.lowering.durations import passed, steps
 from antdsl.plan.lowering.expressions import lower, present, scalar, truth
-from antdsl.plan.lowering.writing import Rules, Writer
+from antdsl.plan.lowering.writer import Rules, Writer
 from antdsl.program import model
 from antdsl.program.tables.units import measure, unit_of
 from antdsl.source import Span

@@ -20,7 +20,7 @@ from antdsl.plan.lowering.lazy import lazy
 from antdsl.plan.lowering.lower import DEEP
 from antdsl.plan.lowering.rules import RULES
 from antdsl.plan.lowering.values import Own, Ref, Value, Vec, length
-from antdsl.plan.lowering.writing import NotYet, Writer
+from antdsl.plan.lowering.writer import NotYet, Writer
 from antdsl.plan.traverse import needed
 from antdsl.program import expectations, model
 from antdsl.source import Span

@@ -18,7 +18,7 @@ from antdsl.preview.session import Session
 from antdsl.runtime import World
 from antdsl.source import Source
 from antdsl.specs.queries import Asker
-from antdsl.specs.values import shown
+from antdsl.specs.value_text import shown
 from antdsl.syntax import nodes, parse
 
 _EACH = re.compile(r"\s*each\s+([A-Za-z_]\w*)\s*:(.*)", re.DOTALL)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.plan.ir import Plan
-from antdsl.preview.packing import pack
+from antdsl.preview.binary_packets import pack
 from antdsl.preview.timeline import Light
 from antdsl.preview.viewing.feelers import felt
 from antdsl.preview.viewing.seen import Packets, Seen, Wanted

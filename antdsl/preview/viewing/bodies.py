@@ -7,7 +7,7 @@ import numpy as np
 from antdsl.bodies.catalogue import BODIES, body, body_of
 from antdsl.bodies.placed import placed, shape_of
 from antdsl.pipeline import Shot
-from antdsl.preview.packing import pack
+from antdsl.preview.binary_packets import pack
 from antdsl.preview.viewing.seen import Packets, Seen
 
 

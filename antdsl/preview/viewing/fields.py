@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.preview.packing import pack
+from antdsl.preview.binary_packets import pack
 from antdsl.preview.viewing.field_meshes import FieldMesh, cells_in_use, field_mesh
 from antdsl.preview.viewing.seen import Packets, Seen
 from antdsl.runtime import World

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.outputs.flow_arrows import arrows
-from antdsl.preview.packing import pack
+from antdsl.preview.binary_packets import pack
 from antdsl.preview.viewing.seen import Packets, Seen
 from antdsl.runtime import World
 from antdsl.scene.setting import SolvedFlow

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.preview.packing import pack
+from antdsl.preview.binary_packets import pack
 from antdsl.preview.viewing.seen import Packets, Seen
 from antdsl.runtime import World
 from antdsl.runtime.moving.moving_geometry import vertices_at

@@ -8,7 +8,7 @@ import numpy as np
 
 from antdsl.ground.solid import Volume
 from antdsl.outputs.cache.solid_pieces import Piece, joined
-from antdsl.preview.packing import pack
+from antdsl.preview.binary_packets import pack
 from antdsl.preview.viewing.seen import Packets, Seen
 
 _SIDE = 2  # bricks side by side in a piece

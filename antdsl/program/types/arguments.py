@@ -12,7 +12,7 @@ from antdsl.program.names.scope import Scope, listed
 from antdsl.program.types.descriptions import quoted
 from antdsl.source import Span
 from antdsl.syntax import nodes
-from antdsl.syntax.mistakes.numbers import comma_in_number, number_with_comma
+from antdsl.syntax.mistakes.number_slips import comma_in_number, number_with_comma
 
 Called = nodes.Call | nodes.Emit | nodes.Carve
 Found = dict[str, list[nodes.Argument]]

@@ -27,8 +27,8 @@ from antdsl.runtime.backends.compile import (
 )
 from antdsl.runtime.backends.metering import Metered
 from antdsl.runtime.backends.numpy_statements import statement
-from antdsl.runtime.effects import Effects
 from antdsl.runtime.pairs import MOST_PAIRS, NearbySets
+from antdsl.runtime.requests import Effects
 from antdsl.runtime.sensing import uniform_leaf
 from antdsl.runtime.world import DTYPES, Population, World
 

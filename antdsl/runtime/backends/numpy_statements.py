@@ -11,7 +11,7 @@ from antdsl.plan import ir
 from antdsl.program.tables import effects
 from antdsl.runtime.backends.compile import EFFECTS, POPULATION, WORLD, BlockCompiler, Run, Scope, Slots
 from antdsl.runtime.backends.numpy_calls import ALL, Make, row_numbers
-from antdsl.runtime.effects import Asked, ClaimEntry, FaultEntry, GiveEntry
+from antdsl.runtime.requests import Asked, ClaimEntry, FaultEntry, GiveEntry
 
 
 def _each(v: Slots, scope: Scope, value: Any) -> NDArray[Any]:

@@ -20,7 +20,7 @@ from antdsl.plan import ir
 from antdsl.plan.register_reads import early_loads, places
 from antdsl.plan.traverse import needed
 from antdsl.program.tables.effects import EFFECTS
-from antdsl.runtime.effects import Asked, ClaimEntry, Effects, FaultEntry, GiveEntry
+from antdsl.runtime.requests import Asked, ClaimEntry, Effects, FaultEntry, GiveEntry
 from antdsl.runtime.sensing import SENSES, uniform_leaf
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.source import Span

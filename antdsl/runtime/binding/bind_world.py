@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.protocol import Obstacle
+from antdsl.casting.obstacle import Obstacle
 from antdsl.casting.rays import RayScene
 from antdsl.diagnostics import Report
 from antdsl.ground.combined import Terrain
@@ -207,7 +207,7 @@ def set_flow(world: World, name: str, flow: FlowData) -> None:
     """Put another flow in place of one, from the next step on; nothing is compiled again. BindError as in `bind`."""
     if name not in world.plan.flows:
         raise KeyError(name)
-    from antdsl.runtime.binding.flows import bind_flow
+    from antdsl.runtime.binding.bind_flows import bind_flow
 
     report = Report()
     bind_flow(world, name, flow, report)
@@ -218,7 +218,7 @@ def set_flow(world: World, name: str, flow: FlowData) -> None:
 def _flows(world: World, built: Built) -> None:
     if not world.setting.flows and not world.setting.maps:
         return
-    from antdsl.runtime.binding.flows import bind_flows
+    from antdsl.runtime.binding.bind_flows import bind_flows
 
     report = Report()
     bind_flows(world, report, built)
@@ -237,7 +237,7 @@ def _detail(world: World, obstacles: dict[str, MeshData]) -> None:
 def _fields(world: World, meshes: dict[str, MeshData], built: Built) -> None:
     if not world.plan.fields:
         return
-    from antdsl.runtime.binding.fields import bind_fields
+    from antdsl.runtime.binding.bind_fields import bind_fields
 
     report = Report()
     bind_fields(world, meshes, run_value, report, built)

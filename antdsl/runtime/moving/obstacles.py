@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from antdsl.casting.rays import RayScene
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
-from antdsl.runtime.moving.clearances import clearance, may_touch
+from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
 from antdsl.runtime.world import AXES, Population, World
 
 _F = np.float32

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from antdsl.scene import setting as stage_of
 from antdsl.scene.model import ItemThing, UsdThing
 from antdsl.scene.staging.cached import once_a_mesh
-from antdsl.scene.staging.things import frames_of, item_places, riding, usd_items
+from antdsl.scene.staging.stage_things import frames_of, item_places, riding, usd_items
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import Staging

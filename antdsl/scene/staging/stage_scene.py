@@ -30,10 +30,10 @@ from antdsl.scene.model import UNIT_MM, CurveThing, MeshThing, Placement, Point,
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.cached import once_a_mesh
-from antdsl.scene.staging.flows import check_densities, stage_flows
 from antdsl.scene.staging.item_placement import check_crowds, items_of
 from antdsl.scene.staging.moves import MeshMoves, Moves
-from antdsl.scene.staging.things import curve_places, moving_mesh, placed_moves, usd_camera, usd_mesh
+from antdsl.scene.staging.stage_flows import check_densities, stage_flows
+from antdsl.scene.staging.stage_things import curve_places, moving_mesh, placed_moves, usd_camera, usd_mesh
 
 _UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _WIDEST = 1e6  # body lengths: ants in a whole county

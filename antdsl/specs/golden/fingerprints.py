@@ -19,7 +19,7 @@ from antdsl.program.tables.units import unit_of
 from antdsl.program.tables.vocabulary import GIVEN
 from antdsl.runtime.world import Population, World
 from antdsl.specs.aggregates import exact_total
-from antdsl.specs.values import shown
+from antdsl.specs.value_text import shown
 
 SAMPLED = 64  # agents of a species that a digest tells apart
 _FEW = 8  # values that are told one by one

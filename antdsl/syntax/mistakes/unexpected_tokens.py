@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from antdsl.diagnostics.model import Diagnostic, Fix, replacement
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Span
-from antdsl.syntax.mistakes.numbers import comma_in_number, number_with_comma, unit_help
+from antdsl.syntax.mistakes.number_slips import comma_in_number, number_with_comma, unit_help
 from antdsl.syntax.words import (
     AFTER,
     BELONGS,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from antdsl.plan.lowering.rules import chance, logic, numbers, places, senses, vectors
 from antdsl.plan.lowering.sets import gather, reduce
 from antdsl.plan.lowering.values import Value
-from antdsl.plan.lowering.writing import Rules, Writer
+from antdsl.plan.lowering.writer import Rules, Writer
 from antdsl.program import model
 
 OPERATIONS: dict[str, Callable[[Writer, model.Op], Value]] = {

@@ -8,7 +8,7 @@ from antdsl.plan.ir import Node
 from antdsl.plan.lowering.builder import PlanError
 from antdsl.plan.lowering.expressions import lower, scalar, select
 from antdsl.plan.lowering.values import Named, Ref, Value
-from antdsl.plan.lowering.writing import Writer
+from antdsl.plan.lowering.writer import Writer
 from antdsl.program import model
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering.expressions import as_truth, lower, present, scalar, select, truth
 from antdsl.plan.lowering.values import Value
-from antdsl.plan.lowering.writing import Writer
+from antdsl.plan.lowering.writer import Writer
 from antdsl.program import model
 
 Rule = Callable[[Writer, model.Op], Value]

@@ -10,7 +10,7 @@ from antdsl.plan.lowering.builder import PlanError
 from antdsl.plan.lowering.expressions import lower, scalar
 from antdsl.plan.lowering.simplify import value
 from antdsl.plan.lowering.values import Value, Vec
-from antdsl.plan.lowering.writing import Writer
+from antdsl.plan.lowering.writer import Writer
 from antdsl.program import model
 
 Rule = Callable[[Writer, model.Op], Value]

@@ -9,7 +9,7 @@ from antdsl.plan.lowering import values
 from antdsl.plan.lowering.builder import PlanError
 from antdsl.plan.lowering.expressions import lower, scalar
 from antdsl.plan.lowering.values import Element, Hit, Named, Own, Ref, Value, Vec
-from antdsl.plan.lowering.writing import AXES, NotYet, Writer
+from antdsl.plan.lowering.writer import AXES, NotYet, Writer
 from antdsl.program import model
 
 _SOLID = (model.Kind.OBSTACLE, model.Kind.SURFACE, model.Kind.SOLID)

@@ -11,7 +11,7 @@ from antdsl.plan.lowering.expressions import lower, scalar, vector
 from antdsl.plan.lowering.sets import cast
 from antdsl.plan.lowering.simplify import value
 from antdsl.plan.lowering.values import Named, Value, Vec
-from antdsl.plan.lowering.writing import NotYet, Writer
+from antdsl.plan.lowering.writer import NotYet, Writer
 from antdsl.program import model
 from antdsl.program.tables.rows import Builtin, Sense
 from antdsl.program.tables.senses import SENSES

@@ -5,7 +5,7 @@ from __future__ import annotations
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import scalar, vector
 from antdsl.plan.lowering.values import Value, Vec
-from antdsl.plan.lowering.writing import Writer
+from antdsl.plan.lowering.writer import Writer
 from antdsl.program import model
 
 

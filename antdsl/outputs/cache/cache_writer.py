@@ -12,12 +12,21 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from antdsl.outputs.cache.cache_reader import (
+    MARKER,
+    STATIC,
+    SURFACE_ERROR,
+    Cache,
+    checkpoint_path,
+    frame_path,
+    numbered,
+    open_cache,
+)
 from antdsl.outputs.cache.frames import FrameMaker
 from antdsl.outputs.cache.hashes import HASHES, hash_of_static, read_lines
 from antdsl.outputs.cache.lock import LOCK, FolderLock
 from antdsl.outputs.cache.manifest import MANIFEST, Manifest, ManifestError, write_manifest
 from antdsl.outputs.cache.npz import to_bytes, write_whole
-from antdsl.outputs.cache.reading import MARKER, STATIC, SURFACE_ERROR, Cache, checkpoint_path, frame_path, numbered, open_cache
 from antdsl.outputs.writer.background import Behind
 from antdsl.outputs.writer.frame_writer import Scribe
 from antdsl.runtime import World, handed_over, snapshot, state

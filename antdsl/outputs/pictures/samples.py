@@ -13,9 +13,9 @@ from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import Sun
 from antdsl.outputs.pictures.looks import Scales, surface
-from antdsl.outputs.pictures.noise import dither
 from antdsl.outputs.pictures.setting import Setting, with_litter
 from antdsl.outputs.pictures.shading_rows import Floats, blended, dots, units
+from antdsl.outputs.pictures.texture_noise import dither
 
 Array = NDArray[np.float64]
 

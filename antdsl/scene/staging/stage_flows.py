@@ -18,7 +18,7 @@ from antdsl.scene.geometry.painted import PaintError, read_painted
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.setting import Target
-from antdsl.scene.staging.things import first_turn, shortened, usd_paint
+from antdsl.scene.staging.stage_things import first_turn, shortened, usd_paint
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import Staging

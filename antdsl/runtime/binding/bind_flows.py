@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.diagnostics import Report
-from antdsl.fields.cost import Land
 from antdsl.fields.face_points import Lattice, LatticeTooFine, cuts_for, slots_of, welded
 from antdsl.fields.flow import Flow, Map, Source, falling, laid, nearest, spread
+from antdsl.fields.path_cost import Land
 from antdsl.fields.solved import Grounds, Solved, least_cost
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.protocol import Flags, Floats, Index, Meshes

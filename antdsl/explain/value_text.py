@@ -14,7 +14,7 @@ from antdsl.program.model import Kind, Type
 from antdsl.program.tables.units import measure
 from antdsl.runtime.world import World
 from antdsl.source import Span
-from antdsl.specs.values import shown
+from antdsl.specs.value_text import shown
 
 Values = Mapping[Node, Any]
 _LONG = 160

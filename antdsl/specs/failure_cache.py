@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from antdsl.loading import shown
+from antdsl.outputs.cache.cache_writer import ForeignFolder, InTheWay, prepare_folder
 from antdsl.outputs.cache.frames import static_arrays
-from antdsl.outputs.cache.writing import ForeignFolder, InTheWay, prepare_folder
 from antdsl.outputs.recording import Recording, record
 from antdsl.outputs.starting import StartError, source_of, start_hash
 from antdsl.pipeline import Choices, Shot, open_scene
