@@ -16,6 +16,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
     ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
     ROOT / "grammar" / "README.md",
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted(ROOT.glob("examples/*/README.md")),
@@ -30,7 +31,7 @@ SHORTER = {
 # `test_foraging_study.py` runs them cut down. What asks a registry or an editor cannot be run everywhere; that the
 # extension packs is tested where node is. `test_preview_command.py` starts previews, which do not end by themselves.
 ELSEWHERE = re.compile(
-    r"python3 -m antdsl\.bootstrap (example|test)|antdsl test forager\.ant"
+    r"python3 -m antdsl\.bootstrap (example|test|test --quick|gate)|antdsl test forager\.ant"
     r"|antdsl preview .*|pip install .*|pre-commit install .*|npm install|npm run package|code --install-extension .*"
 )
 

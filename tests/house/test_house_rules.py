@@ -199,7 +199,7 @@ def test_text_with_words_that_do_not_belong_is_not_shipped() -> None:
     texts = [p for f in folders for p in f.rglob("*") if p.suffix in (".py", ".md", ".ant", ".yaml", ".lark", ".toml")]
     outside = re.compile("/" + "work/|" + "shared/" + "(design|meshes|seeds)|\\bTO" + "DO\\b|\\bFIX" + "ME\\b")
     texts = [path for path in texts if "node_modules" not in path.parts]  # others' words, beside the extension for VS Code
-    for path in [*texts, ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "pyproject.toml"]:
+    for path in [*texts, ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", ROOT / "pyproject.toml"]:
         found = outside.search(path.read_text(encoding="utf-8"))
         assert not found, f"{path} has {found[0]!r}"
 
