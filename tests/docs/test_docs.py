@@ -23,7 +23,8 @@ from antdsl.source import Source
 
 ROOT = Path(__file__).resolve().parents[2]
 INDEX_OF_CODES = ROOT / "docs" / "codes" / "README.md"  # the pages themselves are run by test_code_pages.py
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "grammar" / "README.md", INDEX_OF_CODES, *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "grammar" / "README.md"]
+DOCUMENTS = [*PAGES, INDEX_OF_CODES, *sorted((ROOT / "docs").glob("*.md"))]
 # A workflow and hooks are run by tests/cli/test_new_project.py; what is written for other systems is run by nobody here.
 THEIRS = ("netlogo", "gaml", "vex")
 BLOCKS = ("ant", "yaml scene", "yaml workflow", "yaml hooks", "python", "console", "text", "json", "bash", *THEIRS)

@@ -227,7 +227,9 @@ def _pushed(world: World, population: Population, name: str) -> None:
 
 def _put(population: Population, rows: NDArray[np.intp], moved: Move) -> None:
     """Where a push has led some agents; their velocity goes on along the ground there."""
-    population.footing.put(rows, moved.footing)
+    footing = population.footing.copy()  # a snapshot may have the one from before
+    footing.put(rows, moved.footing)
+    population.footing = footing
     population.position[rows] = moved.position
     velocity = _vectors(population, "velocity", rows)
     up = np.asarray(moved.up).T
