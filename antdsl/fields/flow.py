@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.casting.curves import Curve
 from antdsl.fields.face_points import Lattice
 from antdsl.ground.protocol import Floats, Footing, Index, Meshes
 from antdsl.scene.setting import SpreadFlow, Target
@@ -118,8 +119,6 @@ class Map:
 def nearest(target: Target, places: Floats) -> tuple[Floats, Floats, Floats]:
     """Distance (n,), nearest place (n, 3) and unit way along (n, 3; nothing for single places) of a target."""
     if target.line:
-        from antdsl.casting.curves import Curve
-
         found = Curve(target.places, _CURVE_PIECE).closest(*places.T)
         columns = (found.px, found.py, found.pz, found.tx, found.ty, found.tz)
         px, py, pz, tx, ty, tz = (part.astype(np.float64) for part in columns)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.solid import Volume
+from antdsl.ground.solid_feelers import SolidFeelers
 from antdsl.numerics.vector_rows import length
 
 Floats = NDArray[np.float64]
@@ -45,8 +46,6 @@ def dropped(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray
 
 def below(volume: Volume, start: Floats, up: Floats, reach: Floats | float) -> tuple[Floats, NDArray[np.bool_]]:
     """The first place of a solid that a ray along -`up` meets within `reach`, and whether there is one."""
-    from antdsl.ground.solid_feelers import SolidFeelers
-
     hits = SolidFeelers(volume).feelers(*start.T, -up[:, 0], -up[:, 1], -up[:, 2], reach)  # type: ignore[call-arg]
     place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
     landed = volume.project(place, up, 2 * volume.voxel)

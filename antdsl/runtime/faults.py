@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from antdsl.runtime.backends.reference import operands_of
 from antdsl.runtime.requests import FaultEntry
 from antdsl.source import Span
 
@@ -102,7 +103,5 @@ def _word(register: str) -> str:
 
 
 def _tell(world: World, population: Population, row: int, entry: FaultEntry, word: str) -> Fault:
-    from antdsl.runtime.backends.reference import operands_of
-
     operands = operands_of(world, population, row, entry.block, entry.register, entry.span)
     return Fault(world.shown, population.name, int(population.ids[row]), word, entry.span, operands)

@@ -18,6 +18,7 @@ from antdsl.ground.mesh.surroundings import LIFT, Around, Scale
 from antdsl.ground.mesh.topology import Topology, build, facing
 from antdsl.ground.mesh.walk import Walkers, inside, laid_down, turned, walk
 from antdsl.ground.protocol import Floats, Footing, Index, Move
+from antdsl.ground.sticking import move_by_rays
 from antdsl.numerics import compiled
 from antdsl.numerics.vectors import dot
 
@@ -196,8 +197,6 @@ class MeshGround:
         body.flags.writeable = False  # whether one or many were given: a kernel is compiled for either
         wish, heading_t, up_t = (np.ascontiguousarray(np.asarray(v, np.float64).T) for v in (displacement, heading, up))
         if self._by_rays:
-            from antdsl.ground.sticking import move_by_rays
-
             return move_by_rays(self, footing, wish, heading_t, up_t, body, threads)
         with np.errstate(all="ignore"):
             parts = self._clearances.within(self._reach(wish, body))

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 from PIL import ImageDraw, ImageFont
 
+from antdsl.bodies.body import turned
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.model import Arrows, Crowd, LegendRow, Picture
 
@@ -55,8 +56,6 @@ def draw_overlay(
 
 def _lifted(crowd: Crowd) -> Array:
     """Places a little above the ground, at the height of the body."""
-    from antdsl.bodies.body import turned
-
     up = turned(np.asarray(crowd.orient, np.float64), np.tile([0.0, 1.0, 0.0], (len(crowd.position), 1)))
     return np.asarray(crowd.position, np.float64) + up * 0.25 * np.asarray(crowd.scale, np.float64)[:, None]
 

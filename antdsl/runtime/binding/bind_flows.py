@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.casting.curves import resampled
 from antdsl.diagnostics import Report
 from antdsl.fields.face_points import Lattice, LatticeTooFine, cuts_for, slots_of, welded
 from antdsl.fields.flow import Flow, Map, Source, falling, laid, nearest, spread
@@ -357,8 +358,6 @@ def _goal(world: World, flow: SolvedFlow, grounds: Grounds) -> tuple[Index, Floa
     places, radii = target.places, target.radii
     side = float(np.sqrt(np.median(grounds.areas[land.open])))
     if target.line:
-        from antdsl.casting.curves import resampled
-
         places = resampled(places, side)
         radii = np.zeros(len(places))
     tree = cKDTree(land.points[used])

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed
+from antdsl.runtime.binding.bind_world import run_value
 from antdsl.runtime.world import World
 
 _PLACE = frozenset(("snap", "load"))
@@ -21,8 +22,6 @@ def birth_values(plan: ir.SpeciesPlan, params: Mapping[str, float]) -> dict[str,
 
 def params_at_birth(world: World) -> dict[str, float]:
     """The params as the scene and the program say them, whatever was set since."""
-    from antdsl.runtime.binding.bind_world import run_value
-
     given = world.setting.params
     return {name: given[name] if name in given else run_value(world, p.default) for name, p in world.plan.params.items()}
 
