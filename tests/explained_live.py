@@ -14,7 +14,7 @@ from explained import Fact, differences, fact_of
 
 from antdsl.numerics import randomness
 from antdsl.preview import Session
-from antdsl.preview.explaining import Explainer
+from antdsl.preview.observing.explainer import Explainer
 from antdsl.runtime import World, stepping
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 from antdsl.plan import ir
-from antdsl.plan.lowering.builder import Builder
+from antdsl.plan.builder import Builder
 from antdsl.runtime import CrowdData, ItemData, Setting
 from antdsl.scene.setting import PlaceData
 

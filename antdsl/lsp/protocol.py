@@ -7,10 +7,10 @@ from pathlib import Path
 from lsprotocol import types as lsp
 
 from antdsl.diagnostics import Diagnostic
-from antdsl.lsp.actions import Action
-from antdsl.lsp.hints import Hint
-from antdsl.lsp.outline import Fold, Symbol
-from antdsl.lsp.proposals import Item
+from antdsl.lsp.features.actions import Action
+from antdsl.lsp.features.hints import Hint
+from antdsl.lsp.features.outline import Fold, Symbol
+from antdsl.lsp.features.proposals import Item
 from antdsl.lsp.text import Edit, Range, uri_of
 from antdsl.lsp.workspace import Document, Workspace
 

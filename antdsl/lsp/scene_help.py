@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from antdsl.lsp.proposals import Item
+from antdsl.lsp.features.proposals import Item
 from antdsl.lsp.words import SCENE_HELP
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.names.declared import declaration

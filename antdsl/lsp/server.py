@@ -13,16 +13,17 @@ from pygls.exceptions import JsonRpcInvalidParams
 from pygls.lsp.server import LanguageServer
 
 from antdsl import __version__
-from antdsl.lsp import protocol, tokens
-from antdsl.lsp.actions import actions
-from antdsl.lsp.completion import complete
-from antdsl.lsp.context import begins_line
-from antdsl.lsp.describe import describe
-from antdsl.lsp.formatting import formatted
-from antdsl.lsp.hints import hints
+from antdsl.lsp import protocol
+from antdsl.lsp.features import tokens
+from antdsl.lsp.features.actions import actions
+from antdsl.lsp.features.completion import complete
+from antdsl.lsp.features.context import begins_line
+from antdsl.lsp.features.describe import describe
+from antdsl.lsp.features.formatting import formatted
+from antdsl.lsp.features.hints import hints
+from antdsl.lsp.features.navigation import Found, Refused, definition, meant, references, renamable, rename
+from antdsl.lsp.features.outline import folds, symbols
 from antdsl.lsp.language import keyword
-from antdsl.lsp.navigation import Found, Refused, definition, meant, references, renamable, rename
-from antdsl.lsp.outline import folds, symbols
 from antdsl.lsp.scene_help import complete_scene
 from antdsl.lsp.text import path_of, uri_of
 from antdsl.lsp.words import SCENE_HELP

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from antdsl.passes.rewriting import with_blocks
 from antdsl.plan.ir import Block, If, Plan, SpeciesPlan, Statement
-from antdsl.plan.lowering.simplify import value
+from antdsl.plan.simplify import value
 
 
 def fold(plan: Plan) -> Plan:

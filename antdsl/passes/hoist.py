@@ -11,8 +11,8 @@ from functools import reduce
 from typing import Any
 
 from antdsl.passes.rewriting import rebuilt
+from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Node, Plan, Rate
-from antdsl.plan.lowering.builder import Builder
 
 _COMPONENTS = frozenset(("pair.x", "pair.y", "pair.z", "other"))
 

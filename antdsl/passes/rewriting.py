@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from antdsl.plan.builder import Builder
 from antdsl.plan.ir import (
     Block,
     Claim,
@@ -20,7 +21,6 @@ from antdsl.plan.ir import (
     Statement,
     Store,
 )
-from antdsl.plan.lowering.builder import Builder
 from antdsl.plan.traverse import PHASES, needed, roots
 
 Make = Callable[[Builder, str, tuple[Node, ...], tuple[Any, ...]], Node | None]

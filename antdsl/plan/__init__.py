@@ -8,7 +8,7 @@ is what one phase of a step does for one species: a list of statements whose con
 prints it. `traverse` goes over it for all who read one. Nothing here knows NumPy, scenes or agents: the backends in
 `runtime.backends` run it, and one of them is its definition in plain Python."""
 
-from antdsl.plan.lowering.builder import PlanError
+from antdsl.plan.builder import PlanError
 from antdsl.plan.lowering.lower import lower
 from antdsl.plan.show import show
 from antdsl.plan.verify import verify

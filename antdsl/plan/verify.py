@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator
 
+from antdsl.plan.builder import PlanError, fitting, result_kind, result_rate
 from antdsl.plan.ir import (
     Block,
     Claim,
@@ -19,7 +20,6 @@ from antdsl.plan.ir import (
     Statement,
     Store,
 )
-from antdsl.plan.lowering.builder import PlanError, fitting, result_kind, result_rate
 from antdsl.plan.traverse import blocks, field_nodes, needed, operands, roots, statements
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.senses import SENSES

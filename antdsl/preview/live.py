@@ -15,14 +15,14 @@ from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices
 from antdsl.preview.compiling import Compiler
 from antdsl.preview.doing import HANDLERS, WITHOUT_SESSION
-from antdsl.preview.observing import Observer, Stop
+from antdsl.preview.observing.observer import Observer, Stop
 from antdsl.preview.requests import Ask, Breaks, Explain, Look, Profile, Refusal, Seek, Set
 from antdsl.preview.session import Session
 from antdsl.preview.watch import Watch
 from antdsl.runtime import Options
 
 if TYPE_CHECKING:
-    from antdsl.preview.explaining import Explainer
+    from antdsl.preview.observing.explainer import Explainer
 
 _WAITING = 256  # asks that may wait
 _POLL = 0.02  # seconds between two looks at the files
@@ -69,7 +69,7 @@ class Live:
         return made
 
     def _begin(self, compiler: Compiler, session: Session | None, report: Report, watch: bool) -> None:
-        from antdsl.preview.observers import OBSERVERS
+        from antdsl.preview.observing.observers import OBSERVERS
         from antdsl.preview.viewing.screen import Screen
 
         self.compiler, self._session, self.report = compiler, session, report

@@ -119,7 +119,7 @@ OWN_FILES = {
     "cli/__init__.py": "the null device",
     "cli/printing/pages.py": "pages that come with antdsl",
     "diagnostics/sarif.py": "pages that come with antdsl",
-    "lsp/tokens.py": "the grammar",
+    "lsp/features/tokens.py": "the grammar",
     "outputs/writer/background.py": "the null device",
     "outputs/cache/lock.py": "its own lock, and what the system tells about a process",
     "outputs/writer/process_memory.py": "what the system tells about memory",

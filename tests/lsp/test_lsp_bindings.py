@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from antdsl import syntax
-from antdsl.lsp.navigation import definition, references
+from antdsl.lsp.features.navigation import definition, references
 from antdsl.lsp.workspace import Workspace
 from antdsl.pipeline import compile_files
 from antdsl.source import Source

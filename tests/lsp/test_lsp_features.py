@@ -228,8 +228,8 @@ async def test_blocks_fold(client) -> None:
 async def test_tokens_say_what_words_are(client) -> None:
     identifier = lsp.TextDocumentIdentifier(client.program)
     found = await client.text_document_semantic_tokens_full_async(lsp.SemanticTokensParams(identifier))
+    from antdsl.lsp.features.tokens import shown
     from antdsl.lsp.text import Text
-    from antdsl.lsp.tokens import shown
 
     words = shown(list(found.data), Text(FORAGER))
     for pair in [

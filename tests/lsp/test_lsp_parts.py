@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.lsp.navigation import rename
+from antdsl.lsp.features.navigation import rename
 from antdsl.lsp.workspace import Workspace
 
 
@@ -31,7 +31,7 @@ def test_starting_imports_nothing_heavy() -> None:
 
 
 def test_units_are_worth_what_they_are_shown_in(tmp_path: Path) -> None:
-    from antdsl.lsp.describe import describe
+    from antdsl.lsp.features.describe import describe
 
     workspace = Workspace()
     document = workspace.put(tmp_path / "a.ant", "ant 1\n")

@@ -12,7 +12,7 @@ import pytest
 from plan_text import plan_of
 
 from antdsl.plan import ir, verify
-from antdsl.plan.lowering.builder import PlanError
+from antdsl.plan.builder import PlanError
 from antdsl.plan.lowering.rules import OPERATIONS
 from antdsl.plan.show import show
 from antdsl.plan.traverse import statements

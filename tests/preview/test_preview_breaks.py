@@ -10,14 +10,15 @@ import pytest
 from live_client import Page
 from preview_page import few
 
-from antdsl.preview import Live, Session, spec_judgement
+from antdsl.preview import Live, Session
 from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.breaking.conditions import condition_plan
 from antdsl.preview.breaking.model import Misfit
-from antdsl.preview.explaining import Explainer
-from antdsl.preview.observing import Stop
+from antdsl.preview.observing import spec_judgement
+from antdsl.preview.observing.explainer import Explainer
+from antdsl.preview.observing.observer import Stop
+from antdsl.preview.observing.spec_judgement import Specs
 from antdsl.preview.requests import Break, ConditionBreak, FaultBreak, SpecBreak, StateBreak
-from antdsl.preview.spec_judgement import Specs
 from antdsl.runtime import Options
 from antdsl.specs.cases import cases
 from antdsl.specs.running import Work, run_cases

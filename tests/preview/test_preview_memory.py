@@ -14,7 +14,7 @@ from preview_page import few
 
 from antdsl.preview import Live, Session, timeline
 from antdsl.preview.binary_packets import unpack
-from antdsl.preview.spec_judgement import Specs
+from antdsl.preview.observing.spec_judgement import Specs
 from antdsl.preview.viewing.curves import Told
 from antdsl.preview.viewing.scene import Box
 

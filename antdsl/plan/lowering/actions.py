@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from antdsl.plan import ir
+from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.builder import PlanError
 from antdsl.plan.lowering.expressions import lower, own, scalar, vector
 from antdsl.plan.lowering.values import Named, Own, Ref, Vec
 from antdsl.plan.lowering.writer import AXES, NotYet, Writer

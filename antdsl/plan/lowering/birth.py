@@ -5,9 +5,9 @@ from __future__ import annotations
 from graphlib import TopologicalSorter
 from math import inf
 
+from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering.actions import complain, write
-from antdsl.plan.lowering.builder import Builder
 from antdsl.plan.lowering.expressions import as_truth, lower
 from antdsl.plan.lowering.machines import MachineWriter
 from antdsl.plan.lowering.traversal import inside

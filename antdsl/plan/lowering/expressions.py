@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Container
 from typing import Any
 
+from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.builder import PlanError
 from antdsl.plan.lowering.traversal import inside
 from antdsl.plan.lowering.values import Element, Group, Hit, Hits, Named, Own, Ref, Value, Vec
 from antdsl.plan.lowering.writer import AXES, KINDS, NONE, NotYet, Writer

@@ -9,10 +9,10 @@ from math import log
 
 from antdsl.diagnostics import Report
 from antdsl.plan import ir
+from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Block, Kind, Node
 from antdsl.plan.lowering import birth, blending
 from antdsl.plan.lowering.actions import complain, write
-from antdsl.plan.lowering.builder import Builder
 from antdsl.plan.lowering.expressions import own, scalar, truth, vector
 from antdsl.plan.lowering.lazy import lazy
 from antdsl.plan.lowering.machines import MachineWriter

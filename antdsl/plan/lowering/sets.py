@@ -6,13 +6,13 @@ from collections.abc import Callable
 from math import inf, pi
 from typing import TypeVar
 
+from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Node, Rate
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.builder import PlanError
 from antdsl.plan.lowering.expressions import lower, scalar, select, truth
-from antdsl.plan.lowering.simplify import value
 from antdsl.plan.lowering.values import Element, Group, Hit, Hits, Ref, Value, Vec
 from antdsl.plan.lowering.writer import NotYet, Writer
+from antdsl.plan.simplify import value
 from antdsl.program import model
 from antdsl.program.model import Dim
 

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from antdsl.diagnostics import Report
+from antdsl.plan.builder import Builder, PlanError
 from antdsl.plan.ir import Node
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.builder import Builder, PlanError
 from antdsl.plan.lowering.durations import passed, steps
 from antdsl.plan.lowering.expressions import lower, present, scalar, truth
 from antdsl.plan.lowering.writer import Rules, Writer

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 
 from antdsl.diagnostics import Report
 from antdsl.plan import ir
+from antdsl.plan.builder import Builder
 from antdsl.plan.ir import OPS, Block, Kind, Node, Rate, Register, SpeciesPlan, Store
 from antdsl.plan.lowering.actions import complain
-from antdsl.plan.lowering.builder import Builder
 from antdsl.plan.lowering.expressions import lower, scalar, truth
 from antdsl.plan.lowering.lazy import lazy
 from antdsl.plan.lowering.lower import DEEP

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Node
-from antdsl.plan.lowering.builder import Builder
 from antdsl.program.model import Kind
 
 TINY = 1e-30  # shortest vector (mm, mm/s, …) that still has a direction: 1/x stays finite

@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from antdsl.diagnostics import Report
+from antdsl.plan.builder import Builder, PlanError
 from antdsl.plan.ir import Block, If, Kind, Node, Register, Statement, Store
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.builder import Builder, PlanError
 from antdsl.plan.lowering.values import Vec
 from antdsl.plan.traverse import needed
 from antdsl.program import model

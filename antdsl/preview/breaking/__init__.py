@@ -12,10 +12,10 @@ from antdsl.preview.breaking.failing import SpecWaits
 from antdsl.preview.breaking.faults import FaultWaits
 from antdsl.preview.breaking.model import Misfit, Waiting
 from antdsl.preview.breaking.states import StateWaits
-from antdsl.preview.observing import Stop
+from antdsl.preview.observing.observer import Stop
+from antdsl.preview.observing.spec_judgement import Specs
 from antdsl.preview.requests import Break, ConditionBreak, FaultBreak, SpecBreak, StateBreak
 from antdsl.preview.session import Session
-from antdsl.preview.spec_judgement import Specs
 from antdsl.runtime import World
 
 # Made for the program that a session has now; Misfit where it does not fit that.

@@ -12,7 +12,7 @@ from antdsl.pipeline import Shot
 from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
 from antdsl.preview.breaking.model import Misfit
 from antdsl.preview.breaking.states import MOST, named
-from antdsl.preview.observing import Stop
+from antdsl.preview.observing.observer import Stop
 from antdsl.preview.requests import ConditionBreak
 from antdsl.preview.session import Session
 from antdsl.runtime import World

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.preview.breaking.model import Misfit
-from antdsl.preview.observing import Stop
+from antdsl.preview.observing.observer import Stop
+from antdsl.preview.observing.spec_judgement import CURVE, Specs
 from antdsl.preview.requests import SpecBreak
 from antdsl.preview.session import Session
-from antdsl.preview.spec_judgement import CURVE, Specs
 
 
 class SpecWaits:

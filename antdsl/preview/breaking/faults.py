@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from antdsl.preview.observing import Stop
+from antdsl.preview.observing.observer import Stop
 from antdsl.preview.requests import FaultBreak
 from antdsl.preview.session import Session
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from antdsl.preview.observing import Stop
+from antdsl.preview.observing.observer import Stop
 from antdsl.preview.session import Session
 
 

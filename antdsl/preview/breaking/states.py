@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.preview.breaking.model import Misfit
-from antdsl.preview.observing import Stop
+from antdsl.preview.observing.observer import Stop
 from antdsl.preview.requests import StateBreak
 from antdsl.preview.session import Session
 

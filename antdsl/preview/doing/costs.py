@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from antdsl.preview import requests
-from antdsl.preview.costs import Costs
+from antdsl.preview.observing.meter import Costs
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from antdsl.preview import requests
 from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.breaking.model import Misfit
-from antdsl.preview.explaining import Explainer
+from antdsl.preview.observing.explainer import Explainer
 from antdsl.preview.requests import Refusal
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from antdsl.preview.breaking import Breakpoints
+from antdsl.preview.observing.spec_judgement import Specs
 from antdsl.preview.session import Session
-from antdsl.preview.spec_judgement import Specs
 from antdsl.preview.viewing import messages
 from antdsl.preview.viewing.agents import Agents
 from antdsl.preview.viewing.bodies import Bodies, ItemBodies

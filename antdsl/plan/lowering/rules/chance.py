@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from math import pi
 
+from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Node
-from antdsl.plan.lowering.builder import PlanError
 from antdsl.plan.lowering.expressions import lower, scalar, select
 from antdsl.plan.lowering.values import Named, Ref, Value
 from antdsl.plan.lowering.writer import Writer

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.builder import PlanError
 from antdsl.plan.lowering.expressions import lower, scalar
-from antdsl.plan.lowering.simplify import value
 from antdsl.plan.lowering.values import Value, Vec
 from antdsl.plan.lowering.writer import Writer
+from antdsl.plan.simplify import value
 from antdsl.program import model
 
 Rule = Callable[[Writer, model.Op], Value]

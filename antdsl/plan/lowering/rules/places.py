@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from math import inf
 
+from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.builder import PlanError
 from antdsl.plan.lowering.expressions import lower, scalar
 from antdsl.plan.lowering.values import Element, Hit, Named, Own, Ref, Value, Vec
 from antdsl.plan.lowering.writer import AXES, NotYet, Writer

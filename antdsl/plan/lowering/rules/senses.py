@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Node
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.builder import PlanError
 from antdsl.plan.lowering.expressions import lower, scalar, vector
 from antdsl.plan.lowering.sets import cast
-from antdsl.plan.lowering.simplify import value
 from antdsl.plan.lowering.values import Named, Value, Vec
 from antdsl.plan.lowering.writer import NotYet, Writer
+from antdsl.plan.simplify import value
 from antdsl.program import model
 from antdsl.program.tables.rows import Builtin, Sense
 from antdsl.program.tables.senses import SENSES

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from antdsl import limits
+from antdsl.lsp.features.tokens import keywords
 from antdsl.lsp.names import Occurrence
 from antdsl.lsp.text import Range
-from antdsl.lsp.tokens import keywords
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.names.bindings import Key
 from antdsl.program.names.declared import Declaration

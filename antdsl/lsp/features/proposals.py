@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from antdsl.lsp.context import Context
+from antdsl.lsp.features.context import Context
 from antdsl.lsp.language import builtin_form, signature
 from antdsl.lsp.names import Names
 from antdsl.lsp.workspace import Document, Workspace

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from antdsl.plan.floats import ARITHMETIC, COMPARISONS, f32, greatest, least
 from antdsl.plan.ir import Kind, Node
-from antdsl.plan.lowering.floats import ARITHMETIC, COMPARISONS, f32, greatest, least
 
 if TYPE_CHECKING:
-    from antdsl.plan.lowering.builder import Builder
+    from antdsl.plan.builder import Builder
 
 Value = float | int | bool | None
 _CONSTS = frozenset(("const", "const.bool", "const.i32", "const.i64"))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 
-from antdsl.lsp.context import context_at
-from antdsl.lsp.proposals import Item, Request, argument_names, behaviours, fields, members, own, species, things, values
+from antdsl.lsp.features.context import context_at
+from antdsl.lsp.features.proposals import Item, Request, argument_names, behaviours, fields, members, own, species, things, values
 from antdsl.lsp.words import FORM_HELP, KINDS, SETTINGS
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.expectations import MOTION

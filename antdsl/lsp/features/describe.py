@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from antdsl.lsp.features.navigation import declared
 from antdsl.lsp.language import LANGUAGE, flat, markdown, signature
-from antdsl.lsp.navigation import declared
 from antdsl.lsp.words import KINDS
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.kinds import Kind, Type

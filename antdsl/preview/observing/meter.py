@@ -12,7 +12,7 @@ from antdsl.runtime.profiling import Profile
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
-    from antdsl.preview.observing import Stop
+    from antdsl.preview.observing.observer import Stop
 
 _EVERY = 0.25  # seconds between two messages
 _LEAST = 5e-4  # ms a frame: a line that takes less is not told of

@@ -12,7 +12,7 @@ from typing import Any
 
 from antdsl.pipeline import Shot
 from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
-from antdsl.preview.observing import Stop
+from antdsl.preview.observing.observer import Stop
 from antdsl.preview.session import Session
 from antdsl.preview.timeline import Stretch
 from antdsl.program.expectations import Spec

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from antdsl.preview.breaking import Breakpoints
-from antdsl.preview.costs import Costs
-from antdsl.preview.observing import Observer
-from antdsl.preview.spec_judgement import Specs
+from antdsl.preview.observing.meter import Costs
+from antdsl.preview.observing.observer import Observer
+from antdsl.preview.observing.spec_judgement import Specs
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Live
