@@ -263,8 +263,8 @@ KILLED = """
 import os, sys, time
 import numpy as np
 from pathlib import Path
-from antdsl.outputs.behind import Behind
-from antdsl.outputs.lock import FolderLock
+from antdsl.outputs.writer.background import Behind
+from antdsl.outputs.cache.lock import FolderLock
 folder = Path(sys.argv[1])
 
 def work(jobs, arrays):

@@ -223,7 +223,10 @@ def project(folder: Path, hills: bool = False) -> Path:
 # How runs are started that write by a process of its own where that can be, and that never do.
 WAYS = {
     "process": ["-m", "antdsl"],
-    "thread": ["-c", "from antdsl.outputs import behind; behind.OWN_PROCESS = False; from antdsl.cli import main; main()"],
+    "thread": [
+        "-c",
+        "from antdsl.outputs.writer import background; background.OWN_PROCESS = False; from antdsl.cli import main; main()",
+    ],
 }
 both_ways = pytest.mark.parametrize("way", WAYS)
 

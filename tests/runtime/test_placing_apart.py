@@ -4,7 +4,7 @@ without room for all says so with numbers."""
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import meshes
@@ -16,6 +16,7 @@ from test_scene_files import folder  # noqa: F401
 
 from antdsl import passes, plan
 from antdsl.cli.new import ground
+from antdsl.ground.protocol import Footing
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.reload import take_over
 from antdsl.runtime import Options, bind, step
@@ -34,11 +35,6 @@ species giant { size uniform(8 mm, 30 mm); state go { steer wander() } }
 """
 BLOCK = PROGRAM.replace("surface hill;", "surface hill; solid block;")
 _PLANS: dict[str, object] = {}
-
-
-@dataclass(frozen=True, slots=True)
-class Feet:
-    number: np.ndarray
 
 
 def world(*crowds: CrowdData, text: str = PROGRAM, options: Options | None = None, **more: object) -> World:
@@ -254,7 +250,7 @@ def test_tries_are_few_however_full_it_is(share: float, all_fit: bool) -> None:
         u, v = np.concatenate([random[ids, k] for k in tries]).T
         away, angle = np.sqrt(u) * wide, 2 * np.pi * v
         place = np.stack([away * np.cos(angle), 0 * away, away * np.sin(angle)], axis=1)
-        return Drawn(Feet(u), place, np.zeros_like(place), np.ones(len(u), np.bool_))
+        return Drawn(Footing.nowhere(len(u)), place, np.zeros_like(place), np.ones(len(u), np.bool_))
 
     found, fits = spread(Room(), draw, np.arange(n), np.full(n, 2.0), 0)
     assert fits.all() == all_fit
@@ -278,7 +274,7 @@ def test_pairs_are_few_where_thousands_want_one_place(monkeypatch: pytest.Monkey
 
     def draw(ids: np.ndarray, tries: range) -> Drawn:
         place = np.zeros((len(ids) * len(tries), 3))
-        return Drawn(Feet(place[:, 0].copy()), place, place.copy(), np.ones(len(place), np.bool_))
+        return Drawn(Footing.nowhere(len(place)), place, place.copy(), np.ones(len(place), np.bool_))
 
     _, fits = spread(Room(), draw, np.arange(n), np.full(n, 2.0), 0)
     assert fits.tolist() == [True] + [False] * (n - 1)
@@ -324,7 +320,7 @@ def _square(wide: float, seed: int) -> Draw:
     def draw(ids: np.ndarray, tries: range) -> Drawn:
         place = np.concatenate([np.random.default_rng((seed, k)).random((ids.max() + 1, 3))[ids] for k in tries]) * wide
         place[:, 1] = 0.0
-        return Drawn(Feet(place[:, 0].copy()), place, np.zeros_like(place), np.ones(len(place), np.bool_))
+        return Drawn(Footing.nowhere(len(place)), place, np.zeros_like(place), np.ones(len(place), np.bool_))
 
     return draw
 
