@@ -11,9 +11,6 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import settings
 
-from antdsl.runtime import Built
-from antdsl.runtime.binding import bind_world
-
 # Files that take longest are begun first, or at the end one process would be at work on one of them while the others wait.
 LONGEST = (
     "test_preview_browser", "test_preview_browser_tools", "test_specs_kept", "test_docs_shell", "test_session", "test_cache",
@@ -42,6 +39,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def kept_meshes() -> Iterator[None]:
     """What is made of meshes is made once a file, as it is once a session of the preview: most worlds of a file stand on the same
     ground. Not for tests of how it is made."""
+    from antdsl.runtime import Built  # late: most processes of the quick part simulate nothing
+    from antdsl.runtime.binding import bind_world
+
     built = Built()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bind_world, "Built", lambda: built)
