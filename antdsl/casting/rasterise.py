@@ -8,6 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 _PIECE = 1 << 15  # triangles handled at once
+_TESTED = 1 << 13  # pairs of a triangle and a cell tested at once: what the test computes of them stays in the processor's cache
+_SLACK = 1e-9  # cells
+_OTHER_AXES = ((1, 2), (2, 0), (0, 1))
 _LARGEST = 2.0  # extent in cells above which a triangle is cut in four
 
 
@@ -22,7 +25,9 @@ def triangle_cells(corners: NDArray[np.float64], exact: bool = True) -> Iterator
     todo.reverse()
     while todo:
         tri, name = todo.pop()
-        large = (tri.max(axis=1) - tri.min(axis=1)).max(axis=1) > _LARGEST
+        a, b, c = tri[:, 0], tri[:, 1], tri[:, 2]
+        extent = np.maximum(np.maximum(a, b), c) - np.minimum(np.minimum(a, b), c)
+        large = extent.max(axis=1) > _LARGEST
         small = ~large
         if small.any():
             yield _box_cells(tri[small], name[small], exact)
@@ -40,30 +45,39 @@ def _quarter(tri: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _box_cells(tri: NDArray[np.float64], name: NDArray[np.int64], exact: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    low = np.floor(tri.min(axis=1)).astype(np.int64)
-    size = np.floor(tri.max(axis=1)).astype(np.int64) - low + 1
-    count = size.prod(axis=1)
+    a, b, c = tri[:, 0], tri[:, 1], tri[:, 2]
+    low = np.floor(np.minimum(np.minimum(a, b), c)).astype(np.int64)
+    size = np.floor(np.maximum(np.maximum(a, b), c)).astype(np.int64) - low + 1
+    count = size[:, 0] * size[:, 1] * size[:, 2]
     which = np.repeat(np.arange(len(tri)), count)
     step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
     nx, ny = size[which, 0], size[which, 1]
-    cells = low[which] + np.stack([step % nx, step // nx % ny, step // (nx * ny)], axis=1)
+    cells = low[which]
+    rows, along = np.divmod(step, nx)
+    layers, across = np.divmod(rows, ny)
+    for axis, way in enumerate((along, across, layers)):
+        cells[:, axis] += way
     if exact:
-        touched = _touch(tri[which] - (cells + 0.5)[:, None, :])
+        flat = np.ascontiguousarray(tri.reshape(-1, 9).T)
+        parts = [slice(at, at + _TESTED) for at in range(0, len(which), _TESTED)]
+        touched = np.concatenate([_touch(flat, which[part], cells[part]) for part in parts])
         cells, which = cells[touched], which[touched]
     return cells, name[which]
 
 
-def _touch(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether triangles float64[k,3,3] meet the unit box around 0, given that their bounding boxes do."""
-    v = [tri[:, i].T for i in range(3)]
-    edges = [v[1] - v[0], v[2] - v[1], v[0] - v[2]]
-    normal = np.cross(edges[0], edges[1], axis=0)
-    slack = 1e-9
-    touch: NDArray[np.bool_] = np.abs((normal * v[0]).sum(axis=0)) <= 0.5 * np.abs(normal).sum(axis=0) + slack
-    for edge in edges:
-        for axis in range(3):
-            p, q = (axis + 1) % 3, (axis + 2) % 3
-            reach = 0.5 * (np.abs(edge[p]) + np.abs(edge[q])) + slack
+def _touch(tri: NDArray[np.float64], which: NDArray[np.int64], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether triangles `which` int64[k] of float64[9,n] meet cells int64[k,3], given that their bounding boxes do: bool[k]."""
+    middle = cells.T + 0.5
+    v = [[tri[3 * corner + axis].take(which) - middle[axis] for axis in range(3)] for corner in range(3)]
+    e = [[w - u for u, w in zip(v[one], v[other], strict=True)] for one, other in ((0, 1), (1, 2), (2, 0))]
+    normal = [e[0][p] * e[1][q] - e[0][q] * e[1][p] for p, q in _OTHER_AXES]
+    away = np.abs(normal[0] * v[0][0] + normal[1] * v[0][1] + normal[2] * v[0][2])
+    touch: NDArray[np.bool_] = away <= 0.5 * (np.abs(normal[0]) + np.abs(normal[1]) + np.abs(normal[2])) + _SLACK
+    for edge in e:
+        length = [np.abs(part) for part in edge]
+        for p, q in _OTHER_AXES:
+            reach = 0.5 * (length[p] + length[q]) + _SLACK
             at = [edge[p] * w[q] - edge[q] * w[p] for w in v]
-            touch &= (np.minimum(np.minimum(*at[:2]), at[2]) <= reach) & (np.maximum(np.maximum(*at[:2]), at[2]) >= -reach)
+            touch &= np.minimum(np.minimum(at[0], at[1]), at[2]) <= reach
+            touch &= np.maximum(np.maximum(at[0], at[1]), at[2]) >= -reach
     return touch
