@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import signal
-import subprocess
-import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -15,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import meshes
+from forked import Forked
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -54,28 +53,18 @@ def few(place: Path, count: int) -> Path:
 @contextmanager
 def previewed(scene: Path, *flags: str) -> Iterator[str]:
     """The address of a preview of a scene. It must end well when it is asked to."""
-    command = [sys.executable, "-m", "antdsl", "preview", str(scene), "--no-open", "--port", "0", "--threads", "1", *flags]
-    env = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=env)
-    said: list[str] = []
+    words = ("preview", str(scene), "--no-open", "--port", "0", "--threads", "1", *flags)
+    process = Forked(*words, cwd=scene.parent)
     try:
-        assert process.stdout is not None
-        for line in process.stdout:
-            said.append(line)
-            if found := re.search(r"http://127\.0\.0\.1:\d+/#\S+", line):
-                yield found[0]
-                break
-        else:
-            raise AssertionError("".join(said))
+        while (found := re.search(r"http://127\.0\.0\.1:\d+/#\S+(?=\n)", process.text)) is None:
+            assert not process.over, process.text
+            time.sleep(0.02)
+        yield found[0]
     finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            rest, _ = process.communicate(timeout=60)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            raise
-    assert process.returncode == 0, "".join(said) + rest
-    assert "Traceback" not in "".join(said) + rest, "".join(said) + rest
+        process.signal(signal.SIGINT)
+        code, said = process.ended(60)
+    assert code == 0, said
+    assert "Traceback" not in said, said
 
 
 class Seen:

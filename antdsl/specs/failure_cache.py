@@ -21,7 +21,7 @@ from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.program.model import Const, Expr
 from antdsl.program.tables.units import measure, unit_of
 from antdsl.program.types.folding import constant_behind
-from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, state_hash
+from antdsl.runtime import Built, CheckpointError, Options, World, bind, checkpoint, restore, state_hash
 from antdsl.runtime.checkpoints import Arrays
 from antdsl.scene.matching import const_base
 from antdsl.scene.quantities import BadQuantity, parse_quantity
@@ -73,7 +73,7 @@ class Keeper:
     options: Options
     count: int = 0
 
-    def save(self, run: Run, case: Case, moment: Moment) -> Kept:
+    def save(self, run: Run, case: Case, moment: Moment, built: Built) -> Kept:
         """Simulate up to the failure again, into a cache. What went wrong with that stands in the `Kept`."""
         self.count += 1
         if self.count > MOST:
@@ -86,7 +86,7 @@ class Keeper:
         if shot is None:
             return Kept(None, f"not saved: {report.errors[0].message}")
         try:
-            found = self._record(shot, folder, moment)
+            found = self._record(shot, folder, moment, built)
         except (OSError, ForeignFolder, InTheWay, StartError, CheckpointError) as why:
             return Kept(None, f"not saved: {str(why).lower()}")
         words = [f"--root {shlex.quote(f'{name}={path}')}" for name, path in self.grants.items()]
@@ -101,7 +101,7 @@ class Keeper:
         note = "" if same else "what was saved came out differently, which is a mistake of antdsl"
         return Kept(folder, note, moment.begins, moment.frame, look, f"{again} --out {here} --resume")
 
-    def _record(self, shot: Shot, folder: Path, moment: Moment) -> str:
+    def _record(self, shot: Shot, folder: Path, moment: Moment, built: Built) -> str:
         """Write the frames from the copy to the failure; gives the hash of the last."""
         model = shot.scene.model
         output = model.output.model_copy(update={"checkpoint": 1})
@@ -111,7 +111,7 @@ class Keeper:
         if begins is not None and begins.resolve() == folder.resolve():
             raise ForeignFolder(f"`{folder}` is what the scene begins with")
         prepare_folder(folder, force=False)
-        world = bind(shot.plan, shot.setting, self.options)
+        world = bind(shot.plan, shot.setting, self.options, built=built)
         restore(world, moment.arrays)
         inputs = {**shot.inputs, **start_hash(shot)}
         recording = Recording(replace(shot, scene=scene), folder, world, inputs, static=static_arrays(world, shot.setting))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 from antdsl.pipeline import Shot
-from antdsl.runtime import BindError, FaultStop, Options, World, bind, step
+from antdsl.runtime import BindError, Built, FaultStop, Options, World, bind, step
 from antdsl.specs.cases import Case, Failure, Run
 from antdsl.specs.comparison import Rival
 from antdsl.specs.coverage import Coverage
@@ -28,6 +28,7 @@ class Work:
     goldens: Goldens | None = None
     done: Callable[[Case], None] = lambda case: None
     frame: Told = lambda run, frame, last: None
+    built: Built = field(default_factory=Built)  # runs of one scene differ by seeds and params and stand on the same ground
 
 
 def run_cases(runs: Iterable[Run], work: Work) -> None:
@@ -46,8 +47,9 @@ def run_cases(runs: Iterable[Run], work: Work) -> None:
             case.outcome = "failed" if case.failures else "passed"
             case.seconds = (perf_counter() - started) / len(run.cases)
             if work.keeper is not None and id(case) in moments:
-                case.kept = work.keeper.save(run, case, moments[id(case)])
+                case.kept = work.keeper.save(run, case, moments[id(case)], work.built)
             work.done(case)
+        work.built.forget()
 
 
 def _fail(run: Run, failure: Failure) -> None:
@@ -59,7 +61,7 @@ def _run(run: Run, work: Work, moments: dict[int, Moment]) -> None:
     """Simulate and judge; `moments` gets the first failure of each case, by its id."""
     rivals = _rivals(run, work)
     try:
-        world = _begin(run.shot, run.seed, work.options, work.coverage)
+        world = _begin(run.shot, run.seed, work)
     except FaultStop as why:
         return _faulted(run, why)
     first, trail = world.frame, None if work.keeper is None else Trail(run.shot.setting)
@@ -93,12 +95,12 @@ def _run(run: Run, work: Work, moments: dict[int, Moment]) -> None:
             return _faulted(run, why)
 
 
-def _begin(shot: Shot, seed: int, options: Options, coverage: Coverage) -> World:
+def _begin(shot: Shot, seed: int, work: Work) -> World:
     """The world at the first frame."""
-    world = bind(shot.plan, replace(shot.setting, seed=seed), options)
+    world = bind(shot.plan, replace(shot.setting, seed=seed), work.options, built=work.built)
     if world.faults.told:
         raise FaultStop(world.faults.told[0])  # at birth
-    coverage.watch(world, shot.program)
+    work.coverage.watch(world, shot.program)
     for _ in range(shot.scene.model.preroll):
         step(world)
     world.motion.reset()
@@ -132,7 +134,7 @@ def _rivals(run: Run, work: Work) -> dict[int, Rival]:
 
 def _watched(run: Run, work: Work, shot: Shot, cases: list[Case]) -> dict[int, Rival]:
     """One run that cases compare with, to the last frame that one of them asks for."""
-    world = _begin(shot, run.seed, work.options, work.coverage)
+    world = _begin(shot, run.seed, work)
     first = world.frame
     rivals = {id(case): Rival(case.against.plan, world) for case in cases if case.against is not None}
     last = max(last_frame(case.plan, world, first + run.shot.frames.last - run.shot.frames.first) for case in cases)

@@ -12,7 +12,7 @@ from antdsl.outputs.starting import start_from_cache
 from antdsl.outputs.summary import summary
 from antdsl.outputs.writer.frame_writer import surface_error
 from antdsl.pipeline import open_scene
-from antdsl.runtime import Options, World, bind, state_hash, step
+from antdsl.runtime import Built, Options, World, bind, state_hash, step
 from antdsl.sweep.jobs import Job, matches
 
 
@@ -20,15 +20,16 @@ class Unfit(Exception):
     """The scene cannot be opened any more; the message says why."""
 
 
-def measure(job: Job, threads: int, told: Callable[[int], None]) -> dict[str, Any]:
-    """Simulate a run and give its measures, by name: numbers, and None for what did not happen. `told` hears of each frame.
+def measure(job: Job, threads: int, built: Built, told: Callable[[int], None]) -> dict[str, Any]:
+    """Simulate a run and give its measures, by name: numbers, and None for what did not happen. `told` hears of each frame;
+    `built` has what the runs before this one made of meshes.
 
     Everything but `seconds` and `fps` is the same for the same job."""
     shot, report = open_scene(Path(job.scene), job.choices())
     if shot is None or not report.ok:
         raise Unfit("; ".join(problem.message for problem in report.errors))
     began = time.perf_counter()
-    world = bind(shot.plan, shot.setting, Options(threads=threads))
+    world = bind(shot.plan, shot.setting, Options(threads=threads), built=built)
     recording = Recording(shot, Path(), world, shot.inputs)
     start_from_cache(shot, world)
     for _ in range(shot.scene.model.preroll):

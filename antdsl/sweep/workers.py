@@ -13,9 +13,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from antdsl.sweep.jobs import Job
+
+if TYPE_CHECKING:
+    from antdsl.runtime import Built
 
 _TELL = 0.5  # seconds between words about frames
 _PATIENCE = 5.0  # seconds for a process to end by itself
@@ -120,7 +123,9 @@ def _how_it_ended(code: int | None) -> str:
 def _work(pipe: Connection, threads: int) -> None:
     """The life of a process: jobs in, measures out, until nobody is at the other end."""
     from antdsl.numerics.compiled import expect_long_runs
+    from antdsl.runtime import Built
 
+    built = Built()
     expect_long_runs()
     if not sys.warnoptions:
         warnings.simplefilter("ignore")  # of libraries, as in the process that the terminal has
@@ -137,16 +142,17 @@ def _work(pipe: Connection, threads: int) -> None:
                     said = time.monotonic()
                     pipe.send(("frame", frame))
 
-            pipe.send(_outcome(job, threads, told))
+            pipe.send(_outcome(job, threads, built, told))
+            built.forget()
 
 
-def _outcome(job: Job, threads: int, told: Callable[[int], None]) -> tuple[str, Any]:
+def _outcome(job: Job, threads: int, built: Built, told: Callable[[int], None]) -> tuple[str, Any]:
     from antdsl.outputs.starting import StartError
     from antdsl.runtime import BindError, FaultStop
     from antdsl.sweep.measuring import Unfit, measure
 
     try:
-        return "done", measure(job, threads, told)
+        return "done", measure(job, threads, built, told)
     except (BindError, StartError) as why:
         return "failed", "; ".join(problem.message for problem in why.report.errors)
     except (Unfit, FaultStop, OSError) as why:

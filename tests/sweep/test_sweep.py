@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from antdsl.cli import _run as run_in_process
+from antdsl.runtime import Built
 from antdsl.sweep import Job, Keeper, Variation, jobs, rows, run_all, variations
 from antdsl.sweep.finished_runs import OtherFiles
 from antdsl.sweep.measuring import measure
@@ -91,7 +92,7 @@ def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: 
     outcomes = {outcome.job.key: outcome for outcome in run_all([gone, *good], 2, 1)}
     assert outcomes["0"].measures is None and "there is no file" in outcomes["0"].problem
     for job in good:
-        assert same(outcomes[job.key].measures) == same(measure(job, 3, lambda frame: None))
+        assert same(outcomes[job.key].measures) == same(measure(job, 3, Built(), lambda frame: None))
     found = outcomes[good[0].key].measures
     assert found is not None and found["frames"] == found["empty.food.apple.load"] < 30, "ended once it was empty"
     assert found["empty.food.far.load"] is None and found["left.food.far.load"] == 3
