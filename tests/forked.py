@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Mapping
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -18,11 +17,11 @@ _context.set_forkserver_preload(list(IMPORTED))
 class Forked:
     """`antdsl words…`, running. What it prints goes into a file, as `text` has it."""
 
-    def __init__(self, *words: str, cwd: Path, env: Mapping[str, str] | None = None) -> None:
+    def __init__(self, *words: str, cwd: Path) -> None:
         handle, name = tempfile.mkstemp(prefix="antdsl.printed.")
         os.close(handle)
         self._printed = Path(name)
-        self._process = _context.Process(target=_antdsl, args=(words, str(cwd), dict(env or {}), name))
+        self._process = _context.Process(target=_antdsl, args=(words, str(cwd), dict(os.environ), name))
         self._process.start()
 
     @property
@@ -54,7 +53,8 @@ class Forked:
 
 def _antdsl(words: tuple[str, ...], cwd: str, env: dict[str, str], printed: str) -> None:
     os.chdir(cwd)
-    os.environ.update(env)
+    os.environ.clear()
+    os.environ.update(env)  # as it is now where the test runs, not as it was when all was imported
     handle = os.open(printed, os.O_WRONLY | os.O_APPEND)
     for number in (1, 2):
         os.dup2(handle, number)
