@@ -45,6 +45,10 @@ def tables_text() -> str:
     return json.dumps(tables, separators=(",", ":"), ensure_ascii=True) + "\n"
 
 
-if __name__ == "__main__":
+def write() -> None:
     resources.grammar_file(GRAMMAR_FILE).write_text(grammar_text(), encoding="utf-8")
     resources.grammar_file(TABLES_FILE).write_text(tables_text(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write()
