@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +29,7 @@ from antdsl.program.tables.vocabulary import BUILTINS, COSTS, INTERVALS, SENSED_
 from antdsl.program.types import sets
 from antdsl.runtime import Options, bind, phases, sensing, step
 from antdsl.runtime.world import World
+from antdsl.scene.model import MODELS
 from antdsl.syntax.verbs import VERBS
 from antdsl.syntax.words import WORLD_KINDS
 
@@ -156,11 +156,13 @@ def test_a_request_that_is_not_as_its_row_says_is_refused(request_: ir.Request, 
 
 def test_every_kind_of_thing_has_its_word_its_kind_and_its_list() -> None:
     assert tuple(KINDS_OF_THINGS) == WORLD_KINDS
-    held = {field.name for field in fields(ir.Plan)}
+    plan = plan_of("species ant {}\n")
+    assert set(plan.things) == set(MODELS) - {"items"} == set(KINDS_OF_THINGS) - {"items", "species"}
     for row in KINDS_OF_THINGS.values():
         assert Kind(row.word) and row.help and row.word in row.sample
-        assert not row.held or row.held in held
         assert set(row.serves) <= set(KINDS_OF_THINGS)
+        assert bool(row.given) == bool(row.scene) == bool(row.snippet) == (row.word in MODELS)
+        assert row.snippet.partition(":")[0].strip("{}$1:") == row.scene.partition(":")[0].strip("{") or row.word == "items"
 
 
 def test_the_reference_tells_of_every_sense_and_set() -> None:

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class KindOfThing:
-    """`word`: as `world { … }` declares it. `called`: in messages, where "a" and the word are not enough. `held`: the list of the
-    plan that has the names. `serves`: kinds of things that may stand where this one is wanted. `typed`: what it is as the type of
-    an argument; "" where it is no type word. In a scene it is `given` as such, in messages `scene`, in an editor `snippet`."""
+    """`word`: as `world { … }` declares it. `called`: in messages, where "a" and the word are not enough. `serves`: kinds of
+    things that may stand where this one is wanted. `typed`: what it is as the type of an argument; "" where it is no type word.
+    In a scene it is `given` as such, in messages `scene`, in an editor `snippet`."""
 
     word: str
     help: str
     sample: str
     called: str = ""
-    held: str = ""
     serves: tuple[str, ...] = ()
     typed: str = ""
     given: str = ""
@@ -30,7 +29,6 @@ _ROWS = (
         "what can be walked on",
         "world { surface floor }",
         called="a surface",
-        held="surfaces",
         serves=("surface",),
         typed="a surface by its name",
         given="a mesh",
@@ -42,7 +40,6 @@ _ROWS = (
         "what stands in the way, and is gone round",
         "world { obstacle chairs }",
         called="an obstacle",
-        held="obstacles",
         serves=("obstacle", "surface", "solid"),
         typed="an obstacle, a surface or a solid by its name",
         given="a mesh",
@@ -54,7 +51,6 @@ _ROWS = (
         "soft ground that may be dug",
         "world { solid sand }",
         called="a solid",
-        held="solids",
         serves=("solid",),
         given="a mesh",
         scene="{mesh: hill.ply, voxel: 1 mm}",
@@ -75,7 +71,6 @@ _ROWS = (
         "a line drawn in space",
         "world { curve path }",
         called="a curve",
-        held="curves",
         serves=("curve",),
         typed="a curve by its name",
         given="a curve",
@@ -87,7 +82,6 @@ _ROWS = (
         "directions over the ground",
         "world { flow drift }",
         called="a flow",
-        held="flows",
         serves=("flow",),
         typed="a flow by its name",
         given="a flow",
@@ -99,7 +93,6 @@ _ROWS = (
         "numbers painted on the ground",
         "world { map damp }",
         called="a map",
-        held="maps",
         serves=("map",),
         typed="a map by its name",
         given="a map",
@@ -114,4 +107,3 @@ _ROWS = (
     ),
 )
 KINDS_OF_THINGS: dict[str, KindOfThing] = {row.word: row for row in _ROWS}
-HELD: dict[str, str] = {row.word: row.held for row in _ROWS if row.held}
