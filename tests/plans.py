@@ -227,9 +227,7 @@ def rich() -> ir.Plan:
         fields={},
         items={"food": ir.ItemsPlan("food", {"load": 0.0}), "nest": ir.ItemsPlan("nest", {"load": 0.0})},
         params={"ant.smell": ir.ParamPlan("ant.smell", t.b.number(40.0))},
-        surfaces=("ground",),
-        obstacles=(),
-        curves=(),
+        things={"surface": ("ground",)},
         nodes=tuple(t.b.nodes),
     )
 
@@ -265,7 +263,7 @@ def bare(
     found = registers(*(ir.Register(name, ir.Kind.F32, "attribute") for name in numbers), *more)
     empty = block()
     ant = ir.SpeciesPlan("ant", found, (), born or empty, decide or empty, act, blend or empty, (), ())
-    given: dict = dict(fields={}, items={}, params={}, surfaces=(), obstacles=(), curves=())
+    given: dict = dict(fields={}, items={}, params={}, things={})
     return ir.Plan(species={"ant": ant}, **{**given, **plan})
 
 

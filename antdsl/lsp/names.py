@@ -11,6 +11,7 @@ from antdsl.bounded import real_path
 from antdsl.program.expectations import MOTION
 from antdsl.program.names.bindings import Bindings, Key
 from antdsl.program.names.declared import Declaration, declarations
+from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES
 from antdsl.program.traverse import written
 from antdsl.program.types.aggregates import WHOLES
@@ -204,14 +205,22 @@ class _Index:
         motion = isinstance(node.owner, nodes.NameRef) and node.owner.name.text == "motion" and node.name.text in MOTION
         self.by_place(node.name, "motion" if motion else "word" if node.name.text in STATE_WORDS else "?member")
 
-    def call(self, node: nodes.Call | nodes.Emit | nodes.Carve) -> None:
-        called = type(node).__name__.lower()
-        if isinstance(node, nodes.Call):
-            function = node.function
-            called = function.name.text if isinstance(function, (nodes.NameRef, nodes.Member)) else ""
-            if isinstance(function, (nodes.NameRef, nodes.Member)):
-                bare = isinstance(function, nodes.NameRef)
-                self.by_place(function.name, "builtin" if bare and called in _CALLED else "?behaviour")
+    def call(self, node: nodes.Call) -> None:
+        function = node.function
+        called = function.name.text if isinstance(function, (nodes.NameRef, nodes.Member)) else ""
+        if isinstance(function, (nodes.NameRef, nodes.Member)):
+            bare = isinstance(function, nodes.NameRef)
+            self.by_place(function.name, "builtin" if bare and called in _CALLED else "?behaviour")
+        self.arguments(called, node)
+
+    def ask(self, node: nodes.Ask) -> None:
+        row = EFFECTS.get(node.verb)
+        if row is not None and row.target:
+            kind = row.target if row.target in ("field", "event", "species") else "thing"
+            self.by_place(node.name, kind)
+        self.arguments(node.verb, node)
+
+    def arguments(self, called: str, node: nodes.Call | nodes.Ask) -> None:
         for each in node.arguments:
             if isinstance(each, nodes.Argument) and each.name is not None:
                 self.meant[each.name.span] = (("builtin-argument", called, each.name.text), False)
@@ -221,8 +230,7 @@ class _Index:
 _BY_PLACE: dict[type, tuple[tuple[str, str], ...]] = {
     nodes.TypeName: (("name", "type"), ("of", "?")), nodes.WorldItem: (("kind", "kind"),), nodes.Setting: (("name", "setting"),),
     nodes.Given: (("name", "given"),), nodes.Use: (("library", "library"),), nodes.NoneOf: (("of", "?"),),
-    nodes.State: (("colour", "colour"),), nodes.FieldDecl: (("surfaces", "thing"),), nodes.Deposit: (("field", "field"),),
-    nodes.Carve: (("solid", "thing"),), nodes.Emit: (("event", "event"),), nodes.Spawn: (("species", "species"),),
+    nodes.State: (("colour", "colour"),), nodes.FieldDecl: (("surfaces", "thing"),),
     nodes.ForEach: (("species", "species"),), nodes.Take: (("attribute", "?"),), nodes.Give: (("attribute", "?"),),
     nodes.Start: (("state", "?state"),), nodes.Target: (("name", "?state"),), nodes.Weight: (("target", "?state"),),
     nodes.Change: (("any_except", "?state"),),
@@ -230,6 +238,6 @@ _BY_PLACE: dict[type, tuple[tuple[str, str], ...]] = {
 _RULES: dict[type, Callable[[_Index, Any], None]] = {
     nodes.Use: _Index.use, nodes.Spec: _Index.spec, nodes.SpecLine: _Index.spec_line, nodes.Quantity: _Index.quantity,
     nodes.Setting: _Index.setting, nodes.Layer: _Index.layer, nodes.On: _Index.handler, nodes.NameRef: _Index.reference,
-    nodes.Comprehension: _Index.comprehension, nodes.Member: _Index.member, nodes.Call: _Index.call, nodes.Emit: _Index.call,
-    nodes.Carve: _Index.call, nodes.Target: _Index.target,
+    nodes.Comprehension: _Index.comprehension, nodes.Member: _Index.member, nodes.Call: _Index.call,
+    nodes.Ask: _Index.ask, nodes.Target: _Index.target,
 }  # fmt: skip

@@ -10,6 +10,7 @@ from antdsl.lsp.features.proposals import Item
 from antdsl.lsp.words import SCENE_HELP
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.names.declared import declaration
+from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.scene import model
 from antdsl.scene.matching import FRAME_ATTRIBUTES
 from antdsl.syntax import nodes
@@ -20,15 +21,6 @@ _PARTS: dict[str, type[model.Part]] = {
     "place": model.Placement, "camera": model.Camera, "lod": model.LevelOfDetail, "output": model.Output, "from": model.StartFrom,
     "crowd": model.CrowdLine,
 }  # fmt: skip
-_FORMS = {
-    "surface": "{mesh: ${1:ground.ply}}",
-    "obstacle": "{mesh: ${1:stones.ply}}",
-    "solid": "{mesh: ${1:hill.ply}, voxel: ${2:1 mm}}",
-    "curve": "{curve: ${1:way.json}}",
-    "items": "{${1:one}: {at: [${2:0}, 0, ${3:0}]}}",
-    "flow": "{toward: ${1:nest}, radius: ${2:50 mm}}",
-    "map": "{painted: ${1:ground.ply}, attribute: ${2:damp}}",
-}
 
 
 def path_at(text: str, offset: int) -> tuple[tuple[str, ...], str]:
@@ -123,7 +115,7 @@ def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> I
     things = {name: item for each in _programs(workspace, document) for name, item in each.names.things.items()}
     if len(path) == 1:
         for name, item in things.items():
-            form = _FORMS.get(item.kind.text, "")
+            form = KINDS_OF_THINGS[item.kind.text].snippet if item.kind.text in KINDS_OF_THINGS else ""
             yield Item(
                 name, "thing", item.kind.text, item.help.text if item.help is not None else "", f"{name}: {form}", bool(form)
             )

@@ -12,7 +12,7 @@ from antdsl.lsp.names import Occurrence
 from antdsl.program.names.bindings import Key
 from antdsl.program.tables.vocabulary import ITEM_GIVEN
 from antdsl.scene.document import MappingNode, Node, ScalarNode, SequenceNode, read_document
-from antdsl.scene.model import ItemThing
+from antdsl.scene.model import FILE_HEADS, ItemThing
 from antdsl.source import Source, Span
 from antdsl.syntax.words import FIELD_SETTINGS
 
@@ -74,7 +74,7 @@ def _world(index: SceneIndex, node: Node) -> None:
                 _item(index, thing, inner, things)
             elif word == "each":
                 _attributes(index, thing, inner)
-            elif word in ("mesh", "usd", "curve", "painted"):
+            elif word in FILE_HEADS:
                 _file(index, inner)
             else:
                 _named(index, word, inner, things)

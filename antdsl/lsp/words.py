@@ -138,13 +138,7 @@ TYPE_HELP = {
     "item": "one item, or none",
     "agent": "one agent, or none",
     "field": "a field by its name",
-    "obstacle": "an obstacle, a surface or a solid by its name",
-    "surface": "a surface by its name",
-    "curve": "a curve by its name",
-    "flow": "a flow by its name",
-    "map": "a map by its name",
-    "species": "a species by its name",
-    "items": "all items of a name",
+    **{row.word: row.typed for row in KINDS_OF_THINGS.values() if row.typed},
 }
 # What is asked of all in a spec.
 WHOLE_HELP = {

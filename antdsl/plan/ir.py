@@ -10,6 +10,7 @@ Base units: mm, s, g, rad; positions are float32, relative to the scene's own or
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Any
@@ -335,10 +336,9 @@ class Plan:
     fields: dict[str, FieldPlan]
     items: dict[str, ItemsPlan]
     params: dict[str, ParamPlan]
-    surfaces: tuple[str, ...]
-    obstacles: tuple[str, ...]
-    curves: tuple[str, ...]
+    things: Mapping[str, tuple[str, ...]]  # names of the other things of the world, by their kind
     nodes: tuple[Node, ...] = field(default=())
-    solids: tuple[str, ...] = ()
-    flows: tuple[str, ...] = ()
-    maps: tuple[str, ...] = ()
+
+    def of_kind(self, *kinds: str) -> tuple[str, ...]:
+        """The names of the things of some kinds."""
+        return tuple(name for kind in kinds for name in self.things.get(kind, ()))

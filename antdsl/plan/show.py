@@ -23,7 +23,6 @@ from antdsl.plan.ir import (
 )
 from antdsl.plan.traverse import blocks, needed, operands, statements
 from antdsl.program.tables.effects import EFFECTS, phrase
-from antdsl.program.tables.things import HELD
 
 _INFIX = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=",
@@ -54,8 +53,8 @@ def _head(plan: Plan) -> str:
     for items in plan.items.values():
         values = ", ".join(f"{name} = {_number(value)}" for name, value in items.attributes.items())
         lines.append(f"items {items.name} {{ {values} }}" if values else f"items {items.name}")
-    for word, held in HELD.items():
-        lines += [f"{word} {name}" for name in getattr(plan, held)]
+    for kind, there in plan.things.items():
+        lines += [f"{kind} {name}" for name in there]
     return "\n".join(lines)
 
 

@@ -23,7 +23,7 @@ from antdsl.plan.ir import (
 from antdsl.plan.traverse import blocks, field_nodes, needed, operands, roots, statements
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.senses import SENSES
-from antdsl.program.tables.things import HELD
+from antdsl.program.tables.things import KINDS_OF_THINGS
 
 _READS = ("snap", "load")
 _OWN = {"position", "velocity", "heading", "up"}
@@ -74,7 +74,7 @@ def _names(plan: Plan) -> Iterator[str]:
     things = named(plan)
     known: dict[str, Container[str]] = {
         **{row.op: things[row.of] for row in SENSES.values() if row.of}, "item.get": plan.items, "item.alive": plan.items,
-        "set.items": plan.items, "surface.touching": plan.surfaces, "param": plan.params,
+        "set.items": plan.items, "surface.touching": plan.of_kind("surface"), "param": plan.params,
     }  # fmt: skip
     for node in plan.nodes:
         if node.op in known and node.attrs[0] not in known[node.op]:
@@ -90,8 +90,8 @@ def _names(plan: Plan) -> Iterator[str]:
 def named(plan: Plan) -> dict[str, Container[str]]:
     """The names of the things of a plan, by the kind that rows of senses and effects say."""
     return {
-        **{kind: getattr(plan, held) for kind, held in HELD.items()}, "field": plan.fields, "species": plan.species,
-        "target": (*plan.obstacles, *plan.surfaces, *plan.solids),
+        **{kind: plan.of_kind(kind) for kind in KINDS_OF_THINGS}, "items": plan.items, "species": plan.species,
+        "field": plan.fields, "target": plan.of_kind(*KINDS_OF_THINGS["obstacle"].serves),
     }  # fmt: skip
 
 

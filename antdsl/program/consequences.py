@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from antdsl.diagnostics import Diagnostic, Label, Report
+from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.source import Source, Span
 
 _WORDS = re.compile(r"[a-z_][a-z_0-9]*")
@@ -19,7 +20,7 @@ _MISSING = frozenset(("unknown-name", "unknown-state", "unknown-field", "unknown
 _LEFT_OUT = frozenset(("missing-setting", "missing-start", "state-not-in-layers"))
 _FIRST_WORD = re.compile("`([a-z_]+)[^`]*`")
 # A line that has come no further than the word that declares something.
-_NAMELESS = re.compile(r"\s*(state|field|species|param|let|latch|fuzzy|surface|obstacle|solid|items|curve|flow|map)\s*")
+_NAMELESS = re.compile(rf"\s*(state|field|param|let|latch|fuzzy|{'|'.join(KINDS_OF_THINGS)})\s*")
 _HEAD = 3  # words of a line among which the name that it declares stands
 _SHOWN = 12  # of the places where one thing is missing
 

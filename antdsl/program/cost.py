@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from antdsl.program.model import (
+    Ask,
     Assign,
     Expr,
     Local,
@@ -124,8 +125,10 @@ def _use(part: object) -> Iterable[Use]:
             return [] if cost is None or (cost.named and not thing) else [_said(cost, thing, part.args, part.name)]
         case Take():
             return [_said(_TAKE, part.attribute)]
-    row = EFFECTS.get(type(part).__name__.lower())  # a statement of the typed tree keeps what it names under the kind of that
-    return [] if row is None or row.cost is None else [_said(row.cost, getattr(part, row.target))]
+        case Ask():
+            cost = EFFECTS[part.op].cost
+            return [] if cost is None else [_said(cost, part.of, part.args)]
+    return []
 
 
 def _said(cost: Cost, thing: str, args: tuple[Expr | None, ...] = (), op: str = "") -> Use:

@@ -26,15 +26,15 @@ class Kind(Enum):
     PLACE = "place"  # only while a behaviour is checked on its own: anything that has a position
     # Only as arguments, never stored:
     SET = "set"  # `of` names the items or species, or "hit"
-    ITEMS = "items"
-    SPECIES = "species"
-    SURFACE = "surface"
+    FIELD = "field"
     OBSTACLE = "obstacle"
+    SURFACE = "surface"
     SOLID = "solid"
     CURVE = "curve"
     FLOW = "flow"
     MAP = "map"
-    FIELD = "field"
+    SPECIES = "species"
+    ITEMS = "items"
     RANGE = "range"
     BAD = "bad"  # complained about already; fits everywhere
 

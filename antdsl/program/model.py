@@ -57,11 +57,18 @@ class Assign:
 
 
 @value
-class Deposit:
-    field: str
-    amount: Expr
-    per_second: bool
+class Ask:
+    """What the row `op` of `antdsl.program.tables.effects` asks of `of`. `args` are the row's `numbers` in order (None: absent);
+    `own` is the attribute that what comes of it is added to. `per_second`: the first of `args` is a rate, multiply by dt. `key`:
+    the site of its random numbers."""
+
+    op: str
+    of: str
+    args: tuple[Expr | None, ...]
     span: Span
+    own: str | None = None
+    per_second: bool = False
+    key: str = ""
 
 
 @value
@@ -75,43 +82,7 @@ class Give:
     span: Span
 
 
-@value
-class Emit:
-    event: str
-    within: Expr | None
-    span: Span
-
-
-@value
-class SpawnAgent:
-    species: str
-    span: Span
-    key: str = ""
-
-
-@value
-class Die:
-    span: Span
-
-
-@value
-class Carve:
-    """`toward` None: straight ahead. `into`: the attribute that what is dug out is added to."""
-
-    solid: str
-    radius: Expr
-    span: Span
-    toward: Expr | None = None
-    into: str | None = None
-
-
-@value
-class Play:
-    clip: str
-    span: Span
-
-
-Statement = Steer | Assign | Deposit | Give | Emit | SpawnAgent | Die | Carve | Play
+Statement = Steer | Assign | Ask | Give
 
 
 @value

@@ -6,6 +6,7 @@ Others, items and fields are read as they were when the step began (`start`, `se
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,10 +77,14 @@ def _run(world: World, block: str) -> None:
 def effects(world: World) -> None:
     """Gifts, and what is settled before anything spreads or moves: events for the next step, deposits. Their order does not
     count: none reads what another writes."""
-    for row in EFFECTS.values():
-        if row.phase == "effects":
-            SETTLES[row.op](world)
+    _settle("effects", world)
     claims.give(world)
+
+
+def _settle(phase: str, world: World) -> None:
+    """What is asked and settled in a phase, by the rows; what settles several is called once."""
+    for settle in dict.fromkeys(SETTLES[row.op] for row in EFFECTS.values() if row.phase == phase):
+        settle(world)
 
 
 def fields(world: World) -> None:
@@ -107,7 +112,7 @@ def measure(world: World) -> None:
 
 def bear(world: World) -> None:
     """The dead go, the new come."""
-    lifecycle.deaths_and_births(world)
+    _settle("births", world)
     lifecycle.settle_newborn(world)
     faults.gather(world)  # of births, while their rows and the frame are still these
 
@@ -171,7 +176,7 @@ PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
     ("blend", blend),  # after acting: the new state steers at once
     ("effects", effects),  # after every read of this step
     ("fields", fields),  # what is there spreads and fades, then deposits land: what is laid at t is whole at t+1
-    ("solids", SETTLES["carve"]),  # before moving: who digs goes on into what it dug
+    ("solids", partial(_settle, "solids")),  # before moving: who digs goes on into what it dug
     ("move", move),
     ("motion", measure),  # before the ground goes on: what it carries along is no step of theirs
     ("carry", moving_geometry.carry),  # after walking: who has walked stands on ground that goes on from here

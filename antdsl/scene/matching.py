@@ -6,30 +6,21 @@ No mesh is read here; that the named files are there is looked at. `CHECKS` is t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
 
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Const, Dim, Kind, Program, WorldThing
+from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import dimension_words, shown, unit_of, with_unit
 from antdsl.scene import adjusting
 from antdsl.scene.document import Key
 from antdsl.scene.load import Scene
-from antdsl.scene.model import CurveThing, FlowThing, MeshThing, PaintedThing, Placement, UsdThing
+from antdsl.scene.model import FILE_HEADS, MODELS, FlowThing, MeshThing, PaintedThing, Placement, UsdThing
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.stability import spreading
 
-_FORMS: dict[str, tuple[Any, str, str]] = {
-    "surface": ((MeshThing, UsdThing), "a mesh", "{mesh: ground.ply}"),
-    "obstacle": ((MeshThing, UsdThing), "a mesh", "{mesh: stones.ply}"),
-    "solid": ((MeshThing, UsdThing), "a mesh", "{mesh: hill.ply, voxel: 1 mm}"),
-    "curve": ((CurveThing, UsdThing), "a curve", "{curve: way.json}"),
-    "items": ((dict, UsdThing), "items", "{one: {at: [0, 0, 0]}}"),
-    "flow": ((FlowThing, PaintedThing), "a flow", "{toward: [0, 0, 0], radius: 50 mm}"),
-    "map": (PaintedThing, "a map", "{painted: ground.ply, attribute: NAME}"),
-}
 # What a frame of a cache can hold besides the attributes of the species themselves.
 FRAME_ATTRIBUTES = ("P", "v", "orient", "id", "pscale", "Cd", "state", "species", "age", "group")
 
@@ -69,14 +60,14 @@ def _file(scene: Scene, report: Report, text: str, *path: Key) -> None:
 
 def _world(scene: Scene, program: Program, report: Report) -> None:
     given = scene.model.world
-    wanted = {name: thing for name, thing in program.world.items() if thing.kind in _FORMS}
+    wanted = {name: thing for name, thing in program.world.items() if thing.kind in MODELS}
     misspelt = set()
     for name in given:
         if name not in wanted:
             _unknown(report, scene, ("world", name), "no program has a thing of the world named", wanted)
             misspelt.add(nearest_name(name, wanted))
     for name, thing in wanted.items():
-        form, words, sample = _FORMS[thing.kind]
+        row = KINDS_OF_THINGS[thing.kind]
         if name not in given and name in misspelt:
             continue  # one mistake, one complaint
         if name not in given:
@@ -88,16 +79,16 @@ def _world(scene: Scene, program: Program, report: Report) -> None:
                 "missing-thing",
                 message,
                 place,
-                f"add `{name}: {sample}` to `world`",
+                f"add `{name}: {row.scene}` to `world`",
                 labels=(Label(thing.span, "declared here"),),
             )
-        elif not isinstance(given[name], form):
-            message = f"`{name}` is {words} in the program, and something else here"
+        elif not isinstance(given[name], MODELS[thing.kind]):
+            message = f"`{name}` is {row.given} in the program, and something else here"
             report.error(
                 "wrong-kind",
                 message,
                 scene.span("world", name),
-                f"write `{name}: {sample}`",
+                f"write `{name}: {row.scene}`",
                 labels=(Label(thing.span, "declared here"),),
             )
         else:
@@ -112,12 +103,11 @@ def _thing(scene: Scene, program: Program, report: Report, name: str, thing: Wor
     value = scene.model.world[name]
     if thing.kind == "solid":
         _stays(scene, report, name)
+    for head in FILE_HEADS if not isinstance(value, PaintedThing) else ():
+        if (file := getattr(value, head, None)) is not None:
+            _file(scene, report, file, "world", name, head)
     if isinstance(value, MeshThing | UsdThing):
-        if isinstance(value, MeshThing):
-            _file(scene, report, value.mesh, "world", name, "mesh")
-        else:
-            _file(scene, report, value.usd, "world", name, "usd")
-            _each(scene, report, name, thing)
+        _each(scene, report, name, thing)
         if thing.kind == "solid" and value.voxel is None:
             report.error(
                 "missing-key", f"`{name}` is solid, and nothing says how fine", scene.span("world", name),
@@ -139,15 +129,13 @@ def _thing(scene: Scene, program: Program, report: Report, name: str, thing: Wor
                 scene.span("world", name, "scale"),
                 "its faces are turned so that outside stays outside",
             )
-    elif isinstance(value, CurveThing):
-        _file(scene, report, value.curve, "world", name, "curve")
     elif isinstance(value, (FlowThing, PaintedThing)):
         from antdsl.scene.staging.stage_flows import match_flow  # late: a scene without flows is checked without NumPy
 
-        file = match_flow(scene, program, report, name, value)
-        if file is not None:
-            _file(scene, report, file[1], "world", name, file[0])
-    else:
+        drawn = match_flow(scene, program, report, name, value)
+        if drawn is not None:
+            _file(scene, report, drawn[1], "world", name, drawn[0])
+    elif isinstance(value, dict):
         declared = [a.name for a in thing.attributes]
         for item, placed in value.items():
             if placed.on is not None and placed.on not in _surfaces(program):

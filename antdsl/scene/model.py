@@ -213,6 +213,12 @@ HEADS: dict[str, tuple[str, type[Part]]] = {
     "solved": ("solved-thing", SolvedFlow),
     "painted": ("painted-thing", PaintedThing),
 }
+# Those that name a file of the thing's own, and what a kind of thing may be here.
+FILE_HEADS = ("mesh", "usd", "curve", "painted")
+MODELS: dict[str, tuple[type, ...]] = {
+    "surface": (MeshThing, UsdThing), "obstacle": (MeshThing, UsdThing), "solid": (MeshThing, UsdThing),
+    "curve": (CurveThing, UsdThing), "items": (dict, UsdThing), "flow": (FlowThing, PaintedThing), "map": (PaintedThing,),
+}  # fmt: skip
 
 
 def _kind_of_thing(value: Any) -> str:

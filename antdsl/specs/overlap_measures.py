@@ -35,7 +35,7 @@ def _overlap(world: World, population: Population) -> Floats:
 def _penetration(world: World, population: Population) -> Floats:
     """How deep each agent's middle is inside an obstacle that is a closed mesh, or inside a solid; 0 outside of all."""
     deep = np.zeros(len(population))
-    for name in world.plan.obstacles:
+    for name in world.plan.of_kind("obstacle"):
         scene = world.obstacles.get(name)
         if isinstance(scene, RayScene):
             deep = np.maximum(deep, scene.depth(population.position))

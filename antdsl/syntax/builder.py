@@ -268,28 +268,17 @@ class Builder:
     def assign(self, parts: list[Any]) -> n.Assign:
         return n.Assign(parts[0], str(parts[1].value), parts[2], self.over(parts))
 
-    def deposit(self, parts: list[Any]) -> n.Deposit:
-        return n.Deposit(self.word(parts[1]), parts[2], self.over(parts))
+    def ask(self, parts: list[Any]) -> n.Ask:
+        name = self.word(parts[1]) if len(parts) > 1 else None
+        return n.Ask(str(parts[0].value), name, None, _given(parts[3:-1]), self.over(parts))
 
-    def carve(self, parts: list[Any]) -> n.Carve:
-        return n.Carve(self.word(parts[1]), _given(parts[3:-1]), self.over(parts))
+    def ask_amount(self, parts: list[Any]) -> n.Ask:
+        return n.Ask(str(parts[0].value), self.word(parts[1]), parts[2], (), self.over(parts))
 
     def give(self, parts: list[Any]) -> n.Give:
         _, amount, attribute, to = parts
         every = getattr(amount, "type", None) == "ALL"
         return n.Give(None if every else amount, self.word(attribute), to, self.over(parts))
-
-    def emit(self, parts: list[Any]) -> n.Emit:
-        return n.Emit(self.word(parts[1]), _given(parts[3:-1]), self.over(parts))
-
-    def spawn(self, parts: list[Any]) -> n.Spawn:
-        return n.Spawn(self.word(parts[1]), self.over(parts))
-
-    def die(self, parts: list[Any]) -> n.Die:
-        return n.Die(self.over(parts))
-
-    def play(self, parts: list[Any]) -> n.Play:
-        return n.Play(self.word(parts[1]), self.over(parts))
 
     # --- lines of a behaviour and of a spec ---
 

@@ -1,23 +1,36 @@
-"""Grammar → tables: `python -m antdsl.syntax.grammar` writes the JSON that ships. Needs `interegular` to find collisions."""
+"""Grammar → tables: `python -m antdsl.syntax.grammar` writes the verbs into the grammar, and the JSON that ships. Needs
+`interegular` to find collisions."""
 
 from __future__ import annotations
 
 import json
+import re
 from typing import TYPE_CHECKING
 
 from antdsl import resources
-from antdsl.syntax.tables import STARTS, TABLES_FILE, grammar_hash
+from antdsl.syntax.tables import GRAMMAR_FILE, STARTS, TABLES_FILE, grammar_hash
+from antdsl.syntax.verbs import SHAPES, VERBS
 
 if TYPE_CHECKING:
     from lark import Lark
+
+_VERBS = re.compile(r"(?<=\n)ask: .*?(?=// --- end of the verbs)", re.S)
+
+
+def grammar_text() -> str:
+    """The grammar, with a form and a terminal for each verb of the table."""
+    rows = [row for row in VERBS.values() if row.shape != "own"]
+    forms = "\n    | ".join(f"{row.word.upper()} {SHAPES[row.shape]}".rstrip() for row in rows)
+    terminals = "\n".join(f"{row.word.upper()}.1: /{row.word}(?![a-z_0-9])/" for row in rows)
+    text = resources.grammar_file(GRAMMAR_FILE).read_text(encoding="utf-8")
+    return _VERBS.sub(lambda _: f"ask: {forms}\n{terminals}\n", text)
 
 
 def build_parser(starts: tuple[str, ...] = STARTS, transformer: object | None = None) -> Lark:
     """A parser straight from the grammar, refusing every conflict. Takes half a second and needs `interegular`."""
     from lark import Lark
 
-    grammar = resources.grammar_file("antdsl.lark").read_text(encoding="utf-8")
-    return Lark(grammar, parser="lalr", lexer="contextual", strict=True, start=list(starts), transformer=transformer)
+    return Lark(grammar_text(), parser="lalr", lexer="contextual", strict=True, start=list(starts), transformer=transformer)
 
 
 def tables_text() -> str:
@@ -32,5 +45,10 @@ def tables_text() -> str:
     return json.dumps(tables, separators=(",", ":"), ensure_ascii=True) + "\n"
 
 
-if __name__ == "__main__":
+def write() -> None:
+    resources.grammar_file(GRAMMAR_FILE).write_text(grammar_text(), encoding="utf-8")
     resources.grammar_file(TABLES_FILE).write_text(tables_text(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write()

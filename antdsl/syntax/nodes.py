@@ -222,40 +222,14 @@ class Assign:
 
 
 @node
-class Deposit:
-    field: Name
-    amount: Expr
-    span: Span
+class Ask:
+    """A line that begins with a verb of `antdsl.syntax.verbs`: `die`, `spawn worker`, `carve hill(radius: 2 mm)` (`arguments`),
+    `deposit trail 2 /s` (`amount`)."""
 
-
-@node
-class Carve:
-    solid: Name
-    arguments: tuple[Argument, ...]
-    span: Span
-
-
-@node
-class Emit:
-    event: Name
-    arguments: tuple[Argument, ...]
-    span: Span
-
-
-@node
-class Spawn:
-    species: Name
-    span: Span
-
-
-@node
-class Die:
-    span: Span
-
-
-@node
-class Play:
-    clip: Name
+    verb: str
+    name: Name | None
+    amount: Expr | None
+    arguments: tuple[Argument | Comprehension, ...]
     span: Span
 
 
@@ -269,7 +243,7 @@ class Give:
     span: Span
 
 
-Action = Assign | Deposit | Carve | Emit | Spawn | Die | Play | Give
+Action = Assign | Ask | Give
 
 
 @node

@@ -28,12 +28,13 @@ STARTS = (
     "behaviour_line",
     "spec_line",
 )
+GRAMMAR_FILE = "antdsl.lark"
 TABLES_FILE = "tables.json"
 
 
 def grammar_hash() -> str:
     """SHA-256 of the grammar's text, kept in the tables to tell whether they are fresh."""
-    return hashlib.sha256(resources.grammar_file("antdsl.lark").read_bytes()).hexdigest()
+    return hashlib.sha256(resources.grammar_file(GRAMMAR_FILE).read_bytes()).hexdigest()
 
 
 def load_parser(transformer: object) -> Lark:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from antdsl.syntax.verbs import VERBS
+
 UNIT_NAMES = ("mm", "cm", "m", "s", "min", "deg", "rad", "turn", "mg", "g", "kg", "N", "uN", "u", "step")
 
 UNIT_SLIPS = {
@@ -44,7 +46,7 @@ UNIT_SLIPS = {
 }
 
 # What a line may begin with, by the rule of the grammar that reads the line; anything else is a value or a name of the author's.
-_ACTIONS = ("deposit", "carve", "give", "emit", "spawn", "die", "play")
+_ACTIONS = tuple(VERBS)
 _CHANGES = ("when", "interrupt")
 _CLAIMS = ("always", "never", "eventually", "finally", "sooner", "until")
 LINE_WORDS: dict[str, tuple[str, ...]] = {
@@ -146,13 +148,7 @@ FORMS: dict[str, str] = {
     "exit": "exit { calm = 1 }",
     "when": "when meal -> approach",
     "interrupt": "interrupt when hurt -> flee",
-    "deposit": "deposit trail 2 /s",
-    "carve": "carve hill(radius: 2 mm)",
-    "give": "give all load to nest",
-    "emit": "emit alarm(within: 50 mm)",
-    "spawn": "spawn worker",
-    "die": "die",
-    "play": "play walk",
+    **{row.word: row.form for row in VERBS.values()},
     "keep": "keep bearing = 0 deg then bearing + 1 deg",
     "for": "for 20 s",
     "seeds": "seeds 1 .. 5",
@@ -201,7 +197,6 @@ AFTER: dict[str, str] = {
     "within": "a time, such as `20 s`",
     "least": "a time, such as `1 s`",
     "take": "an amount, such as `1 load`",
-    "give": "an amount, such as `all load`",
     "from": "where from",
     "to": "where to",
     "in": "a range, such as `0 mm .. 200 mm`",
@@ -221,11 +216,7 @@ AFTER: dict[str, str] = {
     "use": "the name of a library, or the path of a file in quotes",
     "as": "a name",
     "spec": "a name in quotes",
-    "deposit": "the name of a field",
-    "carve": "the name of a solid",
-    "spawn": "the name of a species",
-    "emit": "the name of an event",
-    "play": "the name of a clip",
+    **{row.word: row.next for row in VERBS.values() if row.next},
     "choose": "`{`",
     "each": "the name of a species",
     "of": "a name",

@@ -203,7 +203,8 @@ def test_rates_and_amounts() -> None:
     assert complaints(report) == []
     s, r = program.species["a"].machines[0].states
     lay, add = s.body
-    assert isinstance(lay, model.Deposit) and lay.per_second and isinstance(lay.amount, model.Const) and lay.amount.number == 2
+    assert isinstance(lay, model.Ask) and lay.op == "deposit" and lay.per_second
+    assert isinstance(lay.args[0], model.Const) and lay.args[0].number == 2
     assert (
         isinstance(add, model.Assign)
         and add.per_second
@@ -211,7 +212,7 @@ def test_rates_and_amounts() -> None:
         and add.value.number == pytest.approx(0.1)
     )
     once, less = s.transitions[0].actions
-    assert isinstance(once, model.Deposit) and not once.per_second
+    assert isinstance(once, model.Ask) and not once.per_second
     assert isinstance(less, model.Assign) and not less.per_second and less.op == "-="
     assert isinstance(r.body[0], model.Assign) and not r.body[0].per_second
     keeps = program.fields["t"].keeps

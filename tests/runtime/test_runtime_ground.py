@@ -68,11 +68,7 @@ def surfaces_plan(diffuse: float = 20.0, cell: float = 5.0) -> ir.Plan:
         "smell",
         blend=plans.block(*push),
         fields=fields,
-        surfaces=names,
-        obstacles=("stones",),
-        curves=("way",),
-        flows=("drift",),
-        maps=("damp",),
+        things={"surface": names, "obstacle": ("stones",), "curve": ("way",), "flow": ("drift",), "map": ("damp",)},
     )
 
 

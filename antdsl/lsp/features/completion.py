@@ -11,6 +11,8 @@ from antdsl.lsp.words import FORM_HELP, KINDS, SETTINGS
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.expectations import MOTION
 from antdsl.program.tables.colours import COLOURS
+from antdsl.program.tables.effects import EFFECTS
+from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.vocabulary import GIVEN, TYPE_WORDS
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FORMS, LINE_WORDS, UNIT_NAMES
@@ -210,17 +212,21 @@ def _some(request: Request) -> Iterator[Item]:
     yield from species(request)
 
 
+def _named(kind: str) -> Callable[[Request], Iterator[Item]]:
+    """What a statement may name, by the kind that its row says."""
+    others = {"field": fields, "event": _events, "species": species}
+    return others.get(kind) or things(*KINDS_OF_THINGS[kind].serves)
+
+
 _AFTER: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
     (r"->[ \t]*$", _targets),
     (r"^start[ \t]+$", _states),
     (r"^from any except ([a-z_0-9]+, *)*$", _states),
     (r"(\b|\.)(state|previous|next)[ \t]*[!=]=[ \t]*$", _compared),
-    (r"^deposit[ \t]+$", fields),
-    (r"^carve[ \t]+$", things("solid")),
     (r"^field[ \t]+[a-z_0-9]+[ \t]+on[ \t]+([a-z_0-9]+,[ \t]*)*$", things("surface", "solid", "obstacle")),
     (r"^on[ \t]+$", _on),
-    (r"^emit[ \t]+$", _events),
-    (r"^(spawn|each)[ \t]+$", species),
+    (r"^each[ \t]+$", species),
+    *((rf"^{row.op}[ \t]+$", _named(row.target)) for row in EFFECTS.values() if row.target),
     (r"^use[ \t]+$", _use),
     (r"^state[ \t]+[a-z_0-9]+[ \t]+(\"[^\"]*\"[ \t]+)$", _colours),
     (r"^(behaviour\b.*[(,][ \t]*[a-z_0-9]+|keep[ \t]+[a-z_0-9]+|[a-z_0-9]+):[ \t]*$", lambda request: _after_colon(request)),

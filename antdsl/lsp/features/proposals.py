@@ -13,9 +13,11 @@ from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.kinds import Kind, Type
 from antdsl.program.names.declared import declaration
 from antdsl.program.names.scope import type_from_words
+from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, HIT_GIVEN, ITEM_GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES
 from antdsl.program.types.states import STATE_WORDS
 from antdsl.syntax import nodes
+from antdsl.syntax.verbs import VERBS
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,13 +169,16 @@ def argument_names(request: Request) -> Iterator[Item]:
             if arg.name not in given:
                 yield _argument(arg.name, arg.type + (f" = {arg.default}" if arg.default is not None else ""))
     for name, detail in _LINE_ARGUMENTS.get(called if called in _LINE_ARGUMENTS else context.line.split(" ")[0], ()):
-        if name not in given and context.line.startswith(("carve", "emit")):
+        if name not in given and context.line.startswith(tuple(_LINE_ARGUMENTS)):
             yield _argument(name, detail)
 
 
+# The arguments of statements that have brackets, each with what it is.
 _LINE_ARGUMENTS = {
-    "carve": (("radius", "length"), ("toward", "push"), ("into", "attribute, a volume")), "emit": (("within", "length"),),
-}  # fmt: skip
+    row.op: tuple((arg.name, f"attribute, {arg.called}" if arg.type.startswith("own ") else arg.type) for arg in row.args)
+    for row in EFFECTS.values()
+    if VERBS[row.op].shape in ("open", "arguments")
+}
 
 
 def _argument(name: str, detail: str) -> Item:

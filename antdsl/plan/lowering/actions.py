@@ -14,6 +14,7 @@ from antdsl.plan.lowering.values import Named, Own, Ref, Vec
 from antdsl.plan.lowering.writer import AXES, NotYet, Writer
 from antdsl.program import model
 
+Operands = tuple[Node | None, ...]
 STEER = "~steer"  # temps begin with a sign that no name of an author has
 
 
@@ -66,10 +67,6 @@ def _assign(w: Writer, s: model.Assign, site: str) -> None:
     w.store_value(s.attribute, value, s.span, infinite=s.attribute == "max_turn")
 
 
-def _deposit(w: Writer, s: model.Deposit, site: str) -> None:
-    w.add(ir.Request("deposit", s.field, (_rate(w, scalar(w, s.amount), s.per_second),), s.span))
-
-
 def _give(w: Writer, s: model.Give, site: str) -> None:
     to = lower(w, s.to)
     if isinstance(to, Named):
@@ -82,38 +79,34 @@ def _give(w: Writer, s: model.Give, site: str) -> None:
     w.wrote(s.attribute)
 
 
-def _emit(w: Writer, s: model.Emit, site: str) -> None:
-    w.add(ir.Request("emit", s.event, (None if s.within is None else scalar(w, s.within),), s.span))
+def _ask(w: Writer, s: model.Ask, site: str) -> None:
+    """A request as its row says. Its operands are the arguments, or what is worked out of them."""
+    rule = OPERANDS.get(s.op)
+    if rule is not None:
+        operands = rule(w, *s.args)
+    else:
+        operands = tuple(None if arg is None else _rate(w, scalar(w, arg), s.per_second) for arg in s.args)
+    w.add(ir.Request(s.op, s.of, operands, s.span, own=s.own, site=s.key))
 
 
-def _spawn(w: Writer, s: model.SpawnAgent, site: str) -> None:
-    w.add(ir.Request("spawn", s.species, (), s.span, site=s.key or f"{site}.spawn"))
-
-
-def _die(w: Writer, s: model.Die, site: str) -> None:
-    w.add(ir.Request("die", "", (), s.span))
-
-
-def _carve(w: Writer, s: model.Carve, site: str) -> None:
+def _ball(w: Writer, size_of: model.Expr | None, toward: model.Expr | None) -> Operands:
     """A ball half a body and half its radius ahead, its underside level with the feet: who goes on stays on that level."""
+    assert size_of is not None
     b = w.b
-    radius = scalar(w, s.radius)
+    radius = scalar(w, size_of)
     heading = w.read_vector("heading")
-    ahead = heading if s.toward is None else values.unit(b, vector(w, s.toward))
-    if s.toward is not None:
+    ahead = heading if toward is None else values.unit(b, vector(w, toward))
+    if toward is not None:
         size = values.length(b, ahead)
         ahead = values.choose(b, b("gt", size, b.number(0.5)), ahead, heading)
     reach = b("mul", b("add", w.read("size"), radius), b.number(0.5))
     middle = values.add(b, w.read_vector("position"), values.scale(b, w.read_vector("up"), radius))
     middle = values.add(b, middle, values.scale(b, ahead, reach))
-    w.add(ir.Request("carve", s.solid, (radius, middle.x, middle.y, middle.z), s.span, own=s.into))
+    return radius, middle.x, middle.y, middle.z
 
 
-def _play(w: Writer, s: model.Play, site: str) -> None:
-    raise NotYet("`play`", s.span, "leave the line out")
-
-
+# What works out the operands of an effect whose row says that they are computed, out of its arguments.
+OPERANDS: dict[str, Callable[..., Operands]] = {"carve": _ball}
 _WRITE: dict[type, Callable[[Writer, Any, str], None]] = {
-    model.Steer: _steer, model.Assign: _assign, model.Deposit: _deposit, model.Give: _give, model.Emit: _emit,
-    model.SpawnAgent: _spawn, model.Die: _die, model.Carve: _carve, model.Play: _play,
+    model.Steer: _steer, model.Assign: _assign, model.Give: _give, model.Ask: _ask,
 }  # fmt: skip

@@ -24,7 +24,7 @@ from antdsl.plan.lowering.values import add as add_vectors
 from antdsl.plan.lowering.writer import NotYet, Writer
 from antdsl.plan.traverse import needed, operands, statements
 from antdsl.program import model
-from antdsl.program.tables.things import HELD
+from antdsl.program.tables.things import KINDS_OF_THINGS
 
 DEEP = 20_000  # frames of our own recursion over expressions; their nesting is capped by the parser and the checker
 
@@ -51,8 +51,8 @@ def lower(
         params = {p.name: ir.ParamPlan(p.name, _outside(builder, program, p.default, report)) for p in program.params.values()}
     world = program.world.values()
     items = {t.name: ir.ItemsPlan(t.name, {a.name: a.default.number for a in t.attributes}) for t in world if t.kind == "items"}
-    names = {held: tuple(t.name for t in world if t.kind == kind) for kind, held in HELD.items()}
-    return ir.Plan(species, fields, items, params, nodes=tuple(builder.nodes), **names), report
+    things = {k: tuple(t.name for t in world if t.kind == k) for k in KINDS_OF_THINGS if k not in ("items", "species")}
+    return ir.Plan(species, fields, items, params, things, tuple(builder.nodes)), report
 
 
 @contextmanager

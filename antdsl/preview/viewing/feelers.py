@@ -33,7 +33,7 @@ def felt(world: World, program: Program, species: str, agent: int) -> dict[str, 
     start = lines[:, 0].astype(np.float32)
     nearest = np.full(len(lines), np.inf, np.float32)
     (x, y, z), (dx, dy, dz) = start.T, unit.T
-    for name in (*world.plan.obstacles, *world.plan.solids):
+    for name in world.plan.of_kind("obstacle", "solid"):
         met = world.obstacles[name].feelers(x, y, z, dx, dy, dz, reach.astype(np.float32))
         nearest = np.minimum(nearest, np.where(met.hit, met.t, np.inf))
     hit = np.isfinite(nearest)

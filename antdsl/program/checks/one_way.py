@@ -8,7 +8,7 @@ from functools import partial
 from antdsl.diagnostics import Report
 from antdsl.program.checks.analysis.checked import Checked
 from antdsl.program.memo import part
-from antdsl.program.model import AttributeDecl, Const, Deposit, NoneRef, Program, Species, Thing
+from antdsl.program.model import Ask, AttributeDecl, Const, NoneRef, Program, Species, Thing
 from antdsl.program.traverse import parts
 from antdsl.program.types.descriptions import quoted
 
@@ -44,7 +44,7 @@ def _named(root: object) -> tuple[frozenset[str], frozenset[str]]:
     every = list(parts(root))
     return (
         frozenset(each.name for each in every if isinstance(each, Thing)),
-        frozenset(each.field for each in every if isinstance(each, Deposit)),
+        frozenset(each.of for each in every if isinstance(each, Ask) and each.op == "deposit"),
     )
 
 

@@ -12,7 +12,7 @@ from antdsl.diagnostics import Fix, Label, Report
 from antdsl.program.checks.analysis.checked import Checked
 from antdsl.program.checks.analysis.short_steps import Own, changers, is_own, is_rate, reads, timed
 from antdsl.program.checks.steps import FPS
-from antdsl.program.model import Assign, Binding, Deposit, Dim, Expr, Give, Kind, Op, State
+from antdsl.program.model import Ask, Assign, Binding, Dim, Expr, Give, Kind, Op, State
 from antdsl.program.traverse import parts
 from antdsl.program.types.descriptions import quoted
 from antdsl.program.types.folding import constant_behind
@@ -42,11 +42,13 @@ def _lines(state: State, report: Report) -> None:
             _assignment(line, line.attribute in driven, report)
         elif isinstance(line, Assign):
             _rate(line, line.value, line.attribute, line.per_second, f"{line.attribute} {line.op} ", report)
-        elif isinstance(line, Deposit | Give) and line.amount is not None:
-            _rate(line, line.amount, line.field if isinstance(line, Deposit) else line.attribute, line.per_second, "", report)
+        elif isinstance(line, Give) and line.amount is not None:
+            _rate(line, line.amount, line.attribute, line.per_second, "", report)
+        elif isinstance(line, Ask) and line.args and line.args[0] is not None:
+            _rate(line, line.args[0], line.of, line.per_second, "", report)
 
 
-def _rate(line: Assign | Deposit | Give, amount: Expr, own: str, per_second: bool, begins: str, report: Report) -> None:
+def _rate(line: Assign | Ask | Give, amount: Expr, own: str, per_second: bool, begins: str, report: Report) -> None:
     """Of what a line adds, which is times `dt`."""
     if not per_second or is_rate(amount, own):
         return

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Report
 from antdsl.program.checks.analysis.checked import Checked
-from antdsl.program.model import Die, Machine, State
+from antdsl.program.model import Ask, Machine, State
+from antdsl.program.tables.effects import EFFECTS
 
 
 def reachability(checked: Checked, report: Report) -> None:
@@ -46,5 +47,5 @@ def _unreachable(machine: Machine, state: State, report: Report) -> None:
 
 
 def _stuck(state: State) -> bool:
-    leaves = any(isinstance(line, Die) for line in (*state.body, *state.enter))
+    leaves = any(isinstance(line, Ask) and EFFECTS[line.op].last for line in (*state.body, *state.enter))
     return not state.transitions and not leaves

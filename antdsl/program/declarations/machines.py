@@ -8,7 +8,8 @@ from functools import partial
 from antdsl import limits
 from antdsl.diagnostics import Fix, Label
 from antdsl.program import model
-from antdsl.program.declarations.statements import ACTION, BODY, statements, take
+from antdsl.program.declarations.amounts import ACTION, BODY
+from antdsl.program.declarations.statements import statements, take
 from antdsl.program.memo import part
 from antdsl.program.model import Binding, Expr
 from antdsl.program.names.scope import NUMBER, TIME, Keys, MachineNames, Scope, bad, did_you_mean, duplicate, listed

@@ -8,13 +8,14 @@ from typing import Any
 from antdsl import limits
 from antdsl.diagnostics import Label
 from antdsl.program import model
+from antdsl.program.declarations.amounts import ACTION, HANDLER
 from antdsl.program.declarations.attributes import attributes as attributes_in
 from antdsl.program.declarations.attributes import names_state
 from antdsl.program.declarations.machines import machine
 from antdsl.program.declarations.params import param
 from antdsl.program.declarations.resting import rest
 from antdsl.program.declarations.shades import rules
-from antdsl.program.declarations.statements import ACTION, HANDLER, statements
+from antdsl.program.declarations.statements import statements
 from antdsl.program.memo import part
 from antdsl.program.model import Binding, Dim, Kind, Rate, Type
 from antdsl.program.names.collect import EVENTS, free_in_species

@@ -3,34 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
-from antdsl.diagnostics import Fix, Label
+from antdsl.diagnostics import Label
 from antdsl.program import model
-from antdsl.program.declarations.carving import carve
-from antdsl.program.model import Dim, Expr, Kind, Type
-from antdsl.program.names.scope import LENGTH, NUMBER, PUSH, Scope, did_you_mean, listed, told_before, type_from_words
-from antdsl.program.tables.units import product
+from antdsl.program.declarations.amounts import Block, added
+from antdsl.program.declarations.asks import ask
+from antdsl.program.model import Expr, Kind, Type
+from antdsl.program.names.scope import NUMBER, PUSH, Scope, did_you_mean, listed, type_from_words
 from antdsl.program.tables.vocabulary import GIVEN
-from antdsl.program.types.arguments import Slot, arranged, type_all
 from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
 from antdsl.program.types.operators import value, wanted
 from antdsl.program.types.places import place
 from antdsl.source import Span
 from antdsl.syntax import nodes
-
-
-@dataclass(frozen=True, slots=True)
-class Block:
-    """Where statements stand. `body`: each step. `commuting`: in a handler, where several events may come at once."""
-
-    body: bool
-    commuting: bool = False
-
-
-BODY = Block(body=True)
-ACTION = Block(body=False)
-HANDLER = Block(body=False, commuting=True)
 
 
 def statements(scope: Scope, lines: Iterable[object], block: Block) -> tuple[model.Statement, ...]:
@@ -55,60 +40,6 @@ def _twice(scope: Scope, name: nodes.Name, assigned: dict[str, Span]) -> None:
             f"keep one of them, or add: `{name.text} += …`", labels=(Label(assigned[name.text], "first here"),),
         )  # fmt: skip
     assigned.setdefault(name.text, name.span)
-
-
-# --- amounts and rates -----------------------------------------------------------------------------------------------
-
-
-def _added(
-    scope: Scope, node: nodes.Expr, type: Type, block: Block, before: str, after: str = "", level: bool = False
-) -> Expr | None:
-    """What is added: so much a second in a state's body, an amount elsewhere, and with `level` an amount anywhere. `before`,
-    `after`: the author's words around it."""
-    per_second = Type(type.kind, product(type.dim, Dim(time=1), -1))
-    want = per_second if block.body else type
-    found = value(scope, node, want)
-    if found.type.kind is Kind.BAD:
-        return None
-    if level and found.type == type:
-        return found
-    if fits(found.type, want):
-        return found
-    text = " ".join(node.span.text.split())
-    if block.body and fits(found.type, type):
-        better = _as_rate(node, text)
-        scope.report.error(
-            "not-a-rate", f"{quoted(node.span)} is an amount, and this line runs in every step", node.span,
-            f"say per what time: `{before}{better}{after}`", fix=Fix(node.span, better),
-        )  # fmt: skip
-    elif not block.body and fits(found.type, per_second):
-        better = text[: -len("/s")].rstrip() if text.endswith("/s") else f"{_bracketed(node, text)} * 1 s"
-        scope.report.error(
-            "not-an-amount", f"{quoted(node.span)} is a rate, and this happens once", node.span,
-            f"say how much: `{before}{better}{after}`", fix=Fix(node.span, better),
-        )  # fmt: skip
-    else:
-        mismatch(scope.report, node, found.type, want, f"`{before.strip()}`")
-    return None
-
-
-def _as_rate(node: nodes.Expr, text: str) -> str:
-    if isinstance(node, nodes.Number):
-        return f"{text} /s"
-    if isinstance(node, nodes.Quantity):
-        return f"{text}/s"
-    if (
-        isinstance(node, nodes.Binary)
-        and node.op == "*"
-        and isinstance(node.right, nodes.NameRef)
-        and node.right.name.text == "dt"
-    ):
-        return " ".join(node.left.span.text.split())  # a rate is taken times dt as it is
-    return f"{_bracketed(node, text)} * 1 /s"
-
-
-def _bracketed(node: nodes.Expr, text: str) -> str:
-    return f"({text})" if isinstance(node, nodes.Binary) and node.op in ("+", "-") else text
 
 
 # --- one line each ---------------------------------------------------------------------------------------------------
@@ -162,8 +93,8 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
                 f"set it: `{name} = …`",
             )
             return None
-        added = _added(scope, line.value, type, block, f"{name} {line.op} ")
-        return None if added is None else model.Assign(name, line.op, added, block.body, line.span, of)
+        change = added(scope, line.value, type, block, f"{name} {line.op} ")
+        return None if change is None else model.Assign(name, line.op, change, block.body, line.span, of)
     if block.commuting and name not in ("heading", "velocity"):
         text = " ".join(line.value.span.text.split())
         scope.report.error(
@@ -227,65 +158,6 @@ def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) ->
     return None
 
 
-def _deposit(scope: Scope, line: nodes.Deposit, block: Block) -> model.Statement | None:
-    name = line.field.text
-    amount = _added(scope, line.amount, NUMBER, block, f"deposit {name} ", level=_keeps_greatest(scope, name))
-    if name not in scope.declared.fields:
-        fields = scope.declared.fields
-        advice = did_you_mean(name, fields, f"declare it: `field {name} on … {{ cell 4 mm; half_life 8 s }}`")
-        if not told_before(scope, "name", line.field):
-            scope.report.error("unknown-field", f"no field `{name}`", line.field.span, advice)
-        return None
-    scope.use("field", name)
-    scope.use("deposit", name)
-    return None if amount is None else model.Deposit(name, amount, block.body and amount.type != NUMBER, line.span)
-
-
-def _keeps_greatest(scope: Scope, name: str) -> bool:
-    """Whether a field has `combine max`: nothing is added up there, so a line of a state may say what its cell holds at least."""
-    field = scope.declared.fields.get(name)
-    said = [s.value for s in field.settings if s.name.text == "combine"] if field is not None else []
-    return any(isinstance(each, nodes.NameRef) and each.name.text == "max" for each in said)
-
-
-def _emit(scope: Scope, line: nodes.Emit, block: Block) -> model.Statement | None:
-    scope.use("emit", line.event.text)
-    found = arranged(scope, "emit", (Slot("within", required=False),), line, f"emit {line.event.text}")
-    if found is None:
-        type_all(scope, line)
-        return None
-    within = wanted(scope, found["within"][0].value, LENGTH, "`within` of `emit`") if found else None
-    return model.Emit(line.event.text, within, line.span)
-
-
-def _spawn(scope: Scope, line: nodes.Spawn, block: Block) -> model.Statement | None:
-    name = line.species.text
-    if name not in scope.declared.species:
-        scope.report.error(
-            "unknown-species", f"no species `{name}`", line.species.span, did_you_mean(name, scope.declared.species)
-        )
-        return None
-    scope.use("species", name)
-    if block.body:
-        scope.report.error(
-            "not-a-rate",
-            f"`spawn {name}` here would make a new one in every step",
-            line.span,
-            "do it once: `enter { spawn … }`, or in a change: `when chance 10 %/s -> … { spawn … }`",
-        )
-        return None
-    return model.SpawnAgent(name, line.span, scope.keys.next("spawn"))
-
-
-def _die(scope: Scope, line: nodes.Die, block: Block) -> model.Statement | None:
-    return model.Die(line.span)
-
-
-def _play(scope: Scope, line: nodes.Play, block: Block) -> model.Statement | None:
-    scope.report.error("not-yet", "`play` is a word of the language that does not work yet", line.span, "leave it out for now")
-    return None
-
-
 def _give(scope: Scope, line: nodes.Give, block: Block) -> model.Statement | None:
     species = scope.species
     assert species is not None
@@ -293,7 +165,7 @@ def _give(scope: Scope, line: nodes.Give, block: Block) -> model.Statement | Non
     own = _own_amount(scope, line.attribute, "to give from")
     amount = None
     if line.amount is not None:
-        amount = _added(
+        amount = added(
             scope, line.amount, own or NUMBER, block, "give ", f" {line.attribute.text} to {' '.join(line.to.span.text.split())}"
         )
     if own is None or not _holds(scope, line.to, to, line.attribute, own) or (line.amount is not None and amount is None):
@@ -366,6 +238,5 @@ def _holds(scope: Scope, node: nodes.Expr, found: Expr, attribute: nodes.Name, o
 
 
 _RULES: dict[type, Callable[..., model.Statement | None]] = {
-    nodes.Steer: _steer, nodes.Assign: _assign, nodes.Deposit: _deposit, nodes.Carve: carve, nodes.Emit: _emit,
-    nodes.Spawn: _spawn, nodes.Die: _die, nodes.Play: _play, nodes.Give: _give,
+    nodes.Steer: _steer, nodes.Assign: _assign, nodes.Ask: ask, nodes.Give: _give,
 }  # fmt: skip

@@ -9,6 +9,7 @@ from antdsl import limits
 from antdsl.diagnostics import Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.names.scope import BehaviourInfo, Declared, FileNames, MachineNames, SpeciesNames, did_you_mean, duplicate
+from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -220,11 +221,17 @@ def _events(species: nodes.Species) -> Iterator[tuple[str, Span]]:
     """Events that a species raises or handles."""
     for actions in action_blocks(species):
         for action in actions:
-            if isinstance(action, nodes.Emit):
-                yield action.event.text, action.event.span
+            if (event := raised(action)) is not None:
+                yield event.text, event.span
     for member in species.members:
         if isinstance(member, nodes.On) and member.event.text not in EVENTS:
             yield member.event.text, member.event.span
+
+
+def raised(part: object) -> nodes.Name | None:
+    """The event that a line raises."""
+    row = EFFECTS.get(part.verb) if isinstance(part, nodes.Ask) else None
+    return part.name if isinstance(part, nodes.Ask) and row is not None and row.target == "event" else None
 
 
 def action_blocks(species: nodes.Species) -> Iterator[tuple[object, ...]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from antdsl.program.names.bindings import Key
-from antdsl.program.names.collect import EVENTS
+from antdsl.program.names.collect import EVENTS, raised
 from antdsl.program.traverse import written
 from antdsl.syntax import nodes
 
@@ -66,7 +66,7 @@ def _species(path: str, item: nodes.Species) -> Found:
     yield Declaration(("species", name), item.name, item)
     yield from _members(name, "main", item.members)
     for part, _ in written(item.members):
-        event = part.event if isinstance(part, (nodes.On, nodes.Emit)) else None
+        event = part.event if isinstance(part, nodes.On) else raised(part)
         if event is not None and event.text not in EVENTS:
             yield Declaration(("event", event.text), event, event)
 

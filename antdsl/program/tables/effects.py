@@ -1,9 +1,8 @@
-"""What an agent may ask of the rest of the world: each a row from which the plan's statement, its checks, its text, the record of
-a step, the trace and the costs are made.
+"""What an agent may ask of the rest of the world: each a row from which the checks of its line, the plan's statement with its
+checks and its text, the record of a step, the trace, the costs and the editor's words are made.
 
-An effect is added by a row here, a rule in `antdsl.plan.lowering.actions` that lowers its line, and a function in the phases
-that settles what was asked. What is settled between all who ask (`take`, `give`) and what changes only the agent itself is no
-row.
+How its line is written is the row of the same word in `antdsl.syntax.verbs`; what settles it stands in `SETTLES` of
+`antdsl.runtime.phases`. What is settled between all who ask (`take`, `give`) and what changes only the agent itself is no row.
 """
 
 from __future__ import annotations
@@ -12,13 +11,16 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from antdsl.program.tables.rows import Cost
+from antdsl.program.tables.rows import Arg, Cost
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """`target`: the kind of thing it names, "" for none. `operands`: numbers, by name; those of `optional` may be missing.
-    `phase`: the phase of a step that settles it. `help`: for the editor; `meaning`: for readers of plans.
+    """`target`: the kind of what it names, "" for none. `args`: what stands behind the name; one of type `added A` is written
+    without brackets. `computed`: the operands of the plan, by name, where `OPERANDS` of `antdsl.plan.lowering.actions` has a
+    function that works them out. `phase`: the phase of a step that settles it. `help`: for the editor; `meaning`: for readers of
+    plans. `too_often`: what is wrong with its line in a state's body; "" where it may stand there. `last`: the agent is gone
+    after it. `draws`: random numbers hang on where it stands in the text.
 
     `shown` is its line of a plan and `told` that of a trace: `{of}` what it names, `{own}` the agent's register that it fills
     after the blocks, and the operands by name; a part in square brackets is left out where one of these is missing. `refused`:
@@ -27,24 +29,42 @@ class Effect:
 
     op: str
     target: str
-    operands: tuple[str, ...]
+    args: tuple[Arg, ...]
     phase: str
     help: str
     meaning: str
     shown: str
     told: str
-    optional: frozenset[str] = frozenset()
+    computed: tuple[str, ...] = ()
+    too_often: str = ""
+    last: bool = False
+    draws: bool = False
     refused: str = ""
     above_0: bool = False
     quiet_at_0: bool = False
     cost: Cost | None = None
+
+    @property
+    def numbers(self) -> tuple[Arg, ...]:
+        """The arguments that are worked out; the others name an attribute."""
+        return tuple(arg for arg in self.args if not arg.type.startswith("own "))
+
+    @property
+    def operands(self) -> tuple[str, ...]:
+        """What the plan's statement has, by name."""
+        return self.computed or tuple(arg.name for arg in self.numbers)
+
+    @property
+    def optional(self) -> frozenset[str]:
+        """Operands that may be missing."""
+        return frozenset() if self.computed else frozenset(arg.name for arg in self.numbers if arg.optional)
 
 
 _ROWS = (
     Effect(
         "deposit",
         "field",
-        ("amount",),
+        (Arg("amount", "added number"),),
         "effects",
         "lays scent into a field",
         "lands in the agent's own cell at t+1; the amount of a step (already multiplied by dt)",
@@ -57,13 +77,18 @@ _ROWS = (
     Effect(
         "carve",
         "solid",
-        ("radius", "x", "y", "z"),
+        (
+            Arg("radius", "length", above=0, called="radius of a ball to dig", sample="size / 2"),
+            Arg("toward", "push", optional=True),
+            Arg("into", "own mm^3", optional=True, called="a volume", sample="soil"),
+        ),
         "solids",
         "digs a ball out of a solid",
         "digs a ball of `radius` (mm) with its middle at (x, y, z) out of a solid, to be gone at t+1; what it had of the solid "
         "(mm³) is added to the agent's own register, if one is named, after the step's blocks",
         "carve {of} ball {radius} at {x}, {y}, {z}[ -> {own}]",
         "carve {of}, radius {radius} mm",
+        computed=("radius", "x", "y", "z"),
         refused="carve {of}",
         above_0=True,
         cost=Cost(1000, "digs {thing}"),
@@ -71,13 +96,12 @@ _ROWS = (
     Effect(
         "emit",
         "event",
-        ("within",),
+        (Arg("within", "length", optional=True),),
         "effects",
         "raises an event",
         "raises an event for all agents that handle it within a distance (mm; none: only for itself), seen at t+1",
         "emit {of}[ within {within}]",
         "emit {of}[ within {within} mm]",
-        optional=frozenset(("within",)),
         cost=Cost(50, "raises {thing}"),
     ),
     Effect(
@@ -89,8 +113,10 @@ _ROWS = (
         "a new agent where this one stands, at t+1",
         "spawn {of}",
         "spawn {of}",
+        too_often="would make a new one in every step",
+        draws=True,
     ),
-    Effect("die", "", (), "births", "ends this agent", "the agent is gone at t+1", "die", "die"),
+    Effect("die", "", (), "births", "ends this agent", "the agent is gone at t+1", "die", "die", last=True),
 )
 EFFECTS: dict[str, Effect] = {row.op: row for row in _ROWS}
 

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 class Arg:
     """One argument. `type`: a type word; `number A` is a number of any dimension, the same for every A of the call; `vector A`
     likewise; `range A` two such numbers (they fill two places of the operation); `count` a whole constant; `any A` anything,
-    all alike; `condition` a bool about the element. `default` as the language would write it; `optional` may be absent (None).
-    A constant has to lie above `above` and be whole where `whole` is set."""
+    all alike; `condition` a bool about the element. Of a statement also `added T`, so much a second in a state and an amount
+    elsewhere, and `own U`, the name of an attribute of the agent's, in a unit or of a type. `default` as the language would write
+    it; `optional` may be absent (None). A constant has to lie above `above` and be whole where `whole` is set. `called`: what it
+    is, in a message; `sample`: how a statement may give it."""
 
     name: str
     type: str
@@ -22,6 +24,8 @@ class Arg:
     variadic: bool = False
     above: float | None = None
     whole: bool = False
+    called: str = ""
+    sample: str = ""
 
 
 @dataclass(frozen=True, slots=True)

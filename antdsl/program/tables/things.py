@@ -1,4 +1,5 @@
-"""The kinds of things of the world: rows from which the words of messages, the plan's lists and the editor's help are made."""
+"""The kinds of things of the world: rows from which type words, the words of messages about programs and scenes, the plan's lists
+and the editor's help are made."""
 
 from __future__ import annotations
 
@@ -7,35 +8,102 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class KindOfThing:
-    """`word`: as `world { … }` declares it. `called`: in messages, where "a" and the word are not enough. `held`: the list of the
-    plan that has the names. `serves`: kinds of things that may stand where this one is wanted."""
+    """`word`: as `world { … }` declares it. `called`: in messages, where "a" and the word are not enough. `serves`: kinds of
+    things that may stand where this one is wanted. `typed`: what it is as the type of an argument; "" where it is no type word.
+    In a scene it is `given` as such, in messages `scene`, in an editor `snippet`."""
 
     word: str
     help: str
     sample: str
     called: str = ""
-    held: str = ""
     serves: tuple[str, ...] = ()
+    typed: str = ""
+    given: str = ""
+    scene: str = ""
+    snippet: str = ""
 
 
 _ROWS = (
-    KindOfThing("surface", "what can be walked on", "world { surface floor }", "a surface", "surfaces", ("surface",)),
+    KindOfThing(
+        "surface",
+        "what can be walked on",
+        "world { surface floor }",
+        called="a surface",
+        serves=("surface",),
+        typed="a surface by its name",
+        given="a mesh",
+        scene="{mesh: ground.ply}",
+        snippet="{mesh: ${1:ground.ply}}",
+    ),
     KindOfThing(
         "obstacle",
         "what stands in the way, and is gone round",
         "world { obstacle chairs }",
-        "an obstacle",
-        "obstacles",
-        ("obstacle", "surface", "solid"),
+        called="an obstacle",
+        serves=("obstacle", "surface", "solid"),
+        typed="an obstacle, a surface or a solid by its name",
+        given="a mesh",
+        scene="{mesh: stones.ply}",
+        snippet="{mesh: ${1:stones.ply}}",
     ),
-    KindOfThing("solid", "soft ground that may be dug", "world { solid sand }", "a solid", "solids", ("solid",)),
     KindOfThing(
-        "items", "things that are placed, each with values of its own", "world { items fruit { load = 0 } }", serves=("items",)
+        "solid",
+        "soft ground that may be dug",
+        "world { solid sand }",
+        called="a solid",
+        serves=("solid",),
+        given="a mesh",
+        scene="{mesh: hill.ply, voxel: 1 mm}",
+        snippet="{mesh: ${1:hill.ply}, voxel: ${2:1 mm}}",
     ),
-    KindOfThing("curve", "a line drawn in space", "world { curve path }", "a curve", "curves", ("curve",)),
-    KindOfThing("flow", "directions over the ground", "world { flow drift }", "a flow", "flows", ("flow",)),
-    KindOfThing("map", "numbers painted on the ground", "world { map damp }", "a map", "maps", ("map",)),
-    KindOfThing("species", "animals that another file describes", "world { species beetle { hunger = 0 } }"),
+    KindOfThing(
+        "items",
+        "things that are placed, each with values of its own",
+        "world { items fruit { load = 0 } }",
+        serves=("items",),
+        typed="all items of a name",
+        given="items",
+        scene="{one: {at: [0, 0, 0]}}",
+        snippet="{${1:one}: {at: [${2:0}, 0, ${3:0}]}}",
+    ),
+    KindOfThing(
+        "curve",
+        "a line drawn in space",
+        "world { curve path }",
+        called="a curve",
+        serves=("curve",),
+        typed="a curve by its name",
+        given="a curve",
+        scene="{curve: way.json}",
+        snippet="{curve: ${1:way.json}}",
+    ),
+    KindOfThing(
+        "flow",
+        "directions over the ground",
+        "world { flow drift }",
+        called="a flow",
+        serves=("flow",),
+        typed="a flow by its name",
+        given="a flow",
+        scene="{toward: [0, 0, 0], radius: 50 mm}",
+        snippet="{toward: ${1:nest}, radius: ${2:50 mm}}",
+    ),
+    KindOfThing(
+        "map",
+        "numbers painted on the ground",
+        "world { map damp }",
+        called="a map",
+        serves=("map",),
+        typed="a map by its name",
+        given="a map",
+        scene="{painted: ground.ply, attribute: NAME}",
+        snippet="{painted: ${1:ground.ply}, attribute: ${2:damp}}",
+    ),
+    KindOfThing(
+        "species",
+        "animals that another file describes",
+        "world { species beetle { hunger = 0 } }",
+        typed="a species by its name",
+    ),
 )
 KINDS_OF_THINGS: dict[str, KindOfThing] = {row.word: row for row in _ROWS}
-HELD: dict[str, str] = {row.word: row.held for row in _ROWS if row.held}

@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi
 
-from antdsl.program.model import Dim
+from antdsl.program.model import Dim, Kind
 from antdsl.program.tables import senses
 from antdsl.program.tables.rows import Arg, Builtin, Cost
+from antdsl.program.tables.things import KINDS_OF_THINGS
 
 LENGTH, TIME, MASS, ANGLE = Dim(length=1), Dim(time=1), Dim(mass=1), Dim(angle=1)
 SPEED = Dim(length=1, time=-1)
@@ -66,13 +67,7 @@ TYPE_WORDS: dict[str, Dim | str] = {
     "item": "item",
     "agent": "agent",
     "field": "field",
-    "obstacle": "obstacle",
-    "surface": "surface",
-    "curve": "curve",
-    "flow": "flow",
-    "map": "map",
-    "species": "species",
-    "items": "items",
+    **{kind.value: kind.value for kind in Kind if kind.value in KINDS_OF_THINGS and KINDS_OF_THINGS[kind.value].typed},
 }
 
 

@@ -14,7 +14,7 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.mistakes.number_slips import comma_in_number, number_with_comma
 
-Called = nodes.Call | nodes.Emit | nodes.Carve
+Called = nodes.Call | nodes.Ask
 Found = dict[str, list[nodes.Argument]]
 
 

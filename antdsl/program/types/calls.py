@@ -209,22 +209,23 @@ def _argument(
     if not fits(found.type, type):
         mismatch(scope.report, node, found.type, type, who, found)
         return [bad(node.span)]
-    _within_row(scope, arg, who, node, found)
+    within_row(scope, arg, who, node.span, found)
     return [found]
 
 
-def _within_row(scope: Scope, arg: Arg, who: str, node: nodes.Expr, found: Expr) -> None:
-    """Hold a constant against what its row says."""
+def within_row(scope: Scope, arg: Arg, who: str, span: Span, found: Expr, sample: str = "") -> None:
+    """Hold a constant against what its row says. `sample`: a line with one that is right."""
     known = constant_behind(found)
     if known is None:
         return
     if arg.above is not None and known.number <= arg.above:
-        message = f"{who} has to be above {arg.above:g}, and is {quoted(node.span)}"
-        scope.report.error("out-of-range", message, node.span, f"write {type_words(found.type)} above {arg.above:g}")
+        message = f"{who} has to be above {arg.above:g}, and is {quoted(span)}"
+        if arg.called:
+            message = f"{quoted(span)} is no {arg.called}"
+        help = f"write {type_words(found.type)} above {arg.above:g}" + (f": `{sample}`" if sample else "")
+        scope.report.error("out-of-range", message, span, help)
     if arg.whole and known.number % 1 != 0:
-        scope.report.error(
-            "wrong-count", f"{who} wants a whole number, not {quoted(node.span)}", node.span, "write a number such as `3`"
-        )
+        scope.report.error("wrong-count", f"{who} wants a whole number, not {quoted(span)}", span, "write a number such as `3`")
 
 
 def _same(

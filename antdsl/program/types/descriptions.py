@@ -6,6 +6,7 @@ import re
 
 from antdsl.diagnostics import Diagnostic, Fix, Label, Report
 from antdsl.program.model import Dim, Expr, Kind, Op, Type
+from antdsl.program.tables.senses import spoken
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import dimension_words, with_article, with_unit
 from antdsl.source import Span
@@ -22,7 +23,7 @@ _KINDS: dict[Kind, str] = {
     Kind.FIELD: "a field",
 }
 # Things that are named and are no value, so that something must be asked of them.
-_THINGS = frozenset({Kind.ITEMS, Kind.SPECIES, Kind.SURFACE, Kind.OBSTACLE, Kind.SOLID, Kind.CURVE})
+_THINGS = frozenset(Kind(word) for word in KINDS_OF_THINGS) - {Kind(each.args[0].type) for each in spoken("value")}
 _VECTORS: dict[Dim, str] = {
     Dim(): "a push or direction",
     Dim(length=1): "a position",

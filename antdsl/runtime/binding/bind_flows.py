@@ -317,7 +317,7 @@ def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None 
 def _blocked(world: World, triangles: Index, points: Floats, normal: Floats) -> Flags:
     """Triangles of which a side meets an obstacle, seen a little above the ground."""
     cut = np.zeros(len(triangles), bool)
-    for name in world.plan.obstacles:
+    for name in world.plan.of_kind("obstacle"):
         if name not in world.obstacles:
             continue
         scene = mesh_of(world, name)
@@ -384,7 +384,7 @@ def _cost(world: World, flow: SolvedFlow, grounds: Grounds) -> Floats:
     if flow.room > 0:
         x, y, z = middle.T.astype(np.float32)
         gap = np.full(len(middle), np.inf)
-        for name in world.plan.obstacles:
+        for name in world.plan.of_kind("obstacle"):
             if name in world.obstacles:
                 gap = np.minimum(gap, world.obstacles[name].near(x, y, z, flow.room).t)
         tight = np.clip(1 - gap / flow.room, 0.0, 1.0)

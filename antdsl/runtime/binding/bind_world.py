@@ -81,7 +81,7 @@ def unpeopled(
         fields={},
         field_rates={},
         obstacles=_scenes(meshes, solids, built),
-        curves={name: curve(setting.curves[name] - origin) for name in plan.curves if name in setting.curves},
+        curves={name: curve(setting.curves[name] - origin) for name in plan.of_kind("curve") if name in setting.curves},
         flows={},
         maps={},
         ground=ground,
@@ -205,7 +205,7 @@ def run_value(world: World, node: ir.Node) -> float:
 
 def set_flow(world: World, name: str, flow: FlowData) -> None:
     """Put another flow in place of one, from the next step on; nothing is compiled again. BindError as in `bind`."""
-    if name not in world.plan.flows:
+    if name not in world.plan.of_kind("flow"):
         raise KeyError(name)
     from antdsl.runtime.binding.bind_flows import bind_flow
 

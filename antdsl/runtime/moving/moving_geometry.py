@@ -31,7 +31,7 @@ def carry(world: World) -> None:
     for population, rows, before in standing:
         if ground is not None and before is not None and len(rows):
             _carried(ground, population, rows, before)
-    for name in world.plan.obstacles:
+    for name in world.plan.of_kind("obstacle"):
         if name in world.setting.moves.meshes and name in world.obstacles:
             for population, _, _ in standing:
                 _pushed(world, population, name)

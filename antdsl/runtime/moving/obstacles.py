@@ -18,7 +18,7 @@ _MARGIN = _F(0.5)  # of the radius: how near the centre comes to a face that it 
 def slide(world: World, population: Population, step: Vector, up: Vector, radius: NDArray[np.float32]) -> Vector:
     """The step (mm) of every agent, bent along the obstacles in its way; up is the ground's."""
     place = vec.named(population.now, "position")
-    for name in world.plan.obstacles:
+    for name in world.plan.of_kind("obstacle"):
         if name in world.obstacles:
             scene = mesh_of(world, name)
             clear = clearance(world, population, name) if _where_they_were(population) else scene.clearance(*place)

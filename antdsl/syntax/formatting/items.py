@@ -88,11 +88,17 @@ def _places(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
                 calls.add(part.function.span.end)
             elif isinstance(part, n.Unary) and part.op == "-":
                 minus.add(part.op_span.start)
-            elif isinstance(part, n.Carve | n.Emit | n.On | n.Behaviour):
-                name = {n.Carve: "solid", n.Emit: "event", n.On: "event", n.Behaviour: "name"}[type(part)]
-                calls.add(getattr(part, name).span.end)
+            elif (name := _called(part)) is not None:
+                calls.add(name.span.end)
             stack.extend(getattr(part, each.name) for each in fields(part))
     return frozenset(calls), frozenset(minus)
+
+
+def _called(part: object) -> n.Name | None:
+    """The name in a line that arguments in brackets may follow."""
+    if isinstance(part, n.Ask):
+        return part.name if part.amount is None else None
+    return part.event if isinstance(part, n.On) else part.name if isinstance(part, n.Behaviour) else None
 
 
 @dataclass(slots=True)

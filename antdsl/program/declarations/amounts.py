@@ -1,0 +1,78 @@
+"""What a line adds: so much a second where it runs in every step, an amount where it happens once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from antdsl.diagnostics import Fix
+from antdsl.program.kinds import Dim, Kind, Type
+from antdsl.program.names.scope import Scope
+from antdsl.program.tables.units import product
+from antdsl.program.typed import Expr
+from antdsl.program.types.descriptions import fits, mismatch, quoted
+from antdsl.program.types.operators import value
+from antdsl.syntax import nodes
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Where statements stand. `body`: each step. `commuting`: in a handler, where several events may come at once."""
+
+    body: bool
+    commuting: bool = False
+
+
+BODY = Block(body=True)
+ACTION = Block(body=False)
+HANDLER = Block(body=False, commuting=True)
+
+
+def added(
+    scope: Scope, node: nodes.Expr, type: Type, block: Block, before: str, after: str = "", level: bool = False
+) -> Expr | None:
+    """What is added: so much a second in a state's body, an amount elsewhere, and with `level` an amount anywhere. `before`,
+    `after`: the author's words around it."""
+    per_second = Type(type.kind, product(type.dim, Dim(time=1), -1))
+    want = per_second if block.body else type
+    found = value(scope, node, want)
+    if found.type.kind is Kind.BAD:
+        return None
+    if level and found.type == type:
+        return found
+    if fits(found.type, want):
+        return found
+    text = " ".join(node.span.text.split())
+    if block.body and fits(found.type, type):
+        better = _as_rate(node, text)
+        scope.report.error(
+            "not-a-rate", f"{quoted(node.span)} is an amount, and this line runs in every step", node.span,
+            f"say per what time: `{before}{better}{after}`", fix=Fix(node.span, better),
+        )  # fmt: skip
+    elif not block.body and fits(found.type, per_second):
+        better = text[: -len("/s")].rstrip() if text.endswith("/s") else f"{_bracketed(node, text)} * 1 s"
+        scope.report.error(
+            "not-an-amount", f"{quoted(node.span)} is a rate, and this happens once", node.span,
+            f"say how much: `{before}{better}{after}`", fix=Fix(node.span, better),
+        )  # fmt: skip
+    else:
+        mismatch(scope.report, node, found.type, want, f"`{before.strip()}`")
+    return None
+
+
+def _as_rate(node: nodes.Expr, text: str) -> str:
+    if isinstance(node, nodes.Number):
+        return f"{text} /s"
+    if isinstance(node, nodes.Quantity):
+        return f"{text}/s"
+    if (
+        isinstance(node, nodes.Binary)
+        and node.op == "*"
+        and isinstance(node.right, nodes.NameRef)
+        and node.right.name.text == "dt"
+    ):
+        return " ".join(node.left.span.text.split())  # a rate is taken times dt as it is
+    return f"{_bracketed(node, text)} * 1 /s"
+
+
+def _bracketed(node: nodes.Expr, text: str) -> str:
+    return f"({text})" if isinstance(node, nodes.Binary) and node.op in ("+", "-") else text

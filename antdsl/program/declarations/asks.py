@@ -1,0 +1,151 @@
+"""A line that asks something of the world, checked by the row of its verb: what it names, what stands behind that, and where."""
+
+from __future__ import annotations
+
+from antdsl.program import model
+from antdsl.program.declarations.amounts import Block, added
+from antdsl.program.kinds import Kind, Type
+from antdsl.program.names.scope import BAD, Scope, bad, did_you_mean, told_before, type_from_words
+from antdsl.program.tables.defaults import default_of
+from antdsl.program.tables.effects import EFFECTS, Effect
+from antdsl.program.tables.rows import Arg
+from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.units import measure, unit_of
+from antdsl.program.typed import Expr
+from antdsl.program.types.arguments import Slot, arranged, type_all
+from antdsl.program.types.calls import within_row
+from antdsl.program.types.descriptions import mismatch, quoted
+from antdsl.program.types.operators import wanted
+from antdsl.syntax import nodes
+
+Written = dict[str, nodes.Expr]
+
+
+def ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Ask | None:
+    """The statement, or None after a complaint."""
+    row = EFFECTS.get(line.verb)
+    if row is None:
+        message = f"`{line.verb}` is a word of the language that does not work yet"
+        scope.report.error("not-yet", message, line.span, "leave it out for now")
+        return None
+    of = line.name.text if line.name is not None else ""
+    form = f"{row.op} {of}".rstrip()
+    written = _written(scope, row, line, form)
+    given = written or {}
+    args = [_number(scope, row, line, arg, given, block, form) for arg in row.numbers]
+    own = next((_own(scope, row, arg, given[arg.name]) for arg in row.args if arg not in row.numbers and arg.name in given), None)
+    if not _there(scope, row, line.name) or written is None or _lacks(scope, row, line, written, form):
+        return None
+    if row.too_often and block.body:
+        scope.report.error(
+            "not-a-rate", f"`{form}` here {row.too_often}", line.span,
+            f"do it once: `enter {{ {row.op} … }}`, or in a change: `when chance 10 %/s -> … {{ {row.op} … }}`",
+        )  # fmt: skip
+        return None
+    for arg, found in zip(row.numbers, args, strict=True):
+        if found is not None:
+            sample = f"{form}({arg.name}: {arg.sample})" if arg.sample else ""
+            within_row(scope, arg, f"`{arg.name}` of `{row.op}`", found.span, found, sample)
+    if any(found is not None and found.type.kind is Kind.BAD for found in args):
+        return None
+    per_second = block.body and line.amount is not None and args[0] is not None and args[0].type != argument_type(row.numbers[0])
+    key = scope.keys.next(row.op) if row.draws else ""
+    return model.Ask(row.op, of, tuple(args), line.span, own, per_second, key)
+
+
+def argument_type(arg: Arg) -> Type:
+    """The type of an argument; of what is added or the agent's own that behind the first word."""
+    first, _, rest = arg.type.partition(" ")
+    if first == "own" and (unit := measure(rest)) is not None:
+        return Type(Kind.NUMBER, unit.dim)
+    return type_from_words(rest if first in ("added", "own") else arg.type) or BAD
+
+
+def _written(scope: Scope, row: Effect, line: nodes.Ask, form: str) -> Written | None:
+    """What is written for the arguments, by their names; None after a complaint."""
+    if line.amount is not None:
+        return {row.args[0].name: line.amount}
+    if not line.arguments:
+        return {}
+    slots = [Slot(arg.name, required=arg.default is None and not arg.optional) for arg in row.args]
+    found = arranged(scope, row.op, slots, line, form)
+    if found is None:
+        type_all(scope, line)
+        return None
+    return {name: arguments[0].value for name, arguments in found.items()}
+
+
+def _number(scope: Scope, row: Effect, line: nodes.Ask, arg: Arg, written: Written, block: Block, form: str) -> Expr | None:
+    """An argument's value; None where it is absent, BAD after a complaint."""
+    node = written.get(arg.name)
+    if node is None:
+        return None if arg.default is None else default_of(scope, arg.default, line.span)[0]
+    if not arg.type.startswith("added "):
+        return wanted(scope, node, argument_type(arg), f"`{arg.name}` of `{row.op}`")
+    level = row.target == "field" and line.name is not None and _keeps_greatest(scope, line.name.text)
+    return added(scope, node, argument_type(arg), block, f"{form} ", level=level) or bad(node.span)
+
+
+def _own(scope: Scope, row: Effect, arg: Arg, node: nodes.Expr) -> str | None:
+    """The attribute of the agent's that an argument names."""
+    species, want = scope.species, argument_type(arg)
+    assert species is not None
+    name = node.name.text if isinstance(node, nodes.NameRef) else ""
+    type = species.attributes.get(name)
+    if name:
+        scope.bind_own(node.span, name)
+    if type == want:
+        scope.declared.written.add(f"{species.name}.{name}")
+        return name
+    who = f"`{arg.name}` of `{row.op}`"
+    if type is not None:
+        mismatch(scope.report, node, type, want, who)
+    else:
+        scope.report.error(
+            "unknown-name", f"{who} names an attribute of `{species.name}`, and {quoted(node.span)} is none",
+            node.span, f"declare it: `{name or arg.sample} = 0 {unit_of(want.dim)}` in `species {species.name}`",
+        )  # fmt: skip
+    return None
+
+
+def _lacks(scope: Scope, row: Effect, line: nodes.Ask, written: Written, form: str) -> bool:
+    """Complain about a line without brackets that wants some."""
+    missing = [arg for arg in row.args if arg.default is None and not arg.optional and arg.name not in written]
+    if missing:
+        shape = ", ".join(f"{arg.name}: {arg.sample or '…'}" for arg in missing)
+        wants = " and ".join(f"a {arg.name}" for arg in missing)
+        scope.report.error("missing-argument", f"`{row.op}` wants {wants}", line.span, f"write `{form}({shape})`")
+    return bool(missing)
+
+
+def _there(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
+    """Whether what a line names is declared; a complaint where it is not. An event is, by being raised."""
+    if name is None:
+        return True
+    declared, text = scope.declared, name.text
+    scope.use(row.op, text)
+    match row.target:
+        case "event":
+            return True
+        case "field":
+            known, otherwise = list(declared.fields), f"field {text} on … {{ cell 4 mm; half_life 8 s }}"
+            kind, code, message = "field", "unknown-field", f"no field `{text}`"
+        case "species":
+            known, otherwise = list(declared.species), ""
+            kind, code, message = "species", "unknown-species", f"no species `{text}`"
+        case word:
+            serves = KINDS_OF_THINGS[word].serves
+            known, otherwise = [t.name for t in declared.things.values() if t.kind in serves], f"world {{ {word} {text} }}"
+            kind, code, message = "thing", "unknown-name", f"no {word} `{text}` to {row.op}"
+    if text in known:
+        scope.use(kind, text)
+    elif kind != "field" or not told_before(scope, "name", name):
+        scope.report.error(code, message, name.span, did_you_mean(text, known, otherwise and f"declare it: `{otherwise}`"))
+    return text in known
+
+
+def _keeps_greatest(scope: Scope, name: str) -> bool:
+    """Whether a field has `combine max`: nothing is added up there, so a line of a state may say what its cell holds at least."""
+    field = scope.declared.fields.get(name)
+    said = [s.value for s in field.settings if s.name.text == "combine"] if field is not None else []
+    return any(isinstance(each, nodes.NameRef) and each.name.text == "max" for each in said)

@@ -1,0 +1,43 @@
+"""Verbs: words that begin a line in which an agent asks something of the world. Each is a row from which the grammar's form and
+terminal, the words that begin a line, and the samples in messages are made.
+
+What such a line means is the row of the same word in `antdsl.program.tables.effects`. After a change here `python -m
+antdsl.syntax.grammar` makes the grammar's part and its tables anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+# What follows a verb, as the grammar says it; "own": the grammar has a rule for that verb alone.
+SHAPES: dict[str, str] = {
+    "alone": "",
+    "name": "NAME",
+    "open": "NAME [LPAR [_arguments] RPAR]",
+    "arguments": "NAME LPAR [_arguments] RPAR",
+    "amount": "NAME expr -> ask_amount",
+    "own": "",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Verb:
+    """`shape`: a word of `SHAPES`. `form`: a line with it, shown as what to write. `next`: what comes right after, in words."""
+
+    word: str
+    shape: str
+    form: str
+    next: str = ""
+
+
+# In the order in which messages and editors list them.
+_ROWS = (
+    Verb("deposit", "amount", "deposit trail 2 /s", "the name of a field"),
+    Verb("carve", "arguments", "carve hill(radius: 2 mm)", "the name of a solid"),
+    Verb("give", "own", "give all load to nest", "an amount, such as `all load`"),
+    Verb("emit", "open", "emit alarm(within: 50 mm)", "the name of an event"),
+    Verb("spawn", "name", "spawn worker", "the name of a species"),
+    Verb("die", "alone", "die"),
+    Verb("play", "name", "play walk", "the name of a clip"),
+)
+VERBS: dict[str, Verb] = {row.word: row for row in _ROWS}

@@ -1,0 +1,73 @@
+"""A statement is one row: one that only this test has goes from its text to a run, to explanations and to an editor."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+TESTS = Path(__file__).resolve().parents[1]
+pytest.importorskip("interegular", reason="the grammar is made anew")
+
+
+@pytest.fixture(scope="module")
+def told() -> Any:
+    """What is made of it, in a process of its own: the rows have to be there before what is made of them."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(TESTS.parent), str(TESTS)))}
+    script = [sys.executable, str(TESTS / "effect_of_a_row.py")]
+    done = subprocess.run(script, capture_output=True, text=True, timeout=300, env=environment)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "message", "help"),
+    [
+        ("scratch", "unfinished-line", "expected the name of a surface", "like `scratch ground(depth: 1 mm)`"),
+        ("scratch ground", "unfinished-line", "line ends after `ground`", "like `scratch ground(depth: 1 mm)`"),
+        ("scratc ground(depth: 1 mm)", "unknown-line", "`scratc` does not begin a line here", "did you mean `scratch`?"),
+        ("scratch ground()", "missing-argument", "`scratch` wants a depth", "write `scratch ground(depth: 1 mm)`"),
+        ("scratch floor(depth: 1 mm)", "unknown-name", "no surface `floor` to scratch", "`world { surface floor }`"),
+        ("scratch ground(depth: 1 s)", "wrong-unit", "`depth` of `scratch` wants a length", "write a length"),
+        ("scratch ground(depht: 1 mm)", "unknown-argument", "has no argument `depht`", "did you mean `depth`?"),
+        ("scratch ground(depth: 0 mm)", "out-of-range", "`0 mm` is no depth of a scratch", "write a length above 0"),
+        ("scratch ground(depth: 1 mm, into: claw)", "wrong-unit", "`into` of `scratch` wants an area", "write an area"),
+        ("scratch ground(depth: 1 mm, into: sand)", "unknown-name", "and `sand` is none", "`sand = 0 mm^2`"),
+        ("misplaced", "misplaced-line", "`scratch` does not stand here", "in a state"),
+    ],
+)
+def test_what_is_wrong_with_its_line_is_said(told: Any, line: str, code: str, message: str, help: str) -> None:
+    ((got, said, advice),) = told["complaints"][line]
+    assert got == code and message in said and help in advice
+
+
+def test_it_is_lowered_as_its_row_says(told: Any) -> None:
+    assert "scratch ground claw by 2 -> dust" in told["plan"] and "scratch ground 3 by 4 -> dust" in told["plan"]
+
+
+def test_it_is_settled_on_both_backends(told: Any) -> None:
+    for backend in ("reference", "numpy"):
+        assert told["dust"][backend] == [[value] * 3 for value in (2, 4, 6, 8, 20)]
+
+
+def test_explanations_and_costs_tell_of_it(told: Any) -> None:
+    assert told["did"] == [["scratch ground, 1 mm deep"]] * 2 + [["scratch ground, 3 mm deep"]]
+    assert told["costs"] == ["scratches ground"]
+
+
+def test_it_is_formatted_and_coloured(told: Any) -> None:
+    assert told["formatted"] and told["keyword"] and told["colour"] == ["Token.Keyword"]
+
+
+def test_an_editor_knows_it(told: Any) -> None:
+    proposals = told["proposals"]
+    assert "scratch" in proposals["scr"] and proposals["scratch "] == ["ground"]
+    assert proposals["scratch ground("][:3] == ["depth:", "width:", "into:"]
+    assert proposals["scratch ground(depth: 1 mm, into: "][:2] == ["dust", "claw"]
+    assert ["thing", "ground"] in told["meanings"] and ["own", "ant", "dust"] in told["meanings"]
+    assert "scratch ground(depth: 1 mm)" in told["about"] and "scratches a surface" in told["about"]
