@@ -30,6 +30,8 @@ QUICK = (
     "tests/program/test_program.py",
     "tests/program/test_program_c*.py",
     "tests/plan/test_plan_*.py",
+    "tests/plan/test_tables_agree.py",
+    "tests/docs/test_docs_tables.py",
     "tests/passes/test_passes.py",
     "tests/diagnostics/test_diagnostics*.py",
     "tests/runtime/test_backends.py",

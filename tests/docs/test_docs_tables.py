@@ -37,9 +37,10 @@ def test_the_library_is_in_the_reference_as_it_is() -> None:
     heads = re.findall(r'^behaviour (\w+)(\(.*?\)) -> push \{\n  "(.*?)"', library, flags=re.MULTILINE)
     assert len(heads) == len(re.findall(r"^behaviour ", library, flags=re.MULTILINE))
     reference = (ROOT / "grammar" / "README.md").read_text(encoding="utf-8")
-    assert [row for row in heads if f"| `{row[0]}{row[1]}` | {row[2]} |" not in reference] == []
+    wanted = [f"| `{name}{arguments}` | {help} |" for name, arguments, help in heads]
+    assert [row for row in wanted if row not in reference] == [], "rows that the library's table in grammar/README.md lacks"
     card = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
-    assert "`" + " ".join(name for name, _, _ in heads) + "`" in card
+    assert "`" + " ".join(name for name, _, _ in heads) + "`" in card, "all of them, in the order of the file"
 
 
 def test_the_scene_page_has_all_the_keys() -> None:

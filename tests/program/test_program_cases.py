@@ -107,4 +107,4 @@ def test_every_code_of_the_checker_has_a_case() -> None:
     assert codes <= set(CODES)
     shown = {code for part in parts() for line in part.text.splitlines() for _, code, _, _ in WANTED.findall(line)}
     elsewhere = {"per-step", "too-deep", "too-many", "missing-target"}  # tests of their own in test_program.py
-    assert codes - shown == elsewhere
+    assert codes - shown == elsewhere, "each code of the checker has a case in tests/cases/check/*.ant"

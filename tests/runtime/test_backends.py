@@ -79,7 +79,8 @@ def test_every_operation_is_covered():
         "noise",
     }  # what is told, specs ask for: tests/specs/test_specs.py; tests/numerics/test_noise.py
     wanted |= {"If", "Store", "Claim", "Give", *EFFECTS} - {"carve"}  # tests/runtime/test_digging.py
-    assert wanted - operations(plans.rich()) - operations(surfaces_plan()) == set()
+    lacking = wanted - operations(plans.rich()) - operations(surfaces_plan())
+    assert not lacking, f"no plan here has {lacking}: put them into tests/plans.py, or name the test that they have above"
 
 
 def test_a_value_used_before_and_after_a_store_is_read_before_it():

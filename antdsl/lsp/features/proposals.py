@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from antdsl.lsp.features.context import Context
 from antdsl.lsp.language import builtin_form, signature
 from antdsl.lsp.names import Names
+from antdsl.lsp.words import WORD_HELP
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.kinds import Kind, Type
 from antdsl.program.names.declared import declaration
@@ -249,9 +250,10 @@ def values(request: Request) -> Iterator[Item]:
     for name, row in GIVEN.items():
         yield Item(name, "variable", row.type, row.help)
     for name, type in (*RUN_NAMES.items(), *SENSED_NAMES.items()):
-        yield Item(name, "variable", type)
+        yield Item(name, "variable", type, WORD_HELP.get(name, ""))
     for name, rows in BUILTINS.items():
-        yield Item(name, "function", builtin_form(name, rows[0]), rows[0].help, f"{name}($0)", True)
+        cursor = "$0" if rows[0].args else ""
+        yield Item(name, "function", builtin_form(name, rows[0]), rows[0].help, f"{name}({cursor})", True)
     for name, help in REDUCERS.items():
         yield Item(name, "function", f"{name}(n in SET: …)", help, f"{name}(${{1:n}} in ${{2:neighbours(20 mm)}}: $0)", True)
     for word in (

@@ -1,7 +1,7 @@
 """Every word that the language knows by itself, as tables: units, types, given names, built-in operations, phases of what works.
 
 The checker types calls by these tables, the lowering has one rule per operation name, the editor shows the help.
-Adding an operation is one row here and one rule in `plan/rules`; senses are rows of `program/senses`.
+Adding an operation is one row here and one rule in `plan/lowering/rules`; senses are rows of `program/tables/senses`.
 """
 
 from __future__ import annotations

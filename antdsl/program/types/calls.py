@@ -13,7 +13,7 @@ from antdsl.program.tables.defaults import default_of
 from antdsl.program.tables.other_words import instead_of_call
 from antdsl.program.tables.rows import Arg, Builtin
 from antdsl.program.tables.units import product, scaled
-from antdsl.program.tables.vocabulary import BUILTINS, OTHER_SENSES, REDUCERS, RESERVED
+from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, OTHER_SENSES, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
 from antdsl.program.types.arguments import Slot, arranged, type_all
 from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
 from antdsl.program.types.expressions import MAY_BE_NONE, THINGS, Known
@@ -85,7 +85,9 @@ def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type | None
         return
     known = set(BUILTINS) | set(REDUCERS) | set(scope.file.own) | set(scope.file.library)
     instead, fix = instead_of_call(node, name.text), None
-    if instead is not None:
+    if not node.arguments and name.text in (GIVEN.keys() | RUN_NAMES.keys() | SENSED_NAMES.keys()):
+        advice, fix = f"`{name.text}` is a value: write it without brackets", Fix(node.span, name.text)
+    elif instead is not None:
         text, whole = instead
         advice, fix = (f"write `{text}`", Fix(node.span, text)) if whole else (f"here that is `{text}`", None)
     elif name.text in OTHER_SENSES:

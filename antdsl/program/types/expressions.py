@@ -248,7 +248,10 @@ def _unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
         )
     elif name in BUILTINS or name in REDUCERS or scope.file.behaviour(name) is not None:
         behaviour = scope.file.behaviour(name)
-        alone = behaviour is not None and all(argument.default is not None for argument in behaviour.node.arguments)
+        if behaviour is not None:
+            alone = all(argument.default is not None for argument in behaviour.node.arguments)
+        else:
+            alone = any(all(arg.optional or arg.default is not None for arg in row.args) for row in BUILTINS.get(name, ()))
         report.error("call-without-brackets", f"`{name}` wants brackets", node.span, f"write `{name}({'' if alone else '…'})`")
     else:
         advice, fix = missing_thing(scope, name, want) or _other_word(name, node.span)
