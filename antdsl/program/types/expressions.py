@@ -248,10 +248,8 @@ def _unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
         )
     elif name in BUILTINS or name in REDUCERS or scope.file.behaviour(name) is not None:
         behaviour = scope.file.behaviour(name)
-        if behaviour is not None:
-            alone = all(argument.default is not None for argument in behaviour.node.arguments)
-        else:
-            alone = any(all(arg.optional or arg.default is not None for arg in row.args) for row in BUILTINS.get(name, ()))
+        defaults = [None] if behaviour is None else [argument.default for argument in behaviour.node.arguments]
+        alone = None not in defaults or (name in BUILTINS and not BUILTINS[name][0].args)
         report.error("call-without-brackets", f"`{name}` wants brackets", node.span, f"write `{name}({'' if alone else '…'})`")
     else:
         advice, fix = missing_thing(scope, name, want) or _other_word(name, node.span)
