@@ -115,6 +115,7 @@ def test_a_step_after_a_failed_one_runs_and_files_are_those_that_are_written() -
         assert line in OURS or re.match(r"(pip install|sudo apt-get update)", line), line
 
 
+@pytest.mark.slow
 def test_the_hooks_pass_in_the_new_project_and_look_at_what_matters(project: Path, shell: dict[str, str]) -> None:
     for hook in HOOKS:
         files = [] if hook.get("pass_filenames", True) is False else [f for f in FILE if re.search(hook["files"], f)]

@@ -151,6 +151,7 @@ def test_other_ways_to_blend_and_two_machines_agree_with_the_run(
     assert any(told.machines[1].changed for fact, told in both if fact.species == "bug")
 
 
+@pytest.mark.slow
 def test_watching_changes_nothing(cache: Cache, told: list[Explanation]) -> None:
     """All bugs traced in every step: the hashes are those that the run without any watcher has written."""
     hashes = cache.hashes()

@@ -155,6 +155,7 @@ def test_clearances_are_below_the_distance_to_other_pieces(name: str) -> None:
         assert (clear > 0).any()
 
 
+@pytest.mark.slow
 def test_looking_out_everywhere_finds_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
     use(monkeypatch, False)
     for name in ("boulders", "loose sheets", "tiles and a fan of slivers"):

@@ -72,6 +72,7 @@ def explained(number: int) -> dict[str, Any]:
     return {"op": "explained", **about, "explanation": told, "told": "walks"}
 
 
+@pytest.mark.slow
 def test_items_are_as_large_as_what_is_left_of_what_they_had_at_first(page: Stage) -> None:
     def large(names: str, name: str) -> float:
         page.drawn()
@@ -139,6 +140,7 @@ def test_errors_at_the_start_are_gone_to_and_told_where_the_ants_would_be(page: 
     assert page.page.locator("#editor .pointed").count() == 0, "what is mended is lit no more"
 
 
+@pytest.mark.slow
 def test_the_first_camera_is_the_same_however_the_page_came_to_its_size(page: Stage) -> None:
     def camera() -> list[float]:
         page.drawn()

@@ -287,7 +287,7 @@ def test_it_stops_at_a_fault(scene: Path, on_fault: Any) -> None:
     assert (stop.species, stop.agents) == ("walker", (0,))
 
 
-@pytest.mark.parametrize("name", ["foraging", "moods", "anthill"])
+@pytest.mark.parametrize("name", ["foraging", "moods", pytest.param("anthill", marks=pytest.mark.slow)])
 def test_looking_on_changes_nothing(name: str, tmp_path: Path) -> None:
     """Breakpoints, specs, explanations and the profiler on, and gone back and forth: the hashes are those of a run without."""
     scene = few(tmp_path, 60) if name == "foraging" else EXAMPLES / name / "scene.yaml"

@@ -90,6 +90,7 @@ def test_an_error_is_underlined_and_the_ants_go_on(browser: Browser, tmp_path: P
         marked.first.wait_for(state="detached", timeout=60_000)
 
 
+@pytest.mark.slow
 def test_a_file_that_is_gone_for_a_moment_keeps_its_tab(browser: Browser, tmp_path: Path) -> None:
     folder = few(tmp_path, 500).parent
     program = folder / "forager.ant"
@@ -107,6 +108,7 @@ def test_a_file_that_is_gone_for_a_moment_keeps_its_tab(browser: Browser, tmp_pa
         assert not row.is_visible(), "the legend can be folded"
 
 
+@pytest.mark.slow
 def test_a_slider_acts_and_shows_its_line(browser: Browser, tmp_path: Path) -> None:
     scene = few(tmp_path, 500)
     with previewed(scene) as address, opened(browser, address) as seen:
@@ -123,6 +125,7 @@ def test_a_slider_acts_and_shows_its_line(browser: Browser, tmp_path: Path) -> N
         assert seen.find("edited").is_visible()
 
 
+@pytest.mark.slow
 def test_scrubbing_shows_the_frame_asked_for(browser: Browser, tmp_path: Path) -> None:
     scene = few(tmp_path, 500)
     with previewed(scene) as address, opened(browser, address) as seen:
@@ -164,6 +167,7 @@ def test_clicking_an_agent_explains_it(browser: Browser, tmp_path: Path) -> None
         assert "separate" in (seen.find("layer-list").text_content() or "")
 
 
+@pytest.mark.slow
 def test_it_can_be_read_in_dark_and_light(browser: Browser, tmp_path: Path) -> None:
     scene = few(tmp_path, 500)
     with previewed(scene) as address:

@@ -21,6 +21,7 @@ def browser() -> Iterator[Browser]:
         yield found
 
 
+@pytest.mark.slow
 def test_it_stops_where_an_agent_enters_a_state(browser: Browser, tmp_path: Path) -> None:
     with previewed(few(tmp_path, 100)) as address, opened(browser, address) as seen:
         seen.press("side-tab-breaks")
@@ -38,6 +39,7 @@ def test_it_stops_where_an_agent_enters_a_state(browser: Browser, tmp_path: Path
         assert re.search(r"forager \d+", seen.find("why-title").text_content() or ""), "who stopped it is selected and explained"
 
 
+@pytest.mark.slow
 def test_a_state_of_the_graph_selects_its_agents(browser: Browser, tmp_path: Path) -> None:
     with previewed(few(tmp_path, 100)) as address, opened(browser, address) as seen:
         seen.press("side-tab-machine")
@@ -47,6 +49,7 @@ def test_a_state_of_the_graph_selects_its_agents(browser: Browser, tmp_path: Pat
         seen.page.get_by_text("100 selected", exact=True).first.wait_for(state="attached", timeout=60_000)
 
 
+@pytest.mark.slow
 def test_an_edit_at_an_earlier_frame_begins_a_branch(browser: Browser, tmp_path: Path) -> None:
     scene = few(tmp_path, 100)
     scene.write_text(scene.read_text().replace("frames: 1..960", "frames: 1..40"))
@@ -77,6 +80,7 @@ def test_an_edit_at_an_earlier_frame_begins_a_branch(browser: Browser, tmp_path:
         seen.page.wait_for_function(branch.format(words="before: simulated again from the first frame, at frame 1"), polling=50)
 
 
+@pytest.mark.slow
 def test_costs_are_told_by_phase_and_line(browser: Browser, tmp_path: Path) -> None:
     with previewed(few(tmp_path, 100)) as address, opened(browser, address) as seen:
         seen.press("side-tab-profile")
@@ -87,6 +91,7 @@ def test_costs_are_told_by_phase_and_line(browser: Browser, tmp_path: Path) -> N
         assert "move" in words and "decide" in words
 
 
+@pytest.mark.slow
 def test_keys_reach_everything(browser: Browser, tmp_path: Path) -> None:
     with previewed(few(tmp_path, 100)) as address, opened(browser, address) as seen:
         seen.press("play")
@@ -114,6 +119,7 @@ def test_keys_reach_everything(browser: Browser, tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.slow
 def test_markup_in_words_of_users_is_shown_as_words(browser: Browser, tmp_path: Path) -> None:
     scene = few(tmp_path, 100)
     program = scene.parent / "forager.ant"

@@ -85,6 +85,7 @@ def test_keys_go_from_ant_to_ant(browser: Browser, foraging: str) -> None:
         assert said(seen) == "forager 499, search"
 
 
+@pytest.mark.slow
 def test_arrows_turn_the_view_and_leave_time_alone(browser: Browser, foraging: str) -> None:
     with opened(browser, foraging) as seen:
         settled(seen)
@@ -99,6 +100,7 @@ def test_arrows_turn_the_view_and_leave_time_alone(browser: Browser, foraging: s
         assert seen.now("frame") == frame
 
 
+@pytest.mark.slow
 def test_a_click_selects_who_is_there_and_beside_them_nobody(browser: Browser, foraging: str) -> None:
     with opened(browser, foraging) as seen:
         keys(seen, "n", "g", "Escape", *["ArrowUp"] * 12)  # from straight above nobody hides another
@@ -124,6 +126,7 @@ def test_a_click_selects_who_is_there_and_beside_them_nobody(browser: Browser, f
         assert said(seen) == "nobody is selected"
 
 
+@pytest.mark.slow
 def test_a_row_of_the_legend_selects_all_in_the_state(browser: Browser, foraging: str) -> None:
     with opened(browser, foraging) as seen:
         count = seen.now("counts()")["forager.main.search"]
@@ -133,6 +136,7 @@ def test_a_row_of_the_legend_selects_all_in_the_state(browser: Browser, foraging
         assert said(seen) == f"{count} selected"
 
 
+@pytest.mark.slow
 def test_who_is_followed_stays_in_the_middle(browser: Browser, tmp_path: Path) -> None:
     with previewed(few(tmp_path, 500)) as address, opened(browser, address) as seen:
         keys(seen, "n", "2", "g")
@@ -153,6 +157,7 @@ def test_who_is_followed_stays_in_the_middle(browser: Browser, tmp_path: Path) -
         assert 0 < x < box["width"] and box["height"] / 2 < y < 1.3 * box["height"]  # below the eye of who rides
 
 
+@pytest.mark.slow
 def test_light_and_dark_are_both_drawn(browser: Browser, foraging: str) -> None:
     sky = {}
     for theme in ("light", "dark"):

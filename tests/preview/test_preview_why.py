@@ -45,7 +45,7 @@ def watched(name: str, frames: int, each: int, folder: Path, monkeypatch: pytest
     return notes
 
 
-@pytest.mark.parametrize("name", ["foraging", "moods"])
+@pytest.mark.parametrize("name", [pytest.param("foraging", marks=pytest.mark.slow), "moods"])
 def test_what_is_explained_is_what_happened_however_it_was_edited(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -151,6 +151,7 @@ def chaos(folder: Path, edits: int, seed: int) -> Counter[str]:
     return seen
 
 
+@pytest.mark.slow
 def test_forty_edits_keep_what_must_be_kept(tmp_path: Path) -> None:
     seen = chaos(tmp_path, 40, seed=1)
     assert seen["taken over"] > 10

@@ -34,6 +34,7 @@ def felt(near: float, far: float = float("inf")) -> list[float]:
     return play(FEELS, crowd(at=PLACES), world=WORLD, obstacles=BALL, detail=data)["x"]
 
 
+@pytest.mark.slow
 def test_feelers_meet_triangles_then_boxes_then_nothing() -> None:
     inf = 99.0  # nothing
     ball = [20 - np.sqrt(100 - z * z) - x for x, z in PLACES[:4]]
@@ -55,6 +56,7 @@ def test_pieces_hang_together_by_the_places_of_their_corners() -> None:
     assert found[0][1][1] == 5.0
 
 
+@pytest.mark.slow
 def test_boxes_go_with_their_obstacle() -> None:
     way = np.repeat(np.eye(3, 4)[None], 4, axis=0)
     way[:, 2, 3] = (0, 3, 6, 9)

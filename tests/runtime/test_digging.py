@@ -137,7 +137,11 @@ def test_fields_lie_on_the_walls_that_were_dug(watched):
 
 @pytest.mark.parametrize(
     "options",
-    [{"chunk": 3, "shuffle_rows": 1}, {"threads": 2, "chunk": 5}, {"backend": "reference", "shuffle_rows": 4}],
+    [
+        {"chunk": 3, "shuffle_rows": 1},
+        {"threads": 2, "chunk": 5},
+        pytest.param({"backend": "reference", "shuffle_rows": 4}, marks=pytest.mark.slow),
+    ],
     ids=str,
 )
 def test_the_same_hash_at_every_frame(shot, watched, options):
@@ -189,6 +193,7 @@ def written_out(folder: Path, frame: int) -> np.ndarray:
     return corners[np.lexsort(corners.T)]
 
 
+@pytest.mark.slow
 def test_a_cache_shows_what_was_dug_and_can_be_continued(scene, shot, tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     run("run", scene, "--out", whole)

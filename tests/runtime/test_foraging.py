@@ -74,6 +74,7 @@ def counts_at(crowd: World, *frames: int) -> list[NDArray[np.int64]]:
     return found
 
 
+@pytest.mark.slow
 def test_a_crowd_comes_to_rest_in_its_shares() -> None:
     """What a preroll is for. Here the crowd soon gives up searching, so that it is under way after 20 s."""
     crowd = world(count=400, load=1e5, patience=8.0, around=APPLE, radius=200.0)

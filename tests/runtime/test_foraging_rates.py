@@ -25,6 +25,7 @@ def taken(fps: int, substeps: int) -> float:
     return 2e4 - foraging_shots.crumbs(crowd)[0]
 
 
+@pytest.mark.slow
 def test_a_crowd_takes_as_much_at_any_rate() -> None:
     found = [taken(fps, substeps) for fps, substeps in ((24, 1), (48, 1), (24, 2))]
     assert min(found) > 50

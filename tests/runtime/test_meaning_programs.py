@@ -56,6 +56,7 @@ def test_hunters_chase_rabbits_and_rabbits_run() -> None:
     assert len(set(seen["prey"])) > 1
 
 
+@pytest.mark.slow
 def test_everybody_leaves_the_building_by_an_open_exit() -> None:
     """Two rooms' worth of walls, one exit open, one shut."""
     walls = [meshes.box((-4000, -100, 1500), (4000, 2500, 1700)), meshes.box((-4000, -100, -1700), (4000, 2500, -1500))]

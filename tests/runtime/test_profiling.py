@@ -234,6 +234,7 @@ def test_a_session_is_measured_across_edits_and_back_in_time(shot: Shot) -> None
     assert plain.hash == session.hash
 
 
+@pytest.mark.slow
 def test_run_tells_where_the_time_went(shot: Shot, tmp_path: Path) -> None:
     words = [sys.executable, "-m", "antdsl", "run", "scene.yaml", "--frames", "1..6"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "120"}

@@ -115,6 +115,7 @@ def test_nobody_on_a_stack_of_stones_comes_into_a_stone() -> None:
     assert climbs > 30
 
 
+@pytest.mark.slow
 def test_nobody_slips_from_the_ground_into_what_is_sunk_in_it_or_leans_on_it() -> None:
     meshes = {name: SHAPES.SHAPES[name]() for name in ("ground", "boulder", "stones", "cube")}
     meshes["stones"] = (meshes["stones"][0] + np.array([20.0, -3.0, 12.0]), meshes["stones"][1])  # against the boulder

@@ -46,6 +46,7 @@ def test_a_level_and_a_rate_into_a_field_that_keeps_the_greatest() -> None:
     assert play(text, crowd(3), steps=3, world=WORLD, surfaces=GROUND)["x"] == [6, 6, 6]  # the greatest, however often
 
 
+@pytest.mark.slow
 def test_ants_find_home_and_food_by_worth_alone() -> None:
     shot, report = open_scene(SCENE)
     assert shot is not None, report.sorted()

@@ -110,6 +110,7 @@ def test_more_than_the_cap_is_left_to_numpy(monkeypatch) -> None:
     assert grid._compiled(tuple(places), np.full(2000, 3.0, np.float32), ids, None, 1) is None
 
 
+@pytest.mark.slow
 def test_a_crowd_goes_the_same_way_compiled_and_not(monkeypatch) -> None:
     hashes = []
     for on in (False, True):

@@ -99,6 +99,7 @@ def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: 
     assert found["items.food.load"] == 3 and found["transitions.walker.look->go"] >= 3
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_costs_its_own_run_only(folder: Path) -> None:
     long = replace(made(folder)[0], frames=(1, 900_000), key="long")
     hit: list[int] = []
