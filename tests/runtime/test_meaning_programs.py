@@ -7,6 +7,7 @@ from pathlib import Path
 
 import meshes
 import numpy as np
+import pytest
 from meaning import FAST, WAYS, crowd, item, played
 
 from antdsl import plan
