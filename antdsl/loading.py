@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import os
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +30,19 @@ class CheckedOnce(Parsed):
     def __init__(self) -> None:
         super().__init__()
         self.checked: dict[tuple[object, ...], tuple[Program, Report]] = {}
+
+
+def library(name: str) -> nodes.File | None:
+    """The file behind `use NAME`, or None when there is none. The same object as long as its text is the same."""
+    path = library_file(name)
+    source = None if path is None else syntax.read(path)[0]
+    return None if source is None else _library_file(name, source.text)[0]
+
+
+@lru_cache(maxsize=64)
+def _library_file(name: str, text: str) -> tuple[nodes.File, Report]:
+    """Parsing a file of the library takes longer than to check what most programs take from it."""
+    return syntax.parse(Source(f"<{name}>", text))
 
 
 @dataclass(slots=True)
@@ -106,7 +120,8 @@ class Loaded:
             if source is None:
                 self.report.extend(report)
                 return None
-            file, findings = syntax.parse(Source(name, source.text))
+            of_library = name.startswith("<")
+            file, findings = _library_file(name[1:-1], source.text) if of_library else syntax.parse(Source(name, source.text))
             report.extend(findings)
             self.parsed[place] = file, report
         source = file.source

@@ -6,10 +6,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
+
+if TYPE_CHECKING:
+    from antdsl.runtime import Built
 
 # Files that take longest are begun first, or at the end one process would be at work on one of them while the others wait.
 LONGEST = (
@@ -35,14 +40,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: PLACE.get(item.path.stem, len(PLACE)))
 
 
-@pytest.fixture(scope="module")
-def kept_meshes() -> Iterator[None]:
-    """What is made of meshes is made once a file, as it is once a session of the preview: most worlds of a file stand on the same
-    ground. Not for tests of how it is made."""
-    from antdsl.runtime import Built  # late: most processes of the quick part simulate nothing
-    from antdsl.runtime.binding import bind_world
+@pytest.fixture(scope="session")
+def _made_of_meshes() -> Built | None:
+    """None where no test simulates, as in most of the quick part: a file whose tests do imports it before the first of them."""
+    if "antdsl.runtime.binding.bind_world" not in sys.modules:
+        return None
+    from antdsl.runtime import Built
 
-    built = Built()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bind_world, "Built", lambda: built)
+    return Built()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _kept_meshes(_made_of_meshes: Built | None) -> Iterator[None]:
+    """What is made of meshes is made once a file or two, as it is once a session of the preview: most worlds stand on the same
+    ground. How it is made is tested where it is made, not through a world."""
+    if _made_of_meshes is None:
         yield
+        return
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("antdsl.runtime.binding.bind_world.Built", lambda: _made_of_meshes)
+        yield
+    _made_of_meshes.forget()

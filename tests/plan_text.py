@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from antdsl.diagnostics import Report
+from antdsl.loading import library
 from antdsl.plan import ir, lower, verify
 from antdsl.program import check
 from antdsl.program.model import Program
-from antdsl.resources import library_file
 from antdsl.source import Source
-from antdsl.syntax import nodes, parse
+from antdsl.syntax import parse
 
 WORLD = """ant 1
 world {
@@ -21,15 +21,10 @@ world {
 """
 
 
-def _library(name: str) -> nodes.File | None:
-    path = library_file(name)
-    return None if path is None else parse(Source(f"<{name}>", path.read_text()))[0]
-
-
 def program_of(text: str, world: str = WORLD) -> Program:
     """A checked program; `text` stands below a world with ground, stones, food and a nest."""
     file, report = parse(Source("test.ant", world + text))
-    program, findings = check(file, _library)
+    program, findings = check(file, library)
     report.extend(findings)
     assert report.ok, [f"{d.span}: {d.code}: {d.message}" for d in report.errors]
     return program

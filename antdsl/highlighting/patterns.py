@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from antdsl.program.tables.colours import COLOURS
 from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RUN_NAMES, SENSED_NAMES, TYPE_WORDS
-from antdsl.syntax.words import FIELD_SETTINGS, FORMS, LINE_WORDS, UNIT_NAMES, WORLD_KINDS
+from antdsl.syntax.words import FIELD_SETTINGS, FORMS, LINE_WORDS, NUMBER, UNITS, WORLD_KINDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +60,6 @@ _LABELLED = r"(?=[ \t]*:)"
 _NOT_A_VALUE = r"(?![ \t]*(?:[:.,)=*/^<>!]|[-+]=|\[))"  # what follows a name in the middle of a value, or a label
 _INSIDE = r"(?:^[ \t]+|(?<=[{;])[ \t]*)"  # in a world stands the species that another file brings
 _BEGIN = r"(?:^|(?<=[{;]))[ \t]*"
-_UNIT = rf"(?:{'|'.join(UNIT_NAMES)})(?:\^[0-9]+)?{_END}"
-_TAIL = rf"(?:%|{_UNIT}|/{_UNIT})(?:[/*]{_UNIT})*"
-_NUMBER = r"[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+(?![0-9A-Za-z_]))?"
 
 
 def _any(words: Iterable[str]) -> str:
@@ -77,7 +74,7 @@ _PROPERTIES = (set(GIVEN) | set(RUN_NAMES) | set(SENSED_NAMES) | {"self", "it", 
 PATTERNS: tuple[Pattern, ...] = (
     Pattern(r"#.*$", ("comment",)),
     Pattern(r'"[^"\n]*"?', ("string",)),
-    Pattern(rf"({_NUMBER})([ \t]*{_TAIL})?", ("number", "unit")),
+    Pattern(rf"({NUMBER})([ \t]*{UNITS})?", ("number", "unit")),
     # the first word of a line
     Pattern(rf"{_any(CLAIMS)}{_LABELLED}", ("keyword",)),
     Pattern(rf"{_INSIDE}(species)(?=[ \t]+{_NAME})", ("kind",)),

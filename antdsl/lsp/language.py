@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
-from functools import lru_cache
 from typing import Any
 
+from antdsl.loading import library
 from antdsl.lsp.samples import (
     CALL_FORMS,
     INNER_FORMS,
@@ -48,9 +48,8 @@ from antdsl.program.tables.vocabulary import (
     TYPE_WORDS,
     UNITS,
 )
-from antdsl.resources import library_file, library_names
-from antdsl.source import Source
-from antdsl.syntax import nodes, parse, read
+from antdsl.resources import library_names
+from antdsl.syntax import nodes
 from antdsl.syntax.words import FORMS
 
 Rule = Callable[[Key], str | None]
@@ -247,14 +246,14 @@ def about(word: str) -> str | None:
     if not found and (known := _unit(("unit", unit))):
         found, word = [("a unit", known)], unit
     found += [("argument of a call", "\n\n".join(_arguments(word)))]
-    for library, node in _library():
+    for brings, node in _library():
         if node.name.text == word:
-            text = markdown(f"behaviour {signature(node)}", node.help.text if node.help else "", f"`use {library}`")
+            text = markdown(f"behaviour {signature(node)}", node.help.text if node.help else "", f"`use {brings}`")
             found.append(
-                (f"a behaviour of the library `{library}`", f"{text}\n\nIt is written so:\n\n```ant\n{node.span.text}\n```")
+                (f"a behaviour of the library `{brings}`", f"{text}\n\nIt is written so:\n\n```ant\n{node.span.text}\n```")
             )
     if word in library_names():
-        names = ", ".join(f"`{node.name.text}`" for library, node in _library() if library == word)
+        names = ", ".join(f"`{node.name.text}`" for brings, node in _library() if brings == word)
         found.append(("a library", markdown(f"use {word}", f"the library: {names}")))
     said = [(title, text) for title, text in found if text]
     if not said and word in RESERVED:
@@ -283,13 +282,6 @@ def _arguments(word: str) -> Iterator[str]:
 
 def _library() -> Iterator[tuple[str, nodes.Behaviour]]:
     for name in library_names():
-        path = library_file(name)
-        source = read(path)[0] if path is not None else None
-        if source is not None:
-            yield from ((name, node) for node in _behaviours(source.path, source.text))
-
-
-@lru_cache(8)
-def _behaviours(path: str, text: str) -> tuple[nodes.Behaviour, ...]:
-    """The behaviours of a file. Parsing takes a hundred times as long as finding one of them, and every word asks for it."""
-    return tuple(item for item in parse(Source(path, text))[0].items if isinstance(item, nodes.Behaviour))
+        file = library(name)
+        if file is not None:
+            yield from ((name, item) for item in file.items if isinstance(item, nodes.Behaviour))

@@ -17,8 +17,9 @@ from antdsl.specs.comparison import Rival
 from antdsl.specs.lines import Ids, Line, Seen, about_the_whole, in_steps
 from antdsl.specs.queries import Asker, by_id
 from antdsl.specs.value_text import shown, whereabouts
+from antdsl.syntax.words import NUMBER
 
-_NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+_NUMBER = re.compile(NUMBER)
 
 
 class Judge:

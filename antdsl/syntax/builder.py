@@ -5,15 +5,13 @@ The parser sees a line with empty braces; what stands between them has been pars
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, overload
 
 from antdsl.source import Span
 from antdsl.syntax import nodes as n
-
-_NUMBER = re.compile(r"[0-9]+(\.[0-9]+)?([eE][+-]?[0-9]+)?")
+from antdsl.syntax.words import QUANTITY
 
 
 class Token(Protocol):
@@ -349,11 +347,11 @@ class Builder:
 
     def quantity(self, parts: list[Any]) -> n.Quantity:
         token: Token = parts[0]
-        digits = _NUMBER.match(token.value)
-        assert digits is not None
-        unit = token.value[digits.end() :].strip()
+        written = QUANTITY.match(token.value)
+        assert written is not None
+        digits, unit = written[1], written[2] or ""
         unit_span = self.place.span(token.end_pos - len(unit), token.end_pos)
-        return n.Quantity(float(digits.group()), unit, unit_span, self.at(token))
+        return n.Quantity(float(digits), unit, unit_span, self.at(token))
 
     def name(self, parts: list[Any]) -> n.NameRef:
         return n.NameRef(self.word(parts[0]), self.at(parts[0]))

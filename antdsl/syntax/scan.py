@@ -15,7 +15,7 @@ from antdsl.syntax.mistakes.lookalikes import DOUBLE_QUOTES, SINGLE_QUOTES, WRON
 from antdsl.syntax.mistakes.number_slips import NO_SECOND, WITH_COMMAS, comma_in_number, number_problem, unit_help
 from antdsl.syntax.mistakes.stray_text import blank_lines, look_over
 from antdsl.syntax.nodes import Comment
-from antdsl.syntax.words import UNIT_NAMES, UNIT_SLIPS
+from antdsl.syntax.words import NUMBER, UNIT, UNIT_SLIPS, UNITS
 
 UNREADABLE = "\ufffd"
 
@@ -71,22 +71,21 @@ class Scan:
         return found < len(self.faults) and self.faults[found] <= end
 
 
-_UNIT = rf"(?:{'|'.join(UNIT_NAMES)})(?:\^[0-9]+)?(?![A-Za-z0-9_])"
 _PIECE = re.compile(
-    r"""(?P<blank>[ \t\r]+)
+    rf"""(?P<blank>[ \t\r]+)
     | (?P<comment>\#[^\n]*)
     | (?P<end>[\n;])
     | (?P<text>"[^"\n]*"?)
-    | (?P<number>[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+(?![0-9A-Za-z_]))?)
+    | (?P<number>{NUMBER})
     | (?P<word>[A-Za-z_][A-Za-z_0-9]*)
-    | (?P<open>[(\[{])
-    | (?P<close>[)\]}])
+    | (?P<open>[(\[{{])
+    | (?P<close>[)\]}}])
     | (?P<wrong>&&|\|\||//|/\*|=>|:=|===|\+\+|\*\*)
     | (?P<sign>->|\.\.|[-+<>=!]=|[-+*/^<>=.,:])
     | (?P<odd>.)""",
     re.VERBOSE | re.DOTALL,
 )
-_QUANTITY = re.compile(rf"[ \t]*(?:%|{_UNIT}|/(?:{_UNIT}))(?:[/*](?:{_UNIT}))*")
+_BEHIND = re.compile(rf"[ \t]*{UNITS}")
 _WORD = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 _HYPHENED = re.compile(r"[A-Za-z][A-Za-z_0-9]*(?:-[A-Za-z][A-Za-z_0-9]*)+(?![A-Za-z_0-9])")
 _NAMING = frozenset(
@@ -97,7 +96,7 @@ _TAIL = re.compile(r"[ \t\r]*[{};]*[ \t\r]*(#[^\n]*)?$")  # what a text that is 
 _COLON = re.compile(r"[ \t]*:")
 _FRACTION = re.compile(r"\.[0-9]+")
 _SLIP = re.compile(rf"[/*]({'|'.join(UNIT_SLIPS)})(?![A-Za-z0-9_])")
-_PER = re.compile(rf"(?:[/*](?:{_UNIT}))+")
+_PER = re.compile(rf"(?:[/*]{UNIT})+")
 _NO_NUMBERS = ("nan", "inf", "infinity")
 
 
@@ -235,7 +234,7 @@ class _Scanner:
         return self.token("word", start, end)
 
     def quantity_end(self, end: int) -> int:
-        tail = _QUANTITY.match(self.characters, end)
+        tail = _BEHIND.match(self.characters, end)
         return tail.end() if tail else end
 
     def number(self, start: int, end: int, piece: str) -> int:
@@ -248,7 +247,7 @@ class _Scanner:
             self.found.error("bad-number", message, start, stop, help)
             self.found.replace(start, "1" + " " * (stop - start - 1))
             end = stop
-        tail = _QUANTITY.match(self.characters, end)
+        tail = _BEHIND.match(self.characters, end)
         if tail is not None:
             end = tail.end()
             slip = _SLIP.match(self.characters, end)

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import re
+
 from antdsl.syntax.verbs import VERBS
 
 UNIT_NAMES = ("mm", "cm", "m", "s", "min", "deg", "rad", "turn", "mg", "g", "kg", "N", "uN", "u", "step")
+
+# How a number is written, one unit, all that may stand behind a number, and both: the digits and the unit are groups 1 and 2.
+NUMBER = r"[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+(?![0-9A-Za-z_]))?"
+UNIT = rf"(?:{'|'.join(UNIT_NAMES)})(?:\^[0-9]+)?(?![A-Za-z_0-9])"
+UNITS = rf"(?:%|{UNIT}|/{UNIT})(?:[/*]{UNIT})*"
+QUANTITY = re.compile(rf"({NUMBER})[ \t]*({UNITS})?")
 
 UNIT_SLIPS = {
     "ms": "write thousandths of a second as `0.001 s`",

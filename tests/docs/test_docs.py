@@ -113,16 +113,11 @@ def whole(block: Block) -> str:
 
 
 def check(text: str, name: str) -> Report:
+    from antdsl.loading import library
     from antdsl.program import check as check_program
-    from antdsl.resources import library_file
     from antdsl.syntax import parse
 
     file, report = parse(Source(name, text))
-
-    def library(wanted: str) -> object:
-        found = library_file(wanted)
-        return None if found is None else parse(Source(found.name, found.read_text(encoding="utf-8")))[0]
-
     _, findings = check_program(file, library=library, modules={})
     report.extend(findings)
     return report
@@ -210,7 +205,6 @@ for _block in of_kind("console"):
         RUN.setdefault(_block.document, []).append(_block)
 
 
-@pytest.mark.usefixtures("kept_meshes")
 @pytest.mark.parametrize("document", RUN, ids=lambda path: path.name)
 def test_commands_do_what_the_documents_say(document: Path, folder: Path) -> None:
     """Each `$ antdsl …` line is run; a line of output that follows must occur in what it prints."""

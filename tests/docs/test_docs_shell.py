@@ -45,7 +45,6 @@ LINES = {page: lines for page in PAGES if (lines := shell_lines(page))}
 
 
 @pytest.mark.parametrize("page", LINES, ids=lambda page: str(page.relative_to(ROOT)))
-@pytest.mark.usefixtures("kept_meshes")
 def test_shell_lines_run(page: Path, tmp_path: Path) -> None:
     for part in ("examples", "behaviours", "grammar"):
         (tmp_path / part).symlink_to(ROOT / part, target_is_directory=True)

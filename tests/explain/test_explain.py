@@ -8,7 +8,6 @@ import pytest
 from explained import cached, differences, explanations, facts, shot_of
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-pytestmark = pytest.mark.usefixtures("kept_meshes")
 SHORT = {"foraging": 10, "flocking": 14, "moods": 20, "alarm": 54, "tunnel": 10}
 LONG = {"foraging": 400, "flocking": 120, "moods": 200, "alarm": 150, "tunnel": 240, "worth": 200, "flow": 240, "anthill": 120}
 

@@ -8,7 +8,6 @@ from foraging_shots import EXAMPLE, world
 from antdsl.runtime import Options, state_hash, step
 
 # How rays meet a mesh and what is asked of it differ by these; how a mesh is prepared does not.
-pytestmark = pytest.mark.usefixtures("kept_meshes")
 WAYS = (
     Options(threads=2, chunk=1000),
     Options(threads=1, chunk=100_000, shuffle_rows=1),

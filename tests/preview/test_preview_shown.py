@@ -16,8 +16,6 @@ from antdsl.preview import Live, Session
 from antdsl.preview.binary_packets import unpack
 from antdsl.preview.viewing.feelers import felt
 
-pytestmark = pytest.mark.usefixtures("kept_meshes")
-
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:

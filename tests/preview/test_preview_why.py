@@ -21,7 +21,6 @@ def first_layer(session: Session) -> tuple[str, str]:
     return name, session.shot.program.species[name].layers.layers[0].span.text
 
 
-pytestmark = pytest.mark.usefixtures("kept_meshes")
 PARAM = {"foraging": ("forager.swing", "120 deg"), "flocking": ("boid.sight", "40 mm"), "alarm": ("ant.shout", "60 /s")}
 
 

@@ -11,8 +11,6 @@ from antdsl.pipeline import open_scene, simulate
 from antdsl.preview import Session
 from antdsl.runtime import state_hash
 
-pytestmark = pytest.mark.usefixtures("kept_meshes")  # of fresh runs; a session keeps its own
-
 
 @pytest.fixture
 def shot(tmp_path: Path) -> Path:

@@ -13,7 +13,6 @@ from antdsl.pipeline import Choices, open_scene, simulate
 from antdsl.runtime import Options, bind, state_hash, step
 
 SCENE = Path(__file__).resolve().parents[2] / "examples" / "moods" / "scene.yaml"
-pytestmark = pytest.mark.usefixtures("kept_meshes")
 FORAGE, HIDE, LURK = range(3)
 
 

@@ -9,17 +9,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import pytest
 
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.codes import CODES
+from antdsl.loading import library
 from antdsl.program import check
-from antdsl.resources import library_file
 from antdsl.source import Source
-from antdsl.syntax import nodes, parse
+from antdsl.syntax import parse
 
 CASES = Path(__file__).parents[1] / "cases" / "check"
 AROUND = """ant 1
@@ -48,12 +47,6 @@ def parts() -> Iterator[Part]:
         for text in file.read_text(encoding="utf-8").split("---\n"):
             yield Part(file, line, text)
             line += text.count("\n") + 1
-
-
-@cache
-def library(name: str) -> nodes.File | None:
-    path = library_file(name)
-    return None if path is None else parse(Source(f"<{name}>", path.read_text(encoding="utf-8")))[0]
 
 
 def told(text: str, name: str = "case.ant") -> Report:

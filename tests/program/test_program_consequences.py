@@ -7,10 +7,10 @@ import re
 import pytest
 
 from antdsl.diagnostics import Diagnostic
+from antdsl.loading import library
 from antdsl.program import check
-from antdsl.resources import library_file
 from antdsl.source import Source
-from antdsl.syntax import nodes, parse
+from antdsl.syntax import parse
 
 GOOD = """ant 1
 use steering
@@ -78,10 +78,6 @@ SLIPS = [  # what is written, what the slip makes of it, code, text at the place
 
 
 def complaints(text: str) -> list[Diagnostic]:
-    def library(name: str) -> nodes.File | None:
-        path = library_file(name)
-        return None if path is None else parse(Source("<steering>", path.read_text()))[0]
-
     file, report = parse(Source("forager.ant", text))
     return [*report.diagnostics, *check(file, library)[1].diagnostics]
 

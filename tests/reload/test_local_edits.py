@@ -6,7 +6,6 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import pytest
 from foraging_shots import EXAMPLE, by_id, setting, shot, world
 
 from antdsl.pipeline import open_scene
@@ -14,7 +13,6 @@ from antdsl.runtime import MeshData, World, bind, state_hash, step
 
 FRAMES = 15
 # A mesh that was edited is made anew; those that were not are the same, here as in a session of the preview.
-pytestmark = pytest.mark.usefixtures("kept_meshes")
 
 
 def same(one: World, other: World, first: int | None = None) -> list[str]:

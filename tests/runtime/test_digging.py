@@ -23,7 +23,6 @@ from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, state_hash, step
 
 STEPS = 80
-pytestmark = pytest.mark.usefixtures("kept_meshes")
 
 
 @pytest.fixture(scope="module")

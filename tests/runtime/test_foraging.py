@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from antdsl.runtime import World, step
 
-pytestmark = pytest.mark.usefixtures("kept_meshes")
 # turn_p99 is degrees a step at 24 fps; max_turn of 400 deg/s allows 16.7 in the plane.
 BOUNDS = dict(turn_p99=17.0, circling=0.01, standing=0.005, overlap_p99=0.6, straightness=0.75)
 CROWDED = dict(turn_p99=17.0, circling=0.01, standing=0.02, overlap_p99=0.8, straightness=0.7)

@@ -14,8 +14,6 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 import frame_rates
 
-pytestmark = pytest.mark.usefixtures("kept_meshes")
-
 
 def taken(fps: int, substeps: int) -> float:
     """Crumbs taken in five seconds by a crowd around the apple."""

@@ -24,7 +24,6 @@ from antdsl.runtime.profiling import Meter, Profile
 
 ROOT = Path(__file__).parents[2]
 FORAGING = ROOT / "examples" / "foraging" / "scene.yaml"
-pytestmark = pytest.mark.usefixtures("kept_meshes")
 BLOCKS = ("decide", "act", "blend", "births")
 PROGRAM = """ant 1
 use steering

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
 import pytest
 
 from antdsl.diagnostics import Diagnostic, Report
+from antdsl.loading import library
 from antdsl.program import check
-from antdsl.resources import library_file
 from antdsl.scene.load import load_text
 from antdsl.scene.paths import Roots
 from antdsl.source import Source
-from antdsl.syntax import nodes, parse
+from antdsl.syntax import parse
 from antdsl.syntax.scan import scan
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,12 +22,6 @@ FILES = sorted((ROOT / "examples").rglob("*.ant"))
 AROUND = (
     "ant 1\nuse steering\nworld {{ surface ground; items food {{ load = 0 }} }}\nspecies bug {{ calm = 0; state go {{ {} }} }}\n"
 )
-
-
-@cache
-def library(name: str) -> nodes.File | None:
-    path = library_file(name)
-    return None if path is None else parse(Source(f"<{name}>", path.read_text(encoding="utf-8")))[0]
 
 
 def told(text: str) -> list[Diagnostic]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,22 +11,16 @@ import pytest
 import yaml
 
 from antdsl.diagnostics import Report
+from antdsl.loading import library
 from antdsl.program import check
-from antdsl.resources import library_file
 from antdsl.source import Source
-from antdsl.syntax import nodes, parse
+from antdsl.syntax import parse
 from antdsl.syntax.scan import scan
 
 ROOT = Path(__file__).resolve().parents[2]
 ROWS: list[dict[str, Any]] = yaml.safe_load((ROOT / "tests/cases/mistakes/foraging.yaml").read_text(encoding="utf-8"))
 FORAGER = (ROOT / "examples/foraging/forager.ant").read_text(encoding="utf-8")
 HERE = "‸"
-
-
-@cache
-def library(name: str) -> nodes.File | None:
-    path = library_file(name)
-    return None if path is None else parse(Source(f"<{name}>", path.read_text(encoding="utf-8")))[0]
 
 
 def told(text: str) -> Report:

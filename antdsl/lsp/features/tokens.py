@@ -8,7 +8,7 @@ from functools import lru_cache
 from antdsl.lsp.text import Text
 from antdsl.lsp.workspace import Document
 from antdsl.resources import grammar_file
-from antdsl.syntax.words import UNIT_NAMES
+from antdsl.syntax.words import NUMBER, UNITS
 
 TYPES = (
     "keyword", "comment", "string", "number", "operator", "class", "enumMember", "function", "parameter", "property", "variable",
@@ -25,10 +25,9 @@ _KINDS: dict[str, tuple[str, int]] = {
     "alias": ("namespace", 0), "library": ("namespace", 4), "event": ("event", 0), "motion": ("property", 4),
     "colour": ("variable", 4),
 }  # fmt: skip
-_UNIT = rf"(?:{'|'.join(UNIT_NAMES)})(?:\^[0-9]+)?(?![A-Za-z_])"
 _PIECE = re.compile(
     r'(?P<string>"[^"\n]*"?)|(?P<comment>\#[^\n]*)|(?P<word>[A-Za-z_][A-Za-z_0-9]*)'
-    rf"|(?P<number>[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?(?:[ \t]*(?:%|/?{_UNIT})(?:[*/]{_UNIT})*)?)"
+    rf"|(?P<number>{NUMBER}(?:[ \t]*{UNITS})?)"
     r"|(?P<operator>->|\.\.|[-+<>=!]=|[-+*/^<>=])"
 )
 

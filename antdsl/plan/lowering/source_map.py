@@ -18,9 +18,10 @@ from antdsl.plan.lowering.writer import Rules, Writer
 from antdsl.program import model
 from antdsl.program.tables.units import measure, unit_of
 from antdsl.source import Span
+from antdsl.syntax.words import NUMBER, UNITS
 
 _JOINED = frozenset(("and", "or", "not", "is_some", "is_none", "lt", "le", "gt", "ge", "eq", "ne"))
-_UNIT = re.compile(r"(?<![\w.])[0-9][0-9.]*(?:e[+-]?[0-9]+)?[ ]?((?:%|/?[A-Za-z]+(?:\^[0-9])?)(?:[*/][A-Za-z]+(?:\^[0-9])?)*)")
+_WITH_UNIT = re.compile(rf"(?<![\w.]){NUMBER}[ \t]*({UNITS})")
 _DEEP = 6  # parts of parts of a condition that are noted
 _BOOL = model.Type(model.Kind.BOOL)
 _NUMBER = model.Type(model.Kind.NUMBER)
@@ -220,7 +221,7 @@ def _line(text: str) -> str:
 
 def _units(span: Span) -> list[str]:
     """The units that stand behind numbers in a stretch of text."""
-    return [unit for unit in _UNIT.findall(span.text) if measure(unit) is not None]
+    return _WITH_UNIT.findall(span.text)
 
 
 def _unit(e: model.Expr, units: list[str], program: model.Program) -> str:

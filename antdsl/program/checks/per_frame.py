@@ -17,8 +17,8 @@ from antdsl.program.traverse import parts
 from antdsl.program.types.descriptions import quoted
 from antdsl.program.types.folding import constant_behind
 from antdsl.source import Span
+from antdsl.syntax.words import QUANTITY
 
-_LITERAL = re.compile(r"([0-9][0-9.]*(?:e[+-]?[0-9]+)?)\s*(%|[a-z]+)?")
 _DECAY = re.compile(r"\w+ \* exp\(-dt / ([0-9.e+-]+ s)\)")
 _SO = "happens in every step, so it depends on the frames per second"
 _SIMPLE = re.compile(r"[\w.]+(\([^()]*\))?")
@@ -186,8 +186,8 @@ def _exp(rate: float) -> str:
 
 def _a_second(text: str) -> str:
     """An amount a step as one a second: `1` as `24 /s`, `2 mm` as `48 mm/s`, `gain` as `gain * 24 /s`."""
-    literal = _LITERAL.fullmatch(text)
-    if literal is not None:
+    literal = QUANTITY.fullmatch(text)
+    if literal is not None and "/" not in text:
         return f"{float(literal[1]) * FPS:.6g} {literal[2] or ''}/s"
     return f"{text if _SIMPLE.fullmatch(text) else f'({text})'} * {FPS} /s"
 

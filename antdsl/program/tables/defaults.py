@@ -8,8 +8,9 @@ from antdsl.program.model import Expr
 from antdsl.program.names.scope import Scope
 from antdsl.source import Span
 from antdsl.syntax import nodes
+from antdsl.syntax.words import QUANTITY
 
-_TERM = re.compile(r"(?P<number>\d+(?:\.\d+)?)(?: *(?P<unit>[a-z%/]+))?|(?P<name>[a-z_]+)")
+_NAME = re.compile("[a-z_]+")
 
 
 def default_of(scope: Scope, text: str, span: Span) -> tuple[Expr, ...]:
@@ -27,10 +28,10 @@ def node_of(text: str, span: Span) -> nodes.Expr:
 
 
 def _term(text: str, span: Span) -> nodes.Expr:
-    found = _TERM.fullmatch(text)
+    if _NAME.fullmatch(text):
+        return nodes.NameRef(nodes.Name(text, span), span)
+    found = QUANTITY.fullmatch(text)
     if found is None:
         raise ValueError(f"a default that cannot be read: {text!r}")
-    if found["name"]:
-        return nodes.NameRef(nodes.Name(found["name"], span), span)
-    value = float(found["number"])
-    return nodes.Quantity(value, found["unit"], span, span) if found["unit"] else nodes.Number(value, span)
+    value = float(found[1])
+    return nodes.Quantity(value, found[2], span, span) if found[2] else nodes.Number(value, span)

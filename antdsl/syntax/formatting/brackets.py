@@ -4,14 +4,13 @@ A comment inside brackets stands behind a slot or on lines of its own before it;
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from antdsl.syntax import nodes as n
 from antdsl.syntax.scan import Scan, Token
+from antdsl.syntax.words import QUANTITY
 
-_NUMBER = re.compile(r"([0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?)[ \t]*(.*)", re.DOTALL)
 # How loosely a word binds, for breaking a value that is too long: the loosest first. `..` parts a range.
 _LEVELS = (("..",), ("then", "else"), ("or",), ("and",), ("<", ">", "<=", ">=", "==", "!="), ("+", "-"), ("*", "/"))
 
@@ -134,7 +133,7 @@ class Reader:
         joins = token.kind in ("word", "sign") and token.start not in self.minus
         self.last = token
         if token.kind == "number":
-            parts = _NUMBER.fullmatch(text)
+            parts = QUANTITY.match(text)
             assert parts is not None
             text = " ".join(part for part in parts.groups() if part)
         return Leaf(text, blank, token.kind, joins)
