@@ -1,9 +1,10 @@
-"""`antdsl` in a process of its own that is forked from one which has imported everything: signals and ports for the price of a
-fork. How a process starts is tested with `subprocess`."""
+"""`antdsl`, or a script, in a process of its own that is forked from one which has imported everything: signals and ports for the
+price of a fork. How a process starts is tested with `subprocess`."""
 
 from __future__ import annotations
 
 import os
+import runpy
 import sys
 import tempfile
 from multiprocessing import get_context
@@ -15,13 +16,13 @@ _context.set_forkserver_preload(list(IMPORTED))
 
 
 class Forked:
-    """`antdsl words…`, running. What it prints goes into a file, as `text` has it."""
+    """`antdsl words…`, or a script of Python with `words`, running. What it prints goes into a file, as `text` has it."""
 
-    def __init__(self, *words: str, cwd: Path) -> None:
+    def __init__(self, *words: str, cwd: Path, script: Path | None = None) -> None:
         handle, name = tempfile.mkstemp(prefix="antdsl.printed.")
         os.close(handle)
         self._printed = Path(name)
-        self._process = _context.Process(target=_antdsl, args=(words, str(cwd), dict(os.environ), name))
+        self._process = _context.Process(target=_run, args=(words, str(cwd), dict(os.environ), name, script))
         self._process.start()
 
     @property
@@ -51,7 +52,7 @@ class Forked:
         return code, text
 
 
-def _antdsl(words: tuple[str, ...], cwd: str, env: dict[str, str], printed: str) -> None:
+def _run(words: tuple[str, ...], cwd: str, env: dict[str, str], printed: str, script: Path | None) -> None:
     os.chdir(cwd)
     os.environ.clear()
     os.environ.update(env)  # as it is now where the test runs, not as it was when all was imported
@@ -59,7 +60,10 @@ def _antdsl(words: tuple[str, ...], cwd: str, env: dict[str, str], printed: str)
     for number in (1, 2):
         os.dup2(handle, number)
     sys.stdout.reconfigure(encoding="utf-8", line_buffering=True)
-    sys.argv = ["antdsl", *words]
+    sys.argv = ["antdsl" if script is None else str(script), *words]
+    if script is not None:
+        runpy.run_path(str(script), run_name="__main__")
+        return
     from antdsl.cli import main  # after standard output is led away
 
     main()

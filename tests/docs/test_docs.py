@@ -5,17 +5,15 @@ A block's first line says what it is: see `BLOCKS`."""
 from __future__ import annotations
 
 import json
-import os
 import re
 import shlex
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import commands
 import pytest
+from forked import Forked
 from preview_page import few
 
 from antdsl.diagnostics.model import Report
@@ -167,10 +165,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command, cwd=folder, env=environment(), capture_output=True, text=True, timeout=120)
-
-
 @pytest.fixture(scope="module")
 def cache(folder: Path) -> Path:
     """`cache` in the folder: the minimal example, six frames; `summary.json` beside it."""
@@ -194,9 +188,11 @@ def light_folder(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("block", of_kind("python"), ids=str)
-def test_python_runs(block: Block, light_folder: Path) -> None:
-    done = run([sys.executable, "-c", block.text], light_folder)
-    assert done.returncode == 0, done.stderr
+def test_python_runs(block: Block, light_folder: Path, tmp_path: Path) -> None:
+    script = tmp_path / "block.py"
+    script.write_text(block.text, encoding="utf-8")
+    code, printed = Forked(cwd=light_folder, script=script).ended(120)
+    assert code == 0, printed
 
 
 RUN: dict[Path, list[Block]] = {}
@@ -219,10 +215,6 @@ def test_commands_do_what_the_documents_say(document: Path, folder: Path) -> Non
             done = commands.run(*command[1:], cwd=folder, env={"COLUMNS": "200"})
             printed = done.stdout + done.stderr
             assert "Traceback" not in printed, f"{block}: {line}\n{printed}"
-
-
-def environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "200"}
 
 
 def test_the_page_of_commands_has_all_keys_of_a_summary(cache: Path) -> None:
