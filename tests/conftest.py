@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import settings
@@ -40,24 +40,38 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: PLACE.get(item.path.stem, len(PLACE)))
 
 
-@pytest.fixture(scope="session")
-def _made_of_meshes() -> Built | None:
-    """None where no test simulates, as in most of the quick part: a file whose tests do imports it before the first of them."""
-    if "antdsl.runtime.binding.bind_world" not in sys.modules:
-        return None
-    from antdsl.runtime import Built
+class Kept(dict[str, Any]):
+    """What all `Built` of a process keep together, and what of it was asked for."""
 
-    return Built()
+    def __init__(self) -> None:
+        super().__init__()
+        self.asked: set[str] = set()
+
+    def __getitem__(self, key: str) -> Any:
+        self.asked.add(key)
+        return super().__getitem__(key)
+
+
+KEPT = Kept()
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _kept_meshes(_made_of_meshes: Built | None) -> Iterator[None]:
-    """What is made of meshes is made once a file or two, as it is once a session of the preview: most worlds stand on the same
-    ground. How it is made is tested where it is made, not through a world."""
-    if _made_of_meshes is None:
+def _kept_meshes() -> Iterator[None]:
+    """What is made of meshes is made once a file or two, not once a world: most worlds stand on the same ground. How it is made
+    is tested where it is made. A file whose tests simulate has imported what does before the first of them."""
+    reuse = sys.modules.get("antdsl.runtime.binding.reuse")
+    if reuse is None:
         yield
         return
+    plain = reuse.Built.__init__
+
+    def begin(built: Built) -> None:
+        plain(built)
+        built._kept = KEPT
+
+    KEPT.asked.clear()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("antdsl.runtime.binding.bind_world.Built", lambda: _made_of_meshes)
+        patch.setattr(reuse.Built, "__init__", begin)
         yield
-    _made_of_meshes.forget()
+    for key in KEPT.keys() - KEPT.asked:
+        del KEPT[key]
