@@ -36,7 +36,8 @@ def library_names() -> tuple[str, ...]:
 
 def library_file(name: str) -> Path | None:
     """The file behind `use NAME`, or None when the library has none of that name."""
-    return behaviours_folder() / f"{name}.ant" if name in library_names() else None
+    file = behaviours_folder() / f"{name}.ant"
+    return file if name.isidentifier() and file.is_file() else None
 
 
 def code_page(code: str) -> Path | None:
