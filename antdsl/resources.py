@@ -3,6 +3,7 @@ preview. No other file knows."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parent
@@ -37,7 +38,7 @@ def library_names() -> tuple[str, ...]:
 def library_file(name: str) -> Path | None:
     """The file behind `use NAME`, or None when the library has none of that name."""
     file = behaviours_folder() / f"{name}.ant"
-    return file if name.isidentifier() and file.is_file() else None
+    return file if name.isidentifier() and os.path.isfile(file) else None  # whatever its length
 
 
 def code_page(code: str) -> Path | None:
