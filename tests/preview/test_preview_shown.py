@@ -86,17 +86,17 @@ def test_solids_come_in_pieces_and_are_whole_again_after_going_back(tmp_path: Pa
             a, b, c = (places[faces[:, k]] for k in range(3))
             out = np.cross(b - a, c - a)
             assert (np.einsum("nk,nk->n", out, normals[faces[:, 0]]) > 0).mean() > 0.98, "both say which side the air is on"
-        page.ask("step", count=120)
-        expected = page.hash_at(121)
-        page.shown(121)
+        page.ask("step", count=90)
+        expected = page.hash_at(91)
+        page.shown(91)
         dug = page.until(lambda: changed(whole, pieces(page)))
         assert dug < set(pieces(page)) | set(whole), "most of the hill is as it was, and not sent again"
         page.ask("seek", frame=1, exact=True)
         page.shown(1)
         page.until(lambda: not changed(whole, pieces(page)))
-        page.ask("seek", frame=121, exact=True)
-        assert page.hash_at(121) == expected
-        assert expected == hashes(folder / "scene.yaml", 121)[121]
+        page.ask("seek", frame=91, exact=True)
+        assert page.hash_at(91) == expected
+        assert expected == hashes(folder / "scene.yaml", 91)[91]
     finally:
         live.stop()
 
@@ -127,8 +127,8 @@ def changed(before: dict[str, Shape], now: dict[str, Shape]) -> set[str]:
 def test_a_field_is_shown_on_its_ground(live: Live) -> None:
     page = Page(live)
     page.ask("look", columns=(), fields=("trail",), flows=(), solids=True, follow=None)
-    page.ask("step", count=60)
-    page.status(frame=61)
+    page.ask("step", count=90)
+    page.status(frame=91)
     page.until(lambda: unpack(page.packets["field:trail"])[0]["frame"] == 61)
     _, mesh = unpack(page.packets["fieldmesh:trail"])
     header, shown = unpack(page.packets["field:trail"])
@@ -146,9 +146,9 @@ def test_a_field_is_shown_on_its_ground(live: Live) -> None:
     packet = page.packets["field:trail"]
     page.ask("step", count=80)  # until there is much more scent
     page.status(frame=141)
-    page.ask("seek", frame=61, exact=True)
+    page.ask("seek", frame=91, exact=True)
     page.until(lambda: unpack(page.packets["field:trail"])[0]["frame"] == 61)
-    page.status(frame=61, light=False)
+    page.status(frame=91, light=False)
     assert page.packets["field:trail"] == packet, "the same frame is the same picture"
 
 

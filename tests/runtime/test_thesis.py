@@ -38,8 +38,7 @@ def test_every_number_of_the_panel_is_a_param_with_range_and_help() -> None:
         assert name in ("digs", "fields") or (param.low is not None and param.high is not None), name
 
 
-@pytest.fixture(scope="module")
-def shot_of_finders() -> tuple[np.ndarray, np.ndarray, list[tuple[int, float, float]]]:
+def shot_of_finders(frames: int) -> tuple[np.ndarray, np.ndarray, list[tuple[int, float, float]]]:
     """(frames, agents) states, (frames, agents) heights, and per frame crumbs in all, soil carried, voxels' volume gone."""
     shot, report = open_scene(FOLDER / "tunnel_and_can.yaml")
     assert shot is not None, report.sorted()
@@ -47,7 +46,7 @@ def shot_of_finders() -> tuple[np.ndarray, np.ndarray, list[tuple[int, float, fl
     crowds = tuple(replace(crowd, count=n) for crowd, n in zip(shot.setting.crowds, counts, strict=True))
     shot = replace(shot, setting=replace(shot.setting, crowds=crowds))
     states, heights, counted = [], [], []
-    for world in islice(simulate(shot), 360):
+    for world in islice(simulate(shot), frames):
         now = world.populations["ant"].now
         states.append(now["main.state"].copy())
         heights.append(world.populations["ant"].position[:, 1].copy())
@@ -56,20 +55,23 @@ def shot_of_finders() -> tuple[np.ndarray, np.ndarray, list[tuple[int, float, fl
     return np.array(states), np.array(heights), counted
 
 
-def test_all_five_states_are_lived_through(shot_of_finders: tuple[np.ndarray, np.ndarray, list]) -> None:
-    states, _, _ = shot_of_finders
+@pytest.mark.slow
+def test_all_five_states_are_lived_through_and_the_can_is_climbed_for_its_sugar() -> None:
+    states, heights, counted = shot_of_finders(360)
     assert set(np.unique(states)) == set(range(len(STATES)))
-
-
-def test_the_can_is_climbed_for_its_sugar(shot_of_finders: tuple[np.ndarray, np.ndarray, list]) -> None:
-    states, heights, _ = shot_of_finders
     on_the_lid = heights > 27  # nothing but the lid and the top of the hill is so high
     assert (on_the_lid & (states == STATES.index("seek_home"))).any()
     assert (heights.max(axis=0) > 27).sum() >= 5
+    are_counted(counted, 100)
 
 
-def test_crumbs_and_soil_are_counted(shot_of_finders: tuple[np.ndarray, np.ndarray, list]) -> None:
-    _, _, counted = shot_of_finders
+def test_crumbs_and_soil_are_counted() -> None:
+    states, _, counted = shot_of_finders(100)
+    assert {STATES.index("wandering"), STATES.index("digger")} <= set(np.unique(states))
+    are_counted(counted, 1)
+
+
+def are_counted(counted: list[tuple[int, float, float]], least: float) -> None:
     assert {crumbs for crumbs, _, _ in counted} == {4000}
     _, soil, gone = counted[-1]
-    assert soil > 100 and soil == pytest.approx(gone, rel=1e-6)
+    assert soil > least and soil == pytest.approx(gone, rel=1e-6)
