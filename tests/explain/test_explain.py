@@ -6,13 +6,14 @@ from pathlib import Path
 
 import pytest
 from explained import cached, differences, explanations, facts, shot_of
+from sampling import sampled
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SHORT = {"foraging": 10, "flocking": 14, "moods": 20, "alarm": 54, "tunnel": 10}
 LONG = {"foraging": 400, "flocking": 120, "moods": 200, "alarm": 150, "tunnel": 240, "worth": 200, "flow": 240, "anthill": 120}
 
 
-@pytest.mark.parametrize("name", SHORT)
+@pytest.mark.parametrize("name", sampled(SHORT, ("foraging", "flocking", "alarm")))
 def test_what_is_explained_is_what_happened(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Transition, push, velocity and draws of 12 random agents and frames each, read off the run itself."""
     _held_against(name, SHORT[name], 12, tmp_path, monkeypatch)

@@ -7,6 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from sampling import sampled
 
 from antdsl import syntax
 from antdsl.diagnostics import Diagnostic, Report
@@ -105,7 +106,7 @@ def run(path: Path, seed: int, edits: int) -> None:
         assert in_parts(workspace, path) == whole(path, text), f"seed {seed}, edit {number}:\n{text}"
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: str(path.relative_to(ROOT / "examples")))
+@pytest.mark.parametrize("path", sampled(EXAMPLES, EXAMPLES[::3]), ids=lambda path: str(path.relative_to(ROOT / "examples")))
 def test_parts_say_what_the_whole_says(path: Path) -> None:
     run(path, 1, 10)
 

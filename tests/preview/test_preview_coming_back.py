@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 from browsing import chromium
 from preview_page import SIZE, copied, previewed
+from sampling import sampled
 
 pytest.importorskip("websockets")
 
@@ -38,7 +39,7 @@ def page(browser: Browser) -> Iterator[Page]:
         context.close()
 
 
-@pytest.mark.parametrize("always", [False, True])
+@pytest.mark.parametrize("always", sampled([False, True], [False]))
 def test_a_page_of_another_build_loads_itself_again_and_only_once(page: Page, tmp_path: Path, always: bool) -> None:
     """`always`: a cache holds on to the old page, which is then better than none."""
     page.add_init_script(

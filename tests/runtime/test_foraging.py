@@ -47,6 +47,7 @@ def test_the_motion_looks_alive(short: Watched) -> None:
     motion(short.world, **BOUNDS)
 
 
+@pytest.mark.slow
 def test_scent_is_concentrated_where_food_was_found(short: Watched) -> None:
     without = watch(world(reward=0.0), 300)
     assert short.concentration[-1] >= 3 * without.concentration[-1]

@@ -10,6 +10,7 @@ from pathlib import Path
 import meshes
 import numpy as np
 import pytest
+from sampling import sampled
 from test_program import checked, complaints
 from test_scene_files import PROGRAM as ANT
 from test_scene_files import folder  # noqa: F401
@@ -115,19 +116,14 @@ def test_nobody_begins_in_anybody_else(way: str) -> None:
         assert np.abs(made.ground.position(population.footing) - population.position).max(initial=0.0) < 1e-9
 
 
-SHOTS = ["foraging/scene", "thesis/five_hundred", "thesis/tunnel_and_can", "tunnel/scene", "tunnel/led", "anthill/scene"]
-OTHERS = ["alarm", "flocking", "flow", "minimal", "moods", "torture", "worth"]
+SHOTS = [
+    *("foraging/scene", "thesis/five_hundred", "thesis/tunnel_and_can", "tunnel/scene", "tunnel/led", "anthill/scene"),
+    *("alarm/scene", "flocking/scene", "flow/scene", "minimal/scene", "moods/scene", "torture/scene", "worth/scene"),
+    *("foraging_study/default", "foraging/many", "thesis/many", "tunnel/many"),
+]
 
 
-@pytest.mark.parametrize(
-    "shot",
-    [
-        *(pytest.param(name, marks=() if name == "foraging/scene" else pytest.mark.slow) for name in SHOTS),
-        *(f"{name}/scene" for name in OTHERS),
-        "foraging_study/default",
-        *(pytest.param(f"{name}/many", marks=pytest.mark.slow) for name in ("foraging", "thesis", "tunnel")),
-    ],
-)
+@pytest.mark.parametrize("shot", sampled(SHOTS, ("foraging/scene", "flocking/scene", "moods/scene", "torture/scene")))
 def test_no_example_begins_with_agents_in_each_other(shot: str) -> None:
     opened, _ = open_scene(EXAMPLES / f"{shot}.yaml")
     assert opened is not None

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sampling import sampled
 
 from antdsl.cli.printing.profile_table import MOST, show
 from antdsl.pipeline import Choices, Shot, open_scene
@@ -142,7 +143,7 @@ def test_where_threads_go_side_by_side_lines_share_the_time_that_passed(
     assert [round(each.ms, 6) for each in found.lines] == [500.0]
 
 
-@pytest.mark.parametrize("options", [Options(), Options(threads=2, chunk=64)])
+@pytest.mark.parametrize("options", sampled([Options(), Options(threads=2, chunk=64)], [Options()]))
 def test_the_lines_add_up_to_nearly_all_of_the_blocks(options: Options) -> None:
     """By the real clock; what is left is what a block is set up with, the less of it the more agents there are."""
     shot = opened(FORAGING.with_name("scene.yaml"), 2000)

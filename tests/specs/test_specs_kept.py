@@ -171,6 +171,7 @@ def test_a_fault_is_saved_before_it_happens(folder: Path, run) -> None:  # type:
     assert cache.frames()[-1] == 24
 
 
+@pytest.mark.slow
 def test_a_failing_spec_of_the_foraging_example_shows_its_cause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run) -> None:  # type: ignore[no-untyped-def]
     """Somebody has lost where the crumb comes from: the failure names the ant, its state and both values."""
     shutil.copytree(ROOT / "examples" / "foraging", tmp_path / "foraging")
