@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import ctypes
 import hashlib
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -37,6 +38,7 @@ QUICK = (
     "tests/runtime/test_backends.py",
 )
 INSTALL = "apt-get install -y --no-install-recommends"
+VENV = "python3-venv"
 
 
 def missing_packages(libraries: Mapping[str, str]) -> list[str]:
@@ -112,8 +114,11 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
         return python
     print(f"setting up {folder} (Python packages, about 1 GB with Open3D; some minutes the first time)", flush=True)
     stamp.unlink(missing_ok=True)
+    # Debian's Python comes without what its `venv` needs.
+    if importlib.util.find_spec("ensurepip") is None and debian() and installable():
+        install([VENV])
     if subprocess.run([sys.executable, "-m", "venv", str(folder)]).returncode:
-        sys.exit("no virtual environment could be made; on Debian or Ubuntu, run as root:\n  apt-get install -y python3-venv")
+        sys.exit(f"no virtual environment could be made; on Debian or Ubuntu, run as root:\n  {INSTALL} {VENV}")
     pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
     subprocess.run([*pip, "--editable", f"{ROOT}[test,quality]", *requirements], check=True)
     # An editable install compiles nothing, and where no bytecode may be written every command would compile it all anew.
