@@ -120,7 +120,7 @@ class Loaded:
             if source is None:
                 self.report.extend(report)
                 return None
-            of_library = name.startswith("<")
+            of_library = name == f"<{path.stem}>"  # `<a>.ant` is a name that a person's file may have
             file, findings = _library_file(name[1:-1], source.text) if of_library else syntax.parse(Source(name, source.text))
             report.extend(findings)
             self.parsed[place] = file, report

@@ -1,6 +1,6 @@
 """The compiled half of a pheromone's sense: each asking cell's block is looked through once.
 
-The same bits as `pheromone.Pheromone.strongest` gives with NumPy. Imported only where `compiled.wanted` says so.
+The same bits as `pheromone.PheromoneField.strongest` gives with NumPy. Imported only where `compiled.wanted` says so.
 """
 
 from __future__ import annotations

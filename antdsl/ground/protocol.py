@@ -154,10 +154,6 @@ class Footing:
         """The same in arrays of its own."""
         return Footing({name: column.copy() for name, column in self.columns.items()})
 
-    def like(self, columns: Mapping[str, Column]) -> Footing:
-        """Footings on the same ground whose columns are found by name among others."""
-        return Footing({name: columns[name] for name in self.columns})
-
     @staticmethod
     def joined(first: Footing, *others: Footing) -> Footing:
         """Footings on one ground, one after another."""
@@ -207,8 +203,8 @@ class Move:
 
 
 class Ground(Protocol):
-    """What agents stand and walk on. Implemented by `plane.Plane`, `senses.ground.MeshGround` (some of whose meshes move in
-    `senses.moving_ground.MovingGround`) and `terrain.Terrain`."""
+    """What agents stand and walk on. Implemented by `plane.Plane`, `mesh.surface.MeshGround` (some of whose meshes move in
+    `moving.MovingGround`) and `combined.Terrain`."""
 
     @property
     def names(self) -> tuple[str, ...]:

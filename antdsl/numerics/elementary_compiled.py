@@ -70,7 +70,7 @@ def atan2(y, x):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def sines(x, found):  # type: ignore[no-untyped-def]
-    """Writes `kernels.sin` of all; False where an angle is not below 1e6."""
+    """Writes `elementary.sin` of all; False where an angle is not below 1e6."""
     for k in range(x.size):
         if not abs(x[k]) < FAR:
             return False
@@ -80,7 +80,7 @@ def sines(x, found):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def cosines(x, found):  # type: ignore[no-untyped-def]
-    """Writes `kernels.cos` of all; False where an angle is not below 1e6."""
+    """Writes `elementary.cos` of all; False where an angle is not below 1e6."""
     for k in range(x.size):
         if not abs(x[k]) < FAR:
             return False
@@ -100,7 +100,7 @@ def angles(y, x, found):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def exponentials(x, found):  # type: ignore[no-untyped-def]
-    """Writes `kernels.exp` of all; False where one is no number."""
+    """Writes `elementary.exp` of all; False where one is no number."""
     for k in range(x.size):
         wide = np.float64(x[k])
         if wide != wide:
@@ -115,7 +115,7 @@ def exponentials(x, found):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def logarithms(x, found):  # type: ignore[no-untyped-def]
-    """Writes `kernels.log` of all; False where one is not above 0, or not finite."""
+    """Writes `elementary.log` of all; False where one is not above 0, or not finite."""
     for k in range(x.size):
         wide = np.float64(x[k])
         if not (wide > 0.0 and wide < np.inf):

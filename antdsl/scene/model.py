@@ -35,7 +35,6 @@ Body = Annotated[str, BeforeValidator(one_of("ant", "person", "arrow", "ball"))]
 Stick = Annotated[str, BeforeValidator(one_of("triangles", "rays"))]
 Axis = Annotated[str, BeforeValidator(one_of("y", "z"))]
 Purpose = Annotated[str, BeforeValidator(one_of("render", "proxy"))]
-Factor = Annotated[float, BeforeValidator(number(1e-9, 1e9))]
 Point = tuple[Length, Length, Length]
 
 DEFAULT_ATTRIBUTES = ("P", "v", "orient", "id", "pscale", "Cd", "state")

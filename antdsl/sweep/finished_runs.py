@@ -12,7 +12,6 @@ from antdsl.bounded import read_bounded
 from antdsl.outputs.cache.npz import write_whole
 from antdsl.sweep.jobs import Job
 
-MARK = "sweep.json"
 _BYTES = 16 * limits.MIB  # of what is kept of one run
 
 

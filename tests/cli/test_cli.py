@@ -70,6 +70,13 @@ def test_formats_are_written_with_and_without_findings(
         assert ("wrong-unit" in printed or "units" in printed) == (code == 1), printed
 
 
+def test_a_file_that_is_named_like_one_of_the_library_is_told_by_its_own_name(folder: Path) -> None:
+    (folder / "<odd").mkdir()
+    for name in ("<bad>.ant", "<odd/bad.ant"):
+        (folder / name).write_text(GOOD.replace("25 mm/s", "25 s"))
+        assert antdsl("check", name, "--format", "concise", cwd=folder).stdout.startswith(f"{name}:4:")
+
+
 def test_strict_makes_warnings_errors_and_explain_says_what_a_code_means(folder: Path) -> None:
     (folder / "walker.ant").write_text(GOOD.replace("start", 'param pace = 3 mm/s in 1 mm/s .. 9 mm/s  "unused"\n  start'))
     assert antdsl("check", "walker.ant", cwd=folder).returncode == 0

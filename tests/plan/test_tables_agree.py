@@ -96,7 +96,8 @@ def test_every_effect_is_lowered_and_settled() -> None:
         for _, s in statements(b)
         if isinstance(s, ir.Request)
     }
-    assert asked == set(EFFECTS) == set(phases.SETTLES)
+    assert asked == set(EFFECTS), f"{asked ^ set(EFFECTS)}: each has to stand in EVERYTHING above"
+    assert set(EFFECTS) == set(phases.SETTLES), f"{set(EFFECTS) ^ set(phases.SETTLES)}: each has a function that settles it"
     assert set(VERBS) - set(EFFECTS) == {"give", "play"}  # settled between all who ask; and what does not work yet
     names = {name for name, _ in phases.PHASES}
     for op, row in EFFECTS.items():

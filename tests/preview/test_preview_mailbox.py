@@ -22,7 +22,7 @@ from antdsl.preview.serving.pace import Bucket
 def with_mailbox(test: Callable[[Mailbox, list[str]], Awaitable[None]], **budgets: int) -> None:
     async def go() -> None:
         full: list[str] = []
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             await test(Mailbox(asyncio.get_running_loop(), {"build": "now"}, lambda: full.append("full"), **budgets), full)
 
     asyncio.run(go())

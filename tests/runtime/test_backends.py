@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import get_args, get_type_hints
+
 import numpy as np
 import plans
 import pytest
 
+from antdsl.cli.run import Backend
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed, operands, placed
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.runtime import Options, bind, state_hash, step
+from antdsl.runtime.backends import BACKENDS
 
 STEPS = 14
 
@@ -36,11 +40,18 @@ def reference() -> list[str]:
         Options(chunk=1000, shuffle_rows=5),
         Options(chunk=9, threads=2, shuffle_rows=1),
         Options(backend="reference", shuffle_rows=2),
+        *(Options(backend=name, chunk=11) for name in BACKENDS if name not in ("numpy", "reference")),
     ],
     ids=str,
 )
 def test_the_same_hash_at_every_frame(reference, options):
     assert run(plans.rich(), plans.setting(), options) == reference
+
+
+def test_a_backend_can_be_asked_for_by_its_name():
+    names = set(BACKENDS)
+    assert {each.value for each in Backend} == names, "`Backend` in antdsl/cli/run.py"
+    assert set(get_args(get_type_hints(Options)["backend"])) == names, "`Options.backend` in antdsl/runtime/world.py"
 
 
 def test_hashes_tell_states_apart(reference):

@@ -205,7 +205,7 @@ class CacheWriter:
         self._behind = Behind(Scribe(self.folder, snapshot(world), maker, worst).work, self._told)
 
     def put(self, world: World, *jobs: str) -> None:
-        """Hand over the state between two steps; behind the caller's back the jobs (of `scribe.JOBS`) are done with it.
+        """Hand over the state between two steps; behind the caller's back the jobs (of `frame_writer.JOBS`) are done with it.
 
         An error there or of the disk is raised by what is called next."""
         assert self._behind is not None, "begin comes first"

@@ -15,7 +15,6 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 
 Library = Callable[[str], "nodes.File | None"]
-Modules = Mapping[str, nodes.File]
 
 _TAKEN = frozenset(
     {*RUN_NAMES, *SENSED_NAMES, *RESERVED, "state", "previous", "next", "time_in_state", "self", "true", "false", "none"}

@@ -30,9 +30,9 @@ class Arg:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What `antdsl cost` says of a use: rough weight (one addition is 1), words with `{thing}` (what is named) and `{count}`, and
-    the heading. `times`: the number of the argument that multiplies the weight, `often` where that is not a constant. `within`:
-    the number of the argument that says how far. `named`: counts only where a thing of the world is named."""
+    """What `antdsl check --cost` says of a use: rough weight (one addition is 1), words with `{thing}` (what is named) and
+    `{count}`, and the heading. `times`: the number of the argument that multiplies the weight, `often` where that is not a
+    constant. `within`: the number of the argument that says how far. `named`: counts only where a thing of the world is named."""
 
     weight: float
     words: str
