@@ -75,7 +75,7 @@ from antdsl.syntax.grammar import write  # noqa: E402
 def scratched(world: World) -> None:
     """Give all who scratch what comes of it."""
     for population in world.populations.values():
-        for entry in population.effects.taken("scratch"):
+        for entry in population.effects.drained("scratch"):
             if entry.request.own is not None:
                 population.now[entry.request.own][entry.rows] += entry.arg(0) * entry.arg(1)
 

@@ -17,7 +17,7 @@ def dig(world: World) -> None:
     """Carve the balls that were asked for, and give each agent what it dug out. Who stood there comes down as it moves."""
     asked: dict[str, list[tuple[Population, Asked]]] = {}
     for population in world.populations.values():
-        for entry in population.effects.taken("carve"):
+        for entry in population.effects.drained("carve"):
             if len(entry.rows):
                 asked.setdefault(entry.request.of, []).append((population, entry))
     for name, entries in sorted(asked.items()):

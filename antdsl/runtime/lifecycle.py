@@ -36,7 +36,7 @@ def find_cells(world: World, population: Population) -> None:
 def deposit(world: World) -> None:
     """Lay what the agents deposit into their own cells; it lands when the fields step."""
     for population in world.populations.values():
-        for entry in population.effects.taken("deposit"):
+        for entry in population.effects.drained("deposit"):
             name = entry.request.of
             world.fields[name].deposit(population.cells[name][entry.rows], entry.arg(0))
 
@@ -59,7 +59,7 @@ def settle_newborn(world: World) -> None:
 def raise_events(world: World) -> None:
     """Flag those whom an event reaches; they see it in the next step."""
     for population in world.populations.values():
-        for entry in population.effects.taken("emit"):
+        for entry in population.effects.drained("emit"):
             event = entry.request.of
             if entry.args[0] is None:
                 if event in population.raised:
@@ -85,7 +85,7 @@ def deaths_and_births(world: World) -> None:
     """Take the dead out, then put the new ones in: ids by (parent's species, parent's id, place in the text)."""
     coming = _coming(world)
     for population in world.populations.values():
-        if dying := population.effects.taken("die"):
+        if dying := population.effects.drained("die"):
             dead = np.zeros(len(population), np.bool_)
             for entry in dying:
                 dead[entry.rows] = True
@@ -107,7 +107,7 @@ def _coming(world: World) -> dict[str, Births]:
     """Births asked for, by species of the child, in the order in which they get their ids; parents are read while they live."""
     found: dict[str, Births] = {}
     for population in world.populations.values():
-        entries = population.effects.taken("spawn")
+        entries = population.effects.drained("spawn")
         for species in sorted({e.request.of for e in entries}):
             rows = np.concatenate([e.rows for e in entries if e.request.of == species])
             order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.request.of == species])

@@ -95,7 +95,7 @@ def fields(world: World) -> None:
 
 
 def move(world: World) -> None:
-    """Everybody moves, once a substep."""
+    """Advances all agents along the surfaces, substep by substep."""
     with np.errstate(all="ignore"):
         for population in world.populations.values():
             tilting.stand_up(population)
@@ -105,20 +105,20 @@ def move(world: World) -> None:
 
 
 def measure(world: World) -> None:
-    """How everybody has moved."""
+    """Adds the step to the measures of motion."""
     with np.errstate(all="ignore"):
         world.motion.observe(world)
 
 
 def bear(world: World) -> None:
-    """The dead go, the new come."""
+    """Takes dead agents out of the populations and puts newborn ones in."""
     _settle("births", world)
     lifecycle.settle_newborn(world)
     faults.gather(world)  # of births, while their rows and the frame are still these
 
 
 def commit(world: World) -> None:
-    """What was written becomes what everybody sees."""
+    """What was written in this step becomes the state that agents see in the next."""
     for population in world.populations.values():
         for name, array in population.now.items():
             if population.start[name] is not array:

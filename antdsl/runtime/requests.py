@@ -72,8 +72,8 @@ class Effects:
     def ask(self, entry: Asked) -> None:
         self.asked.setdefault(entry.request.op, []).append(entry)
 
-    def taken(self, op: str) -> list[Asked]:
-        """What was asked of one kind, which is forgotten."""
+    def drained(self, op: str) -> list[Asked]:
+        """The requests of one op, which are removed."""
         return self.asked.pop(op, [])
 
     def take(self, other: Effects) -> None:

@@ -131,10 +131,6 @@ class Population:
         source = self.now if now else self.start
         return np.stack([source[f"{name}.{axis}"] for axis in AXES], axis=1).astype(np.float64)
 
-    def set_vector(self, name: str, value: NDArray[np.float64]) -> None:
-        for k, axis in enumerate(AXES):
-            self.now[f"{name}.{axis}"][:] = value[:, k]
-
 
 @dataclass(frozen=True, slots=True)
 class Crowded:

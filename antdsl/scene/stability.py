@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Report
 from antdsl.program.model import Ask, Expr, Program
+from antdsl.program.tables.effects import feeding
 from antdsl.program.traverse import parts
 from antdsl.program.types.folding import constant_behind
 from antdsl.scene.adjusting import with_fields
@@ -27,7 +28,8 @@ def spreading(scene: Scene, program: Program, report: Report) -> None:
                 field.diffuse.span if field.diffuse is not None else field.span,
                 f"write `diffuse` {most:g} mm^2/s or less, or a larger `cell`",
             )  # fmt: skip
-    laid = {part.of for part in parts(tuple(program.species.values())) if isinstance(part, Ask) and part.op == "deposit"}
+    laying = feeding("field")
+    laid = {part.of for part in parts(tuple(program.species.values())) if isinstance(part, Ask) and part.op in laying}
     for name, field in program.fields.items():
         if name not in laid and name not in scene.model.fields:
             report.warning(

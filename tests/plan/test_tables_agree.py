@@ -114,7 +114,7 @@ def test_every_effect_is_lowered_and_settled() -> None:
 def marked(world: World) -> None:
     """Add up what the ants ask to be marked, in their register `marks`."""
     for population in world.populations.values():
-        for entry in population.effects.taken("mark"):
+        for entry in population.effects.drained("mark"):
             population.now["marks"][entry.rows] += entry.arg(0)
 
 

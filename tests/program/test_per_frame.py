@@ -21,6 +21,7 @@ species a {{
   x = 0.5
   y = 3
   far = 5 mm
+  room = 5 mm^2
   seen = true
   way = vector(0, 0, 1)
   meal = none of food
@@ -41,6 +42,7 @@ TOLD = [
     ("x = x - 0.25", "x -= 6 /s"),
     ("x = x + 5 %", "x += 120 %/s"),
     ("x = x + gain", "x += gain * 24 /s"),
+    ("room = room + 1 mm^2", "room += 24 mm^2/s"),
     ("x = x + gain * 2 - 0.7", "x += (gain * 2 - 0.7) * 24 /s"),
     ("x = x - gain + 1", None),
     ("far = far + 2 mm", "far += 48 mm/s"),

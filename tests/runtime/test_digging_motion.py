@@ -77,9 +77,8 @@ def pit(tmp_path_factory: pytest.TempPathFactory) -> World:
         ("up", up),
         ("heading", heading / np.linalg.norm(heading, axis=1)[:, None]),
     ):
-        walkers.set_vector(name, value)
         for k, axis in enumerate("xyz"):
-            walkers.start[f"{name}.{axis}"][:] = value[:, k]
+            walkers.start[f"{name}.{axis}"][:] = walkers.now[f"{name}.{axis}"][:] = value[:, k]
     return world
 
 

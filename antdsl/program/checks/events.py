@@ -5,6 +5,7 @@ from __future__ import annotations
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.checks.analysis.checked import Checked
+from antdsl.program.tables.effects import feeding
 
 
 def events(checked: Checked, report: Report) -> None:
@@ -12,7 +13,7 @@ def events(checked: Checked, report: Report) -> None:
     if any(species.node is None for species in declared.species.values()):
         return  # a species of another file may raise or notice what this one does not
     for event, span in declared.events.items():
-        raised = checked.uses("emit", event)
+        raised = any(checked.uses(op, event) for op in feeding("event"))
         noticed = checked.uses("on", event) or checked.uses("event", event)
         others = [name for name in declared.events if name != event]
         near = nearest_name(event, others)

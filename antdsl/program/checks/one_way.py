@@ -9,6 +9,7 @@ from antdsl.diagnostics import Report
 from antdsl.program.checks.analysis.checked import Checked
 from antdsl.program.memo import part
 from antdsl.program.model import Ask, AttributeDecl, Const, NoneRef, Program, Species, Thing
+from antdsl.program.tables.effects import feeding
 from antdsl.program.traverse import parts
 from antdsl.program.types.descriptions import quoted
 
@@ -41,10 +42,10 @@ def _wholes(program: Program) -> Iterator[object]:
 
 def _named(root: object) -> tuple[frozenset[str], frozenset[str]]:
     """The things that are named as values below `root`, and the fields that something is laid into."""
-    every = list(parts(root))
+    every, laying = list(parts(root)), feeding("field")
     return (
         frozenset(each.name for each in every if isinstance(each, Thing)),
-        frozenset(each.of for each in every if isinstance(each, Ask) and each.op == "deposit"),
+        frozenset(each.of for each in every if isinstance(each, Ask) and each.op in laying),
     )
 
 

@@ -20,7 +20,8 @@ class Effect:
     without brackets. `computed`: the operands of the plan, by name, where `OPERANDS` of `antdsl.plan.lowering.actions` has a
     function that works them out. `phase`: the phase of a step that settles it. `help`: for the editor; `meaning`: for readers of
     plans. `too_often`: what is wrong with its line in a state's body; "" where it may stand there. `last`: the agent is gone
-    after it. `draws`: random numbers hang on where it stands in the text.
+    after it. `draws`: random numbers hang on where it stands in the text. `feeds`: what it names gets by it what others look for,
+    as a field gets scent and an event is raised.
 
     `shown` is its line of a plan and `told` that of a trace: `{of}` what it names, `{own}` the agent's register that it fills
     after the blocks, and the operands by name; a part in square brackets is left out where one of these is missing. `refused`:
@@ -39,6 +40,7 @@ class Effect:
     too_often: str = ""
     last: bool = False
     draws: bool = False
+    feeds: bool = False
     refused: str = ""
     above_0: bool = False
     quiet_at_0: bool = False
@@ -70,6 +72,7 @@ _ROWS = (
         "lands in the agent's own cell at t+1; the amount of a step (already multiplied by dt)",
         "deposit {amount} in {of}",
         "deposit {of} {amount}",
+        feeds=True,
         refused="deposit {of}",
         quiet_at_0=True,
         cost=Cost(25, "lays {thing}", "fields"),
@@ -102,6 +105,7 @@ _ROWS = (
         "raises an event for all agents that handle it within a distance (mm; none: only for itself), seen at t+1",
         "emit {of}[ within {within}]",
         "emit {of}[ within {within} mm]",
+        feeds=True,
         cost=Cost(50, "raises {thing}"),
     ),
     Effect(
@@ -119,6 +123,11 @@ _ROWS = (
     Effect("die", "", (), "births", "ends this agent", "the agent is gone at t+1", "die", "die", last=True),
 )
 EFFECTS: dict[str, Effect] = {row.op: row for row in _ROWS}
+
+
+def feeding(kind: str) -> frozenset[str]:
+    """The effects that feed what they name, a `field` or an `event`."""
+    return frozenset(row.op for row in EFFECTS.values() if row.feeds and row.target == kind)
 
 
 def phrase(template: str, values: Mapping[str, str | None]) -> str:
