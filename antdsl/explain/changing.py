@@ -83,4 +83,4 @@ def _told(row: Effect, entry: Asked) -> str:
     if row.quiet_at_0 and not float(entry.arg(0)[0]):
         return ""
     values = {name: None if arg is None else f"{float(arg[0]):.4g}" for name, arg in zip(row.operands, entry.args, strict=True)}
-    return phrase(row.told, {**values, "of": entry.request.of, "own": entry.request.own})
+    return phrase(row.trace, {**values, "of": entry.request.of, "own": entry.request.own})

@@ -69,8 +69,8 @@ def _words(row: rows.Sense, values: tuple[bool | float, ...]) -> str:
     """What a sense found, as its row says it; of one number or several without words of their own, the numbers."""
     if row.nothing and not values[0]:
         return row.nothing
-    if row.told:
-        return row.told.format(**{part.name: values[row.place(part.name)[0]] for part in row.results if part.name})
+    if row.trace:
+        return row.trace.format(**{part.name: values[row.place(part.name)[0]] for part in row.results if part.name})
     numbers = ", ".join(f"{v:.4g}" for v in values)
     return numbers if len(values) == 1 else f"({numbers})"
 

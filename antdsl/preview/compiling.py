@@ -13,7 +13,7 @@ from antdsl.diagnostics import Report
 from antdsl.loading import Parsed
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.preview.speculative import Foreseen
-from antdsl.reload import Taken, take_over
+from antdsl.reload import Migration, take_over
 from antdsl.runtime import BindError, Built, World
 from antdsl.scene.paths import Sought, open_again, sought
 from antdsl.source import Source
@@ -52,15 +52,15 @@ class Compiler:
             self._files = self._tried
         return shot, report
 
-    def take_over(self, world: World, shot: Shot) -> tuple[World | None, Taken, Report]:
+    def take_over(self, world: World, shot: Shot) -> tuple[World | None, Migration, Report]:
         """The world of a shot that goes on from where another stands; None and complaints when it cannot be made."""
         with _without_pauses():
             try:
-                made, taken = take_over(world, shot.plan, shot.setting, self.built)
+                made, migration = take_over(world, shot.plan, shot.setting, self.built)
             except BindError as why:
-                return None, Taken(), why.report
+                return None, Migration(), why.report
         self.built.forget()
-        return made, taken, Report()
+        return made, migration, Report()
 
     def files(self) -> Sought:
         """All files that the scene was last made of, and those that it was tried with since: some may not be there yet. Each with

@@ -17,7 +17,7 @@ from antdsl.preview.compiling import Compiler
 from antdsl.preview.differing import differing
 from antdsl.preview.layer_order import Off, texts_without
 from antdsl.preview.timeline import Light, Stretch, Timeline, nearest_checkpoint
-from antdsl.reload import taken_line
+from antdsl.reload import migration_line
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step
 from antdsl.runtime.binding.crowding import crowding
 from antdsl.runtime.profiling import Meter
@@ -286,12 +286,12 @@ class Session:
             if did:  # a comment, or what no result depends on, such as the camera and the last frame
                 self._stretch.shot = shot
             return Outcome(report, self._undone() or ("the run stays as it is" if did else "nothing has changed"), did=did)
-        world, taken, findings = self.compiler.take_over(self.world, shot)
+        world, migration, findings = self.compiler.take_over(self.world, shot)
         report.extend(findings)
         if world is None:
             return Outcome(report)
         report.extend(crowding(shot.scene, world))
-        line = " · ".join([taken_line(taken), *(f"layer `{layer}` is gone" for _, layer in gone)])
+        line = " · ".join([migration_line(migration), *(f"layer `{layer}` is gone" for _, layer in gone)])
         off = {key: path for key, path in off.items() if key not in gone}
         stretch = Stretch(shot, world.frame, did, world.origin, choices, off)
         stretch.go_on_from(self._stretch, self.world, world)

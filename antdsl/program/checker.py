@@ -58,7 +58,7 @@ def check(
     checked = Checked(program, declared, names)
     for look in CHECKS:
         _look(checked, look, report)
-    doubtful = [span for each in loader.known.values() for span in each.node.doubtful]
+    recovered = [span for each in loader.known.values() for span in each.node.recovered]
     sound = report.ok and not any(each.node.broken for each in loader.known.values())
     for look in OF_SOUND if sound else ():
         _look(checked, look, report)
@@ -67,9 +67,9 @@ def check(
         memo.forget()
         if any(each.wanting for each in loader.known.values()):
             memo.known.clear()  # parts kept silent about what a missing `use` would bring
-    places = {first: tuple(dict.fromkeys(others)) for first, *others in declared.told.values() if others}
+    places = {first: tuple(dict.fromkeys(others)) for first, *others in declared.unknown.values() if others}
     program = replace(program, bindings=Bindings(tuple(declared.bound)))
-    return program, without_consequences(*_whole(loader, with_all_places(report, places), doubtful))
+    return program, without_consequences(*_whole(loader, with_all_places(report, places), recovered))
 
 
 def _look(checked: Checked, look: Check, report: Report) -> None:
@@ -101,16 +101,16 @@ def _with_one_state(species: model.Species, machine: model.Machine, state: model
     return replace(species, machines=(replace(machine, states=(state,)),), layers=replace(species.layers, layers=()))
 
 
-def _whole(loader: Loader, report: Report, doubtful: Sequence[Span]) -> tuple[Report, list[Span]]:
-    """The same complaints and doubtful places, in whole files instead of in parts of them."""
+def _whole(loader: Loader, report: Report, recovered: Sequence[Span]) -> tuple[Report, list[Span]]:
+    """The same complaints and recovered places, in whole files instead of in parts of them."""
     files = {part: file.node for file in loader.known.values() for part in file.node.parts}
     if not files:
-        return report, list(doubtful)
+        return report, list(recovered)
 
     def whole(span: Span) -> Span:
         return files[span.source].whole(span) if span.source in files else span
 
-    return Report([moved(each, whole) for each in report.diagnostics]), [whole(span) for span in doubtful]
+    return Report([moved(each, whole) for each in report.diagnostics]), [whole(span) for span in recovered]
 
 
 def _outside(declared: Declared, loader: Loader) -> Hashable:

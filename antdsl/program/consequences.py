@@ -34,10 +34,10 @@ class _Doubt:
     missing: set[str] = field(default_factory=set)  # codes of what follows where a line declares something without its name
 
 
-def without_consequences(report: Report, doubtful: Iterable[Span]) -> Report:
-    """The same report less what follows from `doubtful` places, of which parsing has told, and from names that are misspelt."""
+def without_consequences(report: Report, recovered: Iterable[Span]) -> Report:
+    """The same report less what follows from `recovered` places, of which parsing has told, and from names that are misspelt."""
     doubts: dict[Source, _Doubt] = {}
-    for span in doubtful:
+    for span in recovered:
         _doubt(doubts.setdefault(span.source, _Doubt()), span)
     meant = {(d.span.source, d.help) for d in report.diagnostics if d.severity == "error" and d.span is not None}
     twice = {(d.span.source, d.message.split(" `")[0]) for d in report.diagnostics if d.code == "duplicate-name" and d.span}

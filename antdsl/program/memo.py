@@ -42,7 +42,7 @@ class _Known:
     bound: tuple[Use, ...]
 
 
-class _Told(dict[tuple[str, ...], list[Span]]):
+class _Unknown(dict[tuple[str, ...], list[Span]]):
     """Unknown names that were told. A part that kept silent because of them may have to speak another time."""
 
     silenced = False
@@ -86,16 +86,16 @@ class Memo:
         return known.result  # type: ignore[no-any-return]
 
     def _made(self, declared: Declared, key: _Key, make: Callable[[], T]) -> T:
-        said, expanded, told = len(declared.report.diagnostics), declared.expanded, len(declared.told)
+        said, expanded, told = len(declared.report.diagnostics), declared.expanded, len(declared.unknown)
         bound = len(declared.bound)
-        used, written, names = declared.used, declared.written, declared.told
-        declared.used, declared.written, declared.told = set(), set(), _Told(names)
+        used, written, names = declared.used, declared.written, declared.unknown
+        declared.used, declared.written, declared.unknown = set(), set(), _Unknown(names)
         try:
             result = make()
         finally:
-            own_used, own_written, own_told = declared.used, declared.written, declared.told
-            declared.used, declared.written, declared.told = used | own_used, written | own_written, names | own_told
-        if len(own_told) == told and not (isinstance(own_told, _Told) and own_told.silenced):
+            own_used, own_written, own_unknown = declared.used, declared.written, declared.unknown
+            declared.used, declared.written, declared.unknown = used | own_used, written | own_written, names | own_unknown
+        if len(own_unknown) == told and not (isinstance(own_unknown, _Unknown) and own_unknown.silenced):
             complaints = tuple(declared.report.diagnostics[said:])
             spent = declared.expanded - expanded
             names_there = tuple(declared.bound[bound:])

@@ -5,7 +5,7 @@ changed: an error leaves it as it was. Agents keep their rows, attributes and st
 (`agents`); they stand where they stood, or at the nearest place of a ground that changed (`footing`). What was kept, moved and
 begun anew is said in one line (`summary`)."""
 
-from antdsl.reload.migrate import Taken, take_over
-from antdsl.reload.summary import taken_line
+from antdsl.reload.migrate import Migration, take_over
+from antdsl.reload.summary import migration_line
 
-__all__ = ["Taken", "take_over", "taken_line"]
+__all__ = ["Migration", "migration_line", "take_over"]

@@ -21,7 +21,7 @@ _ALWAYS = frozenset(f"{name}.{axis}" for name in ("position", "velocity", "headi
 
 
 @dataclass(slots=True)
-class Kept:
+class MigratedSpecies:
     """What became of the agents of one species. Names are attributes, or states as `machine.state`."""
 
     species: str
@@ -37,11 +37,11 @@ class Kept:
     forgotten: int = 0  # memories that are no more, or mean something else
 
 
-def take_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Kept, dict[str, NDArray[Any]]]:
+def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[MigratedSpecies, dict[str, NDArray[Any]]]:
     """Put the agents in some rows of a species into a world that has none of it, with all that they keep: what became of them,
     and the registers that are theirs still. `complete` fills the others, once all species are there."""
     before, after = old.populations[name], world.populations[name]
-    kept = Kept(name, len(rows))
+    migrated = MigratedSpecies(name, len(rows))
     footing, place, moved = stand(old, world, before)
     add_rows(after, before.ids[rows].copy(), old.frame, place[rows], footing.take(rows))
     after.born, after.quarantined = before.born[rows].copy(), before.quarantined[rows].copy()
@@ -49,21 +49,21 @@ def take_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Kept, 
     for event in after.events:
         if event in before.events:
             after.events[event] = before.events[event][rows].copy()
-    values = {register: before.now[register][rows] for register in _same(old, world, before.plan, after.plan, kept)}
-    _states(before.plan, after.plan, values, kept)
+    values = {register: before.now[register][rows] for register in _same(old, world, before.plan, after.plan, migrated)}
+    _states(before.plan, after.plan, values, migrated)
     _items(old, world, after.plan, values)
     _put(after, values)
     turn(world, after, moved[rows])
-    kept.moved = int(np.count_nonzero(length(after.position - before.position[rows]) > TOLD))
-    return kept, values | {register: after.now[register].copy() for register in _ALWAYS}
+    migrated.moved = int(np.count_nonzero(length(after.position - before.position[rows]) > TOLD))
+    return migrated, values | {register: after.now[register].copy() for register in _ALWAYS}
 
 
 def complete(world: World, name: str, values: dict[str, NDArray[Any]]) -> None:
     """Fill the registers of a species that are not among `values` as those of an agent that is born here and now; nothing else
     that is asked for at birth happens."""
     population = world.populations[name]
-    kept = (register for register, each in population.plan.registers.items() if each.role != "temp")
-    if not len(population) or all(register in values for register in kept):
+    lasting = (register for register, each in population.plan.registers.items() if each.role != "temp")
+    if not len(population) or all(register in values for register in lasting):
         return
     come_alive(world, {name: np.arange(len(population))})
     population.effects = Effects()
@@ -80,8 +80,8 @@ def _put(population: Population, values: dict[str, NDArray[Any]]) -> None:
 # --- which registers ---------------------------------------------------------------------------------------------------
 
 
-def _same(old: World, world: World, before: ir.SpeciesPlan, after: ir.SpeciesPlan, kept: Kept) -> list[str]:
-    """Registers whose values go on, by name; what is told of the others goes into `kept`."""
+def _same(old: World, world: World, before: ir.SpeciesPlan, after: ir.SpeciesPlan, migrated: MigratedSpecies) -> list[str]:
+    """Registers whose values go on, by name; what is told of the others goes into `migrated`."""
     found = [
         name
         for name, register in after.registers.items()
@@ -92,13 +92,13 @@ def _same(old: World, world: World, before: ir.SpeciesPlan, after: ir.SpeciesPla
     for name, register in after.registers.items():
         if register.role == "attribute" and name not in lasting:
             known = name in before.registers and before.registers[name].role == "attribute"
-            _note(kept.other if known else kept.new, name)
+            _note(migrated.other if known else migrated.new, name)
     for name, register in before.registers.items():
         if register.role == "attribute" and name not in after.registers:
-            _note(kept.gone, name)
-        kept.forgotten += register.role == "memory" and name not in lasting and not name.endswith(".on")
+            _note(migrated.gone, name)
+        migrated.forgotten += register.role == "memory" and name not in lasting and not name.endswith(".on")
     for name in sorted(rewritten):
-        _note(kept.rewritten, name)
+        _note(migrated.rewritten, name)
     return [name for name in found if name in lasting and name not in rewritten]
 
 
@@ -130,7 +130,7 @@ def _note(names: list[str], register: str) -> None:
 # --- what registers point to ---------------------------------------------------------------------------------------------
 
 
-def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDArray[Any]], kept: Kept) -> None:
+def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDArray[Any]], migrated: MigratedSpecies) -> None:
     """Numbers of states into those that these states have now, by name; agents in one that is no more begin anew."""
     machines = {machine.name: machine for machine in before.machines}
     for machine in after.machines:
@@ -142,11 +142,11 @@ def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDA
         state = number[now]
         lost = state < 0
         occupied = {known.states[index] for index in np.unique(now[lost])}
-        kept.states += [f"{machine.name}.{state}" for state in machine.states if state not in known.states]
-        kept.lost += [f"{machine.name}.{state}" for state in known.states if state not in (*machine.states, *occupied)]
+        migrated.states += [f"{machine.name}.{state}" for state in machine.states if state not in known.states]
+        migrated.lost += [f"{machine.name}.{state}" for state in known.states if state not in (*machine.states, *occupied)]
         for index in np.unique(now[lost]):
             key = (f"{machine.name}.{known.states[index]}", f"{machine.name}.{machine.states[machine.start]}")
-            kept.begun[key] = int(np.count_nonzero(now == index))
+            migrated.begun[key] = int(np.count_nonzero(now == index))
         values[f"{machine.name}.state"] = state = np.where(lost, machine.start, state).astype(now.dtype)
         for part in ("previous", "next"):
             other = number[values[f"{machine.name}.{part}"]]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.plan import ir
-from antdsl.reload.agents import Kept, complete, take_agents
+from antdsl.reload.agents import MigratedSpecies, complete, migrate_agents
 from antdsl.reload.footing import same_solid
 from antdsl.runtime.binding.bind_world import unpeopled
 from antdsl.runtime.binding.placing import arrive, begin
@@ -25,10 +25,10 @@ from antdsl.scene.setting import CrowdData, Setting
 
 
 @dataclass(slots=True)
-class Taken:
+class Migration:
     """What became of a world. `joined` and `removed` count agents that the scene's crowd has more or fewer of, by species."""
 
-    species: list[Kept] = field(default_factory=list)
+    species: list[MigratedSpecies] = field(default_factory=list)
     joined: dict[str, int] = field(default_factory=dict)
     removed: dict[str, int] = field(default_factory=dict)
     items: list[str] = field(default_factory=list)  # begun anew, or new
@@ -37,46 +37,46 @@ class Taken:
 
     @property
     def agents(self) -> int:
-        return sum(kept.agents for kept in self.species)
+        return sum(migrated.agents for migrated in self.species)
 
 
-def take_over(old: World, plan: ir.Plan, setting: Setting, built: Built | None = None) -> tuple[World, Taken]:
+def take_over(old: World, plan: ir.Plan, setting: Setting, built: Built | None = None) -> tuple[World, Migration]:
     """The world of an edited plan and setting at the frame of a running one. BindError as in `bind`.
 
     `built` is kept from one call to the next: meshes that are the same are not worked out again."""
     world = unpeopled(plan, setting, old.options, built=built, origin=old.origin)
     world.frame = old.frame
-    taken = Taken()
+    migration = Migration()
     with np.errstate(all="ignore"):
-        _items(old, world, taken)
-        _solids(old, world, taken)
-        _fields(old, world, taken)
+        _items(old, world, migration)
+        _solids(old, world, migration)
+        _fields(old, world, migration)
         pose(world, world.frame)
         _flows(old, world)
-        begin(world, arrive(world, _agents(old, world, taken)))
+        begin(world, arrive(world, _agents(old, world, migration)))
         for population in world.populations.values():
             forget_the_dead(world, population)
     _counts(old, world)
-    return world, taken
+    return world, migration
 
 
 # --- agents ------------------------------------------------------------------------------------------------------------
 
 
-def _agents(old: World, world: World, taken: Taken) -> list[tuple[CrowdData, NDArray[np.int64]]]:
+def _agents(old: World, world: World, migration: Migration) -> list[tuple[CrowdData, NDArray[np.int64]]]:
     """Take over all who stay; gives who is to join, with their ids."""
     joining: list[tuple[CrowdData, NDArray[np.int64]]] = []
     values = {}
     for name in world.populations:
         if name in old.populations:
-            kept, values[name] = take_agents(old, world, name, _staying(old, world.setting, name, taken))
-            taken.species.append(kept)
+            migrated, values[name] = migrate_agents(old, world, name, _staying(old, world.setting, name, migration))
+            migration.species.append(migrated)
             _regroup(old.setting, world, name, values[name])
     for name, known in values.items():
         complete(world, name, known)
     for name in old.populations:
         if name not in world.populations and len(old.populations[name]):
-            taken.removed[name] = len(old.populations[name])
+            migration.removed[name] = len(old.populations[name])
     for name, population in world.populations.items():
         before = _lines(old.setting, name) if name in old.populations else []
         for number, crowd in enumerate(_lines(world.setting, name)):
@@ -85,7 +85,7 @@ def _agents(old: World, world: World, taken: Taken) -> list[tuple[CrowdData, NDA
                 ids = np.arange(population.next_id, population.next_id + more)
                 population.next_id += more
                 joining.append((crowd, ids))
-                taken.joined[name] = taken.joined.get(name, 0) + more
+                migration.joined[name] = migration.joined.get(name, 0) + more
     return joining
 
 
@@ -93,7 +93,7 @@ def _lines(setting: Setting, species: str) -> list[CrowdData]:
     return [crowd for crowd in setting.crowds if crowd.species == species]
 
 
-def _staying(old: World, setting: Setting, name: str, taken: Taken) -> NDArray[np.intp]:
+def _staying(old: World, setting: Setting, name: str, migration: Migration) -> NDArray[np.intp]:
     """Rows of a species less those that a line of the scene has fewer of by now: those who came last go."""
     population = old.populations[name]
     stays = np.ones(len(population), np.bool_)
@@ -105,7 +105,7 @@ def _staying(old: World, setting: Setting, name: str, taken: Taken) -> NDArray[n
             rows = rows[np.argsort(population.ids[rows])]
             stays[rows[max(0, len(rows) - fewer) :]] = False
     if not stays.all():
-        taken.removed[name] = int(np.count_nonzero(~stays))
+        migration.removed[name] = int(np.count_nonzero(~stays))
     return np.flatnonzero(stays)
 
 
@@ -123,7 +123,7 @@ def _regroup(before: Setting, world: World, name: str, values: dict[str, NDArray
 # --- everything else ---------------------------------------------------------------------------------------------------
 
 
-def _items(old: World, world: World, taken: Taken) -> None:
+def _items(old: World, world: World, migration: Migration) -> None:
     """Amounts by the items' names; what the scene says otherwise now begins with that."""
     for name, items in world.items.items():
         known = old.items.get(name)
@@ -141,25 +141,25 @@ def _items(old: World, world: World, taken: Taken) -> None:
                 if same and known is not None:
                     amounts[k] = known.amounts[attribute][rows[item]]
                 else:
-                    taken.items.append(f"{item}.{attribute}")
+                    migration.items.append(f"{item}.{attribute}")
         items.show()
 
 
-def _solids(old: World, world: World, taken: Taken) -> None:
+def _solids(old: World, world: World, migration: Migration) -> None:
     for name, volume in world.solids.items():
         if name in old.solids and same_solid(old, world, name):
             volume.restore({key: array.copy() for key, array in old.solids[name].state().items()})
         else:
-            taken.solids.append(name)
+            migration.solids.append(name)
 
 
-def _fields(old: World, world: World, taken: Taken) -> None:
+def _fields(old: World, world: World, migration: Migration) -> None:
     """Scents whose cells are the same, and which do not start with something else now."""
     for name, now in world.fields.items():
         before = old.fields.get(name)
         starts = [setting.field_start.get(name) for setting in (old.setting, world.setting)]
         if before is None or not _same_cells(old, world, name) or digest(starts[0]) != digest(starts[1]):
-            taken.fields.append(name)
+            migration.fields.append(name)
             continue
         if now.added:
             now.grow_again(before.added["keys"], before.added["places"])
@@ -190,7 +190,7 @@ def _counts(old: World, world: World) -> None:
     """What was counted and measured so far, and who watches."""
     world.transitions = dict(old.transitions)
     world.motion = Motion.of(old.motion.arrays())
-    world.faults = FaultLog(old.faults.count, old.faults.refused_births, list(old.faults.told))
+    world.faults = FaultLog(old.faults.count, old.faults.refused_births, list(old.faults.reported))
     world.watchers = list(old.watchers)
     world.carved = None if old.carved is None else {}
     if world.detail is not None and old.detail is not None:

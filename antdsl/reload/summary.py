@@ -2,39 +2,41 @@
 
 from __future__ import annotations
 
-from antdsl.reload.agents import Kept
-from antdsl.reload.migrate import Taken
+from antdsl.reload.agents import MigratedSpecies
+from antdsl.reload.migrate import Migration
 
 
-def taken_line(taken: Taken) -> str:
+def migration_line(migration: Migration) -> str:
     """Such as "kept 500 agents · 12 of removed state `dig` begin anew in `search` · `load` is new"."""
-    parts = [f"kept {taken.agents:,} {_agents(taken.agents)}"]
-    several = len(taken.species) > 1
-    for kept in taken.species:
-        parts += _species(kept, f"{kept.species}." if several else "")
-    parts += [f"{count:,} more of `{name}`" for name, count in taken.joined.items()]
-    parts += [f"{count:,} of `{name}` gone" for name, count in taken.removed.items()]
-    parts += _listed(taken.items, "has its amount from the scene", "have their amounts from the scene")
-    parts += _listed([f"field {name}" for name in taken.fields], "begins anew", "begin anew")
-    parts += _listed([f"solid {name}" for name in taken.solids], "is whole", "are whole")
+    parts = [f"kept {migration.agents:,} {_agents(migration.agents)}"]
+    several = len(migration.species) > 1
+    for migrated in migration.species:
+        parts += _species(migrated, f"{migrated.species}." if several else "")
+    parts += [f"{count:,} more of `{name}`" for name, count in migration.joined.items()]
+    parts += [f"{count:,} of `{name}` gone" for name, count in migration.removed.items()]
+    parts += _listed(migration.items, "has its amount from the scene", "have their amounts from the scene")
+    parts += _listed([f"field {name}" for name in migration.fields], "begins anew", "begin anew")
+    parts += _listed([f"solid {name}" for name in migration.solids], "is whole", "are whole")
     return " · ".join(parts)
 
 
-def _species(kept: Kept, of: str) -> list[str]:
+def _species(migrated: MigratedSpecies, of: str) -> list[str]:
     parts = [
         f"{count:,} of removed state `{of}{_plain(gone)}` {'begins' if count == 1 else 'begin'} anew in `{of}{_plain(start)}`"
-        for (gone, start), count in sorted(kept.begun.items())
+        for (gone, start), count in sorted(migrated.begun.items())
     ]
-    parts += _listed([of + _plain(name) for name in kept.states], "is a new state", "are new states")
-    parts += _listed([of + _plain(name) for name in kept.lost], "is a state no more", "are states no more")
-    if kept.moved:
-        parts.append(f"{kept.moved:,} {_agents(kept.moved)} moved with the ground" + (f" of `{kept.species}`" if of else ""))
-    parts += _listed([of + name for name in kept.new], "is new", "are new")
-    parts += _listed([of + name for name in kept.other], "is another type, begun anew", "are other types, begun anew")
-    parts += _listed([of + name for name in _written(kept.rewritten)], "is as written now", "are as written now")
-    parts += _listed([of + name for name in kept.gone], "is gone", "are gone")
-    if kept.forgotten:
-        parts.append(f"{kept.forgotten} {'memory' if kept.forgotten == 1 else 'memories'} forgotten")
+    parts += _listed([of + _plain(name) for name in migrated.states], "is a new state", "are new states")
+    parts += _listed([of + _plain(name) for name in migrated.lost], "is a state no more", "are states no more")
+    if migrated.moved:
+        parts.append(
+            f"{migrated.moved:,} {_agents(migrated.moved)} moved with the ground" + (f" of `{migrated.species}`" if of else "")
+        )
+    parts += _listed([of + name for name in migrated.new], "is new", "are new")
+    parts += _listed([of + name for name in migrated.other], "is another type, begun anew", "are other types, begun anew")
+    parts += _listed([of + name for name in _written(migrated.rewritten)], "is as written now", "are as written now")
+    parts += _listed([of + name for name in migrated.gone], "is gone", "are gone")
+    if migrated.forgotten:
+        parts.append(f"{migrated.forgotten} {'memory' if migrated.forgotten == 1 else 'memories'} forgotten")
     return parts
 
 

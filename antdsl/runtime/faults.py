@@ -18,7 +18,7 @@ from antdsl.source import Span
 if TYPE_CHECKING:
     from antdsl.runtime.world import Population, World
 
-_TOLD = 20  # faults told in full; the others are only counted
+_REPORTED = 20  # faults reported in full; the others are only counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class FaultLog:
 
     count: int = 0
     refused_births: int = 0  # beyond limits.AGENTS
-    told: list[Fault] = field(default_factory=list)
+    reported: list[Fault] = field(default_factory=list)
     latest: Fault | None = None  # the first of the last step
 
 
@@ -86,12 +86,12 @@ def gather(world: World) -> None:
             rows = np.unique(np.concatenate([entry.rows for entry in entries]))  # a vector has three parts and one fault
             rows = rows[np.argsort(population.ids[rows])]
             log.count += len(rows)
-            for row in rows[: max(_TOLD - len(log.told), 0 if log.latest else 1)]:
+            for row in rows[: max(_REPORTED - len(log.reported), 0 if log.latest else 1)]:
                 entry = min((e for e in entries if row in e.rows), key=lambda e: e.register)
                 fault = _tell(world, population, int(row), entry, word)
                 log.latest = log.latest or fault
-                if len(log.told) < _TOLD:
-                    log.told.append(fault)
+                if len(log.reported) < _REPORTED:
+                    log.reported.append(fault)
             if world.options.on_fault == "quarantine":
                 population.quarantined[rows] = True
 

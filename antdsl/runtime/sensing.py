@@ -37,7 +37,7 @@ def uniform_leaf(world: World, node: ir.Node) -> Value:
         case "param":
             return world.params[node.attrs[0]]
         case "told":
-            return world.told[node.attrs[0]]
+            return world.spec_values[node.attrs[0]]
         case "step":
             return np.float32(world.shown * world.dt if node.attrs[0] == "time" else world.shown)
         case "run":

@@ -191,7 +191,7 @@ class World:
     clearances: dict[tuple[str, str, int], NDArray[Any]] = field(default_factory=dict)  # of this step
     transitions: dict[str, int] = field(default_factory=dict)
     carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last hand-over; None: nobody asks
-    told: dict[str, np.float32] = field(default_factory=dict)  # numbers about wholes that a spec asks for, by name
+    spec_values: dict[str, np.float32] = field(default_factory=dict)  # numbers about wholes that a spec asks for, by name
     detail: Detail | None = None
     crowded: list[Crowded] = field(default_factory=list)  # lines of the crowd that found no room for all
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step once all have acted

@@ -69,14 +69,14 @@ def _of_values(how: str, values: NDArray[Any], count: int) -> Any:
     return np.float32(values.max()) if count else np.float32(-np.inf)
 
 
-def value_of(world: World, node: ir.Node, told: dict[str, Any]) -> Any:
+def value_of(world: World, node: ir.Node, spec_values: dict[str, Any]) -> Any:
     """The value of a node that is the same for all agents, by the elementwise table of the backends."""
     values: dict[ir.Node, Any] = {}
     with np.errstate(all="ignore"):
         for each in needed((node,)):
             f = ELEMENTWISE.get(each.op)
             if f is None:
-                values[each] = told[each.attrs[0]] if each.op == "told" else uniform_leaf(world, each)
+                values[each] = spec_values[each.attrs[0]] if each.op == "told" else uniform_leaf(world, each)
                 continue
             args = [values[a] for a in each.args]
             if each.op not in _EXACT or not all(map(_is_exact, each.args, args)):

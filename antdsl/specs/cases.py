@@ -41,7 +41,7 @@ class Failure:
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class SavedFrames:
     """Where the frames `begins` .. `frame` that led up to a failure lie as a cache, with the commands that show them and that go
     on from there. `note`: what did not work; then there may be no folder."""
 
@@ -75,7 +75,7 @@ class Case:
     frames: int = 0
     seconds: float = 0.0
     against: Opponent | None = None
-    kept: Kept | None = None
+    kept: SavedFrames | None = None
 
     @property
     def name(self) -> str:

@@ -27,7 +27,7 @@ from antdsl.scene.matching import const_base
 from antdsl.scene.quantities import BadQuantity, parse_quantity
 from antdsl.scene.setting import Setting
 from antdsl.scene.values import FrameRange
-from antdsl.specs.cases import Case, Kept, Run
+from antdsl.specs.cases import Case, Run, SavedFrames
 
 EVERY = 12  # frames between two copies of the state
 MOST = 5  # cases kept of one `antdsl test`
@@ -73,22 +73,22 @@ class Keeper:
     options: Options
     count: int = 0
 
-    def save(self, run: Run, case: Case, moment: Moment, built: Built) -> Kept:
-        """Simulate up to the failure again, into a cache. What went wrong with that stands in the `Kept`."""
+    def save(self, run: Run, case: Case, moment: Moment, built: Built) -> SavedFrames:
+        """Simulate up to the failure again, into a cache. What went wrong with that stands in the `SavedFrames`."""
         self.count += 1
         if self.count > MOST:
-            return Kept(None, f"not saved: only the first {MOST} are")
+            return SavedFrames(None, f"not saved: only the first {MOST} are")
         above = self.folder if self.folder is not None else case.scene.parent / "out" / "failed"
         folder = above / f"{slug(case.name)}-{case.seed}"
         params = {change.name: _flag(run.shot, change.value) for change in case.spec.changes}
         frames = FrameRange(moment.begins, max(run.shot.frames.last, moment.frame + 1))
         shot, report = open_scene(case.scene, Choices(self.grants, frames, run.seed, params))
         if shot is None:
-            return Kept(None, f"not saved: {report.errors[0].message}")
+            return SavedFrames(None, f"not saved: {report.errors[0].message}")
         try:
             found = self._record(shot, folder, moment, built)
         except (OSError, ForeignFolder, InTheWay, StartError, CheckpointError) as why:
-            return Kept(None, f"not saved: {str(why).lower()}")
+            return SavedFrames(None, f"not saved: {str(why).lower()}")
         words = [f"--root {shlex.quote(f'{name}={path}')}" for name, path in self.grants.items()]
         words += [f"--set {shlex.quote(f'{name}={text}')}" for name, text in params.items()]
         here, scene = shlex.quote(shown(folder)), shlex.quote(shown(case.scene))
@@ -99,7 +99,7 @@ class Keeper:
         look = f"antdsl render {here} --frames {max(moment.begins, moment.frame - 1)}..{moment.frame}{agents}"
         same = moment.hash is None or found == moment.hash
         note = "" if same else "what was saved came out differently, which is a mistake of antdsl"
-        return Kept(folder, note, moment.begins, moment.frame, look, f"{again} --out {here} --resume")
+        return SavedFrames(folder, note, moment.begins, moment.frame, look, f"{again} --out {here} --resume")
 
     def _record(self, shot: Shot, folder: Path, moment: Moment, built: Built) -> str:
         """Write the frames from the copy to the failure; gives the hash of the last."""

@@ -29,12 +29,12 @@ _UNKNOWN = 1e300  # what no float32 can be: of agents that were not there yet
 
 
 class Asker:
-    """`ask` at each frame from the first on; `told` are then the numbers about wholes, by name."""
+    """`ask` at each frame from the first on; `values` are then the numbers about wholes, by name."""
 
     def __init__(self, plan: SpecPlan, world: World) -> None:
         self.plan = plan
         self.backend: Any = BACKENDS[world.options.backend](plan.plan)
-        self.told: dict[str, Any] = {}
+        self.values: dict[str, Any] = {}
         known: list[WholePlan | StartPlan | OtherPlan] = [*plan.wholes, *plan.starts, *plan.others]
         self.names = [each.name for each in known] + [f"motion.{name}" for name in MOTION]
         self.starts: dict[str, NDArray[np.float64]] = {}  # by id
@@ -42,29 +42,29 @@ class Asker:
 
     def value(self, world: World, node: ir.Node) -> Any:
         """A number of the whole."""
-        return value_of(world, node, self.told)
+        return value_of(world, node, self.values)
 
     def ask(self, world: World, others: Mapping[str, Any]) -> World:
         """A copy of the world in which every agent and item has answered. `others`: numbers of the run that is compared with."""
         self._measure(world)
-        self.told |= others
+        self.values |= others
         for items in world.items.values():
             items.show()
         there = copy(world)
         there.plan, there.backend, there.grids, there.clearances = self.plan.plan, self.backend, {}, {}
         there.populations = {name: self._judged(there, name) for name in self.plan.plan.species}
-        there.told = dict.fromkeys(self.names, np.float32(0))  # nobody has been asked yet
+        there.spec_values = dict.fromkeys(self.names, np.float32(0))  # nobody has been asked yet
         self.backend.begin(there)
         self.run(there, "decide")
         for each in self.plan.wholes:
-            self.told[each.name] = whole(world, there.populations, each)
+            self.values[each.name] = whole(world, there.populations, each)
         for start in self.plan.starts:
             if start.value is not None:
-                if start.name not in self.told:
-                    self.told[start.name] = value_of(world, start.value, self.told)
+                if start.name not in self.values:
+                    self.values[start.name] = value_of(world, start.value, self.values)
             elif start.species is not None and start.asked is not None:
                 self._remember(there.populations[start.species], start.name, start.asked)
-        there.told |= {name: np.float32(number) for name, number in self.told.items()}
+        there.spec_values |= {name: np.float32(number) for name, number in self.values.items()}
         self.backend.begin(there)
         self.run(there, "act")
         return there
@@ -79,7 +79,7 @@ class Asker:
         for name, number in world.motion.summary().items():
             unknown = world.motion.ways == 0 and name in ("circling", "straightness")
             told = radians(number) if MOTION[name] == "angle" else number
-            self.told[f"motion.{name}"] = np.float32(np.nan if unknown else told)
+            self.values[f"motion.{name}"] = np.float32(np.nan if unknown else told)
 
     def _judged(self, there: World, name: str) -> Population:
         """All agents of a species, all items of a name or all cells of a field, to be asked one by one."""

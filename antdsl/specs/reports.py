@@ -13,7 +13,7 @@ from antdsl.diagnostics.full import full
 from antdsl.diagnostics.places import area, safe
 from antdsl.loading import shown
 from antdsl.source import Span
-from antdsl.specs.cases import Case, Failure, Kept
+from antdsl.specs.cases import Case, Failure, SavedFrames
 from antdsl.specs.coverage import Counted, Coverage
 from antdsl.specs.golden.recorded import GoldenResult
 from antdsl.specs.text_report import golden, told
@@ -51,14 +51,15 @@ def _case(case: Case) -> dict[str, Any]:
         "frames": case.frames,
         "seconds": round(case.seconds, 3),
         "failures": [_failure(failure) for failure in case.failures],
-        "kept": None if case.kept is None else _kept(case.kept),
+        "kept": None if case.kept is None else _saved(case.kept),
     }
 
 
-def _kept(kept: Kept) -> dict[str, Any]:
-    folder = None if kept.folder is None else shown(kept.folder)
+def _saved(saved: SavedFrames) -> dict[str, Any]:
+    folder = None if saved.folder is None else shown(saved.folder)
     return {
-        "folder": folder, "note": kept.note, "begins": kept.begins, "frame": kept.frame, "look": kept.look, "again": kept.again,
+        "folder": folder, "note": saved.note, "begins": saved.begins, "frame": saved.frame, "look": saved.look,
+        "again": saved.again,
     }  # fmt: skip
 
 

@@ -98,8 +98,8 @@ def _run(run: Run, work: Work, moments: dict[int, Moment]) -> None:
 def _begin(shot: Shot, seed: int, work: Work) -> World:
     """The world at the first frame."""
     world = bind(shot.plan, replace(shot.setting, seed=seed), work.options, built=work.built)
-    if world.faults.told:
-        raise FaultStop(world.faults.told[0])  # at birth
+    if world.faults.reported:
+        raise FaultStop(world.faults.reported[0])  # at birth
     work.coverage.watch(world, shot.program)
     for _ in range(shot.scene.model.preroll):
         step(world)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from antdsl.diagnostics.places import safe
 from antdsl.loading import shown
-from antdsl.specs.cases import Case, Failure, Kept
+from antdsl.specs.cases import Case, Failure, SavedFrames
 from antdsl.specs.coverage import Counted, Coverage
 from antdsl.specs.golden.recorded import GoldenResult
 from antdsl.specs.verdicts import Verdict
@@ -24,7 +24,7 @@ def one_line(case: Case) -> str:
 def failed(case: Case) -> str:
     """The case's line, then each failure with its place, when, who, and the values; then how to look at it."""
     lines = [one_line(case), *(f"  {line}" for failure in case.failures for line in told(failure))]
-    return "\n".join(lines + ([] if case.kept is None else [f"  {line}" for line in _kept(case.kept)]))
+    return "\n".join(lines + ([] if case.kept is None else [f"  {line}" for line in _saved(case.kept)]))
 
 
 def told(failure: Failure) -> list[str]:
@@ -55,12 +55,12 @@ def _whom(failure: Failure) -> str:
     return f"{failure.agent[0]} {', '.join(map(str, named))}" + (f" and {more} more" if more > 0 else "")
 
 
-def _kept(kept: Kept) -> list[str]:
-    if kept.folder is None:
-        return [safe(kept.note)]
-    lines = [f"saved: frames {kept.begins} to {kept.frame} in {safe(shown(kept.folder))}"]
-    lines += [safe(kept.note)] if kept.note else []
-    return [*lines, f"  see it:         {safe(kept.look)}", f"  go on from it:  {safe(kept.again)}"]
+def _saved(saved: SavedFrames) -> list[str]:
+    if saved.folder is None:
+        return [safe(saved.note)]
+    lines = [f"saved: frames {saved.begins} to {saved.frame} in {safe(shown(saved.folder))}"]
+    lines += [safe(saved.note)] if saved.note else []
+    return [*lines, f"  see it:         {safe(saved.look)}", f"  go on from it:  {safe(saved.again)}"]
 
 
 def settled(verdict: Verdict) -> str:

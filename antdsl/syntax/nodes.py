@@ -535,7 +535,7 @@ TopItem = Use | World | FieldDecl | Species | Behaviour | Spec
 
 @node
 class File:
-    """One parsed file. `items` holds what could be read, in text order, even where other parts were broken; `doubtful` are the
+    """One parsed file. `items` holds what could be read, in text order, even where other parts were broken; `recovered` are the
     places where a line was not understood as it stands, of which the report of parsing tells; `broken`: it tells an error."""
 
     source: Source
@@ -543,7 +543,7 @@ class File:
     help: Text | None
     items: tuple[TopItem, ...]
     comments: tuple[Comment, ...] = field(default=())
-    doubtful: tuple[Span, ...] = field(default=())
+    recovered: tuple[Span, ...] = field(default=())
     broken: bool = field(default=False)
     parts: Mapping[Source, int] = field(default_factory=dict)
 

@@ -23,7 +23,7 @@ from antdsl.syntax.brackets import pair, text_of
 from antdsl.syntax.builder import Builder, Header, Result
 from antdsl.syntax.depth import deep_places
 from antdsl.syntax.mistakes.unexpected_tokens import (
-    Surprise,
+    UnexpectedToken,
     begins_line,
     better_first_word,
     complain,
@@ -119,7 +119,7 @@ class Part:
     nodes: tuple[Any, ...]
     report: Report
     comments: tuple[n.Comment, ...]
-    doubtful: tuple[Span, ...]
+    recovered: tuple[Span, ...]
     edition: n.Number | None = None
     help: n.Text | None = None
 
@@ -138,7 +138,7 @@ def parse_part(source: Source, rule: str, *, begins: bool = False) -> Part:
         reading = _Reading(scanned)
         edition, help, lines = reading.beginning(lines) if begins else (None, None, lines)
         nodes = reading.lines(lines, rule)
-        return Part(source, nodes, report, tuple(scanned.comments), reading.doubtful(), edition, help)
+        return Part(source, nodes, report, tuple(scanned.comments), reading.recovered(), edition, help)
 
 
 def _other_language(text: str) -> str | None:
@@ -168,7 +168,7 @@ class _Reading:
             help_text = "write a `species`, or a `behaviour` that other files can use"
             self.report.error("empty-file", "file declares nothing", Span(self.source, 0, 0), help_text)
         comments, broken = tuple(self.scan.comments), not self.report.ok
-        return n.File(self.source, edition, help, items, comments, self.doubtful(), broken)
+        return n.File(self.source, edition, help, items, comments, self.recovered(), broken)
 
     def beginning(self, lines: list[Line]) -> tuple[n.Number | None, n.Text | None, list[Line]]:
         """The edition and the help of a file, and the lines that follow."""
@@ -179,7 +179,7 @@ class _Reading:
             help = n.Text(text_of(self.scan, first.tokens[0])[1:-1], Span(self.source, first.start, first.end))
         return edition, help, lines
 
-    def doubtful(self) -> tuple[Span, ...]:
+    def recovered(self) -> tuple[Span, ...]:
         return tuple(d.span for d in self.report.diagnostics if d.code in _DOUBTFUL and d.span is not None)
 
     def header(self, lines: list[Line]) -> tuple[n.Number | None, list[Line]]:
@@ -213,7 +213,7 @@ class _Reading:
     def line(self, line: Line, rule: str) -> list[Any]:
         """The node of a line, none when it makes no sense, two when a line end is missing."""
         first = text_of(self.scan, line.tokens[0])
-        if line.groups and first not in LINE_WORDS[rule] and not self.weary():
+        if line.groups and first not in LINE_WORDS[rule] and not self.at_error_limit():
             first = nearest_name(first, LINE_WORDS[rule]) or first
         for group in line.groups:
             self.mute(group)
@@ -225,12 +225,12 @@ class _Reading:
         try:
             return self.checked(self.attempt(text, rule), line)
         except UnexpectedInput as error:
-            weary = self.weary()
-            surprise = self.surprise(error, line, text, rule, weary)
+            at_error_limit = self.at_error_limit()
+            unexpected = self.unexpected(error, line, text, rule, at_error_limit)
             if not self.damaged(line, text):
-                self.report.add(plain_complaint(surprise) if weary else complain(surprise))
-                insort(self.scan.faults, surprise.span.start)
-            return [] if weary else self.mend(line, text, rule, surprise)
+                self.report.add(plain_complaint(unexpected) if at_error_limit else complain(unexpected))
+                insort(self.scan.faults, unexpected.span.start)
+            return [] if at_error_limit else self.recover(line, text, rule, unexpected)
 
     def mute(self, group: Group) -> None:
         """Where a `}` was forgotten, nobody knows where the block ends: its last line may hold words from outside it."""
@@ -239,7 +239,7 @@ class _Reading:
             for line in group.lines if one_line else group.lines[-1:]:
                 insort(self.scan.faults, line.start)
 
-    def weary(self) -> bool:
+    def at_error_limit(self) -> bool:
         """Whether there are so many complaints that nobody reads what more could be said."""
         return len(self.report.diagnostics) > _MENDED
 
@@ -284,7 +284,7 @@ class _Reading:
 
     # --- lines that cannot be read ---
 
-    def surprise(self, error: Any, line: Line, text: Lookup, rule: str, weary: bool) -> Surprise:
+    def unexpected(self, error: Any, line: Line, text: Lookup, rule: str, at_error_limit: bool) -> UnexpectedToken:
         token = getattr(error, "token", None)
         ended = token is not None and token.type == "$END"
         position = len(text.text) if ended else error.pos_in_stream
@@ -298,8 +298,8 @@ class _Reading:
         span = Span(self.source, found.start, found.end) if found else Span(self.source, line.end, line.end)
         first = line.tokens[0]
         interactive = getattr(error, "interactive_parser", None)
-        wanted = interactive.accepts() if interactive is not None and not weary else ()
-        return Surprise(
+        wanted = interactive.accepts() if interactive is not None and not at_error_limit else ()
+        return UnexpectedToken(
             rule,
             text_of(self.scan, first),
             text_of(self.scan, last) if last else "",
@@ -313,13 +313,13 @@ class _Reading:
             text_of(self.scan, before[-2]) if len(before) > 1 else "",
         )
 
-    def mend(self, line: Line, text: Lookup, rule: str, surprise: Surprise) -> list[Any]:
+    def recover(self, line: Line, text: Lookup, rule: str, unexpected: UnexpectedToken) -> list[Any]:
         """What can still be understood of a line about which a complaint has been made."""
-        position = text.position(surprise.span.start)
-        if surprise.found and begins_line(surprise):
+        position = text.position(unexpected.span.start)
+        if unexpected.found and begins_line(unexpected):
             halves = [text.splice(position, len(text.text), ""), text.splice(0, position, "")]
             return [node for half in halves for node in self.first_that_parses(iter([half]), rule)]
-        return self.first_that_parses(self.candidates(line, text, rule, surprise, position), rule)
+        return self.first_that_parses(self.candidates(line, text, rule, unexpected, position), rule)
 
     def first_that_parses(self, candidates: Iterator[Lookup], rule: str) -> list[Any]:
         from lark.exceptions import UnexpectedInput
@@ -331,17 +331,17 @@ class _Reading:
                 continue
         return []
 
-    def candidates(self, line: Line, text: Lookup, rule: str, surprise: Surprise, position: int) -> Iterator[Lookup]:
-        better = better_first_word(surprise)
+    def candidates(self, line: Line, text: Lookup, rule: str, unexpected: UnexpectedToken, position: int) -> Iterator[Lookup]:
+        better = better_first_word(unexpected)
         if better is not None:
-            yield text.splice(0, len(surprise.first), better)
-        if surprise.found == "=" and "SAME" in surprise.wanted:
+            yield text.splice(0, len(unexpected.first), better)
+        if unexpected.found == "=" and "SAME" in unexpected.wanted:
             yield text.splice(position, position + 1, ":")
             yield text.splice(position, position + 1, "==")
-        if gives_with_two(surprise):
+        if gives_with_two(unexpected):
             yield text.splice(position, position + 2, "=")
-        if forgets_brackets(surprise):
-            yield text.splice(position, position + len(surprise.found), f"({surprise.found})")
+        if forgets_brackets(unexpected):
+            yield text.splice(position, position + len(unexpected.found), f"({unexpected.found})")
         lefts, rights, clause = self.slots(line, text, position)
         for left in lefts:
             for right in rights:
@@ -350,8 +350,8 @@ class _Reading:
         for right in rights:
             if "{" not in text.text[clause:right]:
                 yield text.splice(clause, right, " ")
-        if surprise.found and surprise.found not in "{}":
-            yield text.splice(position, position + len(surprise.found), "")
+        if unexpected.found and unexpected.found not in "{}":
+            yield text.splice(position, position + len(unexpected.found), "")
         yield from self.bare(line, text, rule)
 
     def slots(self, line: Line, text: Lookup, position: int) -> tuple[list[int], list[int], int]:

@@ -172,7 +172,7 @@ def _file(source: Source, parts: list[tuple[Cut, Part]]) -> tuple[n.File, Report
     first = parts[0][1]
     file = n.File(
         source, first.edition, first.help, tuple(items), tuple(c for _, part in parts for c in part.comments),
-        tuple(span for _, part in parts for span in part.doubtful), any(not part.report.ok for _, part in parts),
+        tuple(span for _, part in parts for span in part.recovered), any(not part.report.ok for _, part in parts),
         {part.source: cut.start for cut, part in parts},
     )  # fmt: skip
     return file, Report([moved(each, file.whole) for _, part in parts for each in part.report.diagnostics])

@@ -116,7 +116,7 @@ class _Scanner:
         self.found = found
         self.characters = "".join(found.clean)
         self.indent = 0  # of the line so far, -1 after its first token
-        self.told: set[str] = set()  # names and kinds of slip that have been complained about already
+        self.reported: set[str] = set()  # names and kinds of slip that have been complained about already
         self.last_end = -1  # offset where the last token ended
         self.inside = 0  # how many ( and [ are open that may hold values with commas between them
 
@@ -180,14 +180,14 @@ class _Scanner:
         if len(piece) > limits.NAME_CHARACTERS:
             message = f"name of {len(piece)} characters, at most {limits.NAME_CHARACTERS} are allowed"
             self.found.error("name-too-long", message, start, end, "choose a shorter name")
-            self.told.add(piece)
+            self.reported.add(piece)
         hyphened = _HYPHENED.match(self.characters, start)
         if hyphened and self.found.tokens and text_before(self.found) in _NAMING:
             return self.hyphens(start, hyphened.end(), hyphened.group())
         if not re.fullmatch(r"[a-z][a-z_0-9]*", piece):
             better = re.sub(r"[^a-z0-9_]", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", piece).lower()).strip("_") or "name"
-            if piece not in self.told:
-                self.told.add(piece)
+            if piece not in self.reported:
+                self.reported.add(piece)
                 wrong = "begins with `_`" if piece[0] == "_" else "is not written in lower case"
                 message = f"name `{piece[:80]}` {wrong}"
                 help = f"write `{better[:80]}`; names are small letters, digits and `_`, and begin with a letter"
@@ -198,8 +198,8 @@ class _Scanner:
     def hyphens(self, start: int, end: int, piece: str) -> int:
         """`turn-home` where a name is declared or a state is named."""
         better = piece.replace("-", "_").lower()
-        if piece not in self.told:
-            self.told.add(piece)
+        if piece not in self.reported:
+            self.reported.add(piece)
             help = f"write `{better[:80]}`; names are small letters, digits and `_`, and begin with a letter"
             self.found.error("bad-name", f"name `{piece[:80]}` has a `-` in it", start, end, help, better)
         self.found.replace(start, better)
@@ -215,8 +215,8 @@ class _Scanner:
             self.found.error("look-alike", f"unit `{piece}` has a Greek letter", start, end, "write `uN`", "uN")
             self.found.replace(start, "uN")
             return self.token("word", start, end)
-        if piece not in self.told:
-            self.told.add(piece)
+        if piece not in self.reported:
+            self.reported.add(piece)
             odd = next(character for character in piece if character > "\x7f")
             name = unicodedata.name(odd, f"U+{ord(odd):04X}").lower()
             if all(ascii_for(character) for character in piece):
@@ -302,8 +302,8 @@ class _Scanner:
         if piece in DOUBLE_QUOTES or piece in SINGLE_QUOTES:
             return self.wrong_quotes(start, piece)
         if piece.isspace() or unicodedata.category(piece) in ("Zs", "Cf"):
-            if "blank" not in self.told and (start > 0 or piece != "\ufeff"):
-                self.told.add("blank")
+            if "blank" not in self.reported and (start > 0 or piece != "\ufeff"):
+                self.reported.add("blank")
                 name = unicodedata.name(piece, f"U+{ord(piece):04X}").lower()
                 self.found.error("odd-blank", f"{name} in place of a blank", start, end, "type a blank", " ")
             return self.blank(start, end, piece)

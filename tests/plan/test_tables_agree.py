@@ -103,7 +103,7 @@ def test_every_effect_is_lowered_and_settled() -> None:
     for op, row in EFFECTS.items():
         assert op == row.op and row.phase in names and row.optional <= set(row.operands)
         given = {**dict.fromkeys(row.operands, "1"), "of": "it", "own": "soil"}
-        assert "{" not in effects.phrase(row.shown, given) + effects.phrase(row.told, given)
+        assert "{" not in effects.phrase(row.shown, given) + effects.phrase(row.trace, given)
         assert not row.above_0 or row.refused
         assert bool(row.computed) == (op in OPERANDS) and len(row.args) - len(row.numbers) <= 1
         assert row.computed or all(argument_type(arg).kind is Kind.NUMBER for arg in row.numbers)

@@ -14,7 +14,7 @@ from meshes import grid
 from sampling import sampled
 
 from antdsl.pipeline import Shot, open_scene
-from antdsl.reload import Taken, take_over, taken_line
+from antdsl.reload import Migration, migration_line, take_over
 from antdsl.runtime import BindError, Built, World, bind, state_hash, step
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -87,7 +87,7 @@ def started(scene: Path, steps: int = 9) -> World:
     return world
 
 
-def taken(world: World, main: Path, **texts: str) -> tuple[World, Taken]:
+def taken(world: World, main: Path, **texts: str) -> tuple[World, Migration]:
     """Edit files of the scene (`life`, `scene`: old -> new, as `old => new`) and take over; the old world must stay as it was."""
     for name, change in texts.items():
         path = main.with_name({"life": "life.ant", "scene": "scene.yaml"}[name])
@@ -117,7 +117,7 @@ def test_with_nothing_edited_a_world_goes_on_to_the_same_bits(name: str, tmp_pat
     if name == "digging":
         assert world.solids["hill"].removed > 0
     other, what = take_over(world, shot.plan, shot.setting, built)
-    assert taken_line(what) == f"kept {len(world):,} agents"
+    assert migration_line(what) == f"kept {len(world):,} agents"
     for _ in range(4):
         assert state_hash(other) == state_hash(world)
         step(world)
@@ -136,14 +136,14 @@ def test_what_was_dug_stays_dug_while_the_mesh_is_the_same(tmp_path: Path) -> No
     other, what = take_over(world, shot.plan, shot.setting)
     assert other.solids["hill"].digest() == world.solids["hill"].digest()
     assert np.array_equal(other.fields["trail"].values, world.fields["trail"].values)
-    assert re.search(r"\d of removed state `digger.dig` begins? anew in `digger.go`", taken_line(what))
+    assert re.search(r"\d of removed state `digger.dig` begins? anew in `digger.go`", migration_line(what))
     for _ in range(3):
         step(other)
     scene.write_text(scene.read_text().replace("voxel: 1 mm", "voxel: 1.25 mm"))
     shot = opened(scene)
     other, what = take_over(world, shot.plan, shot.setting)
     assert other.solids["hill"].removed == 0
-    assert "`solid hill` is whole" in taken_line(what)
+    assert "`solid hill` is whole" in migration_line(what)
     for _ in range(3):
         step(other)
 
@@ -154,7 +154,7 @@ def test_what_only_birth_sets_follows_the_text_and_its_params(scene: Path) -> No
     now, what = taken(world, scene, life="quick = 30 mm/s => quick = 45 mm/s")
     assert (now.populations["ant"].now["max_speed"] == 45).all()
     assert np.array_equal(now.populations["ant"].now["size"], size)  # drawn at birth, and not again
-    assert taken_line(what) == "kept 20 agents · `max_speed` is as written now"
+    assert migration_line(what) == "kept 20 agents · `max_speed` is as written now"
     now, _ = taken(world, scene, life="uniform(3 mm, 5 mm) => uniform(7 mm, 9 mm)")
     assert now.populations["ant"].now["size"].min() >= 7
 
@@ -165,7 +165,7 @@ def test_a_value_of_another_dimension_begins_anew(scene: Path) -> None:
     scene.with_name("life.ant").write_text(PROGRAM.replace("load   = 1", "load   = 3 g").replace("load += 1 /s", "load += 1 g/s"))
     now, what = taken(world, scene)
     assert (now.populations["ant"].now["load"] == 3).all()
-    assert taken_line(what) == "kept 20 agents · `load` is another type, begun anew"
+    assert migration_line(what) == "kept 20 agents · `load` is another type, begun anew"
 
 
 COUNTING = """
@@ -185,10 +185,10 @@ def test_a_memory_goes_on_by_its_identity_and_begins_anew_as_another_type(scene:
     now, what = taken(world, scene, life="    way    = =>     # in another line\n    way    =")
     step(now)
     assert (now.populations["ant"].now["load"] == 8).all()
-    assert taken_line(what) == "kept 20 agents"
+    assert migration_line(what) == "kept 20 agents"
     scene.with_name("life.ant").write_text(program.replace("5 then times + 1\n  times", "5 s then times + 1 s\n  times / 1 s"))
     now, what = taken(world, scene)
-    assert taken_line(what) == "kept 20 agents · 2 memories forgotten"
+    assert migration_line(what) == "kept 20 agents · 2 memories forgotten"
     step(now)
     assert (now.populations["ant"].now["load"] == 5).all()
 
@@ -201,7 +201,7 @@ def test_items_that_agents_hold_are_known_by_name(scene: Path) -> None:
     now, what = taken(world, scene, scene="    apple: => \n    donut: {at: [0, 0, 90], load: 7}\n    apple:")
     assert now.items["food"].names == ("donut", "apple", "bread")
     assert [now.items["food"].names[k] for k in now.populations["ant"].now["target"]] == held
-    assert "`donut.load` has its amount from the scene" in taken_line(what)
+    assert "`donut.load` has its amount from the scene" in migration_line(what)
     now, _ = taken(world, scene, scene="    apple: {at: [60, 0, 5], load: 50}\n => ")
     assert set(now.populations["ant"].now["target"]) == {-1, 1}
 
@@ -212,7 +212,7 @@ def test_agents_go_with_a_ground_whose_vertices_move(scene: Path) -> None:
     save_ground(scene.parent, lift=40.0)
     now, what = taken(world, scene)
     assert np.allclose(now.populations["ant"].position, before + np.array([0, 40, 0]), atol=1e-9)
-    assert taken_line(what) == "kept 20 agents · 20 agents moved with the ground · `field trail` begins anew"
+    assert migration_line(what) == "kept 20 agents · 20 agents moved with the ground · `field trail` begins anew"
     step(now)
 
 
@@ -251,12 +251,12 @@ def test_newcomers_get_new_ids_and_who_came_last_goes(scene: Path) -> None:
     ants = more.populations["ant"]
     assert sorted(ants.ids) == list(range(26))
     assert (ants.born[ants.ids >= 20] == world.frame).all()
-    assert taken_line(what) == "kept 20 agents · 6 more of `ant`"
+    assert migration_line(what) == "kept 20 agents · 6 more of `ant`"
     for _ in range(3):
         step(more)
     fewer, what = taken(more, scene, scene="count: 26 => count: 9")
     assert sorted(fewer.populations["ant"].ids) == list(range(9))
-    assert taken_line(what) == "kept 9 agents · 17 of `ant` gone"
+    assert migration_line(what) == "kept 9 agents · 17 of `ant` gone"
     again, _ = taken(fewer, scene, scene="count: 9 => count: 11")
     assert sorted(again.populations["ant"].ids) == [*range(9), 26, 27]
 

@@ -35,7 +35,7 @@ class Loader:
         self.report = report
         self.library = library
         self.modules = modules or {}
-        self.told = modules is not None  # whoever looked for the files has complained about those that are not there
+        self.complained = modules is not None  # whoever looked for the files has complained about those that are not there
         self.known: dict[int, FileNames] = {}
         self.libraries: dict[str, FileNames | None] = {}
 
@@ -105,7 +105,7 @@ class Loader:
         node = self.modules.get(module_key(names.node, path.text)) or self.modules.get(path.text)
         if node is None:
             names.aliases[alias.text] = FileNames(names.node, missing=True)
-            if not self.told:
+            if not self.complained:
                 self.report.error(
                     "unknown-module",
                     f"no file `{path.text}` could be read",

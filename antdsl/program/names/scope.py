@@ -96,7 +96,9 @@ class Declared:
     used: set[tuple[str, str]] = field(default_factory=set)
     written: set[str] = field(default_factory=set)  # attributes, as `species.name`
     unclear: set[str] = field(default_factory=set)  # things of the world of which the kind is not known, told already
-    told: dict[tuple[str, ...], list[Span]] = field(default_factory=dict)  # unknown names by where they are missing: all places
+    unknown: dict[tuple[str, ...], list[Span]] = field(
+        default_factory=dict
+    )  # unknown names by where they are missing: all places
     expanded: int = 0  # operations of all behaviours that were put in place
     memo: Memo | None = None  # what an earlier check found
     outside: int = 0  # stands for all that a part of the program can see of the others, as far as it is known
@@ -108,10 +110,10 @@ def told_before(scope: Scope, kind: str, name: nodes.Name, owner: str = "") -> b
     belongs wherever it is asked for."""
     around = (scope.file.node.source.path, scope.species.name if scope.species else "", scope.behaviour or "")
     where = (kind, *((owner,) if owner else around), name.text)
-    if where in scope.declared.told:
-        scope.declared.told[where].append(name.span)
+    if where in scope.declared.unknown:
+        scope.declared.unknown[where].append(name.span)
         return True
-    scope.declared.told[where] = [name.span]
+    scope.declared.unknown[where] = [name.span]
     return False
 
 

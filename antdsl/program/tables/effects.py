@@ -23,7 +23,7 @@ class Effect:
     after it. `draws`: random numbers hang on where it stands in the text. `feeds`: what it names gets by it what others look for,
     as a field gets scent and an event is raised.
 
-    `shown` is its line of a plan and `told` that of a trace: `{of}` what it names, `{own}` the agent's register that it fills
+    `shown` is its line of a plan and `trace` that of a trace: `{of}` what it names, `{own}` the agent's register that it fills
     after the blocks, and the operands by name; a part in square brackets is left out where one of these is missing. `refused`:
     how a fault is called if an operand is not finite; "" where that does not matter. `above_0`: nothing is asked where the first
     operand is 0 or less; `quiet_at_0`: a trace does not tell of a first operand of 0."""
@@ -35,7 +35,7 @@ class Effect:
     help: str
     meaning: str
     shown: str
-    told: str
+    trace: str
     computed: tuple[str, ...] = ()
     too_often: str = ""
     last: bool = False

@@ -83,7 +83,7 @@ class Sense:
     """An operation of the plan that looks at the world from where the agent stands, and the words that ask it.
 
     `of`: the kind of thing that its first attribute names, "" for none; `attrs`: further attributes. `operands`: kinds, a letter
-    each. `told`: how a trace says the results, by the names of the parts (for three or more numbers, all of them, if it is not
+    each. `trace`: how a trace says the results, by the names of the parts (for three or more numbers, all of them, if it is not
     given); `nothing`: what it says where the first part is false."""
 
     op: str
@@ -93,7 +93,7 @@ class Sense:
     words: tuple[Builtin, ...] = ()
     operands: str = ""
     attrs: tuple[str, ...] = ()
-    told: str = ""
+    trace: str = ""
     nothing: str = ""
 
     @property

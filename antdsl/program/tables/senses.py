@@ -37,7 +37,7 @@ _ROWS = (
             ),
         ),
         operands="ffff",
-        told="hit at {distance:.4g} mm",
+        trace="hit at {distance:.4g} mm",
         nothing="nothing",
     ),
     Sense(
@@ -46,7 +46,7 @@ _ROWS = (
         (Part("within", "b"), Part("distance"), _NORMAL),
         "closest point of an obstacle, surface or solid within reach",
         operands="f",
-        told="hit at {distance:.4g} mm",
+        trace="hit at {distance:.4g} mm",
         nothing="nothing",
     ),
     Sense(
@@ -94,7 +94,7 @@ _ROWS = (
             ),
         ),
         attrs=("count",),
-        told="strongest {value:.4g}",
+        trace="strongest {value:.4g}",
     ),
     Sense(
         "field.gradient",
@@ -141,7 +141,7 @@ _ROWS = (
                 sample="tangent(path)",
             ),
         ),
-        told="{distance:.4g} mm away",
+        trace="{distance:.4g} mm away",
     ),
     Sense(
         "flow.value",

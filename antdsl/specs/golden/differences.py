@@ -71,7 +71,7 @@ def _difference(world: World, column: Column, sums: tuple[int, int], words: str,
             column.who, column.what, _name(column, row), column.shown(world, column.values[row]), column.shown(world, before)
         )
     whom = _name(column, one[0]) if one is not None else some.get(column.who, "")
-    return Difference(column.who, column.what, whom, column.told(world), words)
+    return Difference(column.who, column.what, whom, column.summary(world), words)
 
 
 def _name(column: Column, row: int) -> str:

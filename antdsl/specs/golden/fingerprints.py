@@ -78,7 +78,7 @@ class Column:
     def shown(self, world: World, value: Any) -> str:
         return shown(world, value, self.type, self.unit)
 
-    def told(self, world: World) -> str:
+    def summary(self, world: World) -> str:
         """The values where there are few of them; else how many agents are in each state, for how many it is so, or the mean."""
         if self.opaque or not len(self.values):
             return ""

@@ -160,7 +160,7 @@ class Recorder:
         """Put the golden run together."""
         self.result.frames = len(self.frames)
         summary = {name: f"{len(population)} agents" for name, population in sorted(world.populations.items())}
-        told = {key: column.told(world) for key, column in columns(world, self.program).items()}
+        told = {key: column.summary(world) for key, column in columns(world, self.program).items()}
         summary |= {key: words for key, words in told.items() if words}
         self.made = GoldenRun(set=dict(self.result.changes), seed=self.result.seed, summary=summary, frames=self.frames)
 
@@ -209,7 +209,7 @@ def _sums(world: World, program: Program) -> dict[str, Sums]:
     found = {}
     for key, column in columns(world, program).items():
         first, second = column.sums()
-        found[key] = (f"{first:x}", f"{second:x}", column.told(world))
+        found[key] = (f"{first:x}", f"{second:x}", column.summary(world))
     return found
 
 

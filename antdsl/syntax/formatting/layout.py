@@ -74,7 +74,7 @@ def parts(node: Any) -> Iterator[str]:
             stack.extend(reversed(part))
         elif is_dataclass(part) and not isinstance(part, type):
             yield type(part).__name__
-            inner = [getattr(part, each.name) for each in fields(part) if each.name not in ("comments", "doubtful", "broken")]
+            inner = [getattr(part, each.name) for each in fields(part) if each.name not in ("comments", "recovered", "broken")]
             stack.extend(reversed([each for each in inner if not isinstance(each, (Span, Source))]))
         else:
             yield repr(part)

@@ -24,7 +24,7 @@ from antdsl.syntax.words import (
 
 
 @dataclass(frozen=True, slots=True)
-class Surprise:
+class UnexpectedToken:
     """Where a line could not be read on. `before` and `found` are the texts on both sides (`found` empty at the line's end),
     `wanted` the names of the terminals that could have stood there, `rule` the rule of the grammar that reads the line."""
 
@@ -83,118 +83,127 @@ _BEGINS_VALUE = frozenset(
 _COMPARISONS = {"==", "!=", "<", ">", "<=", ">=", "is"}
 
 
-def complain(surprise: Surprise) -> Diagnostic:
+def complain(unexpected: UnexpectedToken) -> Diagnostic:
     """The complaint about a line that cannot be read; the first kind of mistake that fits."""
     for kind in (
         _quoted_library, _after_inside, _misspelt, _misplaced, _comma, _no_line, _label, _unit, _equals, _compared_twice,
         _second_line, _unfinished,
     ):  # fmt: skip
-        found = kind(surprise)
+        found = kind(unexpected)
         if found is not None:
             return found
     message = (
-        f"found {_shown(surprise.found)} after {_shown(surprise.before)}"
-        if surprise.before
-        else f"found {_shown(surprise.found)}"
+        f"found {_shown(unexpected.found)} after {_shown(unexpected.before)}"
+        if unexpected.before
+        else f"found {_shown(unexpected.found)}"
     )
-    help, fix = _form(surprise), None
-    slip = _slip(surprise)
+    help, fix = _form(unexpected), None
+    slip = _slip(unexpected)
     if slip is not None:
-        help, fix = f"did you mean `{slip}`?", Fix(surprise.span, slip)
-    elif _forgets_colon(surprise):
-        help, fix = f"to name an argument, write `{surprise.before}: {surprise.found}`", _before(surprise, ": ")
-    elif surprise.found_kind == "word" and surprise.next == ":" and {"RPAR", "_COMMA"} <= surprise.wanted:
-        help, fix = f"write a comma before `{surprise.found}:`", _behind(surprise, ",")
-    elif _forgets_arrow(surprise):
-        help, fix = f"write `-> {surprise.found}`", _before(surprise, "-> ")
-    elif forgets_brackets(surprise):
-        help = f"write `{surprise.before}({surprise.found})`"
-        fix = Fix(Span(surprise.span.source, _behind(surprise, "").span.start, surprise.span.end), f"({surprise.found})")
-    return Diagnostic("unexpected-text", f"{message}, expected {_wanted(surprise)}", surprise.span, help=help, fix=fix)
+        help, fix = f"did you mean `{slip}`?", Fix(unexpected.span, slip)
+    elif _forgets_colon(unexpected):
+        help, fix = f"to name an argument, write `{unexpected.before}: {unexpected.found}`", _before(unexpected, ": ")
+    elif unexpected.found_kind == "word" and unexpected.next == ":" and {"RPAR", "_COMMA"} <= unexpected.wanted:
+        help, fix = f"write a comma before `{unexpected.found}:`", _behind(unexpected, ",")
+    elif _forgets_arrow(unexpected):
+        help, fix = f"write `-> {unexpected.found}`", _before(unexpected, "-> ")
+    elif forgets_brackets(unexpected):
+        help = f"write `{unexpected.before}({unexpected.found})`"
+        fix = Fix(Span(unexpected.span.source, _behind(unexpected, "").span.start, unexpected.span.end), f"({unexpected.found})")
+    return Diagnostic("unexpected-text", f"{message}, expected {_wanted(unexpected)}", unexpected.span, help=help, fix=fix)
 
 
-def _after_inside(surprise: Surprise) -> Diagnostic | None:
+def _after_inside(unexpected: UnexpectedToken) -> Diagnostic | None:
     """`when meal and after 1 s`: only the whole condition may be `after`."""
-    if surprise.before != "after" or surprise.earlier not in ("and", "or") or surprise.found_kind != "number":
+    if unexpected.before != "after" or unexpected.earlier not in ("and", "or") or unexpected.found_kind != "number":
         return None
-    source = surprise.span.source
-    start = source.text.rindex("after", 0, surprise.span.start)
+    source = unexpected.span.source
+    start = source.text.rindex("after", 0, unexpected.span.start)
     span, text = Span(source, start, start + len("after")), "time_in_state >="
-    message = f"`after {surprise.found}` cannot be joined with a condition"
-    help = f"write `{text} {surprise.found}` for it"
+    message = f"`after {unexpected.found}` cannot be joined with a condition"
+    help = f"write `{text} {unexpected.found}` for it"
     return Diagnostic("unexpected-text", message, span, help=help, fix=Fix(span, text))
 
 
-def _quoted_library(surprise: Surprise) -> Diagnostic | None:
+def _quoted_library(unexpected: UnexpectedToken) -> Diagnostic | None:
     """`use "steering"`: a library has no quotes, a file has an ending and a name."""
-    name = surprise.before.strip('"')
-    if surprise.first != "use" or "AS" not in surprise.wanted or not name.isidentifier():
+    name = unexpected.before.strip('"')
+    if unexpected.first != "use" or "AS" not in unexpected.wanted or not name.isidentifier():
         return None
-    start = surprise.span.source.text.rindex(surprise.before, 0, surprise.span.start)
-    span = Span(surprise.span.source, start, start + len(surprise.before))
+    start = unexpected.span.source.text.rindex(unexpected.before, 0, unexpected.span.start)
+    span = Span(unexpected.span.source, start, start + len(unexpected.before))
     return Diagnostic(
-        "unexpected-text", f"`{surprise.before}` in quotes is no file", span, help=f"write `{name}`", fix=Fix(span, name)
+        "unexpected-text", f"`{unexpected.before}` in quotes is no file", span, help=f"write `{name}`", fix=Fix(span, name)
     )
 
 
-def _slip(surprise: Surprise) -> str | None:
+def _slip(unexpected: UnexpectedToken) -> str | None:
     """The word of the language that can stand here and that what was found is a slip of."""
-    if surprise.found_kind != "word" or len(surprise.found) < 3 or "NAME" in surprise.wanted:
+    if unexpected.found_kind != "word" or len(unexpected.found) < 3 or "NAME" in unexpected.wanted:
         return None
-    words = [terminal.lstrip("_").lower() for terminal in surprise.wanted if terminal.lstrip("_").lower() in _JOINING]
-    return nearest_name(surprise.found, words)
+    words = [terminal.lstrip("_").lower() for terminal in unexpected.wanted if terminal.lstrip("_").lower() in _JOINING]
+    return nearest_name(unexpected.found, words)
 
 
-def _forgets_arrow(surprise: Surprise) -> bool:
-    return "ARROW" in surprise.wanted and surprise.found_kind == "word" and surprise.next in ("", "{")
+def _forgets_arrow(unexpected: UnexpectedToken) -> bool:
+    return "ARROW" in unexpected.wanted and unexpected.found_kind == "word" and unexpected.next in ("", "{")
 
 
-def forgets_brackets(surprise: Surprise) -> bool:
+def forgets_brackets(unexpected: UnexpectedToken) -> bool:
     """`touching nest`: a name behind one that begins a value, and so could be called with it."""
-    names = surprise.before_kind == surprise.found_kind == "word" and surprise.next not in ("(", ".", "[", ":")
-    return names and surprise.earlier in _BEGINS_VALUE and {surprise.before, surprise.found}.isdisjoint(_keywords() | _JOINING)
-
-
-def _forgets_colon(surprise: Surprise) -> bool:
-    between = {"RPAR", "_COMMA"} <= surprise.wanted and surprise.rule != "top" and surprise.earlier in ("(", ",")
+    names = unexpected.before_kind == unexpected.found_kind == "word" and unexpected.next not in ("(", ".", "[", ":")
     return (
-        between and surprise.before_kind == "word" and surprise.found_kind in ("number", "word") and surprise.next in (",", ")")
+        names and unexpected.earlier in _BEGINS_VALUE and {unexpected.before, unexpected.found}.isdisjoint(_keywords() | _JOINING)
     )
 
 
-def plain_complaint(surprise: Surprise) -> Diagnostic:
+def _forgets_colon(unexpected: UnexpectedToken) -> bool:
+    between = {"RPAR", "_COMMA"} <= unexpected.wanted and unexpected.rule != "top" and unexpected.earlier in ("(", ",")
+    return (
+        between
+        and unexpected.before_kind == "word"
+        and unexpected.found_kind in ("number", "word")
+        and unexpected.next in (",", ")")
+    )
+
+
+def plain_complaint(unexpected: UnexpectedToken) -> Diagnostic:
     """The same without a thought about what was meant: for a file with a great many mistakes."""
-    if not surprise.found:
-        return Diagnostic("unfinished-line", f"line ends after {_shown(surprise.before)}", surprise.span)
-    return Diagnostic("unexpected-text", f"found {_shown(surprise.found)} where the line cannot go on with it", surprise.span)
+    if not unexpected.found:
+        return Diagnostic("unfinished-line", f"line ends after {_shown(unexpected.before)}", unexpected.span)
+    return Diagnostic("unexpected-text", f"found {_shown(unexpected.found)} where the line cannot go on with it", unexpected.span)
 
 
-def better_first_word(surprise: Surprise) -> str | None:
+def better_first_word(unexpected: UnexpectedToken) -> str | None:
     """The word that the first word of a line is a slip of, when the line fits no other reading."""
-    words = LINE_WORDS[surprise.rule]
-    other = OTHER_WORDS.get(surprise.first)
-    if other in words and surprise.found not in _WRITING:
+    words = LINE_WORDS[unexpected.rule]
+    other = OTHER_WORDS.get(unexpected.first)
+    if other in words and unexpected.found not in _WRITING:
         return other
-    declares = surprise.earlier == surprise.first and surprise.found == "="  # `parm smell = …`
-    if surprise.first in words or not surprise.first.isidentifier() or (surprise.found in (*_WRITING, "(") and not declares):
+    declares = unexpected.earlier == unexpected.first and unexpected.found == "="  # `parm smell = …`
+    if (
+        unexpected.first in words
+        or not unexpected.first.isidentifier()
+        or (unexpected.found in (*_WRITING, "(") and not declares)
+    ):
         return None
-    return nearest_name(surprise.first, words)
+    return nearest_name(unexpected.first, words)
 
 
-def _misspelt(surprise: Surprise) -> Diagnostic | None:
-    better = better_first_word(surprise)
+def _misspelt(unexpected: UnexpectedToken) -> Diagnostic | None:
+    better = better_first_word(unexpected)
     if better is None:
         return None
-    message = f"`{surprise.first}` does not begin a line here"
+    message = f"`{unexpected.first}` does not begin a line here"
     return Diagnostic(
-        "unknown-line", message, surprise.first_span, help=f"did you mean `{better}`?", fix=Fix(surprise.first_span, better)
+        "unknown-line", message, unexpected.first_span, help=f"did you mean `{better}`?", fix=Fix(unexpected.first_span, better)
     )
 
 
-def _misplaced(surprise: Surprise) -> Diagnostic | None:
-    if surprise.first in LINE_WORDS[surprise.rule] or surprise.first not in BELONGS:
+def _misplaced(unexpected: UnexpectedToken) -> Diagnostic | None:
+    if unexpected.first in LINE_WORDS[unexpected.rule] or unexpected.first not in BELONGS:
         return None
-    return misplaced(surprise.first, surprise.first_span)
+    return misplaced(unexpected.first, unexpected.first_span)
 
 
 def misplaced(word: str, span: Span) -> Diagnostic:
@@ -202,138 +211,145 @@ def misplaced(word: str, span: Span) -> Diagnostic:
     return Diagnostic("misplaced-line", f"`{word}` does not stand here", span, help=f"it belongs {BELONGS[word]}")
 
 
-def _no_line(surprise: Surprise) -> Diagnostic | None:
-    words = LINE_WORDS[surprise.rule]
-    if surprise.before or not words or surprise.found in words or surprise.rule == "behaviour_line":
+def _no_line(unexpected: UnexpectedToken) -> Diagnostic | None:
+    words = LINE_WORDS[unexpected.rule]
+    if unexpected.before or not words or unexpected.found in words or unexpected.rule == "behaviour_line":
         return None
     begins = f"a line here begins with one of {' '.join(words)}"
-    help = begins if surprise.rule in ("top", "spec_line") else f"{begins}, or with a name"
-    return Diagnostic("unknown-line", f"{_shown(surprise.found)} does not begin a line here", surprise.span, help=help)
+    help = begins if unexpected.rule in ("top", "spec_line") else f"{begins}, or with a name"
+    return Diagnostic("unknown-line", f"{_shown(unexpected.found)} does not begin a line here", unexpected.span, help=help)
 
 
-def _label(surprise: Surprise) -> Diagnostic | None:
+def _label(unexpected: UnexpectedToken) -> Diagnostic | None:
     """`f(a b: 1)`, where the word before the colon was taken for something else."""
     names = (
-        surprise.before_kind == "word"
-        and surprise.found == ":"
-        and surprise.earlier not in ("(", ",", "{", "", "let", "param", "keep", "latch")
+        unexpected.before_kind == "word"
+        and unexpected.found == ":"
+        and unexpected.earlier not in ("(", ",", "{", "", "let", "param", "keep", "latch")
     )
-    if not names or surprise.rule in ("spec_line", "weight", "top"):
+    if not names or unexpected.rule in ("spec_line", "weight", "top"):
         return None
-    begun = surprise.span.source.text[surprise.first_span.start : surprise.span.start]
+    begun = unexpected.span.source.text[unexpected.first_span.start : unexpected.span.start]
     if begun.count("(") <= begun.count(")"):
         return None
-    message = f"found `{surprise.before}:` after {_shown(surprise.earlier)}, expected `,` or `)`"
-    return Diagnostic("unexpected-text", message, surprise.span, help=f"write a comma before `{surprise.before}:`")
+    message = f"found `{unexpected.before}:` after {_shown(unexpected.earlier)}, expected `,` or `)`"
+    return Diagnostic("unexpected-text", message, unexpected.span, help=f"write a comma before `{unexpected.before}:`")
 
 
-def _comma(surprise: Surprise) -> Diagnostic | None:
+def _comma(unexpected: UnexpectedToken) -> Diagnostic | None:
     """`(0,15)`, as numbers are written in many countries, where it cannot be two arguments."""
-    found, source = surprise.span, surprise.span.source
-    comma = found.start if surprise.found == "," else found.start - 1 if surprise.before == "," else -1
+    found, source = unexpected.span, unexpected.span.source
+    comma = found.start if unexpected.found == "," else found.start - 1 if unexpected.before == "," else -1
     span = number_with_comma(source, comma) if comma > 0 else None
     return None if span is None else comma_in_number(span)
 
 
-def _unit(surprise: Surprise) -> Diagnostic | None:
-    number = surprise.before_kind == "number" and surprise.before[-1:].isdigit()
-    if not number or surprise.found_kind != "word" or surprise.found in _keywords() or surprise.next == ":":
+def _unit(unexpected: UnexpectedToken) -> Diagnostic | None:
+    number = unexpected.before_kind == "number" and unexpected.before[-1:].isdigit()
+    if not number or unexpected.found_kind != "word" or unexpected.found in _keywords() or unexpected.next == ":":
         return None
-    if surprise.next in _ASSIGNING and "$END" in surprise.wanted:
-        return _line_end(surprise)
-    if _forgets_arrow(surprise) and surprise.found not in UNIT_SLIPS and nearest_name(surprise.found, UNIT_NAMES) is None:
+    if unexpected.next in _ASSIGNING and "$END" in unexpected.wanted:
+        return _line_end(unexpected)
+    if _forgets_arrow(unexpected) and unexpected.found not in UNIT_SLIPS and nearest_name(unexpected.found, UNIT_NAMES) is None:
         return None
-    message, help = f"`{surprise.found}` is not a unit", unit_help(surprise.found)
-    return Diagnostic("unknown-unit", message, surprise.span, help=help, fix=replacement(message, surprise.span, help))
+    message, help = f"`{unexpected.found}` is not a unit", unit_help(unexpected.found)
+    return Diagnostic("unknown-unit", message, unexpected.span, help=help, fix=replacement(message, unexpected.span, help))
 
 
 def _keywords() -> frozenset[str]:
     return frozenset(word for words in LINE_WORDS.values() for word in words) | set(AFTER) | {"relax", "strongest"}
 
 
-def _equals(surprise: Surprise) -> Diagnostic | None:
-    if gives_with_two(surprise):
-        message, help = f"found `==` after {_shown(surprise.before)}", "to give a value, write `=`"
-        return Diagnostic("unexpected-text", message, surprise.span, help=help, fix=Fix(surprise.span, "="))
-    if surprise.found != "=" or "SAME" not in surprise.wanted:
+def _equals(unexpected: UnexpectedToken) -> Diagnostic | None:
+    if gives_with_two(unexpected):
+        message, help = f"found `==` after {_shown(unexpected.before)}", "to give a value, write `=`"
+        return Diagnostic("unexpected-text", message, unexpected.span, help=help, fix=Fix(unexpected.span, "="))
+    if unexpected.found != "=" or "SAME" not in unexpected.wanted:
         return None
-    named = surprise.before_kind == "word" and surprise.earlier in ("(", ",") and "RPAR" in surprise.wanted
-    if named and not _ASKING.search(surprise.span.source.text, 0, surprise.span.start):
-        message, help = f"found `=` after the argument's name `{surprise.before}`", f"write `{surprise.before}: …`"
-        return Diagnostic("unexpected-text", message, surprise.span, help=help, fix=Fix(surprise.span, ":"))
+    named = unexpected.before_kind == "word" and unexpected.earlier in ("(", ",") and "RPAR" in unexpected.wanted
+    if named and not _ASKING.search(unexpected.span.source.text, 0, unexpected.span.start):
+        message, help = f"found `=` after the argument's name `{unexpected.before}`", f"write `{unexpected.before}: …`"
+        return Diagnostic("unexpected-text", message, unexpected.span, help=help, fix=Fix(unexpected.span, ":"))
     return Diagnostic(
-        "unexpected-text", "found `=` in a condition", surprise.span, help="to compare, write `==`", fix=Fix(surprise.span, "==")
+        "unexpected-text",
+        "found `=` in a condition",
+        unexpected.span,
+        help="to compare, write `==`",
+        fix=Fix(unexpected.span, "=="),
     )
 
 
-def gives_with_two(surprise: Surprise) -> bool:
+def gives_with_two(unexpected: UnexpectedToken) -> bool:
     """`let x == 1`: the first sign was taken for the one that is meant."""
-    names = surprise.before_kind == "word" and surprise.earlier in ("let", "param", "latch", "keep")
-    return surprise.found == "==" and (names or surprise.before == surprise.first)
+    names = unexpected.before_kind == "word" and unexpected.earlier in ("let", "param", "latch", "keep")
+    return unexpected.found == "==" and (names or unexpected.before == unexpected.first)
 
 
-def _compared_twice(surprise: Surprise) -> Diagnostic | None:
-    if surprise.found not in _COMPARISONS or "SAME" in surprise.wanted or not {"AND", "OR"} & surprise.wanted:
+def _compared_twice(unexpected: UnexpectedToken) -> Diagnostic | None:
+    if unexpected.found not in _COMPARISONS or "SAME" in unexpected.wanted or not {"AND", "OR"} & unexpected.wanted:
         return None
     return Diagnostic(
-        "unexpected-text", f"found a second comparison `{surprise.found}`", surprise.span, help="join two comparisons with `and`"
+        "unexpected-text",
+        f"found a second comparison `{unexpected.found}`",
+        unexpected.span,
+        help="join two comparisons with `and`",
     )
 
 
-def _second_line(surprise: Surprise) -> Diagnostic | None:
-    return _line_end(surprise) if begins_line(surprise) else None
+def _second_line(unexpected: UnexpectedToken) -> Diagnostic | None:
+    return _line_end(unexpected) if begins_line(unexpected) else None
 
 
-def _line_end(surprise: Surprise) -> Diagnostic:
-    message = f"`{surprise.found}` in the middle of a line"
-    fix = _before(surprise, "; ")
+def _line_end(unexpected: UnexpectedToken) -> Diagnostic:
+    message = f"`{unexpected.found}` in the middle of a line"
+    fix = _before(unexpected, "; ")
     return Diagnostic(
-        "missing-line-end", message, surprise.span, help="begin a new line with it, or write `;` before it", fix=fix
+        "missing-line-end", message, unexpected.span, help="begin a new line with it, or write `;` before it", fix=fix
     )
 
 
-def _before(surprise: Surprise, text: str) -> Fix:
-    """Text put in between what was read and the surprise."""
-    return Fix(Span(surprise.span.source, surprise.span.start, surprise.span.start), text)
+def _before(unexpected: UnexpectedToken, text: str) -> Fix:
+    """Text put in between what was read and the unexpected token."""
+    return Fix(Span(unexpected.span.source, unexpected.span.start, unexpected.span.start), text)
 
 
-def _behind(surprise: Surprise, text: str) -> Fix:
+def _behind(unexpected: UnexpectedToken, text: str) -> Fix:
     """Text put right behind what was read, before the blanks."""
-    source, start = surprise.span.source, surprise.span.start
+    source, start = unexpected.span.source, unexpected.span.start
     end = len(source.text[:start].rstrip())
     return Fix(Span(source, end, end), text)
 
 
-def begins_line(surprise: Surprise) -> bool:
-    """Whether the surprise is a word that begins a line, after something that could have been the end of one."""
-    words = LINE_WORDS[surprise.rule]
-    assigns = bool(words) and surprise.found_kind == "word" and surprise.next in _ASSIGNING
-    return (surprise.found in words or assigns) and "$END" in surprise.wanted
+def begins_line(unexpected: UnexpectedToken) -> bool:
+    """Whether the unexpected token is a word that begins a line, after something that could have been the end of one."""
+    words = LINE_WORDS[unexpected.rule]
+    assigns = bool(words) and unexpected.found_kind == "word" and unexpected.next in _ASSIGNING
+    return (unexpected.found in words or assigns) and "$END" in unexpected.wanted
 
 
-def _unfinished(surprise: Surprise) -> Diagnostic | None:
-    if surprise.found:
+def _unfinished(unexpected: UnexpectedToken) -> Diagnostic | None:
+    if unexpected.found:
         return None
-    message = f"line ends after {_shown(surprise.before)}, expected {_wanted(surprise)}"
-    return Diagnostic("unfinished-line", message, surprise.span, help=_form(surprise))
+    message = f"line ends after {_shown(unexpected.before)}, expected {_wanted(unexpected)}"
+    return Diagnostic("unfinished-line", message, unexpected.span, help=_form(unexpected))
 
 
-def _wanted(surprise: Surprise) -> str:
-    wanted = surprise.wanted
-    if surprise.before == "->":
+def _wanted(unexpected: UnexpectedToken) -> str:
+    wanted = unexpected.wanted
+    if unexpected.before == "->":
         return {"top": "the type of the result, such as `push`", "rule": "a value from 0 to 1"}.get(
-            surprise.rule, "the name of a state"
+            unexpected.rule, "the name of a state"
         )
     if wanted >= _VALUE:
-        return AFTER.get(surprise.before, "a value")
+        return AFTER.get(unexpected.before, "a value")
     if {"RPAR", "_COMMA"} <= wanted:
         return "`,` or `)`"
     begins = wanted & {"NAME", "STRING", "NUMBER", "NONE"} and "PLUS" not in wanted
-    if begins and surprise.before in AFTER and surprise.before not in ("{", "("):
-        return AFTER[surprise.before]
-    if surprise.rule == "world_item" and "NAME" in wanted:
-        return f"a name after one of {' '.join(WORLD_KINDS)}" if not surprise.before else "a name"
-    if surprise.rule == "setting" and not surprise.before:
+    if begins and unexpected.before in AFTER and unexpected.before not in ("{", "("):
+        return AFTER[unexpected.before]
+    if unexpected.rule == "world_item" and "NAME" in wanted:
+        return f"a name after one of {' '.join(WORLD_KINDS)}" if not unexpected.before else "a name"
+    if unexpected.rule == "setting" and not unexpected.before:
         return f"one of {' '.join(FIELD_SETTINGS)}"
     if wanted == {"$END"}:
         return "the end of the line"
@@ -347,20 +363,20 @@ def _wanted(surprise: Surprise) -> str:
     return "the end of the line" if "$END" in wanted else "something else"
 
 
-def _form(surprise: Surprise) -> str:
-    if {"RPAR", "_COMMA"} <= surprise.wanted and surprise.rule != "top":
+def _form(unexpected: UnexpectedToken) -> str:
+    if {"RPAR", "_COMMA"} <= unexpected.wanted and unexpected.rule != "top":
         return "arguments are written like `seek(meal)` or `wander(swing: 40 deg)`"
-    if surprise.wanted == {"FROM"}:
+    if unexpected.wanted == {"FROM"}:
         return "write it like `take 1 load from meal`"
     if (
-        surprise.rule == "statement"
-        and surprise.found == "("
-        and surprise.before == surprise.first not in LINE_WORDS["statement"]
+        unexpected.rule == "statement"
+        and unexpected.found == "("
+        and unexpected.before == unexpected.first not in LINE_WORDS["statement"]
     ):
-        return f"write `steer {surprise.first}(…)` to move that way"
-    form = FORMS.get(surprise.first) if surprise.first in LINE_WORDS[surprise.rule] else RULE_FORMS.get(surprise.rule)
+        return f"write `steer {unexpected.first}(…)` to move that way"
+    form = FORMS.get(unexpected.first) if unexpected.first in LINE_WORDS[unexpected.rule] else RULE_FORMS.get(unexpected.rule)
     if form is None:
-        return f"a line here begins with one of {' '.join(LINE_WORDS[surprise.rule])}"
+        return f"a line here begins with one of {' '.join(LINE_WORDS[unexpected.rule])}"
     return f"write it like `{form}`"
 
 
