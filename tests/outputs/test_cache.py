@@ -502,9 +502,10 @@ def test_a_checkpoint_that_somebody_has_made_is_refused_and_reads_no_other_memor
         restore(world, {**arrays, **STRANGE[kind](arrays)})  # type: ignore[dict-item]
 
 
-@pytest.mark.parametrize(
-    "killed", sampled(["process 0", "process 7", "process 43", "thread 0", "thread 22"], ["process 7", "thread 22"])
-)
+KILLED = [("process", 0), ("process", 7), ("process", 43), ("thread", 0), ("thread", 22)]
+
+
+@pytest.mark.parametrize("killed", sampled(KILLED, (("process", 7), ("thread", 22))), ids=str)
 def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
     unbroken: tuple[Path, dict[int, str]], tmp_path: Path, killed: tuple[str, int]
 ) -> None:

@@ -127,8 +127,8 @@ def changed(before: dict[str, Shape], now: dict[str, Shape]) -> set[str]:
 def test_a_field_is_shown_on_its_ground(live: Live) -> None:
     page = Page(live)
     page.ask("look", columns=(), fields=("trail",), flows=(), solids=True, follow=None)
-    page.ask("step", count=90)
-    page.status(frame=91)
+    page.ask("step", count=60)
+    page.status(frame=61)
     page.until(lambda: unpack(page.packets["field:trail"])[0]["frame"] == 61)
     _, mesh = unpack(page.packets["fieldmesh:trail"])
     header, shown = unpack(page.packets["field:trail"])
@@ -146,9 +146,9 @@ def test_a_field_is_shown_on_its_ground(live: Live) -> None:
     packet = page.packets["field:trail"]
     page.ask("step", count=80)  # until there is much more scent
     page.status(frame=141)
-    page.ask("seek", frame=91, exact=True)
+    page.ask("seek", frame=61, exact=True)
     page.until(lambda: unpack(page.packets["field:trail"])[0]["frame"] == 61)
-    page.status(frame=91, light=False)
+    page.status(frame=61, light=False)
     assert page.packets["field:trail"] == packet, "the same frame is the same picture"
 
 
