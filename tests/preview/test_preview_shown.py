@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from digging_shots import folder as digging
 from live_client import EXAMPLES, Page, hashes, places
 from preview_page import few
 
@@ -70,13 +70,12 @@ def test_a_light_frame_shows_turned_bodies_and_simulates_nothing(live: Live) -> 
 
 
 def test_solids_come_in_pieces_and_are_whole_again_after_going_back(tmp_path: Path) -> None:
-    folder = tmp_path / "tunnel"
-    shutil.copytree(EXAMPLES / "tunnel", folder)
-    live = Live.open(folder / "scene.yaml")
+    scene = digging(tmp_path)
+    live = Live.open(scene)
     live.start()
     try:
         page = Page(live)
-        page.ask("look", columns=(), fields=("dug",), flows=(), solids=True, follow=None)
+        page.ask("look", columns=(), fields=(), flows=(), solids=True, follow=None)
         page.shown(1)
         whole = pieces(page)
         assert whole and all(len(faces) for _, _, faces in whole.values())
@@ -86,17 +85,17 @@ def test_solids_come_in_pieces_and_are_whole_again_after_going_back(tmp_path: Pa
             a, b, c = (places[faces[:, k]] for k in range(3))
             out = np.cross(b - a, c - a)
             assert (np.einsum("nk,nk->n", out, normals[faces[:, 0]]) > 0).mean() > 0.98, "both say which side the air is on"
-        page.ask("step", count=90)
-        expected = page.hash_at(91)
-        page.shown(91)
+        page.ask("step", count=30)
+        expected = page.hash_at(31)
+        page.shown(31)
         dug = page.until(lambda: changed(whole, pieces(page)))
         assert dug < set(pieces(page)) | set(whole), "most of the hill is as it was, and not sent again"
         page.ask("seek", frame=1, exact=True)
         page.shown(1)
         page.until(lambda: not changed(whole, pieces(page)))
-        page.ask("seek", frame=91, exact=True)
-        assert page.hash_at(91) == expected
-        assert expected == hashes(folder / "scene.yaml", 91)[91]
+        page.ask("seek", frame=31, exact=True)
+        assert page.hash_at(31) == expected
+        assert expected == hashes(scene, 31)[31]
     finally:
         live.stop()
 

@@ -38,12 +38,11 @@ def test_every_number_of_the_panel_is_a_param_with_range_and_help() -> None:
         assert name in ("digs", "fields") or (param.low is not None and param.high is not None), name
 
 
-def shot_of_finders(frames: int) -> tuple[np.ndarray, np.ndarray, list[tuple[int, float, float]]]:
+def shot_of_finders(frames: int, count: int) -> tuple[np.ndarray, np.ndarray, list[tuple[int, float, float]]]:
     """(frames, agents) states, (frames, agents) heights, and per frame crumbs in all, soil carried, voxels' volume gone."""
     shot, report = open_scene(FOLDER / "tunnel_and_can.yaml")
     assert shot is not None, report.sorted()
-    counts = (40, 40, 40)
-    crowds = tuple(replace(crowd, count=n) for crowd, n in zip(shot.setting.crowds, counts, strict=True))
+    crowds = tuple(replace(crowd, count=count) for crowd in shot.setting.crowds)
     shot = replace(shot, setting=replace(shot.setting, crowds=crowds))
     states, heights, counted = [], [], []
     for world in islice(simulate(shot), frames):
@@ -57,7 +56,7 @@ def shot_of_finders(frames: int) -> tuple[np.ndarray, np.ndarray, list[tuple[int
 
 @pytest.mark.slow
 def test_all_five_states_are_lived_through_and_the_can_is_climbed_for_its_sugar() -> None:
-    states, heights, counted = shot_of_finders(360)
+    states, heights, counted = shot_of_finders(360, 40)
     assert set(np.unique(states)) == set(range(len(STATES)))
     on_the_lid = heights > 27  # nothing but the lid and the top of the hill is so high
     assert (on_the_lid & (states == STATES.index("seek_home"))).any()
@@ -66,7 +65,7 @@ def test_all_five_states_are_lived_through_and_the_can_is_climbed_for_its_sugar(
 
 
 def test_crumbs_and_soil_are_counted() -> None:
-    states, _, counted = shot_of_finders(100)
+    states, _, counted = shot_of_finders(100, 12)
     assert {STATES.index("wandering"), STATES.index("digger")} <= set(np.unique(states))
     are_counted(counted, 1)
 
