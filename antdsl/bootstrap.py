@@ -151,7 +151,7 @@ def run_tests(python: Path, quick: bool, arguments: list[str]) -> int:
 
 
 def run_gate(python: Path) -> int:
-    """Linter, formatter and types of the package and its tests; those of the page where node and its packages are."""
+    """Linter and formatter of all Python, types of the package; those of the page where node and its packages are."""
     tools = [[str(python), "-m", *words.split()] for words in ("ruff check .", "ruff format --check .", "mypy")]
     codes = [subprocess.run(tool, cwd=ROOT).returncode for tool in tools]
     page = ROOT / "antdsl" / "preview" / "web"
