@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
+from antdsl.numerics.sorting import places_among
 from antdsl.runtime.binding.spacing import takes_room
 from antdsl.runtime.moving.heads import heads_inside
 from antdsl.senses.overlaps import worst_overlaps
@@ -147,9 +148,8 @@ class Motion:
         n = len(ids)
         fresh = Window(ids, population.position.copy(), np.zeros(n), np.zeros(n, np.int64))
         if known is not None and len(known.ids):
-            order = np.argsort(known.ids)
-            at = order[np.minimum(np.searchsorted(known.ids, ids, sorter=order), len(order) - 1)]
-            same = known.ids[at] == ids
+            at = places_among(known.ids, ids)
+            same = at >= 0
             was = at[same]
             fresh.start[same], fresh.path[same], fresh.age[same] = known.start[was], known.path[was], known.age[was]
         self.windows[population.name] = fresh

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.sorting import stable_order
+from antdsl.numerics.sorting import interleaved, stable_order
 from antdsl.plan.ir import Kind
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.runtime import claims, digging, faults, lifecycle
@@ -127,7 +127,7 @@ def commit(world: World) -> None:
             population.events[name], population.raised[name] = population.raised[name], population.events[name]
             population.raised[name].fill(False)
     world.frame, world.stepping = world.shown, False
-    if world.frame % _SORT_EVERY == 0:
+    if (world.frame - world.setting.first_frame - 1) % _SORT_EVERY == 0:  # after the first step, too
         for population in world.populations.values():
             if len(population) >= _SORT_FROM:
                 select_rows(population, _by_place(population))
@@ -137,12 +137,7 @@ def _by_place(population: Population) -> NDArray[np.intp]:
     """Rows in order of place, along the curve of G. Morton (1966): who is near in space is near in memory. Nobody can tell."""
     low, high = population.position.min(axis=0), population.position.max(axis=0)
     width = max(float((high - low).max()), 1e-9) / 1023
-    cells = ((population.position - low) / width).astype(np.int64)
-    key = np.zeros(len(population), np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            key |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return stable_order(key)
+    return stable_order(interleaved(((population.position - low) / width).astype(np.uint64)))
 
 
 def _count_transitions(world: World, population: Population) -> None:

@@ -4,6 +4,7 @@ The pairs are the same bits, in the same order, whatever the rows' order, the ch
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -87,6 +88,10 @@ class CellGrid:
         self._sorted = [np.ascontiguousarray(a[self._rows], np.float32) for a in (x, y, z)]
         self._starts = self._start_table()
 
+    @cached_property
+    def _sorted_ids(self) -> NDArray[np.int64]:
+        return self.ids.take(self._rows)
+
     @staticmethod
     def _is_sheet(cells: list[NDArray[np.int64]], n: int, size: list[float]) -> bool:
         """Whether a crowd, as on ground, has so few agents or layers above each other that these need not be told apart.
@@ -156,7 +161,7 @@ class CellGrid:
         none = np.empty(0, np.float32)
         starts = np.empty(0, np.int32) if self._starts is None else self._starts
         cells = tuple(self._low), tuple(self._width), tuple(self._size)
-        grid = (*self._sorted, self._rows, self.ids.take(self._rows), self._keys, starts, self._axes, *cells)
+        grid = (*self._sorted, self._rows, self._sorted_ids, self._keys, starts, self._axes, *cells)
         who = np.empty(0, np.int64) if qid is None else qid
         values: tuple[NDArray[Any], ...] = (*query, who, reach, *(view or (none,) * 4))
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.topology import Topology
+from antdsl.numerics.sorting import interleaved
 from antdsl.numerics.vectors import dot, stacked_cross
 
 Floats = NDArray[np.float64]
@@ -120,20 +121,4 @@ def _morton(places: Floats) -> NDArray[np.uint64]:
     low = places.min(axis=0)
     size = max(float((places.max(axis=0) - low).max()), 1e-300)
     cell = np.minimum((places - low) / size * _FINE, _FINE - 1).astype(np.uint64)
-    code = np.zeros(len(places), np.uint64)
-    for axis in range(3):
-        code |= _spread(cell[:, axis]) << np.uint64(axis)
-    return code
-
-
-def _spread(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """21 bits, two free ones after each."""
-    for shift, mask in (
-        (32, 0x1F00000000FFFF),
-        (16, 0x1F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
-    ):
-        bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
-    return bits
+    return interleaved(cell)
