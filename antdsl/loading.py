@@ -34,15 +34,13 @@ class CheckedOnce(Parsed):
 
 def library(name: str) -> nodes.File | None:
     """The file behind `use NAME`, or None when there is none. The same object as long as its text is the same."""
-    path = library_file(name)
-    source = None if path is None else syntax.read(path)[0]
-    return None if source is None else _library_file(name, source.text)[0]
+    return Loaded(Path()).library(name)
 
 
 @lru_cache(maxsize=64)
-def _library_file(name: str, text: str) -> tuple[nodes.File, Report]:
+def _parsed_library(name: str, text: str) -> tuple[nodes.File, Report]:
     """Parsing a file of the library takes longer than to check what most programs take from it."""
-    return syntax.parse(Source(f"<{name}>", text))
+    return syntax.parse(Source(name, text))
 
 
 @dataclass(slots=True)
@@ -65,7 +63,7 @@ class Loaded:
         """The file behind `use NAME`, or None when there is none."""
         if name not in self._library:
             path = library_file(name)
-            self._library[name] = None if path is None else self._parse(path, f"<{name}>")
+            self._library[name] = None if path is None else self._parse(path, f"<{name}>", of_library=True)
         return self._library[name]
 
     def add_file(self, path: Path) -> nodes.File | None:
@@ -106,8 +104,10 @@ class Loaded:
             self.report.error(refused.code, str(refused), span, refused.help)
             return None
 
-    def _parse(self, path: Path, name: str, span: Span | None = None, door: tuple[Roots, str] | None = None) -> nodes.File | None:
-        """`door`: where the file may lie and what it is called there; None for one that the person named."""
+    def _parse(
+        self, path: Path, name: str, span: Span | None = None, door: tuple[Roots, str] | None = None, *, of_library: bool = False
+    ) -> nodes.File | None:
+        """`door`: where the file may lie and what it is called there; None for one that the person named or of the library."""
         place = os.path.realpath(path)
         if place in self.parsed:
             file, report = self.parsed[place]
@@ -120,17 +120,16 @@ class Loaded:
             if source is None:
                 self.report.extend(report)
                 return None
-            of_library = name == f"<{path.stem}>"  # `<a>.ant` is a name that a person's file may have
-            file, findings = _library_file(name[1:-1], source.text) if of_library else syntax.parse(Source(name, source.text))
+            file, findings = _parsed_library(name, source.text) if of_library else syntax.parse(Source(name, source.text))
             report.extend(findings)
             self.parsed[place] = file, report
         source = file.source
-        if not name.startswith("<"):
+        if not of_library:
             self._bytes += len(source.text)
             if self._bytes > limits.PROJECT_BYTES:
                 self.report.error("too-large", f"the programs together have more than {limits.PROJECT_BYTES:,} bytes", span)
                 return None
-        self.texts[name if name.startswith("<") else self._key(path)] = source.text
+        self.texts[name if of_library else self._key(path)] = source.text
         self.report.extend(report)
         return file
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 _BITS = 16  # NumPy sorts numbers of this width by counting
-_LISTED = 8  # so many numbers for each that is there may be listed
 
 
 def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
@@ -24,20 +23,6 @@ def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
     for shift in range(_BITS, (high - low).bit_length(), _BITS):
         order = order.take(np.argsort((rest >> shift).astype(np.uint16).take(order), kind="stable"))
     return order
-
-
-def places_among(known: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Where each of some numbers [m] stands among others [n], which are unique and not negative; -1 for those that do not."""
-    if not known.size or not wanted.size:
-        return np.full(wanted.shape, -1, np.int64)
-    high = int(max(known.max(), wanted.max()))
-    if high < _LISTED * (known.size + wanted.size):
-        table = np.full(high + 1, -1, np.int64)
-        table[known] = np.arange(known.size)
-        return table.take(wanted)
-    order = stable_order(known)
-    at = order.take(np.minimum(np.searchsorted(known, wanted, sorter=order), known.size - 1))
-    return np.where(known.take(at) == wanted, at, -1)
 
 
 def interleaved(cells: NDArray[np.uint64]) -> NDArray[np.uint64]:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.sorting import places_among
 from antdsl.runtime.binding.spacing import takes_room
 from antdsl.runtime.moving.heads import heads_inside
 from antdsl.senses.overlaps import worst_overlaps
@@ -148,10 +147,10 @@ class Motion:
         n = len(ids)
         fresh = Window(ids, population.position.copy(), np.zeros(n), np.zeros(n, np.int64))
         if known is not None and len(known.ids):
-            at = places_among(known.ids, ids)
-            same = at >= 0
-            was = at[same]
-            fresh.start[same], fresh.path[same], fresh.age[same] = known.start[was], known.path[was], known.age[was]
+            rows = population.rows_of(known.ids)
+            there = rows >= 0
+            at = rows[there]
+            fresh.start[at], fresh.path[at], fresh.age[at] = known.start[there], known.path[there], known.age[there]
         self.windows[population.name] = fresh
         return fresh
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.sorting import interleaved, stable_order
 from antdsl.plan.ir import Kind
-from antdsl.program.tables.effects import EFFECTS
+from antdsl.program.tables.effects import settled_in
 from antdsl.runtime import claims, digging, faults, lifecycle
 from antdsl.runtime.moving import advance, moving_geometry, tilting
 from antdsl.runtime.world import Population, World, select_rows
@@ -83,7 +83,7 @@ def effects(world: World) -> None:
 
 def _settle(phase: str, world: World) -> None:
     """What is asked and settled in a phase, by the rows; what settles several is called once."""
-    for settle in dict.fromkeys(SETTLES[row.op] for row in EFFECTS.values() if row.phase == phase):
+    for settle in dict.fromkeys(SETTLES[op] for op in settled_in(phase)):
         settle(world)
 
 

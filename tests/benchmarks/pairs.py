@@ -67,8 +67,8 @@ def scaled(setting: Setting, agents: int) -> Setting:
     before = sum(crowd.count for crowd in setting.crowds)
     by = (agents / before) ** 0.5
 
-    def point(place: Point | None) -> Point | None:
-        return None if place is None else (place[0] * by, place[1] * by, place[2] * by)
+    def point(place: Point) -> Point:
+        return (place[0] * by, place[1] * by, place[2] * by)
 
     crowds, left = [], agents
     for number, crowd in enumerate(setting.crowds):
@@ -78,12 +78,10 @@ def scaled(setting: Setting, agents: int) -> Setting:
         at = crowd.place
         radius = None if at.radius is None else at.radius * by
         points = None if at.points is None else at.points * by
-        place = replace(at, around=point(at.around), inside=point(at.inside), radius=radius, points=points)
+        around, inside = (None if place is None else point(place) for place in (at.around, at.inside))
+        place = replace(at, around=around, inside=inside, radius=radius, points=points)
         crowds.append(replace(crowd, count=count, place=place))
-    items = {
-        name: tuple(replace(item, position=tuple(along * by for along in item.position)) for item in those)
-        for name, those in setting.items.items()
-    }
+    items = {name: tuple(replace(item, position=point(item.position)) for item in those) for name, those in setting.items.items()}
     surfaces, obstacles = (
         {name: replace(mesh, vertices=mesh.vertices * by) for name, mesh in meshes.items()}
         for meshes in (setting.surfaces, setting.obstacles)

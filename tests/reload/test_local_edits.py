@@ -12,7 +12,6 @@ from antdsl.pipeline import open_scene
 from antdsl.runtime import MeshData, World, bind, state_hash, step
 
 FRAMES = 15
-# A mesh that was edited is made anew; those that were not are the same, here as in a session of the preview.
 
 
 def same(one: World, other: World, first: int | None = None) -> list[str]:

@@ -96,9 +96,7 @@ class Declared:
     used: set[tuple[str, str]] = field(default_factory=set)
     written: set[str] = field(default_factory=set)  # attributes, as `species.name`
     unclear: set[str] = field(default_factory=set)  # things of the world of which the kind is not known, told already
-    unknown: dict[tuple[str, ...], list[Span]] = field(
-        default_factory=dict
-    )  # unknown names by where they are missing: all places
+    unknown: dict[tuple[str, ...], list[Span]] = field(default_factory=dict)  # names by where they are missing: all places
     expanded: int = 0  # operations of all behaviours that were put in place
     memo: Memo | None = None  # what an earlier check found
     outside: int = 0  # stands for all that a part of the program can see of the others, as far as it is known

@@ -125,6 +125,11 @@ _ROWS = (
 EFFECTS: dict[str, Effect] = {row.op: row for row in _ROWS}
 
 
+def settled_in(phase: str) -> tuple[str, ...]:
+    """The effects that a phase of a step settles, in the order of the table."""
+    return tuple(row.op for row in EFFECTS.values() if row.phase == phase)
+
+
 def feeding(kind: str) -> frozenset[str]:
     """The effects that feed what they name, a `field` or an `event`."""
     return frozenset(row.op for row in EFFECTS.values() if row.feeds and row.target == kind)

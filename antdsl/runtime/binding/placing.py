@@ -13,7 +13,7 @@ from antdsl.numerics import elementary, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.plan import ir
 from antdsl.plan.traverse import placed
-from antdsl.program.tables.effects import EFFECTS
+from antdsl.program.tables.effects import settled_in
 from antdsl.runtime.binding.spacing import Drawn, Room, spread, takes_room
 from antdsl.runtime.binding.start_places import PLACEMENT_FRAME, TURN, StartPlaces
 from antdsl.runtime.faults import FaultLog
@@ -132,7 +132,7 @@ def begin(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
     for name, rows in joined.items():
         _set_out(world, world.populations[name], rows)
         settle(world, world.populations[name], rows)
-    births = {row.op for row in EFFECTS.values() if row.phase == "births"}
+    births = set(settled_in("births"))
     if any(births & p.effects.asked.keys() for p in world.populations.values()):
         deaths_and_births(world)
     settle_newborn(world)
