@@ -1,16 +1,18 @@
-"""A block of the plan as flat lists of NumPy calls over slots. A region is a scope: the rows where its condition holds.
+"""A block of the plan as lists of vectorised instructions over slots. A region is a scope: the rows where its condition holds.
 
 A value is computed in the first scope that asks for it and gathered from there into the scopes inside. Senses that the plan calls
-lazy are kept for the whole step, in arrays as long as the species, and computed for the rows that have none yet.
+lazy are kept for the whole step, in arrays as long as the species, and computed for the rows that have none yet. NumPy runs the
+instructions one by one (`numpy_calls`), machine code is made from the same lists (`native`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Any
 
-from antdsl.numerics.elementwise import UFUNCS
+from antdsl.numerics.elementwise import ELEMENTWISE, UFUNCS
 from antdsl.plan import ir
 from antdsl.plan.register_reads import early_loads, kept_senses, written
 from antdsl.plan.traverse import needed, operands, placed
@@ -19,24 +21,42 @@ from antdsl.source import Span
 
 Slots = list[Any]
 Run = Callable[[Slots], None]
+Make = Callable[[int, tuple[int, ...], "int | None"], Run]  # of the slots of a result, of its inputs, of an array to use
 WORLD, POPULATION, EFFECTS, BUFFERS, LAZY, PAIRS, NEARBY, SPENT, FIRST_SLOT = 0, 1, 2, 3, 4, 5, 6, 7, 8
+
+
+class Does(Enum):
+    """What an instruction does; `what` is the node or the statement that it does so for."""
+
+    VALUE = "value"  # a node's value for the rows of the scope
+    GATHER = "gather"  # a value of the scope around, for the rows of this one
+    REGION = "region"  # goes through the inner scope, with the rows where the condition holds
+    KEEP = "keep"  # goes through the inner scope, with the rows that have no kept value yet; gives the kept ones
+    PAIRS = "pairs"  # the pairs of a set
+    SPREAD = "spread"  # an agent's value for each of its pairs
+    OF_PAIR = "of pair"  # a leaf that is another one's, or a sense that hangs on one
+    BY_PAIR = "by pair"  # an elementwise operation over pairs
+    REDUCE = "reduce"
+    STATEMENT = "statement"
 
 
 @dataclass(slots=True, eq=False)
 class Instruction:
-    """`make(out, inputs, buffer)` gives the call. `dtype`: of the buffer it may write to (None: it makes its own array).
-    `span` is the text that it works out, `layer` the number of the layer that it does so for first (-1: none)."""
+    """`dtype`: of the buffer it may write to (None: it makes its own array). `span` is the text that it works out, `layer` the
+    number of the layer that it does so for first (-1: none)."""
 
-    make: Callable[[int, tuple[int, ...], int | None], Run]
+    does: Does
+    what: ir.Node | ir.Statement
     out: int
     inputs: tuple[int, ...]
     dtype: Any
     scope: Scope
     span: Span | None
     layer: int
-    alias: bool = False  # the result may be its first input itself
     inner: Scope | None = None
     result: int = -1  # slot of the inner scope that is read after it
+    block: str = ""
+    order: int = -1  # of a statement: its place in the text of its species
 
 
 @dataclass(slots=True, eq=False)
@@ -64,18 +84,10 @@ class PairScope:
 
 
 class BlockCompiler:
-    """Compiles one block. `calls` and `statement` make the closures: `numpy_calls`, `numpy_statements`."""
+    """Makes the instructions of one block."""
 
-    def __init__(
-        self,
-        species: ir.SpeciesPlan,
-        block: str,
-        calls: Any,
-        statement: Any,
-        order: dict[ir.Statement, int],
-        sets: dict[ir.Node, int],
-    ) -> None:
-        self.calls, self.statement, self.name, self._order = calls, statement, block, order
+    def __init__(self, species: ir.SpeciesPlan, block: str, order: dict[ir.Statement, int], sets: dict[ir.Node, int]) -> None:
+        self.name, self._order = block, order
         self.uniforms: dict[ir.Node, int] = {}
         self.slots = FIRST_SLOT
         self.lazy = frozenset(kept_senses(species)) if block != "born" else frozenset()
@@ -87,10 +99,6 @@ class BlockCompiler:
         self._layers = tuple(layer.span for layer in species.layers) if block == "blend" else ()
         self._layer = -1
 
-    def place(self, statement: ir.Statement) -> int:
-        """Place of a statement in the text of the species."""
-        return self._order[statement]
-
     def slot(self) -> int:
         self.slots += 1
         return self.slots - 1
@@ -101,23 +109,24 @@ class BlockCompiler:
     def _emit(
         self,
         scope: Scope,
-        make: Any,
+        does: Does,
+        what: ir.Node | ir.Statement,
         out: int,
         inputs: tuple[int, ...],
-        span: Span | None,
         dtype: Any = None,
         *,
-        alias: bool = False,
         inner: Scope | None = None,
         result: int = -1,
     ) -> None:
-        scope.code.append(Instruction(make, out, inputs, dtype, scope, span, self._layer, alias, inner, result))
+        order = -1 if isinstance(what, ir.Node) else self._order[what]
+        scope.code.append(
+            Instruction(does, what, out, inputs, dtype, scope, what.span, self._layer, inner, result, self.name, order)
+        )
 
     def compile(self, block: ir.Block) -> None:
         self.early = early_loads(block)
         self.changing.update(name for _, each in placed(block) if (name := written(each)) is not None)
         self._block(self.root, block, ())
-        bind_calls(self)
 
     # --- statements ----------------------------------------------------------------------------------------------------
 
@@ -132,9 +141,9 @@ class BlockCompiler:
                 self._block(inner, statement.then, (*path, k))
                 self._layer = layer
                 if inner.code:
-                    self._emit(scope, self.calls.region(scope, inner), -1, (inputs[0],), statement.span, inner=inner)
+                    self._emit(scope, Does.REGION, statement, -1, (inputs[0],), inner=inner)
                 continue
-            self._emit(scope, self.statement(statement, self, scope), -1, inputs, statement.span)
+            self._emit(scope, Does.STATEMENT, statement, -1, inputs)
 
     def _layers_of(self, block: ir.Block) -> list[int]:
         """The layer in whose line each statement stands. What a behaviour remembers stands in another file, and is written before
@@ -197,19 +206,17 @@ class BlockCompiler:
         for inner in reversed(holders[:-1]):
             assert inner.parent is not None
             inner.known[node] = slot = self.slot()
-            make = self.calls.gather(inner, node.kind is ir.Kind.TUPLE)
-            self._emit(inner, make, slot, (inner.parent.known[node],), node.span, alias=True)
+            self._emit(inner, Does.GATHER, node, slot, (inner.parent.known[node],))
         return scope.known[node]
 
     def _plain(self, scope: Scope, node: ir.Node) -> None:
         """Emit one node whose operands are known."""
         if node.op.startswith("reduce."):
-            inputs, make = self._reduction(scope, node)
+            does, inputs = Does.REDUCE, self._reduction(scope, node)
         else:
-            inputs = tuple(self._known(scope, a) for a in node.args)
-            make = self.calls.elementwise(node) or self.calls.leaf(node, self, scope)
+            does, inputs = Does.VALUE, tuple(self._known(scope, a) for a in node.args)
         slot = self.slot()
-        self._emit(scope, make, slot, inputs, node.span, DTYPES[node.kind] if node.op in UFUNCS else None)
+        self._emit(scope, does, node, slot, inputs, DTYPES[node.kind] if node.op in UFUNCS else None)
         scope.known[node] = slot
 
     def _keep(self, scope: Scope, node: ir.Node) -> None:
@@ -217,19 +224,17 @@ class BlockCompiler:
         inner = self._scope(scope)
         result = self.value(inner, node, afresh=True)
         slot = scope.known[node] = self.slot()
-        make = self.calls.keep(node, scope, inner, result)
-        self._emit(scope, make, slot, (), node.span, inner=inner, result=result)
+        self._emit(scope, Does.KEEP, node, slot, (), inner=inner, result=result)
 
     # --- sets ----------------------------------------------------------------------------------------------------------
 
-    def _reduction(self, scope: Scope, node: ir.Node) -> tuple[tuple[int, ...], Any]:
+    def _reduction(self, scope: Scope, node: ir.Node) -> tuple[int, ...]:
         pairs = self._pairs(scope, node.args[0])
         bodies = node.args[1:]
         for each in needed(bodies):
             if each.rate == ir.Rate.PAIR and each not in pairs.known:
                 self._pair_value(scope, pairs, each)
-        inputs = (pairs.slot, *(self._in_pairs(scope, pairs, body) for body in bodies))
-        return inputs, self.calls.reduction(node)
+        return pairs.slot, *(self._in_pairs(scope, pairs, body) for body in bodies)
 
     def _pairs(self, scope: Scope, node: ir.Node) -> PairScope:
         if node not in scope.pairs:
@@ -239,7 +244,7 @@ class BlockCompiler:
             pairs = scope.pairs[node] = PairScope(self.slot())
             if self.name != "born" and all(part.op != "load" for part in needed((node,))):
                 self.sets[node] = self.sets.get(node, 0) + 1
-            self._emit(scope, self.calls.pairs(node, self, scope), pairs.slot, inputs, node.span)
+            self._emit(scope, Does.PAIRS, node, pairs.slot, inputs)
         return scope.pairs[node]
 
     def _in_pairs(self, scope: Scope, pairs: PairScope, node: ir.Node) -> int:
@@ -249,19 +254,14 @@ class BlockCompiler:
         if node in pairs.known:
             return pairs.known[node]
         slot = pairs.known[node] = self.slot()
-        self._emit(scope, self.calls.spread, slot, (self._known(scope, node), pairs.slot), node.span)
+        self._emit(scope, Does.SPREAD, node, slot, (self._known(scope, node), pairs.slot))
         return slot
 
     def _pair_value(self, scope: Scope, pairs: PairScope, node: ir.Node) -> None:
-        make = self.calls.elementwise(node)
-        if make is not None:
-            inputs = tuple(self._in_pairs(scope, pairs, a) for a in node.args)
-        else:
-            inputs, make = (pairs.slot,), self.calls.pair_leaf(node, scope)
-            if node.args:
-                inputs += tuple(self._in_pairs(scope, pairs, a) for a in node.args)
+        inputs = tuple(self._in_pairs(scope, pairs, a) for a in node.args)
+        does = Does.BY_PAIR if node.op in ELEMENTWISE else Does.OF_PAIR
         slot = pairs.known[node] = self.slot()
-        self._emit(scope, make, slot, inputs, node.span)
+        self._emit(scope, does, node, slot, inputs if does is Does.BY_PAIR else (pairs.slot, *inputs))
 
 
 # --- buffers ---------------------------------------------------------------------------------------------------------
@@ -276,7 +276,7 @@ def _linear(scope: Scope, found: list[tuple[Instruction, bool]]) -> None:
             found.append((instruction, True))
 
 
-def bind_calls(compiler: BlockCompiler) -> None:
+def bind_calls(compiler: BlockCompiler, maker: Callable[[Instruction, BlockCompiler], Make]) -> None:
     """Give each elementwise result an array to write to, used again once it is done with, and make the calls.
 
     Linear scan over the order of execution (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895); no region runs twice."""
@@ -287,7 +287,7 @@ def bind_calls(compiler: BlockCompiler) -> None:
         for slot in (instruction.result,) if after else instruction.inputs:
             last[slot] = position
     for instruction, after in reversed(order):
-        if instruction.alias and not after:
+        if instruction.does is Does.GATHER and not after:  # the result may be the input itself
             (source,) = instruction.inputs
             last[source] = max(last[source], last.get(instruction.out, -1))
     free: dict[Any, list[int]] = {}
@@ -308,4 +308,5 @@ def bind_calls(compiler: BlockCompiler) -> None:
             if buffer == -1:
                 buffer = instruction.scope.views[instruction.dtype, number] = compiler.slot()
         if not after:
-            instruction.scope.calls.append(instruction.make(instruction.out, instruction.inputs, buffer))
+            make = maker(instruction, compiler)
+            instruction.scope.calls.append(make(instruction.out, instruction.inputs, buffer))

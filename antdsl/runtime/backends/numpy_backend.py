@@ -24,9 +24,9 @@ from antdsl.runtime.backends.compile import (
     SPENT,
     WORLD,
     BlockCompiler,
+    bind_calls,
 )
 from antdsl.runtime.backends.metering import Metered
-from antdsl.runtime.backends.numpy_statements import statement
 from antdsl.runtime.pairs import MOST_PAIRS, NearbySets
 from antdsl.runtime.requests import Effects
 from antdsl.runtime.sensing import uniform_leaf
@@ -46,9 +46,9 @@ class NumpyBackend:
             order = places(species)
             sets: dict[ir.Node, int] = {}
             for block in BLOCKS:
-                compiler = BlockCompiler(species, block, numpy_calls, statement, order, sets)
+                compiler = self._blocks[name, block] = BlockCompiler(species, block, order, sets)
                 compiler.compile(getattr(species, block))
-                self._blocks[name, block] = compiler
+                bind_calls(compiler, numpy_calls.call)
             roots = tuple(node for block in BLOCKS for node in self._blocks[name, block].uniforms)
             self._uniforms[name] = needed(roots)
         self._values: dict[str, dict[ir.Node, Any]] = {}

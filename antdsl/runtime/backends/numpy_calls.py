@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,15 +14,47 @@ from antdsl.numerics import randomness
 from antdsl.numerics.elementwise import ELEMENTWISE, UFUNCS
 from antdsl.plan import ir
 from antdsl.runtime import pairs as sets
-from antdsl.runtime.backends.compile import BUFFERS, LAZY, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Run, Scope, Slots
+from antdsl.runtime.backends.compile import (
+    BUFFERS,
+    LAZY,
+    NEARBY,
+    PAIRS,
+    POPULATION,
+    WORLD,
+    BlockCompiler,
+    Does,
+    Instruction,
+    Make,
+    Run,
+    Scope,
+    Slots,
+)
+from antdsl.runtime.backends.numpy_statements import row_numbers, statement
 from antdsl.runtime.sensing import SENSES
 
-Make = Callable[[int, tuple[int, ...], "int | None"], Run]
-ALL = slice(None)
 
-
-def row_numbers(rows: Any) -> NDArray[np.intp]:
-    return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else rows
+def call(instruction: Instruction, compiler: BlockCompiler) -> Make:
+    """What makes the call of an instruction."""
+    scope, what = instruction.scope, instruction.what
+    if not isinstance(what, ir.Node):
+        return statement(instruction) if instruction.inner is None else region(scope, instruction.inner)
+    match instruction.does:
+        case Does.VALUE | Does.BY_PAIR:
+            return elementwise(what) or leaf(what, compiler, scope)
+        case Does.GATHER:
+            return gather(scope, what.kind is ir.Kind.TUPLE)
+        case Does.KEEP:
+            assert instruction.inner is not None
+            return keep(what, scope, instruction.inner, instruction.result)
+        case Does.PAIRS:
+            return pairs(what, compiler, scope)
+        case Does.SPREAD:
+            return spread
+        case Does.OF_PAIR:
+            return pair_leaf(what, scope)
+        case Does.REDUCE:
+            return reduction(what)
+    raise AssertionError(f"no call for {instruction.does}")
 
 
 def enter(v: Slots, scope: Scope, rows: Any, size: int, picked: NDArray[np.intp] | None) -> None:

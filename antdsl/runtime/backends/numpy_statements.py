@@ -9,9 +9,15 @@ from numpy.typing import NDArray
 
 from antdsl.plan import ir
 from antdsl.program.tables import effects
-from antdsl.runtime.backends.compile import EFFECTS, POPULATION, WORLD, BlockCompiler, Run, Scope, Slots
-from antdsl.runtime.backends.numpy_calls import ALL, Make, row_numbers
+from antdsl.runtime.backends.compile import EFFECTS, POPULATION, WORLD, Instruction, Make, Run, Scope, Slots
 from antdsl.runtime.requests import Asked, ClaimEntry, FaultEntry, GiveEntry
+
+ALL = slice(None)
+
+
+def row_numbers(rows: Any) -> NDArray[np.intp]:
+    """Rows, given as a slice or in an array, in an array."""
+    return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else rows
 
 
 def _each(v: Slots, scope: Scope, value: Any) -> NDArray[Any]:
@@ -130,16 +136,16 @@ def _request(statement: ir.Request, block: str, scope: Scope, order: int) -> Mak
     return make
 
 
-def statement(what: ir.Statement, compiler: BlockCompiler, scope: Scope) -> Make:
+def statement(instruction: Instruction) -> Make:
     """The maker of any statement but `If`."""
-    block = compiler.name
+    what, block, scope, order = instruction.what, instruction.block, instruction.scope, instruction.order
     match what:
         case ir.Store():
             return _store(what, block, scope)
         case ir.Claim():
-            return _claim(what, block, scope, compiler.place(what))
+            return _claim(what, block, scope, order)
         case ir.Give():
             return _give(what, block, scope)
         case ir.Request():
-            return _request(what, block, scope, compiler.place(what))
+            return _request(what, block, scope, order)
     raise AssertionError(f"no call for {what!r}")
