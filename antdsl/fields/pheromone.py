@@ -44,6 +44,16 @@ class PheromoneField:
         """What each cell holds; write into it to restore a state."""
         return self._padded[:-1]
 
+    @property
+    def held(self) -> NDArray[np.float64]:
+        """What each cell holds, and 0 for a cell that is not there, past the end."""
+        return self._padded
+
+    @property
+    def seen_places(self) -> NDArray[np.float32]:
+        """Places of cells as agents see them, float32[3, cells + 1], the last one for no cell."""
+        return self._seen
+
     def grow(self, new: NDArray[np.int64]) -> None:
         """Make room for cells that were added."""
         more = len(self.cells) - len(self.values)

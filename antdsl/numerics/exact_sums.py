@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_BOUND = 44  # a term is at most 2**(quantum + 44)
+BOUND = 44  # a term is at most 2**(quantum + 44)
 _EXACT = 53  # digits of float64: sums stay exact below 2**(quantum + 53)
-_HALF = 22  # digits of the lower of two words, for sums that might not: both hold more terms than memory does
+HALF = 22  # digits of the lower of two words, for sums that might not: both hold more terms than memory does
 
 
 def rounded(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
     """Terms as float64 multiples of 2**quantum, cut to +-2**(quantum + 44); NaN stays NaN."""
-    bound = np.ldexp(1.0, quantum + _BOUND)
+    bound = np.ldexp(1.0, quantum + BOUND)
     magic = np.ldexp(1.5, quantum + 52)
     wide = np.clip(np.asarray(terms, np.float64), -bound, bound)
     wide += magic
@@ -40,7 +40,7 @@ def _sums_in_two_words(
     index: NDArray[np.integer[Any]], wide: NDArray[np.float64], quantum: int, length: int
 ) -> NDArray[np.float32]:
     """Multiples of 2**(quantum + 22) and what is left of each term, added apart: both sums are exact, and theirs rounds once."""
-    magic = np.ldexp(1.5, quantum + _HALF + 52)
+    magic = np.ldexp(1.5, quantum + HALF + 52)
     high = (wide + magic) - magic
     low = np.bincount(index, weights=wide - high, minlength=length)
     return (np.bincount(index, weights=high, minlength=length) + low).astype(np.float32)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from hashlib import blake2b
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,21 +19,21 @@ from antdsl.numerics.philox import HALF, LOW, M0, M1, ROUNDS, SPREAD, UNIT, W0, 
 Words = tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]
 
 
-def philox(counter: Words, key: tuple[int, int]) -> Words:
-    """Four random 32-bit words (in uint64 arrays) of four 32-bit counter words and a key of two."""
+def philox(counter: Words, key: tuple[Any, Any]) -> Words:
+    """Four random 32-bit words (in uint64 arrays) of four 32-bit counter words and a key of two (np.uint64)."""
     c0, c1, c2, c3 = counter
     k0, k1 = key
     for _ in range(ROUNDS):
         p0, p1 = c0 * M0, c2 * M1
         c0, c2 = p1 >> HALF, p0 >> HALF
         c0 ^= c1
-        c0 ^= np.uint64(k0)
+        c0 ^= k0
         c2 ^= c3
-        c2 ^= np.uint64(k1)
+        c2 ^= k1
         p1 &= LOW
         p0 &= LOW
         c1, c3 = p1, p0
-        k0, k1 = (k0 + W0) & 0xFFFFFFFF, (k1 + W1) & 0xFFFFFFFF
+        k0, k1 = (k0 + W0) & LOW, (k1 + W1) & LOW
     return c0, c1, c2, c3
 
 
@@ -45,14 +46,18 @@ def site_words(species: str, site: str) -> tuple[int, int]:
 
 def words(seed: int, frame: int, species: str, site: str, block: int, ids: NDArray[np.int64]) -> Words:
     """Four random words for each id. `frame` may be negative (preroll)."""
-    (c0, low, c3), key = _counters(seed, frame, species, site, block)
+    (c0, low, c3), key = counters(seed, frame, species, site, block)
     wide = ids.astype(np.uint64)
-    c2 = (((wide >> HALF) * SPREAD) & LOW) ^ np.uint64(low)
-    whole = (np.full(wide.shape, c, np.uint64) for c in (c0, c3))
-    return philox((next(whole), wide & LOW, c2, next(whole)), key)
+    first, last = (np.full(wide.shape, c, np.uint64) for c in (c0, c3))
+    return of_ids(wide, first, np.uint64(low), last, (np.uint64(key[0]), np.uint64(key[1])))
 
 
-def _counters(seed: int, frame: int, species: str, site: str, block: int) -> tuple[tuple[int, int, int], tuple[int, int]]:
+def of_ids(wide: Any, first: Any, low: Any, last: Any, key: tuple[Any, Any]) -> Words:
+    """Four words for each id (uint64) of the counters' first, third and last word, and the key."""
+    return philox((first, wide & LOW, (((wide >> HALF) * SPREAD) & LOW) ^ low, last), key)
+
+
+def counters(seed: int, frame: int, species: str, site: str, block: int) -> tuple[tuple[int, int, int], tuple[int, int]]:
     """The counter words that all ids share (the third but for the high half of an id), and the key."""
     low, high = site_words(species, site)
     return (frame & 0xFFFFFFFF, low, (high + block) & 0xFFFFFFFF), (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF)
@@ -68,10 +73,10 @@ def uniform(seed: int, frame: int, species: str, site: str, index: int, ids: NDA
     if compiled.wanted(ids.size) and ids.ndim == 1:
         from antdsl.numerics.randomness_compiled import uniforms
 
-        counters, key = _counters(seed, frame, species, site, index >> 2)
+        shared, key = counters(seed, frame, species, site, index >> 2)
         found = np.empty(ids.size, np.float32)
         uniforms(
-            *compiled.plain(ids.astype(np.int64, copy=False)), *(np.uint64(word) for word in (*counters, *key)), index & 3, found
+            *compiled.plain(ids.astype(np.int64, copy=False)), *(np.uint64(word) for word in (*shared, *key)), index & 3, found
         )
         return found
     return unit_floats(words(seed, frame, species, site, index >> 2, ids)[index & 3])

@@ -123,7 +123,7 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
     except TooManyWithin:
         pass
     species = world.plan.species[population.name]
-    count = _nearest_asked(species, node)
+    count = nearest_asked(species, node)
     try:
         if count is None:
             raise TooManyWithin
@@ -145,7 +145,7 @@ def _advice(other: Population, radius: Any) -> str:
 
 
 @lru_cache(256)
-def _nearest_asked(species: ir.SpeciesPlan, node: ir.Node) -> int | None:
+def nearest_asked(species: ir.SpeciesPlan, node: ir.Node) -> int | None:
     """How many of a set, the nearest, tell all that is asked of it; None where more than its nearest is asked for."""
     every = needed(n for _, block in blocks(species) for _, statement in statements(block) for n in operands(statement))
     made = [each for each in every if each.op.startswith("reduce.") and each.args[0] is node]
@@ -227,12 +227,12 @@ def _near(
 ) -> PairRows:
     widest = float(np.max(radius, initial=0.0)) if np.size(radius) else 0.0
     widest = widest if np.isfinite(widest) and widest > 0 else 1.0
-    grid = _grid(world, other, widest)
+    grid = grid_for(world, other, widest)
     p = grid.pairs(None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, view=view, threads=threads, limit=limits.WITHIN_RADIUS)
     return PairRows(other, len(own[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
 
 
-def _grid(world: World, other: Population, widest: float) -> CellGrid:
+def grid_for(world: World, other: Population, widest: float) -> CellGrid:
     """Where the others are, in cells that suit a radius: finding them in wider ones costs less than sorting them again."""
     size = float(np.ceil(4 * np.log2(widest)))
     known = [(k, grid) for (name, k), grid in list(world.grids.items()) if name == other.name and size <= k <= size + _COARSER]

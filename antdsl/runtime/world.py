@@ -46,7 +46,7 @@ class Options:
 
     `shuffle_rows` puts the agents into rows in a random order; `chunk` is the number of rows worked on at once."""
 
-    backend: Literal["numpy", "reference"] = "numpy"
+    backend: Literal["numpy", "native", "reference"] = "numpy"
     chunk: int = 16_384
     threads: int = 1
     shuffle_rows: int | None = None
@@ -101,7 +101,8 @@ class Population:
     def __len__(self) -> int:
         return len(self.ids)
 
-    def _sorted_ids(self) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    def sorted_ids(self) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+        """Ids in ascending order, and their rows."""
         if self._rows is None or self._rows[0] != self.version:
             order = stable_order(self.ids)
             self._rows = (self.version, self.ids[order], order)
@@ -109,7 +110,7 @@ class Population:
 
     def rows_of(self, ids: NDArray[np.int64]) -> NDArray[np.intp]:
         """Rows of ids; -1 for none and for the dead."""
-        known, order = self._sorted_ids()
+        known, order = self.sorted_ids()
         if not len(known):
             return np.full(np.shape(ids), -1, np.intp)
         at = np.minimum(np.searchsorted(known, ids), len(known) - 1)
@@ -117,11 +118,11 @@ class Population:
 
     def in_id_order(self) -> NDArray[np.intp]:
         """Rows sorted by id."""
-        return self._sorted_ids()[1]
+        return self.sorted_ids()[1]
 
     def nth_id(self, share: NDArray[np.uint64]) -> NDArray[np.int64]:
         """Of the living, evenly, for a 32-bit random word each; -1 when none lives."""
-        known, _ = self._sorted_ids()
+        known, _ = self.sorted_ids()
         if not len(known):
             return np.full(np.shape(share), -1, np.int64)
         return known[((share * np.uint64(len(known))) >> np.uint64(32)).astype(np.intp)]

@@ -9,12 +9,14 @@ depends on rows, chunks or threads. A backend fills an `Effects`; the phases of 
 from collections.abc import Callable, Mapping
 
 from antdsl.plan import ir
+from antdsl.runtime.backends.native import NativeBackend
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 from antdsl.runtime.backends.reference import ReferenceBackend
 from antdsl.runtime.world import Backend
 
 BACKENDS: Mapping[str, Callable[[ir.Plan], Backend]] = {
     "numpy": NumpyBackend,  # whole arrays: for work
+    "native": NativeBackend,
     "reference": ReferenceBackend,  # one agent at a time: the definition, and the one that explains
 }
 

@@ -39,6 +39,7 @@ Kept = dict[ir.Node, tuple[NDArray[np.bool_], list[NDArray[Any]]]]
 class NumpyBackend:
     """Compiled once for a plan; `begin` is called at each step's start, `run` for each block of each species."""
 
+    spare = 0  # rows behind the last one that arrays over a species have
     def __init__(self, plan: ir.Plan) -> None:
         self._blocks: dict[tuple[str, str], BlockCompiler] = {}
         self._uniforms: dict[str, list[ir.Node]] = {}
@@ -70,7 +71,7 @@ class NumpyBackend:
         """Values of the step, and nothing sensed yet."""
         for name, population in world.populations.items():
             self._values[name] = uniform_values(world, self._uniforms[name])
-            n = len(population)
+            n = len(population) + self.spare
             self._pairs[name] = {}
             self._kept[name] = {
                 node: (np.zeros(n, np.bool_), [np.empty(n, DTYPES[kind]) for kind in ir.TUPLES.get(node.op, (node.kind,))])

@@ -1,0 +1,5 @@
+"""The native backend: a block's vectorised instructions become machine code, eight agents at a time."""
+
+from antdsl.runtime.backends.native.backend import NativeBackend
+
+__all__ = ["NativeBackend"]

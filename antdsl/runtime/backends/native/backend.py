@@ -1,0 +1,197 @@
+"""Runs a plan's blocks as machine code; what has none is called between the stages, and until the code is there NumPy runs all."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.plan import ir
+from antdsl.runtime.backends import numpy_calls
+from antdsl.runtime.backends.compile import EFFECTS, LAZY, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Instruction, Run, Scope
+from antdsl.runtime.backends.native import machine
+from antdsl.runtime.backends.native.block import BlockCode
+from antdsl.runtime.backends.native.lanes import WIDTH
+from antdsl.runtime.backends.native.programs import Program, program
+from antdsl.runtime.backends.native.tables import Addresses, Tables
+from antdsl.runtime.backends.numpy_backend import NumpyBackend
+from antdsl.runtime.backends.reference import Agent
+from antdsl.runtime.moving import moving_geometry
+from antdsl.runtime.pairs import NearbySets, grid_for
+from antdsl.runtime.requests import Effects, FaultEntry, GiveEntry
+from antdsl.runtime.world import Population, World
+from antdsl.senses.neighbours import CellGrid
+
+_SAMPLED = 8  # agents whose radius is worked out before the first search, to choose cells by
+
+
+class NativeBackend(NumpyBackend):
+    """Compiled for a plan and the world it is bound to."""
+
+    spare = WIDTH
+
+    def __init__(self, plan: ir.Plan) -> None:
+        super().__init__(plan)
+        self.program: Program | None = None
+        self._code: machine.Code | None = None
+        self._tables: dict[tuple[str, str, int], Tables] = {}
+        self._addresses = Addresses()
+        self._widest: dict[tuple[str, str, int], float] = {}
+        self._calls: dict[Instruction, Run] = {}
+
+    def begin(self, world: World) -> None:
+        """Values of the step, and nothing sensed yet."""
+        if self.program is None:
+            self.program = program(world.plan, self._blocks, moving=moving_geometry.moving(world) is not None)
+            self._code = machine.load(machine.object_code(self.program.text, machine.host()))
+            for key, code in self.program.blocks.items():
+                for each in (*code.requests, *(each for group in code.schedule.calls for each in group)):
+                    self._calls[each] = numpy_calls.call(each, self._blocks[key])(each.out, each.inputs, None)
+        super().begin(world)
+
+    def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
+        """Run a block for some rows (None: all), and put what they ask for into the population's effects."""
+        code = None if self.program is None else self.program.blocks.get((population.name, block))
+        if rows is not None or code is None or self._code is None:
+            super().run(world, population, block, rows)
+            return
+        self._native(world, population, block, code)
+
+    def _native(self, world: World, population: Population, block: str, code: BlockCode) -> None:
+        compiler = self._blocks[population.name, block]
+        size = -(-max(WIDTH, world.options.chunk) // WIDTH) * WIDTH
+        n = len(population)
+        chunks = [(a, min(a + size, n)) for a in range(0, n, size)]
+        tables = self._tables.setdefault((population.name, block, 0), Tables(code, self._addresses))
+        grids = [self._grid(world, population, block, code, compiler, k, tables) for k in range(len(code.near))]
+        tables.fill(world, population, self._values[population.name], self._kept.get(population.name), grids)
+        tables.room(min(size, n))
+        with np.errstate(all="ignore"):
+            for begin, end in chunks:
+                self._rows(world, population, compiler, code, tables, begin, end)
+        for k, widest in enumerate(tables.widest):
+            self._widest[population.name, block, k] = float(widest[0]) or self._widest[population.name, block, k]
+            widest[0] = 0
+
+    def _grid(
+        self, world: World, population: Population, block: str, code: BlockCode, compiler: BlockCompiler, number: int, tables: Tables
+    ) -> CellGrid:
+        """Cells for a search: they suit the greatest radius of the step before, or of some agents."""
+        near = code.near[number]
+        widest = self._widest.get((population.name, block, number))
+        if widest is None:
+            found = [0.0]
+            rows = np.linspace(0, len(population) - 1, min(_SAMPLED, len(population))).astype(int)
+            for row in rows:
+                agent = Agent(world, population, int(row), population.now, int(row), Effects(), {})
+                found += [float(agent.value(chosen.args[0])) for chosen in near.sets]
+            widest = max((each for each in found if np.isfinite(each)), default=0.0)
+        self._widest[population.name, block, number] = widest
+        return grid_for(world, world.populations[near.species], widest if widest > 0 else 1.0)
+
+    def _rows(
+        self,
+        world: World,
+        population: Population,
+        compiler: BlockCompiler,
+        code: BlockCode,
+        tables: Tables,
+        begin: int,
+        end: int,
+    ) -> None:
+        assert self._code is not None
+        effects = population.effects
+        tables.notes[0] = tables.crowded[0] = 0
+        picked: dict[int, NDArray[np.intp]] = {}
+        v: list[Any] | None = None
+        for stage, name in enumerate(code.names):
+            self._code.function(name)(tables.address, begin, end)
+            if code.schedule.calls[stage]:
+                v = v or self._slots(world, population, compiler, effects)
+                v[compiler.root.rows] = slice(begin, end)
+                for instruction in code.schedule.calls[stage]:
+                    self._call(v, code, tables, instruction, picked, begin, end)
+        if tables.crowded[0]:
+            super().run(world, population, compiler.name, np.arange(begin, end))  # which stops and says where
+        for each in code.requests:
+            v = v or self._slots(world, population, compiler, effects)
+            self._ask(v, code, tables, each, picked, begin, end)
+        for instruction, slot in code.gives:
+            there, item, gone = (tables.arrays[slot, part] for part in range(3))
+            rows = np.flatnonzero(there[: end - begin])
+            if len(rows):
+                what = instruction.what
+                assert isinstance(what, ir.Give)
+                effects.gives.append(GiveEntry(what, item[rows], gone[rows]))
+        for k in range(int(tables.notes[0])):
+            row, told = int(tables.notes[1 + 2 * k]), int(tables.notes[2 + 2 * k])
+            what, span = code.faults[told >> 16]
+            rows = row + np.flatnonzero([told >> bit & 1 for bit in range(WIDTH)])
+            effects.faults.append(FaultEntry(compiler.name, what, span, rows))
+
+    def _slots(self, world: World, population: Population, compiler: BlockCompiler, effects: Effects) -> list[Any]:
+        v: list[Any] = [None] * compiler.slots
+        v[WORLD], v[POPULATION], v[EFFECTS], v[LAZY] = world, population, effects, self._kept.get(population.name)
+        v[PAIRS], v[NEARBY] = {}, NearbySets(1)
+        values = self._values[population.name]
+        for node, slot in compiler.uniforms.items():
+            v[slot] = values[node]
+        return v
+
+    def _enter(
+        self, v: list[Any], code: BlockCode, tables: Tables, scope: Scope, picked: dict[int, NDArray[np.intp]], begin: int, end: int
+    ) -> NDArray[np.intp]:
+        """The rows of a scope, counted within the chunk."""
+        slot = code.schedule.slot(scope.rows)
+        if slot not in picked:
+            picked[slot] = np.flatnonzero(tables.arrays[slot, 0][: end - begin])
+        found = picked[slot]
+        v[scope.rows], v[scope.size] = (slice(begin, end) if len(found) == end - begin else found + begin), len(found)
+        return found
+
+    def _inputs(
+        self, v: list[Any], code: BlockCode, tables: Tables, each: Instruction, chosen: NDArray[np.intp]
+    ) -> None:
+        for slot in each.inputs:
+            source = code.schedule.slot(slot)
+            if (source, 0) in tables.arrays:
+                v[slot] = tables.arrays[source, 0].take(chosen)
+            elif source != slot and v[source] is not None:
+                v[slot] = v[source]
+
+    def _call(
+        self,
+        v: list[Any],
+        code: BlockCode,
+        tables: Tables,
+        each: Instruction,
+        picked: dict[int, NDArray[np.intp]],
+        begin: int,
+        end: int,
+    ) -> None:
+        chosen = self._enter(v, code, tables, each.scope, picked, begin, end)
+        if not len(chosen):
+            return
+        self._inputs(v, code, tables, each, chosen)
+        self._calls[each](v)
+        found = v[each.out]
+        for part, value in enumerate(found if isinstance(found, tuple) else (found,)):
+            if (each.out, part) in tables.arrays:
+                tables.arrays[each.out, part][chosen] = value
+
+    def _ask(
+        self,
+        v: list[Any],
+        code: BlockCode,
+        tables: Tables,
+        each: Instruction,
+        picked: dict[int, NDArray[np.intp]],
+        begin: int,
+        end: int,
+    ) -> None:
+        chosen = self._enter(v, code, tables, each.scope, picked, begin, end)
+        if len(chosen):
+            self._inputs(v, code, tables, each, chosen)
+            self._calls[each](v)
+

@@ -1,0 +1,346 @@
+"""A block as machine code: one function a stage, which takes eight rows at a time through all instructions of the stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from antdsl.numerics.elementwise import ELEMENTWISE
+from antdsl.plan import ir
+from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
+from antdsl.runtime.backends.native import lanes as ll
+from antdsl.runtime.backends.native.lanes import BOOL, F32, I64, PTR, WIDTH, Emitter, Lanes, Module
+from antdsl.runtime.backends.native.layout import KINDS, Key, Layout
+from antdsl.runtime.backends.native.schedule import Schedule, operands_of
+
+_LONG = frozenset(("sin", "cos", "exp", "log", "pow", "atan2"))  # functions of the module rather than inlined
+
+
+class Writer:
+    """What the text of one function is written with: an emitter, and the places of arrays and numbers."""
+
+    def __init__(self, module: Module, layout: Layout) -> None:
+        self.module, self.layout, self.e = module, layout, Emitter(module)
+        self._bases: dict[Key, Lanes] = {}
+
+    def base(self, *key: Any) -> Lanes:
+        """Address of an array, read once a call."""
+        if key not in self._bases:
+            place = self.e.at_entry(f"getelementptr ptr, ptr %t, i64 {self.layout.pointer(*key)}", PTR)
+            self._bases[key] = self.e.at_entry(f"load ptr, ptr {place.name}", PTR)
+        return self._bases[key]
+
+    def array(self, slot: int, part: int, kind: str) -> Lanes:
+        """Address of an array that a value is left in, by its place among the rows of a run."""
+        self.layout.array(slot, part, kind)
+        return self.base("array", slot, part)
+
+    def number(self, kind: str, *key: Any, one: bool = False) -> Lanes:
+        """A value that is the same for all agents: in every lane, or a single one."""
+
+        def make() -> Lanes:
+            numbers, at = self.base("numbers"), self.e.constant(self.layout.number(*key), I64, one=True)
+            place = self.e.op(f"getelementptr i64, ptr {numbers.name}, i64 {at.name}", PTR, one=True)
+            zero = self.e.constant(0, I64, one=True)
+            return self.e.load_one(place, zero, kind)
+
+        single = self.e.once(("number", *key), make)
+        return single if one else self.e.once(("numbers", *key), lambda: self.e.splat(single))
+
+    def apply(self, op: str, *args: Lanes) -> Any:
+        """An elementwise operation: the function that NumPy goes by, given lanes."""
+        formula = ELEMENTWISE[op]
+        if op not in _LONG:
+            return formula(*args)
+        name = ll.elementwise(self.module, f"f.{op}", tuple(each.kind for each in args), formula)
+        return self.e.call(name, F32, *args)
+
+    def function(self, name: str, arguments: str) -> str:
+        """The text of the function."""
+        e = self.e
+        body = "\n".join((*e.allocas, *e.entry, *e.lines))
+        return f"define void @{name}(ptr %t{arguments}) {{\nentry:\n{body}\n  ret void\n}}"
+
+
+@dataclass(slots=True, eq=False)
+class Near:
+    """Reductions over neighbours of one species that are found in one search; `sets` are theirs."""
+
+    species: str
+    sets: list[ir.Node]
+
+
+@dataclass(slots=True, eq=False)
+class BlockCode:
+    """What a block became: names of its stages' functions, and all that is needed to run them."""
+
+    species: ir.SpeciesPlan
+    names: list[str]
+    layout: Layout
+    schedule: Schedule
+    faults: list[tuple[str, Any]] = field(default_factory=list)  # of refused values: what is refused, where in the text
+    near: list[Near] = field(default_factory=list)
+    kept: list[ir.Node] = field(default_factory=list)
+    requests: list[Instruction] = field(default_factory=list)
+    gives: list[tuple[Instruction, int]] = field(default_factory=list)  # with the slot that stands for what it leaves
+
+
+Lower = Callable[["BlockWriter", ir.Node, tuple[Any, ...]], Any]
+
+
+class BlockWriter(Writer):
+    """Writes the function of one stage."""
+
+    def __init__(
+        self,
+        module: Module,
+        code: BlockCode,
+        compiler: BlockCompiler,
+        stage: int,
+        senses: dict[str, Lower],
+        reduce: Callable[[BlockWriter, list[Instruction]], None],
+    ) -> None:
+        super().__init__(module, code.layout)
+        self.code, self.compiler, self.stage, self.senses, self._reduce = code, compiler, stage, senses, reduce
+        self.schedule, self.species = code.schedule, code.species.name
+        self._uniform = {slot: node for node, slot in compiler.uniforms.items()}
+        self._makers: dict[int, Instruction] = {}
+        self._kept: dict[int, ir.Node] = {}
+        self._kinds: dict[int, tuple[str, ...]] = {}
+        self._index(compiler.root)
+        self.mask: list[Lanes] = []
+        self._nobody: list[int] = []  # masks that nobody is in where the scope around is passed by
+
+    def _index(self, scope: Scope) -> None:
+        for each in scope.code:
+            if isinstance(each.what, ir.Node) and each.out >= 0:
+                self._makers[each.out] = each
+                kinds = ir.TUPLES.get(each.what.op, (each.what.kind,))
+                self._kinds[each.out] = tuple(KINDS.get(kind, "") for kind in kinds)
+                if each.does is Does.KEEP and each not in self.schedule.inlined:
+                    self._kept[each.out] = each.what
+            if each.inner is not None:
+                self._kinds[each.inner.rows] = (BOOL,)
+                self._index(each.inner)
+
+    def write(self, name: str) -> None:
+        """Add the function to the module."""
+        e = self.e
+        rows = e.op("sub i64 %end, %begin", I64, one=True)
+        with e.loop(rows, WIDTH) as offset:
+            self.offset = offset
+            self.row = e.op(f"add i64 %begin, {offset.name}", I64, one=True)
+            root = self.compiler.root
+            inside = (e.splat(offset) + e.iota()) < e.splat(rows)
+            mask = inside & ~e.load(self.base("quarantined"), self.row, BOOL)
+            if root.rows in self.schedule.left and self.stage == 0:
+                e.store(self.array(root.rows, 0, BOOL), offset, mask)
+            e.known[-1][root.rows] = mask
+            self.mask.append(mask)
+            top, rest = len(e.lines), []
+            self._scope(root)
+            e.lines, rest = rest, e.lines
+            for slot in self._nobody:
+                e.store(self.array(slot, 0, BOOL), offset, e.constant(False, BOOL))
+            e.lines = rest[:top] + e.lines + rest[top:]
+        self.module.functions[name] = self.function(name, ", i64 %begin, i64 %end")
+
+    # --- instructions --------------------------------------------------------------------------------------------------
+
+    def _scope(self, scope: Scope) -> None:
+        for each in scope.code:
+            match each.does:
+                case Does.REGION:
+                    self._region(each)
+                case Does.KEEP:
+                    self._keep(each)
+                case Does.STATEMENT:
+                    if self.schedule.at[each] == self.stage:
+                        self._statement(each)
+                case Does.VALUE | Does.REDUCE if each in self.schedule.native:
+                    if self.schedule.home.get(each.out) == self.stage:
+                        self.slot(each.out)
+
+    def _region(self, each: Instruction) -> None:
+        inner = each.inner
+        assert inner is not None
+        if not self.schedule.has(inner, self.stage):
+            return
+        mask = self._mask(inner, lambda: self.mask[-1] & self.slot(each.inputs[0]))
+        with self.e.inside(self.e.some(mask)):
+            self.mask.append(mask)
+            self._scope(inner)
+            self.mask.pop()
+
+    def _mask(self, inner: Scope, make: Callable[[], Lanes]) -> Lanes:
+        """The mask of an inner scope: made now, or as an earlier stage left it."""
+        if self.schedule.home[inner.rows] != self.stage:
+            return self.slot(inner.rows)
+        mask = self.e.known[-1][inner.rows] = make()
+        if inner.rows in self.schedule.left:
+            self._nobody.append(inner.rows)
+            self._leave(inner.rows, mask)
+        return mask
+
+    def _keep(self, each: Instruction) -> None:
+        inner, node = each.inner, each.what
+        assert inner is not None and isinstance(node, ir.Node)
+        if each in self.schedule.inlined:
+            self._scope(inner)
+            return
+        if not self.schedule.has(inner, self.stage):
+            return
+        if node not in self.code.kept:
+            self.code.kept.append(node)
+        e, number = self.e, self.code.kept.index(node)
+        has = self.base("kept", number, "has")
+        mask = self._mask(inner, lambda: self.mask[-1] & ~e.load(has, self.row, BOOL))
+        with e.inside(e.some(mask)):
+            self.mask.append(mask)
+            self._scope(inner)
+            if self.schedule.at[each] == self.stage:
+                found = self.slot(each.result)
+                for part, value in enumerate(found if isinstance(found, tuple) else (found,)):
+                    e.store_where(mask, self.base("kept", number, part), self.row, value)
+                e.store_where(mask, has, self.row, e.constant(True, BOOL))
+            self.mask.pop()
+
+    # --- values --------------------------------------------------------------------------------------------------------
+
+    def slot(self, slot: int) -> Any:
+        """The value of a slot: known here already, the same for all, left by an earlier stage, or made now."""
+        slot = self.schedule.slot(slot)
+        if slot in self._uniform:
+            node = self._uniform[slot]
+            return self.number(KINDS[node.kind], "node", node)
+        return self.e.once(slot, lambda: self._made(slot))
+
+    def _made(self, slot: int) -> Any:
+        if slot in self._kept:
+            number, kinds = self.code.kept.index(self._kept[slot]), self._kinds[slot]
+            parts = tuple(self.e.load(self.base("kept", number, k), self.row, kind) for k, kind in enumerate(kinds))
+            return parts if len(parts) > 1 else parts[0]
+        each = self._makers.get(slot)
+        node = None if each is None else each.what
+        anew = isinstance(node, ir.Node) and node.op in ("snap", "id") and slot not in self.schedule.left
+        if each is None or each not in self.schedule.native or (self.schedule.home[slot] != self.stage and not anew):
+            parts = tuple(
+                self.e.load(self.array(slot, k, kind), self.offset, kind) for k, kind in enumerate(self._kinds[slot])
+            )
+            return parts if len(parts) > 1 else parts[0]
+        if each.does is Does.REDUCE:
+            self._reduce(self, self._together(each))
+            return self.e.known[-1][slot]
+        assert isinstance(node, ir.Node)
+        if node.op == "get":
+            value = self.slot(each.inputs[0])[node.attrs[0]]
+        else:
+            args = tuple(self.slot(k) for k in each.inputs)
+            value = self.apply(node.op, *args) if node.op in ELEMENTWISE else self.senses[node.op](self, node, args)
+        self._leave(slot, value)
+        return value
+
+    def known(self, slot: int, value: Any) -> None:
+        """A value that was made together with another one."""
+        self.e.known[-1][slot] = value
+        self._leave(slot, value)
+
+    def _leave(self, slot: int, value: Any) -> None:
+        if slot in self.schedule.left:
+            for part, each in enumerate(value if isinstance(value, tuple) else (value,)):
+                self.e.store(self.array(slot, part, each.kind), self.offset, each)
+
+    def _together(self, first: Instruction) -> list[Instruction]:
+        """Reductions over the same others that can be found at the same time as one: what they need does not wait for it."""
+        assert isinstance(first.what, ir.Node)
+        found, of = [first], first.what.args[0]
+        for each in first.scope.code:
+            node = each.what
+            if each.does is not Does.REDUCE or each is first or not isinstance(node, ir.Node) or each not in self.schedule.native:
+                continue
+            if self.schedule.home.get(each.out) != self.stage or any(each.out in names for names in self.e.known):
+                continue
+            same = node.args[0].op == of.op and node.args[0].attrs[0] == of.attrs[0]
+            if same and all(self._ready(slot) for slot in operands_of(each)):
+                found.append(each)
+        return found
+
+    def _ready(self, slot: int) -> bool:
+        """Whether a value is known or can be made at once: by operations alone, with no reduction or changing register in it."""
+        slot = self.schedule.slot(slot)
+        if slot in self._uniform or any(slot in names for names in self.e.known):
+            return True
+        each = self._makers.get(slot)
+        if each is None or self.schedule.home.get(slot) != self.stage:
+            return slot not in self._kept
+        if each.does is not Does.VALUE or not isinstance(each.what, ir.Node) or each.what.op == "load":
+            return False
+        return all(self._ready(k) for k in each.inputs)
+
+    # --- statements ----------------------------------------------------------------------------------------------------
+
+    def _statement(self, each: Instruction) -> None:
+        what = each.what
+        if isinstance(what, ir.Store):
+            self._store(each, what)
+        elif isinstance(what, ir.Give):
+            self._give(each, what)
+        else:
+            for slot in each.inputs:
+                self.slot(slot)
+            self.code.requests.append(each)
+
+    def _store(self, each: Instruction, what: ir.Store) -> None:
+        value, mask = self.slot(each.inputs[0]), self.mask[-1]
+        if value.kind == F32:
+            good = self.e.intrinsic("fabs", value) < float("inf")
+            if what.infinite:
+                good = good | (value == float("inf"))
+            self._refuse(mask & ~good, what.register, what.span)
+            mask = mask & good
+        self.e.store_where(mask, self.base("now", what.register), self.row, value)
+
+    def _refuse(self, bad: Lanes, what: str, span: Any) -> None:
+        """Note the rows whose value is not finite."""
+        self.note(bad, self.code.faults, (what, span), 0)
+
+    def note(self, rows: Lanes, names: list[Any], name: Any, sort: int) -> None:
+        """Write down for which of the eight rows something rare has come up: (first row, sort and number of what, bits)."""
+        e = self.e
+        with e.inside(e.some(rows)):
+            if name not in names:
+                names.append(name)
+            notes = self.base("notes")
+            count = e.load_one(notes, e.constant(0, I64, one=True), I64)
+            place = e.op(f"mul i64 {count.name}, 2", I64, one=True)
+            first = e.op(f"getelementptr i64, ptr {notes.name}, i64 {place.name}", PTR, one=True)
+            bits = e.op(f"zext i8 {e.mask_bits(rows).name} to i64", I64, one=True)
+            told = e.op(f"or i64 {bits.name}, {(names.index(name) << 16) | (sort << 8)}", I64, one=True)
+            for k, value in enumerate((self.row, told)):
+                at = e.op(f"getelementptr i64, ptr {first.name}, i64 {k + 1}", PTR, one=True)
+                e.do(f"store {value.typed}, ptr {at.name}")
+            more = e.op(f"add i64 {count.name}, 1", I64, one=True)
+            e.do(f"store {more.typed}, ptr {notes.name}")
+
+    def _give(self, each: Instruction, what: ir.Give) -> None:
+        e, mask, own = self.e, self.mask[-1], self.base("now", what.own)
+        item = self.slot(each.inputs[0])
+        had = e.load(own, self.row, F32)
+        amount = had if what.amount is None else self.slot(each.inputs[1])
+        if what.amount is not None:
+            good = e.intrinsic("fabs", amount) < float("inf")
+            self._refuse(mask & ~good, f"give {what.own}", what.span)
+            mask = mask & good
+        there = mask & (item >= 0) & (item < self.number(ll.I32, "items", what.items))
+        zero = e.constant(0.0, F32)
+        most = e.where(had > zero, had, zero)
+        cut = e.where(amount > zero, amount, zero)
+        left = had - e.where(cut < most, cut, most)
+        e.store_where(there, own, self.row, left)
+        slot = -1 - len(self.code.gives)
+        self.code.gives.append((each, slot))
+        self._nobody.append(slot)
+        gone = e.convert(had, ll.F64) - e.convert(left, ll.F64)
+        for part, value in enumerate((there, item, gone)):
+            e.store(self.array(slot, part, value.kind), self.offset, value)

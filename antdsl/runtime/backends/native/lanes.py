@@ -1,0 +1,540 @@
+"""Values of eight agents at once, as text in the intermediate language of LLVM.
+
+`Lanes` answers to the operators and to the NumPy functions that the project's own kernels are written with: a function of
+`numerics` that is called with lanes instead of arrays writes down its operations, in the order and with the roundings that NumPy
+gives them. So each operation has one meaning for both. `Emitter` holds the text of one function and what its blocks know."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+WIDTH = 8
+F32, F64, BOOL, I8, I32, I64, PTR = "float", "double", "i1", "i8", "i32", "i64", "ptr"
+TYPES: Mapping[Any, str] = {
+    np.dtype(np.float32): F32, np.dtype(np.float64): F64, np.dtype(np.bool_): BOOL, np.dtype(np.int32): I32,
+    np.dtype(np.int64): I64, np.dtype(np.uint64): I64, np.dtype(np.intp): I64, np.dtype(np.int8): I8, np.dtype(np.uint8): I8,
+}  # fmt: skip
+_FLOATS = (F32, F64)
+_MANGLED = {F32: "f32", F64: "f64", BOOL: "i1", I8: "i8", I32: "i32", I64: "i64", PTR: "p0"}
+_BITS = {BOOL: 1, I8: 8, I32: 32, I64: 64}
+
+
+def literal(value: Any, kind: str) -> str:
+    """A number in the intermediate language; of a float the bits."""
+    if kind in _FLOATS:
+        number = float(np.float32(value)) if kind == F32 else float(value)
+        return f"0x{struct.unpack('>Q', struct.pack('>d', number))[0]:016X}"
+    if kind == BOOL:
+        return "true" if value else "false"
+    whole = int(value)
+    return str(whole - (1 << 64) if kind == I64 and whole >= 1 << 63 else whole)
+
+
+class Lanes:
+    """A value of each lane, or with `one` a single value; `name` is what the text calls it."""
+
+    __slots__ = ("constant", "e", "kind", "name", "one")
+    ndim = 1
+
+    def __init__(self, e: Emitter, kind: str, name: str, *, one: bool = False, constant: bool = False) -> None:
+        self.e, self.kind, self.name, self.one, self.constant = e, kind, name, one, constant
+
+    @property
+    def type(self) -> str:
+        return self.kind if self.one else f"<{WIDTH} x {self.kind}>"
+
+    @property
+    def typed(self) -> str:
+        return f"{self.type} {self.name}"
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        if method != "__call__" or any(value is not None for value in options.values()) or ufunc not in _UFUNCS:
+            return NotImplemented
+        return _UFUNCS[ufunc](self.e, *inputs)
+
+    def __array_function__(self, function: Any, types: Any, inputs: tuple[Any, ...], options: Mapping[str, Any]) -> Any:
+        return NotImplemented if function not in _FUNCTIONS or options else _FUNCTIONS[function](self.e, *inputs)
+
+    def astype(self, dtype: Any) -> Lanes:
+        return self.e.convert(self, TYPES[np.dtype(dtype)])
+
+    def __add__(self, other: Any) -> Lanes:
+        return self.e.arithmetic("add", self, other)
+
+    def __radd__(self, other: Any) -> Lanes:
+        return self.e.arithmetic("add", other, self)
+
+    def __sub__(self, other: Any) -> Lanes:
+        return self.e.arithmetic("sub", self, other)
+
+    def __rsub__(self, other: Any) -> Lanes:
+        return self.e.arithmetic("sub", other, self)
+
+    def __mul__(self, other: Any) -> Lanes:
+        return self.e.arithmetic("mul", self, other)
+
+    def __rmul__(self, other: Any) -> Lanes:
+        return self.e.arithmetic("mul", other, self)
+
+    def __truediv__(self, other: Any) -> Lanes:
+        return self.e.arithmetic("div", self, other)
+
+    def __rtruediv__(self, other: Any) -> Lanes:
+        return self.e.arithmetic("div", other, self)
+
+    def __neg__(self) -> Lanes:
+        return self.e.op(f"fneg {self.typed}", self.kind)
+
+    def __and__(self, other: Any) -> Lanes:
+        return self.e.bitwise("and", self, other)
+
+    def __or__(self, other: Any) -> Lanes:
+        return self.e.bitwise("or", self, other)
+
+    def __xor__(self, other: Any) -> Lanes:
+        return self.e.bitwise("xor", self, other)
+
+    __rand__, __ror__, __rxor__ = __and__, __or__, __xor__
+
+    def __rshift__(self, other: Any) -> Lanes:
+        return self.e.bitwise("lshr", self, other)
+
+    def __lshift__(self, other: Any) -> Lanes:
+        return self.e.bitwise("shl", self, other)
+
+    def __invert__(self) -> Lanes:
+        return self.e.bitwise("xor", self, True if self.kind == BOOL else -1)
+
+    def __lt__(self, other: Any) -> Lanes:
+        return self.e.compare("lt", self, other)
+
+    def __le__(self, other: Any) -> Lanes:
+        return self.e.compare("le", self, other)
+
+    def __gt__(self, other: Any) -> Lanes:
+        return self.e.compare("gt", self, other)
+
+    def __ge__(self, other: Any) -> Lanes:
+        return self.e.compare("ge", self, other)
+
+    def __eq__(self, other: object) -> Lanes:  # type: ignore[override]  # as arrays do
+        return self.e.compare("eq", self, other)
+
+    def __ne__(self, other: object) -> Lanes:  # type: ignore[override]
+        return self.e.compare("ne", self, other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+class Emitter:
+    """Writes one function. Blocks nest: what an inner block names is not known outside it, so `known` is a stack."""
+
+    def __init__(self, module: Module) -> None:
+        self.module = module
+        self.allocas: list[str] = []
+        self.entry: list[str] = []
+        self.lines: list[str] = []
+        self.block = "entry"
+        self.known: list[dict[Any, Any]] = [{}]
+        self._numbers = 0
+
+    # --- text ----------------------------------------------------------------------------------------------------------
+
+    def name(self, stem: str = "v") -> str:
+        self._numbers += 1
+        return f"%{stem}{self._numbers}"
+
+    def op(self, text: str, kind: str, *, one: bool = False) -> Lanes:
+        """One instruction and its result."""
+        name = self.name()
+        self.lines.append(f"  {name} = {text}")
+        return Lanes(self, kind, name, one=one)
+
+    def do(self, text: str) -> None:
+        self.lines.append(f"  {text}")
+
+    def at_entry(self, text: str, kind: str) -> Lanes:
+        """One instruction where the function begins; gives a single value."""
+        name = self.name("e")
+        self.entry.append(f"  {name} = {text}")
+        return Lanes(self, kind, name, one=True)
+
+    def slot(self, kind: str, *, one: bool = False, count: int = 0) -> str:
+        """Room on the stack, for one value or for an array of so many."""
+        type = kind if one else f"<{WIDTH} x {kind}>"
+        name = self.name("a")
+        self.allocas.append(f"  {name} = alloca {f'[{count} x {type}]' if count else type}, align 32")
+        return name
+
+    def label(self, stem: str) -> str:
+        self._numbers += 1
+        return f"{stem}{self._numbers}"
+
+    def begin(self, label: str) -> None:
+        self.lines.append(f"{label}:")
+        self.block = label
+
+    def jump(self, label: str) -> None:
+        self.do(f"br label %{label}")
+
+    def branch(self, condition: Lanes, then: str, other: str) -> None:
+        self.do(f"br {condition.typed}, label %{then}, label %{other}")
+
+    @contextmanager
+    def inside(self, condition: Lanes) -> Iterator[None]:
+        """What is emitted within runs only where a single condition holds."""
+        then, done = self.label("then"), self.label("done")
+        self.branch(condition, then, done)
+        self.begin(then)
+        self.known.append({})
+        yield
+        self.known.pop()
+        self.jump(done)
+        self.begin(done)
+
+    @contextmanager
+    def loop(self, count: Lanes, step: int = 1) -> Iterator[Lanes]:
+        """Runs for numbers from 0 to below a single i64, by `step`; gives the number."""
+        head, body, done = self.label("head"), self.label("body"), self.label("done")
+        before = self.block
+        number, following = self.name("i"), self.name("n")
+        self.jump(head)
+        self.begin(head)
+        place = len(self.lines)
+        self.lines.append("")
+        more = self.op(f"icmp slt i64 {number}, {count.name}", BOOL, one=True)
+        self.branch(more, body, done)
+        self.begin(body)
+        self.known.append({})
+        yield Lanes(self, I64, number, one=True)
+        self.known.pop()
+        self.lines.append(f"  {following} = add i64 {number}, {step}")
+        self.lines[place] = f"  {number} = phi i64 [ 0, %{before} ], [ {following}, %{self.block} ]"
+        self.jump(head)
+        self.begin(done)
+
+    def once(self, key: Any, make: Callable[[], Any]) -> Any:
+        """A value that this block or one around it knows already, or makes now."""
+        for names in reversed(self.known):
+            if key in names:
+                return names[key]
+        value = self.known[-1][key] = make()
+        return value
+
+    def call(self, name: str, kind: str, *arguments: Lanes, one: bool = False) -> Lanes:
+        """Call a function of the module or an intrinsic."""
+        type = kind if one else f"<{WIDTH} x {kind}>"
+        return self.op(f"call {type} @{name}({', '.join(each.typed for each in arguments)})", kind, one=one)
+
+    def intrinsic(self, stem: str, *arguments: Lanes) -> Lanes:
+        """An intrinsic function of lanes of one kind that gives the same kind."""
+        first = arguments[0]
+        suffix = f".{_MANGLED[first.kind]}" if first.one else f".v{WIDTH}{_MANGLED[first.kind]}"
+        self.module.declare(f"llvm.{stem}{suffix}", first.type, [each.type for each in arguments])
+        return self.call(f"llvm.{stem}{suffix}", first.kind, *arguments, one=first.one)
+
+    # --- values --------------------------------------------------------------------------------------------------------
+
+    def constant(self, value: Any, kind: str, *, one: bool = False) -> Lanes:
+        text = literal(value, kind)
+        return Lanes(self, kind, text if one else f"splat ({kind} {text})", one=one, constant=True)
+
+    def splat(self, value: Lanes) -> Lanes:
+        """A single value in every lane."""
+        if not value.one:
+            return value
+        if value.constant:
+            return Lanes(self, value.kind, f"splat ({value.kind} {value.name})", constant=True)
+        first = self.op(f"insertelement <{WIDTH} x {value.kind}> poison, {value.typed}, i64 0", value.kind)
+        return self.op(f"shufflevector {first.typed}, <{WIDTH} x {value.kind}> poison, <{WIDTH} x i32> zeroinitializer", value.kind)
+
+    def lanes(self, value: Any, like: Lanes) -> Lanes:
+        """A value as lanes of the kind of another one; numbers of Python take its kind, as in NumPy."""
+        if isinstance(value, Lanes):
+            return self.splat(value)
+        kind = like.kind
+        if isinstance(value, np.generic):
+            kind = TYPES[value.dtype]
+        elif isinstance(value, float) and kind not in _FLOATS:
+            kind = F64
+        return self.constant(value, kind)
+
+    def _pair(self, a: Any, b: Any) -> tuple[Lanes, Lanes]:
+        if isinstance(a, Lanes):
+            left, right = self.splat(a), self.lanes(b, a)
+        else:
+            right = self.splat(b)
+            left = self.lanes(a, right)
+        if left.kind == right.kind:
+            return left, right
+        kinds = {left.kind, right.kind}
+        if F64 in kinds or kinds <= {F32, I32, I64} or kinds == {BOOL, F64}:
+            kind = F64
+        elif F32 in kinds:
+            kind = F32
+        else:
+            kind = I64 if I64 in kinds else I32
+        return self.convert(left, kind), self.convert(right, kind)
+
+    def arithmetic(self, word: str, a: Any, b: Any) -> Lanes:
+        left, right = self._pair(a, b)
+        prefix = "f" if left.kind in _FLOATS else ""
+        return self.op(f"{prefix}{word} {left.typed}, {right.name}", left.kind)
+
+    def bitwise(self, word: str, a: Any, b: Any) -> Lanes:
+        left, right = self._pair(a, b)
+        return self.op(f"{word} {left.typed}, {right.name}", left.kind)
+
+    def compare(self, word: str, a: Any, b: Any) -> Lanes:
+        left, right = self._pair(a, b)
+        if left.kind in _FLOATS:
+            return self.op(f"fcmp {'u' if word == 'ne' else 'o'}{word} {left.typed}, {right.name}", BOOL)
+        return self.op(f"icmp {word if word in ('eq', 'ne') else 's' + word} {left.typed}, {right.name}", BOOL)
+
+    def unordered(self, a: Lanes) -> Lanes:
+        """Where a value is NaN."""
+        return self.op(f"fcmp uno {a.typed}, {a.name}", BOOL)
+
+    def where(self, condition: Any, then: Any, other: Any) -> Lanes:
+        if not isinstance(then, Lanes) and not isinstance(other, Lanes):
+            # as NumPy does for two numbers of Python
+            kind = F64 if isinstance(then, float) or isinstance(other, float) else I64
+            then, other = self.constant(then, kind), self.constant(other, kind)
+        a, b = self._pair(then, other)
+        return self.op(f"select {self.splat(condition).typed}, {a.typed}, {b.typed}", a.kind)
+
+    def convert(self, value: Lanes, kind: str) -> Lanes:
+        """As NumPy's `astype`; of a float to a whole number only those in its range are the same, none is undefined."""
+        if value.kind == kind:
+            return value
+        to = kind if value.one else f"<{WIDTH} x {kind}>"
+        if value.kind in _FLOATS and kind in _FLOATS:
+            word = "fpext" if kind == F64 else "fptrunc"
+        elif kind in _FLOATS:
+            word = "uitofp" if value.kind == BOOL else "sitofp"
+        elif value.kind in _FLOATS:
+            suffix = _MANGLED[kind], _MANGLED[value.kind]
+            stem = "llvm.fptosi.sat." + (".".join(suffix) if value.one else f"v{WIDTH}{suffix[0]}.v{WIDTH}{suffix[1]}")
+            self.module.declare(stem, to, [value.type])
+            return self.call(stem, kind, value, one=value.one)
+        elif kind == BOOL:
+            return self.compare("ne", value, 0)
+        elif _BITS[kind] < _BITS[value.kind]:
+            word = "trunc"
+        else:
+            word = "zext" if value.kind == BOOL else "sext"
+        return self.op(f"{word} {value.typed} to {to}", kind, one=value.one)
+
+    def bits(self, value: Lanes, kind: str) -> Lanes:
+        """The same bits as another kind of one width."""
+        return self.op(f"bitcast {value.typed} to <{WIDTH} x {kind}>", kind)
+
+    def some(self, mask: Lanes) -> Lanes:
+        """Whether a condition holds in some lane."""
+        return self.op(f"icmp ne i8 {self.mask_bits(mask).name}, 0", BOOL, one=True)
+
+    def mask_bits(self, mask: Lanes) -> Lanes:
+        """A condition as bits of one number, the first lane's the lowest."""
+        return self.op(f"bitcast {mask.typed} to i8", I8, one=True)
+
+    def iota(self) -> Lanes:
+        return Lanes(self, I64, f"<{', '.join(f'i64 {k}' for k in range(WIDTH))}>", constant=True)
+
+    # --- memory --------------------------------------------------------------------------------------------------------
+
+    def address(self, base: Lanes, index: Lanes, kind: str) -> Lanes:
+        """Where the element of a single index lies."""
+        return self.op(f"getelementptr {kind}, ptr {base.name}, i64 {index.name}", PTR, one=True)
+
+    def load(self, base: Lanes, index: Lanes, kind: str) -> Lanes:
+        """Eight elements from an index on; bytes as conditions for BOOL."""
+        stored = I8 if kind == BOOL else kind
+        place = self.address(base, index, stored)
+        value = self.op(f"load <{WIDTH} x {stored}>, ptr {place.name}, align 1", stored)
+        return self.compare("ne", value, 0) if kind == BOOL else value
+
+    def store(self, base: Lanes, index: Lanes, value: Lanes) -> None:
+        """Put eight elements from an index on; conditions as bytes."""
+        if value.kind == BOOL:
+            value = self.convert(value, I8)
+        place = self.address(base, index, value.kind)
+        self.do(f"store {self.splat(value).typed}, ptr {place.name}, align 1")
+
+    def store_where(self, mask: Lanes, base: Lanes, index: Lanes, value: Lanes) -> None:
+        """Put those of eight elements for which a condition holds. Nobody else may write to the eight meanwhile."""
+        if value.kind == BOOL:
+            value = self.convert(value, I8)
+        place = self.address(base, index, value.kind)
+        before = self.op(f"load <{WIDTH} x {value.kind}>, ptr {place.name}, align 1", value.kind)
+        chosen = self.op(f"select {mask.typed}, {self.splat(value).typed}, {before.typed}", value.kind)
+        self.do(f"store {chosen.typed}, ptr {place.name}, align 1")
+
+    def load_one(self, base: Lanes, index: Lanes, kind: str) -> Lanes:
+        place = self.address(base, index, I8 if kind == BOOL else kind)
+        if kind == BOOL:
+            value = self.op(f"load i8, ptr {place.name}", I8, one=True)
+            return self.op(f"icmp ne i8 {value.name}, 0", BOOL, one=True)
+        return self.op(f"load {kind}, ptr {place.name}", kind, one=True)
+
+    def gather(self, base: Lanes, index: Lanes, kind: str, mask: Lanes | None = None) -> Lanes:
+        """Elements of an array at indices, which must lie in it; 0 where a condition does not hold."""
+        if kind == BOOL:
+            return self.compare("ne", self.gather(base, index, I8, mask), 0)
+        if kind == I8:
+            # there is no instruction for bytes: four are read, of which the first counts; arrays have spare ones behind them
+            places = self.op(f"getelementptr i8, ptr {base.name}, {index.typed}", PTR)
+            return self.convert(self._gathered(places, I32, mask), I8)
+        places = self.op(f"getelementptr {kind}, ptr {base.name}, {index.typed}", PTR)
+        return self._gathered(places, kind, mask)
+
+    def _gathered(self, places: Lanes, kind: str, mask: Lanes | None) -> Lanes:
+        name = f"llvm.masked.gather.v{WIDTH}{_MANGLED[kind]}.v{WIDTH}p0"
+        type = f"<{WIDTH} x {kind}>"
+        self.module.declare(name, type, [f"<{WIDTH} x ptr>", f"<{WIDTH} x i1>", type])
+        chosen = mask or self.constant(True, BOOL)
+        align = 1 if kind == I32 else (8 if kind in (F64, I64) else 4)
+        return self.op(f"call {type} @{name}(<{WIDTH} x ptr> align {align} {places.name}, {chosen.typed}, {type} zeroinitializer)", kind)
+
+
+class Module:
+    """Functions and declarations of a compilation."""
+
+    def __init__(self) -> None:
+        self._declared: dict[str, str] = {}
+        self.functions: dict[str, str] = {}
+
+    def declare(self, name: str, result: str, arguments: list[str]) -> None:
+        self._declared.setdefault(name, f"declare {result} @{name}({', '.join(arguments)})")
+
+    def function(self, name: str, make: Callable[[], str]) -> None:
+        """A function of that name, made where the module has none yet."""
+        if name not in self.functions:
+            self.functions[name] = ""  # in the making
+            self.functions[name] = make()
+
+    def text(self) -> str:
+        return "\n".join((*self._declared.values(), *self.functions.values())) + "\n"
+
+
+def elementwise(module: Module, name: str, kinds: tuple[str, ...], formula: Callable[..., Any]) -> str:
+    """Add a function of lanes that does what a formula of NumPy does; gives its name."""
+
+    def make() -> str:
+        e = Emitter(module)
+        inputs = [Lanes(e, kind, f"%x{k}") for k, kind in enumerate(kinds)]
+        value = formula(*inputs)
+        arguments = ", ".join(each.typed for each in inputs)
+        body = "\n".join((*e.allocas, *e.entry, *e.lines))
+        return f"define internal {value.type} @{name}({arguments}) noinline {{\nentry:\n{body}\n  ret {value.typed}\n}}"
+
+    module.function(name, make)
+    return name
+
+
+# --- the NumPy functions that lanes answer to ------------------------------------------------------------------------
+
+
+def _minimum(e: Emitter, a: Any, b: Any) -> Lanes:
+    """The lesser; NaN where one is."""
+    left, right = e._pair(a, b)
+    found = e.where(left > right, right, left)
+    return found if right.constant else e.where(e.unordered(right), right, found)
+
+
+def _maximum(e: Emitter, a: Any, b: Any) -> Lanes:
+    left, right = e._pair(a, b)
+    found = e.where(left < right, right, left)
+    return found if right.constant else e.where(e.unordered(right), right, found)
+
+
+def _fmin(e: Emitter, a: Any, b: Any) -> Lanes:
+    """The lesser; the other one where one is NaN."""
+    left, right = e._pair(a, b)
+    return e.where(e.unordered(right), left, e.where(left < right, left, right))
+
+
+def _fmax(e: Emitter, a: Any, b: Any) -> Lanes:
+    left, right = e._pair(a, b)
+    return e.where(e.unordered(right), left, e.where(left > right, left, right))
+
+
+def _isfinite(e: Emitter, a: Lanes) -> Lanes:
+    return e.intrinsic("fabs", a) < np.inf
+
+
+def _frexp(e: Emitter, a: Lanes) -> tuple[Lanes, Lanes]:
+    """Of a normal number of float64: its fraction in [0.5, 1), and its power of 2 as i32."""
+    bits = e.bits(a, I64)
+    power = e.convert((bits >> 52) & 0x7FF, I32) - 1022
+    return e.bits((bits & ~(0x7FF << 52)) | (1022 << 52), F64), power
+
+
+def _ldexp(e: Emitter, a: Lanes, power: Lanes) -> Lanes:
+    """a times a power of 2 between -1022 and 1023."""
+    wide = e.convert(power, I64)
+    return a * e.bits((wide + 1023) << 52, F64)
+
+
+def _fmod(e: Emitter, a: Any, b: Any) -> Lanes:
+    """The exact remainder, with the sign of a. Most are less than b already, and what is not is found lane by lane."""
+    left, right = e._pair(a, b)
+    result = e.slot(left.kind)
+    e.do(f"store {left.typed}, ptr {result}")
+    rest = e.intrinsic("fabs", left) < e.intrinsic("fabs", right)
+    with e.inside(e.some(~rest)):
+        for lane in range(WIDTH):
+            x, y = (e.op(f"extractelement {v.typed}, i64 {lane}", v.kind, one=True) for v in (left, right))
+            one = e.op(f"frem {x.typed}, {y.name}", x.kind, one=True)
+            place = e.op(f"getelementptr {x.kind}, ptr {result}, i64 {lane}", PTR, one=True)
+            e.do(f"store {one.typed}, ptr {place.name}")
+    return e.op(f"load {left.type}, ptr {result}", left.kind)
+
+
+def _logical(word: str) -> Callable[..., Lanes]:
+    return lambda e, a, b: e.bitwise(word, a, b)
+
+
+_UFUNCS: dict[np.ufunc, Callable[..., Any]] = {
+    np.add: lambda e, a, b: e.arithmetic("add", a, b),
+    np.subtract: lambda e, a, b: e.arithmetic("sub", a, b),
+    np.multiply: lambda e, a, b: e.arithmetic("mul", a, b),
+    np.true_divide: lambda e, a, b: e.arithmetic("div", a, b),
+    np.negative: lambda e, a: -a,
+    np.absolute: lambda e, a: e.intrinsic("fabs", a),
+    np.floor: lambda e, a: e.intrinsic("floor", a),
+    np.rint: lambda e, a: e.intrinsic("rint", a),
+    np.sqrt: lambda e, a: e.intrinsic("sqrt", a),
+    np.less: lambda e, a, b: e.compare("lt", a, b),
+    np.less_equal: lambda e, a, b: e.compare("le", a, b),
+    np.greater: lambda e, a, b: e.compare("gt", a, b),
+    np.greater_equal: lambda e, a, b: e.compare("ge", a, b),
+    np.equal: lambda e, a, b: e.compare("eq", a, b),
+    np.not_equal: lambda e, a, b: e.compare("ne", a, b),
+    np.logical_and: _logical("and"),
+    np.logical_or: _logical("or"),
+    np.logical_not: lambda e, a: ~a,
+    np.bitwise_and: _logical("and"),
+    np.bitwise_or: _logical("or"),
+    np.bitwise_xor: _logical("xor"),
+    np.right_shift: lambda e, a, b: e.bitwise("lshr", a, b),
+    np.left_shift: lambda e, a, b: e.bitwise("shl", a, b),
+    np.minimum: _minimum,
+    np.maximum: _maximum,
+    np.fmin: _fmin,
+    np.fmax: _fmax,
+    np.isfinite: _isfinite,
+    np.frexp: _frexp,
+    np.ldexp: _ldexp,
+    np.fmod: _fmod,
+}
+_FUNCTIONS: dict[Any, Callable[..., Any]] = {
+    np.where: lambda e, condition, then, other: e.where(condition, then, other),
+    np.ndim: lambda e, a: 1,
+    np.all: lambda e, a: False,  # of lanes it is not known while their text is written
+    np.clip: lambda e, a, low, high: _minimum(e, _maximum(e, a, low), high),
+}

@@ -1,0 +1,33 @@
+"""Where a block's machine code finds its arrays and numbers: by a place in a table, so that the code knows no address and no
+value, and is the same for every world and every number of a program."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+
+from antdsl.plan import ir
+from antdsl.runtime.backends.native.lanes import BOOL, F32, I32, I64
+
+KINDS = {ir.Kind.F32: F32, ir.Kind.BOOL: BOOL, ir.Kind.I32: I32, ir.Kind.I64: I64}
+Key = tuple[Hashable, ...]
+
+
+@dataclass(slots=True, eq=False)
+class Layout:
+    """`pointers`: places in the table of addresses, the first one that of the numbers; `numbers`: places among the numbers, eight
+    bytes each; `arrays`: kinds of what is left from stage to stage or for calls, by slot and part."""
+
+    pointers: dict[Key, int] = field(default_factory=lambda: {("numbers",): 0})
+    numbers: dict[Key, int] = field(default_factory=dict)
+    arrays: dict[tuple[int, int], str] = field(default_factory=dict)
+
+    def pointer(self, *key: Hashable) -> int:
+        return self.pointers.setdefault(key, len(self.pointers))
+
+    def number(self, *key: Hashable) -> int:
+        return self.numbers.setdefault(key, len(self.numbers))
+
+    def array(self, slot: int, part: int, kind: str) -> int:
+        self.arrays[slot, part] = kind
+        return self.pointer("array", slot, part)

@@ -1,0 +1,111 @@
+"""Machine code from text in the intermediate language of LLVM, by llvmlite: the one door to it.
+
+No flag lets LLVM change what a float operation gives: none of the fast-math flags, no contraction to fused operations."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from threading import Lock
+from typing import Any
+
+_LOCK = Lock()  # LLVM's context is shared by all of this process
+_FUSED = ("fma", "fma4", "avx512f")  # what no instruction may come from, so that none can be fused
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What code is made for: a triple, the processor and its features, as LLVM names them."""
+
+    triple: str
+    cpu: str
+    features: str
+
+
+@cache
+def _llvm() -> Any:
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm
+
+
+@cache
+def host() -> Target:
+    """This machine."""
+    llvm = _llvm()
+    features: Mapping[str, bool] = llvm.get_host_cpu_features()
+    named = [f"{'+' if on and name not in _FUSED else '-'}{name}" for name, on in sorted(features.items())]
+    if features.get("avx2"):
+        named.append("+fast-gather")  # else gathers become branches
+    return Target(llvm.get_default_triple(), llvm.get_host_cpu_name(), ",".join(named))
+
+
+def object_code(text: str, target: Target, *, effort: int = 2) -> bytes:
+    """An object file with the functions of a text. Raises RuntimeError where the text is wrong, which is our mistake."""
+    llvm = _llvm()
+    with _LOCK:
+        machine = _machine(target, effort)
+        module = llvm.parse_assembly(text)
+        module.triple, module.data_layout = target.triple, str(machine.target_data)
+        module.verify()
+        options = llvm.create_pipeline_tuning_options(speed_level=0)
+        builder = llvm.create_pass_builder(machine, options)
+        passes = builder.getFunctionPassManager()
+        passes.add_sroa_pass()
+        passes.add_simplify_cfg_pass()
+        for function in module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
+        code: bytes = machine.emit_object(module)
+        return code
+
+
+def assembly(text: str, target: Target) -> str:
+    """The same as text of the processor's instructions."""
+    llvm = _llvm()
+    with _LOCK:
+        machine = _machine(target, 2)
+        module = llvm.parse_assembly(text)
+        module.triple, module.data_layout = target.triple, str(machine.target_data)
+        found: str = machine.emit_assembly(module)
+        return found
+
+
+def _machine(target: Target, effort: int) -> Any:
+    llvm = _llvm()
+    if target.triple != llvm.get_default_triple():
+        llvm.initialize_all_targets()
+        llvm.initialize_all_asmprinters()
+    return llvm.Target.from_triple(target.triple).create_target_machine(
+        cpu=target.cpu, features=target.features, opt=effort, reloc="pic", codemodel="default"
+    )
+
+
+@dataclass(slots=True)
+class Code:
+    """Functions that can be called, with what keeps them in memory."""
+
+    _engine: Any
+    _functions: dict[str, Any] = field(default_factory=dict)
+
+    def function(self, name: str) -> Any:
+        """A function of (table of pointers, first row, row after the last)."""
+        if name not in self._functions:
+            address = self._engine.get_function_address(name)
+            made = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(address)
+            self._functions[name] = made
+        return self._functions[name]
+
+
+def load(code: bytes) -> Code:
+    """Put an object file into memory, ready to run."""
+    llvm = _llvm()
+    with _LOCK:
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(host(), 2))
+        engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        engine.finalize_object()
+        return Code(engine)

@@ -1,0 +1,56 @@
+"""A plan's blocks as text for the machine: what is compiled together, and what it takes to run it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from antdsl.numerics.elementwise import ELEMENTWISE
+from antdsl.plan import ir
+from antdsl.runtime.backends.compile import BlockCompiler
+from antdsl.runtime.backends.native import sets
+from antdsl.runtime.backends.native.block import BlockCode, BlockWriter
+from antdsl.runtime.backends.native.lanes import Module
+from antdsl.runtime.backends.native.layout import KINDS, Layout
+from antdsl.runtime.backends.native.schedule import PAIRED, schedule
+from antdsl.runtime.backends.native.senses import NATIVE, OF_PAIRS, ON_MOVING_GROUND
+
+_RUNS = ("decide", "act", "blend")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Program:
+    """`text` of all functions; `blocks` by species and block."""
+
+    text: str
+    blocks: Mapping[tuple[str, str], BlockCode]
+
+
+def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], *, moving: bool) -> Program:
+    """All blocks of a plan but births, which are few. `moving`: some of the ground moves."""
+    senses = {op: lower for op, lower in NATIVE.items() if not (moving and op in ON_MOVING_GROUND)}
+
+    def lowers(node: ir.Node) -> bool:
+        if node.op.startswith("reduce."):
+            return sets.lowers(node, OF_PAIRS)
+        return node.op == "get" or node.op in ELEMENTWISE or node.op in senses
+
+    def costly(node: ir.Node) -> bool:
+        return node.op.startswith("reduce.") and node.args[0].op != "set.items"
+
+    module = Module()
+    found: dict[tuple[str, str], BlockCode] = {}
+    for (species, block), compiler in blocks.items():
+        if block not in _RUNS or not compiler.root.code:
+            continue
+        order = schedule(compiler, lowers, costly)
+        code = found[species, block] = BlockCode(plan.species[species], [], Layout(), order)
+        for stage in range(order.stages):
+            name = f"{species}.{block}.{stage}"
+            BlockWriter(module, code, compiler, stage, senses, sets.reduce).write(name)
+            code.names.append(name)
+        for each in (each for group in order.calls for each in group):
+            if each.does not in PAIRED and isinstance(each.what, ir.Node):
+                for part, kind in enumerate(ir.TUPLES.get(each.what.op, (each.what.kind,))):
+                    code.layout.array(each.out, part, KINDS[kind])
+    return Program(module.text(), found)

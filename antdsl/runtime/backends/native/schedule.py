@@ -1,0 +1,258 @@
+"""In which stage each instruction of a block runs, and which values one stage leaves to the next.
+
+What has no machine code (rays, curves, flows) is called between two stages: all rows go through stage 0, then the calls that stand
+at its end are made, then all rows go through stage 1. A statement runs in the first stage that can know its operands, in the order
+of the text; a value is worked out where it is first wanted, and left in an array where a later stage or a call wants it too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+from antdsl.plan import ir
+from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
+
+_ANEW = frozenset(("snap", "id"))  # read again rather than left in an array
+PAIRED = (Does.PAIRS, Does.SPREAD, Does.OF_PAIR, Does.BY_PAIR)
+
+
+@dataclass(slots=True, eq=False)
+class Schedule:
+    """`home`: the stage in which a slot's value is worked out; `left`: slots that are left in arrays; `calls[k]`: what is called
+    after stage k. The mask of a scope has the slot of its rows; that of the root is known in every stage."""
+
+    stages: int
+    home: dict[int, int]
+    left: set[int]
+    wanted: dict[int, set[int]]
+    at: dict[Instruction, int]  # stage of statements, of the end of a kept sense
+    calls: list[list[Instruction]]
+    alias: dict[int, int]
+    native: frozenset[Instruction]  # values and reductions with machine code
+    inlined: frozenset[Instruction]  # kept senses that are cheap enough to be worked out again
+
+    def slot(self, slot: int) -> int:
+        """Where a value stands that scopes inside gather from."""
+        while slot in self.alias:
+            slot = self.alias[slot]
+        return slot
+
+    def has(self, scope: Scope, stage: int) -> bool:
+        """Whether anything in a scope runs in a stage."""
+        return stage in self.wanted.get(self.slot(scope.rows), ())
+
+
+@dataclass(slots=True)
+class _Maker:
+    compiler: BlockCompiler
+    lowers: Callable[[ir.Node], bool]
+    costly: Callable[[ir.Node], bool]
+    uniform: frozenset[int] = frozenset()
+    first: dict[int, int] = field(default_factory=dict)  # earliest stage in which a slot's value can be known
+    stored: dict[object, int] = field(default_factory=dict)
+    loaded: dict[object, int] = field(default_factory=dict)
+    alias: dict[int, int] = field(default_factory=dict)
+    at: dict[Instruction, int] = field(default_factory=dict)
+    native: set[Instruction] = field(default_factory=set)
+    inlined: set[Instruction] = field(default_factory=set)
+    called: dict[int, list[Instruction]] = field(default_factory=dict)
+    paired: set[int] = field(default_factory=set)  # slots over pairs that calls need
+
+
+def schedule(compiler: BlockCompiler, lowers: Callable[[ir.Node], bool], costly: Callable[[ir.Node], bool]) -> Schedule:
+    """The stages of a block. `lowers` says whether a node has machine code, `costly` whether one that is kept for the step has to
+    be kept by machine code too, rather than worked out again."""
+    maker = _Maker(compiler, lowers, costly, frozenset(compiler.uniforms.values()))
+    for instruction in _all(compiler.root):
+        what = instruction.what
+        if instruction.does is Does.REDUCE and isinstance(what, ir.Node) and not lowers(what):
+            _paired(maker, instruction)
+    _first(maker, compiler.root, 0)
+    return _wanted(maker)
+
+
+def _all(scope: Scope) -> Iterator[Instruction]:
+    for instruction in scope.code:
+        yield instruction
+        if instruction.inner is not None:
+            yield from _all(instruction.inner)
+
+
+def _paired(maker: _Maker, reduce: Instruction) -> None:
+    """Slots over pairs that a called reduction is made of."""
+    makers = {each.out: each for each in reduce.scope.code if each.does in PAIRED}
+    pending = [slot for slot in reduce.inputs if slot in makers]
+    while pending:
+        slot = pending.pop()
+        if slot not in maker.paired:
+            maker.paired.add(slot)
+            pending += [each for each in makers[slot].inputs if each in makers]
+
+
+def _slot(maker: _Maker, slot: int) -> int:
+    while slot in maker.alias:
+        slot = maker.alias[slot]
+    return slot
+
+
+def _known(maker: _Maker, slots: tuple[int, ...]) -> int:
+    return max((maker.first.get(_slot(maker, slot), 0) for slot in slots), default=0)
+
+
+def _first(maker: _Maker, scope: Scope, begun: int) -> None:
+    """The first stage in which each value can be known, and that of each statement; `begun`: from which the scope's mask is."""
+    maker.first[scope.rows] = begun
+    for each in scope.code:
+        stage, what = max(begun, _known(maker, each.inputs)), each.what
+        match each.does:
+            case Does.GATHER:
+                maker.alias[each.out] = each.inputs[0]
+            case Does.REGION:
+                assert each.inner is not None
+                _first(maker, each.inner, stage)
+            case Does.KEEP:
+                assert each.inner is not None and isinstance(what, ir.Node)
+                key = ("kept", what)
+                stage = max(begun, maker.stored.get(key, 0))
+                if maker.lowers(what) and not maker.costly(what):
+                    maker.inlined.add(each)
+                    maker.alias[each.out], maker.alias[each.inner.rows] = each.result, scope.rows
+                    _first(maker, each.inner, begun)
+                else:
+                    maker.loaded[key] = stage
+                    _first(maker, each.inner, stage)
+                    result = maker.first.get(_slot(maker, each.result), 0)
+                    maker.at[each] = maker.stored[key] = maker.first[each.out] = max(stage, result)
+            case Does.STATEMENT:
+                register = what.register if isinstance(what, ir.Store) else what.own if isinstance(what, ir.Give) else None
+                if register is not None:
+                    stage = max(stage, maker.stored.get(register, 0), maker.loaded.get(register, 0))
+                    maker.stored[register] = stage
+                maker.at[each] = stage
+            case Does.VALUE | Does.REDUCE if isinstance(what, ir.Node) and maker.lowers(what):
+                if what.op == "load":
+                    stage = max(stage, maker.stored.get(what.attrs[0], 0))
+                    maker.loaded[what.attrs[0]] = max(stage, maker.loaded.get(what.attrs[0], 0))
+                elif each.does is Does.REDUCE:
+                    stage = max(begun, _known(maker, operands_of(each)))
+                maker.native.add(each)
+                maker.first[each.out] = stage
+            case _:
+                if each.does in PAIRED and each.out not in maker.paired:
+                    if each.does is Does.SPREAD:
+                        maker.alias[each.out] = each.inputs[0]
+                    else:
+                        maker.first[each.out] = stage
+                    continue
+                maker.called.setdefault(stage, []).append(each)
+                maker.first[each.out] = stage if each.does in PAIRED else stage + 1
+
+
+def operands_of(reduce: Instruction) -> tuple[int, ...]:
+    """Slots of the agents' own values that a reduction with machine code is made of."""
+    makers = {each.out: each for each in reduce.scope.code if each.does in PAIRED}
+    found: dict[int, None] = {}
+    pending = list(reduce.inputs)
+    seen: set[int] = set()
+    while pending:
+        slot = pending.pop()
+        if slot in seen:
+            continue
+        seen.add(slot)
+        made = makers.get(slot)
+        if made is None:
+            found[slot] = None
+        elif made.does is Does.SPREAD:
+            found[made.inputs[0]] = None
+        else:
+            pending += made.inputs
+    return tuple(found)
+
+
+def _wanted(maker: _Maker) -> Schedule:
+    stages = 1 + max([*maker.first.values(), *maker.at.values(), *(k + 1 for k in maker.called)], default=0)
+    calls = [maker.called.get(k, []) for k in range(stages)]
+    called = {each for group in calls for each in group}
+    wanted: dict[int, set[int]] = {}
+    home: dict[int, int] = {}
+    left: set[int] = set()
+
+    def want(slots: tuple[int, ...], stage: int, array: bool = False) -> None:
+        for slot in slots:
+            slot = _slot(maker, slot)
+            if slot in maker.uniform:
+                continue
+            wanted.setdefault(slot, set()).add(stage)
+            if array:
+                left.add(slot)
+
+    made_by_calls = {each.out for each in called}
+    anew: set[int] = set()
+    for each in reversed(list(_in_order(maker.compiler.root))):
+        instruction, ending = each
+        scope, out = instruction.scope, instruction.out
+        if instruction.does is Does.REGION:
+            assert instruction.inner is not None
+            mask = instruction.inner.rows
+            if not ending and mask in wanted:
+                home[mask] = min(wanted[mask])
+                want((instruction.inputs[0], scope.rows), home[mask])
+                _through(maker, scope, wanted, wanted[mask])
+        elif instruction.does is Does.KEEP:
+            assert instruction.inner is not None
+            mask = instruction.inner.rows
+            if instruction in maker.inlined:
+                continue
+            if ending:
+                if out in wanted:
+                    want((instruction.result, mask), maker.at[instruction])
+            elif mask in wanted:
+                home[mask] = maker.first[mask]
+                want((scope.rows,), home[mask])
+                _through(maker, scope, wanted, wanted[mask])
+        elif ending:
+            continue
+        elif instruction in called:
+            stage = next(k for k, group in enumerate(calls) if instruction in group)
+            inputs = tuple(slot for slot in instruction.inputs if _slot(maker, slot) not in made_by_calls | maker.paired)
+            want(inputs, stage, array=True)
+            want((scope.rows,), stage, array=True)
+            home[out] = stage + 1
+        elif instruction.does is Does.STATEMENT:
+            stage = maker.at[instruction]
+            array = not isinstance(instruction.what, ir.Store | ir.Give)
+            want((*instruction.inputs, scope.rows), stage, array)
+        elif instruction in maker.native and out in wanted:
+            what = instruction.what
+            assert isinstance(what, ir.Node)
+            inputs = operands_of(instruction) if instruction.does is Does.REDUCE else instruction.inputs
+            if what.op in _ANEW and out not in left:
+                home[out] = min(wanted[out])
+                anew.add(out)
+                for stage in wanted[out]:
+                    want((scope.rows,), stage)
+                continue
+            home[out] = maker.first[out] if what.op == "load" else min(wanted[out])
+            want((*inputs, scope.rows), home[out])
+            if max(wanted[out]) > home[out]:
+                left.add(out)
+    for slot, stages_ in wanted.items():
+        if slot in home and max(stages_) > home[slot] and slot not in made_by_calls and slot not in anew:
+            left.add(slot)
+    return Schedule(
+        stages, home, left, wanted, maker.at, calls, maker.alias, frozenset(maker.native), frozenset(maker.inlined)
+    )
+
+
+def _through(maker: _Maker, scope: Scope, wanted: dict[int, set[int]], stages: set[int]) -> None:
+    """What runs in an inner scope is reached through the scopes around it."""
+    wanted.setdefault(_slot(maker, scope.rows), set()).update(stages)
+
+
+def _in_order(scope: Scope) -> Iterator[tuple[Instruction, bool]]:
+    """Instructions in the order in which they run; one with an inner scope before it and, as True, after it."""
+    for instruction in scope.code:
+        yield instruction, False
+        if instruction.inner is not None:
+            yield from _in_order(instruction.inner)
+            yield instruction, True

@@ -1,0 +1,219 @@
+"""What an agent can sense, as machine code: of the operations in `runtime.sensing` those that only read arrays. The others are
+called between two stages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+from antdsl.numerics import randomness
+from antdsl.plan import ir
+from antdsl.runtime.backends.native.block import Lower, Writer
+from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Emitter, Lanes
+from antdsl.runtime.backends.native.layout import KINDS
+
+
+def _register(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    """A register of the agent's own, at the start of the step or now."""
+    found: Lanes = w.e.load(w.base("start" if node.op == "snap" else "now", node.attrs[0]), w.row, KINDS[node.kind])
+    return found
+
+
+def _id(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    found: Lanes = w.e.load(w.base("ids"), w.row, I64)
+    return found
+
+
+def _age(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    frames = w.number(I64, "frame") - w.e.load(w.base("born"), w.row, I64)
+    whole = w.e.convert(w.e.where(frames > 0, frames, w.e.constant(0, I64)), I32)  # a run has far fewer than 2**31 frames
+    return w.e.convert(w.e.convert(whole, F64) * w.number(F64, "dt"), F32)
+
+
+def _words(w: Any, site: str, block: int) -> list[Lanes]:
+    """The four random words of a site for each id."""
+
+    def make() -> list[Lanes]:
+        e, out = w.e, w.e.slot(I64, count=4)
+        shared = [w.number(I64, "philox", w.species, site, block, word, one=True) for word in ("first", "low", "last", "k0", "k1")]
+        ids = _id(w, None, ())  # type: ignore[arg-type]
+        name = _philox(w)
+        e.do(f"call void @{name}({ids.typed}, {', '.join(each.typed for each in shared)}, ptr {out})")
+        found = []
+        for k in range(4):
+            place = e.op(f"getelementptr <{WIDTH} x i64>, ptr {out}, i64 {k}", PTR, one=True)
+            found.append(e.op(f"load <{WIDTH} x i64>, ptr {place.name}", I64))
+        return found
+
+    words: list[Lanes] = w.e.once(("words", site, block), make)
+    return words
+
+
+def _philox(w: Writer) -> str:
+    name = "philox"
+
+    def make() -> str:
+        e = Emitter(w.module)
+        ids = Lanes(e, I64, "%ids")
+        first, low, last, k0, k1 = (e.splat(Lanes(e, I64, f"%{n}", one=True)) for n in ("first", "low", "last", "k0", "k1"))
+        for k, word in enumerate(randomness.of_ids(ids, first, low, last, (k0, k1))):
+            place = e.op(f"getelementptr <{WIDTH} x i64>, ptr %out, i64 {k}", PTR, one=True)
+            e.do(f"store {word.typed}, ptr {place.name}")
+        body = "\n".join((*e.allocas, *e.entry, *e.lines))
+        arguments = f"<{WIDTH} x i64> %ids, i64 %first, i64 %low, i64 %last, i64 %k0, i64 %k1, ptr %out"
+        return f"define internal void @{name}({arguments}) noinline {{\nentry:\n{body}\n  ret void\n}}"
+
+    w.module.function(name, make)
+    return name
+
+
+def _draw(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    site, index = node.attrs
+    word = _words(w, site, index >> 2)[index & 3]
+    small: Lanes = w.e.convert(w.e.convert(word >> 8, I32), F32)  # 24 bits: as whole numbers of 32 bits they convert faster
+    return small * randomness.UNIT
+
+
+def _draw_agent(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    site, species = node.attrs
+    word = _words(w, site, 0)[0]
+    count = w.number(I64, "agents", species)
+    at = (word * count) >> 32
+    found = w.e.gather(w.base("other", species, "sorted ids"), at, I64)
+    none: Lanes = w.e.where(count == 0, w.e.constant(-1, I64), found)
+    return none
+
+
+def _event(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    found: Lanes = w.e.load(w.base("event", node.attrs[0]), w.row, BOOL)
+    return found
+
+
+def _touching(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    found: Lanes = w.e.load(w.base("mesh"), w.row, I64) == w.number(I64, "surface", node.attrs[0])
+    return found
+
+
+def _row_of(w: Any, species: str, ids: Lanes) -> Lanes:
+    """Rows of ids; -1 for none and for the dead: by bisection of the sorted ones, all lanes at once."""
+    e: Emitter = w.e
+
+    def make() -> Lanes:
+        known, order = w.base("other", species, "sorted ids"), w.base("other", species, "order")
+        count = w.number(I64, "agents", species)
+        at, step = e.slot(I64), e.slot(I64, one=True)
+        e.do(f"store <{WIDTH} x i64> zeroinitializer, ptr {at}")
+        first = w.number(I64, "half", species, one=True)
+        e.do(f"store i64 {first.name}, ptr {step}")
+        turns = w.number(I64, "turns", species, one=True)
+        with e.loop(turns):
+            size = e.op(f"load i64, ptr {step}", I64, one=True)
+            place = e.op(f"load <{WIDTH} x i64>, ptr {at}", I64)
+            ahead = place + e.splat(size)
+            inside = ahead < count
+            probe = e.gather(known, e.where(inside, ahead, e.constant(0, I64)), I64)
+            moved = e.where(inside & (probe <= ids), ahead, place)
+            e.do(f"store {moved.typed}, ptr {at}")
+            half = e.op(f"lshr i64 {size.name}, 1", I64, one=True)
+            e.do(f"store {half.typed}, ptr {step}")
+        place = e.op(f"load <{WIDTH} x i64>, ptr {at}", I64)
+        there = (e.gather(known, place, I64) == ids) & (count > 0)
+        return e.where(there, e.gather(order, place, I64), e.constant(-1, I64))
+
+    found: Lanes = e.once(("row of", species, ids.name), make)
+    return found
+
+
+def _agent_get(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    species, register = node.attrs
+    row = _row_of(w, species, args[0])
+    kind, there = KINDS[node.kind], row >= 0
+    value = w.e.gather(w.base("other", species, register), w.e.where(there, row, w.e.constant(0, I64)), kind)
+    found: Lanes = w.e.where(there, value, w.e.constant(0, kind))
+    return found
+
+
+def _agent_alive(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    return _row_of(w, node.attrs[0], args[0]) >= 0
+
+
+def _item_there(w: Any, items: str, item: Lanes) -> Lanes:
+    return (item >= 0) & (item < w.number(I32, "items", items))
+
+
+def _item_get(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    items, attribute = node.attrs
+    there = _item_there(w, items, args[0])
+    value = w.e.gather(w.base("item", items, attribute), w.e.where(there, args[0], w.e.constant(0, I32)), F32)
+    found: Lanes = w.e.where(there, value, w.e.constant(0.0, F32))
+    return found
+
+
+def _item_alive(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    return _item_there(w, node.attrs[0], args[0])
+
+
+def _cell(w: Any, field: str) -> Lanes:
+    """The agent's own cell; that past the end for none."""
+    cell = w.e.load(w.base("cell", field), w.row, I32)
+    found: Lanes = w.e.where(cell < 0, w.number(I32, "cells", field), cell)
+    return found
+
+
+def _field_value(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    held = w.e.gather(w.base("field", node.attrs[0], "held"), _cell(w, node.attrs[0]), F64)
+    found: Lanes = w.e.convert(held, F32)
+    return found
+
+
+def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
+    e: Emitter = w.e
+    field, count = node.attrs
+    held, block, own = w.base("field", field, "held"), w.base("field", field, "block", int(count)), _cell(w, field)
+    there = own < w.number(I32, "cells", field)
+    most, where = e.slot(F64), e.slot(I32)
+    e.do(f"store <{WIDTH} x double> zeroinitializer, ptr {most}")
+    e.do(f"store {own.typed}, ptr {where}")
+    width = e.constant(int(count), I64)
+    start = e.convert(e.where(there, own, e.constant(0, I32)), I64) * width
+    with e.loop(e.constant(int(count), I64, one=True)) as k:
+        cell = e.gather(block, start + e.splat(k), I32)
+        amount = e.gather(held, cell, F64)
+        best = e.op(f"load <{WIDTH} x double>, ptr {most}", F64)
+        more = there & (amount > best)
+        e.do(f"store {e.where(more, amount, best).typed}, ptr {most}")
+        before = e.op(f"load <{WIDTH} x i32>, ptr {where}", I32)
+        e.do(f"store {e.where(more, cell, before).typed}, ptr {where}")
+    value = e.op(f"load <{WIDTH} x double>, ptr {most}", F64)
+    cell = e.op(f"load <{WIDTH} x i32>, ptr {where}", I32)
+    small = e.convert(value, F32)
+    nothing = ~(small > 0)
+    parts = [small]
+    for axis in "xyz":
+        there = e.gather(w.base("field", field, axis), cell, F32)
+        mine = e.load(w.base("start", f"position.{axis}"), w.row, F32)
+        parts.append(e.where(nothing, mine, there))
+    return tuple(parts)
+
+
+NATIVE: Mapping[str, Lower] = {
+    "snap": _register,
+    "load": _register,
+    "id": _id,
+    "age": _age,
+    "draw": _draw,
+    "draw.agent": _draw_agent,
+    "event": _event,
+    "surface.touching": _touching,
+    "agent.get": _agent_get,
+    "agent.alive": _agent_alive,
+    "item.get": _item_get,
+    "item.alive": _item_alive,
+    "field.value": _field_value,
+    "field.strongest": _field_strongest,
+}
+ON_MOVING_GROUND = frozenset(("field.strongest",))  # there its places turn with the ground: it is called
+OF_PAIRS = frozenset(("agent.get", "agent.alive", "item.get", "item.alive"))  # may hang on the other one of a pair
+
+
