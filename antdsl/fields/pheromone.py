@@ -243,12 +243,12 @@ class PheromoneField:
     @cached_property
     def _seen(self) -> NDArray[np.float32]:
         """Positions as agents see them: `_places` in float32."""
-        return self._places.astype(np.float32)
+        return np.ascontiguousarray(self._places, np.float32)
 
     @cached_property
     def _places(self) -> NDArray[np.float64]:
         """Positions of cells, float64[3, cells + 1], the last one for no cell."""
-        return np.concatenate([self.cells.position.T, np.zeros((3, 1))], axis=1)
+        return np.ascontiguousarray(np.concatenate([self.cells.position.T, np.zeros((3, 1))], axis=1))
 
 
 def _askers(block: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:

@@ -65,6 +65,8 @@ class Addresses:
 
 
 def _address(array: NDArray[Any]) -> int:
+    if not array.flags.c_contiguous:
+        raise ValueError("machine code reads arrays that lie in one piece")
     found: int = array.__array_interface__["data"][0]
     return found
 
