@@ -96,12 +96,12 @@ class CellGrid:
     def tables(self) -> dict[str, NDArray[Any] | None]:
         """What machine code searches by, every array of agents with eight spare ones behind the last: `x y z` float32 and `rows`
         int32 in the order of cells, their `keys` int64; `starts` int32, first agent of each cell, where it is listed; `floats`:
-        low and width of cells along the fast, middle and slow axis; `whole`: these axes, numbers of cells, number of agents."""
+        low, width and its inverse of cells along the fast, middle and slow axis; `whole`: these axes, numbers of cells, number of agents."""
         found: dict[str, NDArray[Any] | None] = {
             name: np.concatenate([a, np.zeros(8, a.dtype)]) for name, a in zip("xyz", self._sorted, strict=True)
         }
         found["rows"] = np.concatenate([self._rows.astype(np.int32), np.zeros(8, np.int32)])
-        found |= {"keys": self._keys, "starts": self._starts, "floats": np.array([*self._low, *self._width])}
+        found |= {"keys": self._keys, "starts": self._starts, "floats": np.array([*self._low, *self._width, *(1 / w for w in self._width)])}
         found["whole"] = np.array([*self._axes, *self._size, self._rows.size], np.int64)
         return found
 

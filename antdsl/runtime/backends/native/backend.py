@@ -43,7 +43,7 @@ class NativeBackend(NumpyBackend):
     def begin(self, world: World) -> None:
         """Values of the step, and nothing sensed yet."""
         if self.program is None:
-            self.program = program(world.plan, self._blocks, moving=moving_geometry.moving(world) is not None)
+            self.program = program(world.plan, self._blocks, moving=moving_geometry.moving(world) is not None, avx2=machine.host().avx2)
             self._code = machine.load(machine.object_code(self.program.text, machine.host()))
             for key, code in self.program.blocks.items():
                 for each in (*code.requests, *(each for group in code.schedule.calls for each in group)):
@@ -71,8 +71,8 @@ class NativeBackend(NumpyBackend):
             for begin, end in chunks:
                 self._rows(world, population, compiler, code, tables, begin, end)
         for k, widest in enumerate(tables.widest):
-            self._widest[population.name, block, k] = float(widest[0]) or self._widest[population.name, block, k]
-            widest[0] = 0
+            self._widest[population.name, block, k] = float(widest.max()) or self._widest[population.name, block, k]
+            widest[:] = 0
 
     def _grid(
         self, world: World, population: Population, block: str, code: BlockCode, compiler: BlockCompiler, number: int, tables: Tables

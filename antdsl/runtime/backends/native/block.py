@@ -99,7 +99,7 @@ class BlockWriter(Writer):
         compiler: BlockCompiler,
         stage: int,
         senses: dict[str, Lower],
-        reduce: Callable[[BlockWriter, list[Instruction]], None],
+        reduce: Callable[[BlockWriter, Instruction], None],
     ) -> None:
         super().__init__(module, code.layout)
         self.code, self.compiler, self.stage, self.senses, self._reduce = code, compiler, stage, senses, reduce
@@ -108,12 +108,17 @@ class BlockWriter(Writer):
         self._makers: dict[int, Instruction] = {}
         self._kept: dict[int, ir.Node] = {}
         self._kinds: dict[int, tuple[str, ...]] = {}
+        self._reductions: list[Instruction] = []
         self._index(compiler.root)
         self.mask: list[Lanes] = []
         self._nobody: list[int] = []  # masks that nobody is in where the scope around is passed by
+        self.at_top: list[Callable[[], None]] = []  # what is written once all is, and runs first for each eight rows
+        self.groups: dict[Instruction, Any] = {}  # reductions over neighbours, by the search that finds them
 
     def _index(self, scope: Scope) -> None:
         for each in scope.code:
+            if each.does is Does.REDUCE and each in self.schedule.native:
+                self._reductions.append(each)
             if isinstance(each.what, ir.Node) and each.out >= 0:
                 self._makers[each.out] = each
                 kinds = ir.TUPLES.get(each.what.op, (each.what.kind,))
@@ -143,6 +148,8 @@ class BlockWriter(Writer):
             e.lines, rest = rest, e.lines
             for slot in self._nobody:
                 e.store(self.array(slot, 0, BOOL), offset, e.constant(False, BOOL))
+            for do in self.at_top:
+                do()
             e.lines = rest[:top] + e.lines + rest[top:]
         self.module.functions[name] = self.function(name, ", i64 %begin, i64 %end")
 
@@ -230,7 +237,7 @@ class BlockWriter(Writer):
             )
             return parts if len(parts) > 1 else parts[0]
         if each.does is Does.REDUCE:
-            self._reduce(self, self._together(each))
+            self._reduce(self, each)
             return self.e.known[-1][slot]
         assert isinstance(node, ir.Node)
         if node.op == "get":
@@ -251,18 +258,20 @@ class BlockWriter(Writer):
             for part, each in enumerate(value if isinstance(value, tuple) else (value,)):
                 self.e.store(self.array(slot, part, each.kind), self.offset, each)
 
-    def _together(self, first: Instruction) -> list[Instruction]:
-        """Reductions over the same others that can be found at the same time as one: what they need does not wait for it."""
+    def waiting(self, first: Instruction) -> list[Instruction]:
+        """Other reductions over the same species or items that can be found at the same time as one: what they need does not wait
+        for it. Those over agents may stand in other scopes."""
         assert isinstance(first.what, ir.Node)
-        found, of = [first], first.what.args[0]
-        for each in first.scope.code:
+        found, of = [], first.what.args[0]
+        for each in self._reductions:
             node = each.what
-            if each.does is not Does.REDUCE or each is first or not isinstance(node, ir.Node) or each not in self.schedule.native:
+            if each is first or not isinstance(node, ir.Node) or node.args[0].op != of.op or node.args[0].attrs[0] != of.attrs[0]:
                 continue
             if self.schedule.home.get(each.out) != self.stage or any(each.out in names for names in self.e.known):
                 continue
-            same = node.args[0].op == of.op and node.args[0].attrs[0] == of.attrs[0]
-            if same and all(self._ready(slot) for slot in operands_of(each)):
+            if each.scope is not first.scope and of.op != "set.agents":
+                continue
+            if all(self._ready(slot) for slot in operands_of(each)):
                 found.append(each)
         return found
 

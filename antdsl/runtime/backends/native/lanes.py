@@ -342,6 +342,45 @@ class Emitter:
         """A condition as bits of one number, the first lane's the lowest."""
         return self.op(f"bitcast {mask.typed} to i8", I8, one=True)
 
+    def of_bits(self, bits: Lanes) -> Lanes:
+        """A condition from the bits of one number."""
+        return self.op(f"bitcast i8 {bits.name} to <{WIDTH} x i1>", BOOL)
+
+    def one(self, text: str, kind: str) -> Lanes:
+        """One instruction that gives a single value."""
+        return self.op(text, kind, one=True)
+
+    def field(self, base: str, offset: int) -> str:
+        """The address so many bytes behind another."""
+        return self.one(f"getelementptr i8, ptr {base}, i64 {offset}", PTR).name
+
+    def get(self, place: str, kind: str, *, one: bool = False) -> Lanes:
+        """What lies at an address on the stack: eight values or a single one."""
+        type = kind if one else f"<{WIDTH} x {kind}>"
+        return self.op(f"load {type}, ptr {place}", kind, one=one)
+
+    def put(self, place: str, value: Lanes) -> None:
+        self.do(f"store {value.typed}, ptr {place}")
+
+    def greatest(self, value: Lanes) -> Lanes:
+        """The greatest of eight whole numbers of 32 bits."""
+        self.module.declare("llvm.vector.reduce.smax.v8i32", I32, [f"<{WIDTH} x i32>"])
+        return self.one(f"call i32 @llvm.vector.reduce.smax.v8i32({value.typed})", I32)
+
+    def permuted(self, value: Lanes, order: Lanes) -> Lanes:
+        """Of each lane the value of the lane that an i32 of 0 to 7 names."""
+        if value.constant:
+            return value
+        if value.kind == BOOL:
+            return self.permuted(self.convert(value, I32), order) != 0
+        if value.kind in (F32, I32) and self.module.avx2:
+            name = "llvm.x86.avx2.permps" if value.kind == F32 else "llvm.x86.avx2.permd"
+            self.module.declare(name, value.type, [value.type, f"<{WIDTH} x i32>"])
+            return self.call(name, value.kind, value, order)
+        place = self.slot(value.kind)
+        self.put(place, value)
+        return self.gather(Lanes(self, PTR, place, one=True), order, value.kind)
+
     def iota(self) -> Lanes:
         return Lanes(self, I64, f"<{', '.join(f'i64 {k}' for k in range(WIDTH))}>", constant=True)
 
@@ -402,9 +441,10 @@ class Emitter:
 
 
 class Module:
-    """Functions and declarations of a compilation."""
+    """Functions and declarations of a compilation. `avx2`: the processor has those instructions."""
 
-    def __init__(self) -> None:
+    def __init__(self, avx2: bool = False) -> None:
+        self.avx2 = avx2
         self._declared: dict[str, str] = {}
         self.functions: dict[str, str] = {}
 

@@ -23,6 +23,10 @@ class Target:
     cpu: str
     features: str
 
+    @property
+    def avx2(self) -> bool:
+        return "+avx2" in self.features.split(",")
+
 
 @cache
 def _llvm() -> Any:
@@ -39,8 +43,6 @@ def host() -> Target:
     llvm = _llvm()
     features: Mapping[str, bool] = llvm.get_host_cpu_features()
     named = [f"{'+' if on and name not in _FUSED else '-'}{name}" for name, on in sorted(features.items())]
-    if features.get("avx2"):
-        named.append("+fast-gather")  # else gathers become branches
     return Target(llvm.get_default_triple(), llvm.get_host_cpu_name(), ",".join(named))
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import BlockCompiler
-from antdsl.runtime.backends.native import sets
+from antdsl.runtime.backends.compile import BlockCompiler, Instruction
+from antdsl.runtime.backends.native import search, sets
 from antdsl.runtime.backends.native.block import BlockCode, BlockWriter
 from antdsl.runtime.backends.native.lanes import Module
 from antdsl.runtime.backends.native.layout import KINDS, Layout
@@ -16,6 +16,12 @@ from antdsl.runtime.backends.native.schedule import PAIRED, schedule
 from antdsl.runtime.backends.native.senses import NATIVE, OF_PAIRS, ON_MOVING_GROUND
 
 _RUNS = ("decide", "act", "blend")
+
+
+def _reduce(b: BlockWriter, instruction: Instruction) -> None:
+    """Emit a reduction, with what is found together with it."""
+    assert isinstance(instruction.what, ir.Node)
+    (search.neighbours if instruction.what.args[0].op == "set.agents" else sets.one_by_one)(b, instruction)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +32,7 @@ class Program:
     blocks: Mapping[tuple[str, str], BlockCode]
 
 
-def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], *, moving: bool) -> Program:
+def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], *, moving: bool, avx2: bool) -> Program:
     """All blocks of a plan but births, which are few. `moving`: some of the ground moves."""
     senses = {op: lower for op, lower in NATIVE.items() if not (moving and op in ON_MOVING_GROUND)}
 
@@ -38,7 +44,7 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], *, m
     def costly(node: ir.Node) -> bool:
         return node.op.startswith("reduce.") and node.args[0].op != "set.items"
 
-    module = Module()
+    module = Module(avx2)
     found: dict[tuple[str, str], BlockCode] = {}
     for (species, block), compiler in blocks.items():
         if block not in _RUNS or not compiler.root.code:
@@ -47,7 +53,7 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], *, m
         code = found[species, block] = BlockCode(plan.species[species], [], Layout(), order)
         for stage in range(order.stages):
             name = f"{species}.{block}.{stage}"
-            BlockWriter(module, code, compiler, stage, senses, sets.reduce).write(name)
+            BlockWriter(module, code, compiler, stage, senses, _reduce).write(name)
             code.names.append(name)
         for each in (each for group in order.calls for each in group):
             if each.does not in PAIRED and isinstance(each.what, ir.Node):

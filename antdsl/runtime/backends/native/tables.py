@@ -16,6 +16,7 @@ from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, WIDTH
 from antdsl.runtime.backends.native.layout import Key
+from antdsl.runtime.backends.native.search import MOST
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.neighbours import CellGrid
 
@@ -81,7 +82,7 @@ class Tables:
         self.arrays: dict[tuple[int, int], NDArray[Any]] = {}
         self.notes = np.zeros(1, np.int64)
         self.crowded = np.zeros(1, np.int64)
-        self.widest = [np.zeros(1, np.float32) for _ in code.near]
+        self.widest = [np.zeros(WIDTH, np.float32) for _ in code.near]
         self._candidates = np.zeros(0, np.int32)
         self._size = -1
         self._held: list[Any] = []
@@ -170,7 +171,7 @@ class Tables:
         return _address(self.crowded)
 
     def _candidate(self, world: World, population: Population, key: Key) -> int:
-        most = max(len(other) for other in world.populations.values()) + 4 * WIDTH
+        most = max(len(other) for other in world.populations.values()) + (WIDTH + 1) * MOST
         if len(self._candidates) < most:
             self._candidates = np.zeros(most, np.int32)
         return _address(self._candidates)

@@ -1,0 +1,455 @@
+"""Reductions over neighbours as machine code: one search of the cell grid for all that is asked of one species.
+
+For eight asking agents at a time the cells in reach are worked out side by side; candidates in them are measured, eight at a time,
+and those near enough written down as pairs of a place in the grid and an asking agent. Then eight pairs of any of the eight agents
+are tested, weighed and added to the sums of their agents. Who has very many neighbours is left to `crowds`.
+
+Reductions of several regions are found in one search where what they need is known: the first region that asks has it made for its
+agents, those after it only for agents that have not asked yet. What nobody asks for then is found in vain, and not seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from antdsl import limits
+from antdsl.plan import ir
+from antdsl.runtime.backends.compile import Instruction
+from antdsl.runtime.backends.native.block import BlockWriter, Near, Writer
+from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH, Emitter, Lanes
+from antdsl.runtime.backends.native.layout import KINDS
+from antdsl.runtime.backends.native.schedule import operands_of
+from antdsl.runtime.backends.native.sets import PairValues, Sum, own_values, sets_of
+from antdsl.runtime.pairs import nearest_asked
+from antdsl.runtime.world import AXES
+
+SLACK, INWARD, BEYOND = 1.0 + 1e-6, 1.0 - 1e-6, 1.0 + 1e-5  # as in `senses.neighbours_compiled`
+STRIDE = 64  # bytes from one operand or result of a search to the next
+MOST = 512  # candidates of one agent that are written down here
+_LANE = 28  # bits of a place in the grid in what is written down; above them stands which of the eight asks
+
+
+@dataclass(slots=True, eq=False)
+class Group:
+    """Reductions found in one search. `own` is the address of the area of operands, `out` that of results; `done` of the mask of
+    those who have them already."""
+
+    number: int
+    instructions: list[Instruction]
+    own: str
+    out: str
+    done: str
+    near: Search
+
+
+@dataclass(slots=True, eq=False)
+class Search:
+    """What the functions of a search are written from: places of operands and results in their areas."""
+
+    name: str
+    number: int
+    other: str
+    nodes: list[ir.Node]
+    kinds: list[str] = field(default_factory=list)  # of the operands
+    reach: dict[ir.Node, int] = field(default_factory=dict)
+    view: dict[ir.Node, int] = field(default_factory=dict)
+    places: dict[ir.Node, int] = field(default_factory=dict)
+    stops: dict[ir.Node, int] = field(default_factory=dict)  # sets of which too many are told, and where among the results
+
+    @property
+    def results(self) -> int:
+        return len(self.nodes) + len(self.stops)
+
+
+def neighbours(b: BlockWriter, instruction: Instruction) -> None:
+    """Emit a reduction over neighbours, with all others that can be found together with it."""
+    e, group = b.e, _group_of(b, instruction)
+    shared = any(each.scope is not instruction.scope for each in group.instructions)
+    mask = b.mask[-1]
+    if not shared:
+        _made(b, group, e.mask_bits(mask))
+    else:
+        done = e.get(group.done, I8, one=True)
+        asking = e.mask_bits(mask)
+        missing = e.one(f"and i8 {asking.name}, {e.one(f'xor i8 {done.name}, -1', I8).name}", I8)
+        with e.inside(e.one(f"icmp ne i8 {missing.name}, 0", BOOL)):
+            _made(b, group, missing)
+            e.put(group.done, e.one(f"or i8 {done.name}, {missing.name}", I8))
+    for k, each in enumerate(group.instructions):
+        if each.scope is instruction.scope and not any(each.out in names for names in e.known):
+            kind = KINDS[group.near.nodes[k].kind]
+            place = e.field(group.out, STRIDE * k)
+            b.known(each.out, e.get(place, I8) != 0 if kind == BOOL else e.get(place, kind))
+    for chosen, k in group.near.stops.items():
+        if any(each.scope is instruction.scope and each.what.args[0] is chosen for each in group.instructions):  # type: ignore[union-attr]
+            crowd = (e.get(e.field(group.out, STRIDE * k), I8) != 0) & mask
+            with e.inside(e.some(crowd)):
+                e.do(f"store i64 1, ptr {b.base('crowded').name}")
+
+
+def _group_of(b: BlockWriter, first: Instruction) -> Group:
+    if first in b.groups:
+        found: Group = b.groups[first]
+        return found
+    together = [first, *(each for each in b.waiting(first) if each not in b.groups)]
+    number = len(b.code.near)
+    name = f"near.{b.species}.{b.compiler.name}.{number}"
+    nodes = [each.what for each in together if isinstance(each.what, ir.Node)]
+    near = Search(name, number, nodes[0].args[0].attrs[0], nodes)
+    operands = 0
+    for instruction in together:
+        operands += len(operands_of(instruction)) + 4
+    e = b.e
+    results = 2 * len(nodes)
+    group = Group(number, together, e.slot(I64, count=operands), e.slot(I64, count=results), e.slot(I8, one=True), near)
+    b.at_top.append(lambda: e.do(f"store i8 0, ptr {group.done}"))
+    for each in together:
+        b.groups[each] = group
+    return group
+
+
+def _made(b: BlockWriter, group: Group, asking: Lanes) -> None:
+    """Store the operands and call the search for some of eight agents. Its functions are written at the first call."""
+    e, near = b.e, group.near
+    fresh = not near.kinds
+    by_scope: dict[int, list[Instruction]] = {}
+    for each in group.instructions:
+        by_scope.setdefault(id(each.scope), []).append(each)
+    values: list[Lanes] = []
+
+    def put(value: Lanes) -> int:
+        values.append(value)
+        return len(values) - 1
+
+    for some in by_scope.values():
+        for chosen, slots in sets_of(some).items():
+            if chosen not in near.reach or not fresh:
+                near.reach[chosen] = put(b.slot(slots[0]))
+                if not chosen.attrs[1]:
+                    near.view[chosen] = put(b.slot(slots[1]))
+        for node, make in own_values(b, some).items():
+            near.places[node] = put(make())
+    if fresh:
+        near.kinds = [value.kind for value in values]
+        plan = b.code.species
+        stops = [chosen for chosen in near.reach if nearest_asked(plan, chosen) is None]
+        near.stops = {chosen: len(near.nodes) + k for k, chosen in enumerate(stops)}
+        b.code.near.append(Near(near.other, list(near.reach)))
+    for k, value in enumerate(values):
+        e.put(e.field(group.own, STRIDE * k), e.convert(value, I8) if value.kind == BOOL else value)
+    if fresh:
+        _write(b, near)
+    e.do(f"call void @{near.name}(ptr %t, i64 {b.row.name}, i8 {asking.name}, ptr {group.own}, ptr {group.out})")
+
+
+# --- eight agents side by side ---------------------------------------------------------------------------------------
+
+
+class Cells:
+    """The cell grid of a search, as lanes of values that are the same for all."""
+
+    def __init__(self, w: Writer, number: int) -> None:
+        e = w.e
+        floats, whole = w.base("grid", number, "floats"), w.base("grid", number, "whole")
+
+        def read(base: Lanes, k: int, kind: str) -> Lanes:
+            return e.load_one(base, e.constant(k, I64, one=True), kind)
+
+        self.w, self.number = w, number
+        self.low = [e.splat(read(floats, k, F64)) for k in range(3)]
+        self.width = [e.splat(read(floats, 3 + k, F64)) for k in range(3)]
+        self.inverse = [e.splat(read(floats, 6 + k, F64)) for k in range(3)]
+        self.axes = [read(whole, k, I64) for k in range(3)]
+        self.size = [e.splat(read(whole, 3 + k, I64)) for k in range(3)]
+        self.flat = e.splat(e.one(f"icmp eq i64 {read(whole, 5, I64).name}, 1", BOOL))
+        self.count = read(whole, 6, I64)
+
+    def span(self, axis: int, q: Lanes, half: Lanes) -> tuple[Lanes, Lanes]:
+        """First and last cell along an axis that [q - half, q + half] meets, i32; the last is below the first where none."""
+        e = self.w.e
+        most = e.convert(e.convert(self.size[axis], I32), F64)
+        first = np.minimum(np.maximum((q - half - self.low[axis]) * self.inverse[axis], 0.0), most)
+        last = np.minimum(np.maximum((q + half - self.low[axis]) * self.inverse[axis], -1.0), most - 1.0)
+        return e.convert(np.floor(first), I32), e.convert(np.floor(last), I32)
+
+    def off(self, axis: int, q: Lanes, cell: Lanes) -> Lanes:
+        """Least distance along an axis from q to a cell, squared, rounded down."""
+        edge = self.low[axis] + self.w.e.convert(cell, F64) * self.width[axis]
+        gap = np.maximum(np.maximum(edge - q, q - (edge + self.width[axis])), 0.0) * INWARD
+        square: Lanes = gap * gap
+        return square
+
+    def before(self, keys: Lanes) -> Lanes:
+        """How many sorted agents lie in cells before keys, i64: from the table of starts, or by bisection where there is none."""
+        w, e = self.w, self.w.e
+        name = "grid.before"
+
+        def make() -> str:
+            f = Emitter(w.module)
+            starts, sorted_keys = (Lanes(f, PTR, name, one=True) for name in ("%starts", "%keys"))
+            key = Lanes(f, I64, "%key")
+            found = f.slot(I64)
+            with f.inside(f.one(f"icmp ne ptr {starts.name}, null", BOOL)):
+                f.put(found, f.convert(f.gather(starts, key, I32), I64))
+            with f.inside(f.one(f"icmp eq ptr {starts.name}, null", BOOL)):
+                low, high = f.slot(I64), f.slot(I64)
+                f.put(low, f.constant(0, I64))
+                f.put(high, f.splat(Lanes(f, I64, "%count", one=True)))
+                with f.loop(f.constant(32, I64, one=True)):
+                    a, b = f.get(low, I64), f.get(high, I64)
+                    middle = (a + b) >> 1
+                    more = a < b
+                    probe = f.gather(sorted_keys, f.where(more, middle, f.constant(0, I64)), I64)
+                    less = more & (probe < key)
+                    f.put(low, f.where(less, middle + 1, a))
+                    f.put(high, f.where(more & ~less, middle, b))
+                f.put(found, f.get(low, I64))
+            value = f.get(found, I64)
+            body = "\n".join((*f.allocas, *f.entry, *f.lines))
+            lanes = f"<{WIDTH} x i64>"
+            head = f"define internal {lanes} @{name}(ptr %starts, ptr %keys, i64 %count, {lanes} %key) noinline"
+            return f"{head} {{\nentry:\n{body}\n  ret {value.typed}\n}}"
+
+        w.module.function(name, make)
+        starts, sorted_keys = w.base("grid", self.number, "starts"), w.base("grid", self.number, "keys")
+        return e.op(
+            f"call <{WIDTH} x i64> @{name}(ptr {starts.name}, ptr {sorted_keys.name}, i64 {self.count.name}, {keys.typed})", I64
+        )
+
+
+def _write(b: BlockWriter, near: Search) -> None:
+    """The function of a search for eight agents, and that for one with very many neighbours."""
+    from antdsl.runtime.backends.native.crowds import write_many
+
+    w = Writer(b.module, b.layout)
+    e = w.e
+    row = Lanes(e, I64, "%row", one=True)
+    asks = e.of_bits(Lanes(e, I8, "%mask", one=True))
+
+    def mine(k: int) -> Lanes:
+        place, kind = e.field("%own", STRIDE * k), near.kinds[k]
+        return e.get(place, I8) != 0 if kind == BOOL else e.get(place, kind)
+
+    place = [e.load(w.base("start", f"position.{axis}"), row, F32) for axis in AXES]
+    radii = {chosen: mine(k) for chosen, k in near.reach.items()}
+    buffer, count, many = _candidates(w, near, place, list(radii.values()), asks)
+    sums = [Sum(e, node, many=False) for node in near.nodes]
+    for each in sums:
+        each.start()
+    heading = [e.load(w.base("start", f"heading.{axis}"), row, F32) for axis in AXES] if near.view else []
+    lane_slot = e.slot(I32)
+    with e.loop(count, WIDTH) as index:
+        packed = e.load(buffer, index, I32)
+        there = (e.splat(index) + e.iota()) < e.splat(count)
+        packed = e.where(there, packed, e.constant(0, I32))
+        lane, at = packed >> _LANE, packed & ((1 << _LANE) - 1)
+        found = measured(w, near, at, [e.permuted(each, lane) for each in place], there)
+        if near.other == b.species:
+            found.there = there & (found.rows != lane + e.convert(row, I32))
+
+        def inside(chosen: ir.Node) -> Lanes:
+            reached = found.there & (found.distance <= e.permuted(radii[chosen], lane))
+            if chosen in near.view:
+                hx, hy, hz = (e.permuted(each, lane) for each in heading)
+                ahead = (found.dx * hx + found.dy * hy) + found.dz * hz
+                reached = reached & (ahead >= e.permuted(mine(near.view[chosen]), lane) * found.distance)
+            return reached
+
+        def own(node: ir.Node) -> Lanes:
+            return e.permuted(mine(near.places[node]), lane)
+
+        pairs = PairValues(w, own, found.leaf, b.senses)
+        terms = []
+        for each, node in zip(sums, near.nodes, strict=True):
+            reached = e.once(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
+            condition = node.args[1]
+            if condition.op != "const.bool" or not condition.attrs[0]:
+                reached = reached & pairs.value(condition)
+            body = pairs.value(node.args[2]) if len(node.args) > 2 else None
+            terms.append(each.terms(reached, body, found.ids() if node.op == "reduce.agent" else None))
+        _scattered(e, sums, terms, lane, lane_slot)
+    fits = asks & ~e.of_bits(e.get(many, I8, one=True))
+    for k, (each, node) in enumerate(zip(sums, near.nodes, strict=True)):
+        value, kind = each.result(), KINDS[node.kind]
+        stored = e.convert(value, I8) if kind == BOOL else value
+        start = e.field("%out", STRIDE * k)
+        e.put(start, e.where(fits, stored, e.get(start, stored.kind)))
+    for k in near.stops.values():
+        start = e.field("%out", STRIDE * k)
+        e.put(start, e.where(fits, e.constant(0, I8), e.get(start, I8)))
+    left = e.get(many, I8, one=True)
+    with e.inside(e.one(f"icmp ne i8 {left.name}, 0", BOOL)):
+        bits = e.one(f"zext i8 {left.name} to i64", I64)
+        e.do(f"call void @{near.name}.many(ptr %t, i64 %row, i64 {bits.name}, ptr %own, ptr %out)")
+    b.module.functions[near.name] = w.function(near.name, ", i64 %row, i8 %mask, ptr %own, ptr %out").replace(
+        "define void", "define internal void"
+    )
+    write_many(b, near)
+
+
+def _scattered(e: Emitter, sums: list[Sum], terms: list[list[Lanes]], lane: Lanes, lane_slot: str) -> None:
+    """Add eight terms of each reduction to the sums of the agents that they belong to."""
+    e.put(lane_slot, lane)
+    stored = []
+    for some in terms:
+        slots = [e.slot(each.kind) for each in some]
+        for slot, each in zip(slots, some, strict=True):
+            e.put(slot, each)
+        stored.append(list(zip(slots, [each.kind for each in some], strict=True)))
+    for k in range(WIDTH):
+        at = e.get(e.one(f"getelementptr i32, ptr {lane_slot}, i64 {k}", PTR).name, I32, one=True)
+        whose = e.one(f"zext i32 {at.name} to i64", I64)
+        for each, slots_ in zip(sums, stored, strict=True):
+            single = [
+                e.get(e.one(f"getelementptr {kind}, ptr {slot}, i64 {k}", PTR).name, kind, one=True) for slot, kind in slots_
+            ]
+            each.scatter(whose, single)
+
+
+def _candidates(
+    w: Writer, near: Search, place: list[Lanes], radii: list[Lanes], asks: Lanes
+) -> tuple[Lanes, Lanes, str]:
+    """Write down who may be in the widest radius of each of eight agents. Gives where, how many, and the address of the bits of
+    agents with too many candidates, or perhaps more neighbours than the cap."""
+    e, cells = w.e, Cells(w, near.number)
+    buffer = w.base("candidates")
+    total, many = e.slot(I64, one=True), e.slot(I8, one=True)
+    seen, found = e.slot(I32), e.slot(I32)
+    e.put(total, e.constant(0, I64, one=True))
+    e.put(many, e.constant(0, I8, one=True))
+    for slot in (seen, found):
+        e.put(slot, e.constant(0, I32))
+    widest = radii[0]
+    for each in radii[1:]:
+        widest = np.fmax(widest, each)
+    usable = asks & (widest >= np.float32(0))
+    for each in place:
+        usable = usable & np.isfinite(each)
+    _note_widest(w, near, e.where(usable & np.isfinite(widest), widest, e.constant(0.0, F32)))
+    stack = e.slot(F32, count=3)
+    for k, each in enumerate(place):
+        e.put(e.field(stack, 32 * k), each)
+    along = []
+    for k, axis in enumerate(cells.axes):
+        at = e.one(f"getelementptr <{WIDTH} x float>, ptr {stack}, i64 {axis.name}", PTR)
+        along.append(e.where(usable, e.convert(e.get(at.name, F32), F64), cells.low[k]))
+    largest = np.maximum(np.maximum(np.abs(along[0]), np.abs(along[1])), np.abs(along[2]))
+    tiny = largest * 1e-14 + 1e-18
+    r = e.where(usable, e.convert(widest, F64), e.constant(0.0, F64)) * SLACK + tiny
+    square = r * r
+    b0, b1 = cells.span(1, along[1], r)
+    c0, c1 = cells.span(2, along[2], r)
+    sheet = cells.flat & (np.abs(along[2] - cells.low[2]) <= cells.width[2])
+    c0, c1 = e.where(sheet, e.constant(0, I32), c0), e.where(sheet, e.constant(0, I32), c1)
+    beyond = e.slot(F32)
+    e.put(beyond, (widest * widest) * np.float32(BEYOND) + np.float32(1e-30))
+    nothing = e.constant(-1, I32)
+    deep, tall = (e.convert(e.greatest(e.where(usable, z - a, nothing) + 1), I64) for a, z in ((c0, c1), (b0, b1)))
+    first, number = e.slot(I64), e.slot(I64)
+    sx, sy, sz = (w.base("grid", near.number, axis) for axis in AXES)
+    with e.loop(deep) as j:
+        cz = c0 + e.convert(e.splat(j), I32)
+        far_z = e.where(sheet, e.constant(0.0, F64), cells.off(2, along[2], cz))
+        with e.loop(tall) as i:
+            cy = b0 + e.convert(e.splat(i), I32)
+            left = (square - cells.off(1, along[1], cy)) - far_z
+            half = np.sqrt(np.maximum(left, 0.0)) * SLACK + tiny
+            a0, a1 = cells.span(0, along[0], half)
+            within = usable & (cy <= b1) & (cz <= c1) & (left >= 0.0) & (a0 <= a1)
+            line = (e.convert(cz, I64) * cells.size[1] + e.convert(cy, I64)) * cells.size[0]
+            none = e.constant(0, I64)
+            begin = cells.before(e.where(within, line + e.convert(a0, I64), none))
+            end = cells.before(e.where(within, line + e.convert(a1, I64) + 1, none))
+            e.put(first, begin)
+            e.put(number, end - begin)
+            with e.loop(e.constant(WIDTH, I64, one=True)) as lane:
+                count = e.get(e.address(Lanes(e, PTR, number, one=True), lane, I64).name, I64, one=True)
+                with e.inside(e.one(f"icmp sgt i64 {count.name}, 0", BOOL)):
+                    at_seen = e.address(Lanes(e, PTR, seen, one=True), lane, I32).name
+                    before = e.get(at_seen, I32, one=True)
+                    sum_ = e.one(f"add i32 {before.name}, {e.convert(count, I32).name}", I32)
+                    e.put(at_seen, sum_)
+                    with e.inside(e.one(f"icmp sle i32 {sum_.name}, {MOST}", BOOL)):
+                        start = e.get(e.address(Lanes(e, PTR, first, one=True), lane, I64).name, I64, one=True)
+                        mine = [e.load_one(Lanes(e, PTR, e.field(stack, 32 * k), one=True), lane, F32) for k in range(3)]
+                        x, y, z = (e.splat(each) for each in mine)
+                        limit = e.splat(e.load_one(Lanes(e, PTR, beyond, one=True), lane, F32))
+                        shifted = e.one(f"shl i64 {lane.name}, {_LANE}", I64)
+                        old = e.get(total, I64, one=True)
+                        with e.loop(count, WIDTH) as k:
+                            at = e.one(f"add i64 {start.name}, {k.name}", I64)
+                            dx, dy, dz = e.load(sx, at, F32) - x, e.load(sy, at, F32) - y, e.load(sz, at, F32) - z
+                            inside = ((dx * dx + dy * dy) + dz * dz) <= limit
+                            inside = inside & ((e.splat(k) + e.iota()) < e.splat(count))
+                            write_down(e, buffer, total, e.one(f"or i64 {at.name}, {shifted.name}", I64), inside)
+                        new = e.one(f"sub i64 {e.get(total, I64, one=True).name}, {old.name}", I64)
+                        at_found = e.address(Lanes(e, PTR, found, one=True), lane, I32).name
+                        more = e.one(f"add i32 {e.get(at_found, I32, one=True).name}, {e.convert(new, I32).name}", I32)
+                        e.put(at_found, more)
+    over = asks & ((e.get(seen, I32) > MOST) | (e.get(found, I32) > limits.NEIGHBOURS))
+    e.put(many, e.mask_bits(over))
+    count = e.get(total, I64, one=True)
+    e.do(f"store <{WIDTH} x i32> zeroinitializer, ptr {e.address(buffer, count, I32).name}, align 4")
+    return buffer, count, many
+
+
+def write_down(e: Emitter, buffer: Lanes, total: str, at: Lanes, inside: Lanes) -> None:
+    """Append those of eight numbers from `at` on for which a condition holds. Each is written, and written over where it is not
+    to stay: there is no branch that is hard to foretell."""
+    bits = e.one(f"zext i8 {e.mask_bits(inside).name} to i64", I64)
+    count = e.get(total, I64, one=True)
+    small = e.convert(at, I32)
+    for k in range(WIDTH):
+        value = e.one(f"add i32 {small.name}, {k}", I32)
+        e.put(e.address(buffer, count, I32).name, value)
+        shifted = e.one(f"lshr i64 {bits.name}, {k}", I64) if k else bits
+        count = e.one(f"add i64 {count.name}, {e.one(f'and i64 {shifted.name}, 1', I64).name}", I64)
+    e.put(total, count)
+
+
+def _note_widest(w: Writer, near: Search, widest: Lanes) -> None:
+    """Remember the greatest radius that was asked for: the next step's cells suit it."""
+    e, place, zero = w.e, w.base("grid", near.number, "widest"), w.e.constant(0, I64, one=True)
+    e.store(place, zero, np.fmax(e.load(place, zero, F32), widest))
+
+
+# --- a pair ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(slots=True, eq=False)
+class Found:
+    """Eight pairs: which are there at all, others' rows, other minus own, and its length."""
+
+    w: Writer
+    other: str
+    there: Lanes
+    rows: Lanes
+    dx: Lanes
+    dy: Lanes
+    dz: Lanes
+    distance: Lanes
+
+    def ids(self) -> Lanes:
+        def make() -> Lanes:
+            return self.w.e.gather(self.w.base("other", self.other, "ids"), self.rows, I64)
+
+        found: Lanes = self.w.e.once(("ids", self.rows.name), make)
+        return found
+
+    def leaf(self, node: ir.Node) -> Lanes:
+        named = {"pair.x": self.dx, "pair.y": self.dy, "pair.z": self.dz, "pair.distance": self.distance}
+        if node.op in named:
+            return named[node.op]
+        if node.op == "other.id":
+            return self.ids()
+        return self.w.e.gather(self.w.base("other", self.other, node.attrs[0]), self.rows, KINDS[node.kind])
+
+
+def measured(w: Writer, near: Search, at: Lanes, place: list[Lanes], there: Lanes) -> Found:
+    """Others at places in the grid, as seen from places of the asking agents."""
+    e = w.e
+    dx, dy, dz = (e.gather(w.base("grid", near.number, axis), at, F32) - p for axis, p in zip(AXES, place, strict=True))
+    rows = e.gather(w.base("grid", near.number, "rows"), at, I32)
+    return Found(w, near.other, there, rows, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
+
