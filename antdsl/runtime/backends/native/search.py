@@ -122,16 +122,20 @@ def _made(b: BlockWriter, group: Group, asking: Lanes) -> None:
         values.append(value)
         return len(values) - 1
 
+    reach: dict[ir.Node, int] = {}
+    view: dict[ir.Node, int] = {}
+    places: dict[ir.Node, int] = {}
     for some in by_scope.values():
         for chosen, slots in sets_of(some).items():
-            if chosen not in near.reach or not fresh:
-                near.reach[chosen] = put(b.slot(slots[0]))
+            if chosen not in reach:
+                reach[chosen] = put(b.slot(slots[0]))
                 if not chosen.attrs[1]:
-                    near.view[chosen] = put(b.slot(slots[1]))
+                    view[chosen] = put(b.slot(slots[1]))
         for node, make in own_values(b, some).items():
-            near.places[node] = put(make())
+            if node not in places:
+                places[node] = put(make())
     if fresh:
-        near.kinds = [value.kind for value in values]
+        near.kinds, near.reach, near.view, near.places = [value.kind for value in values], reach, view, places
         plan = b.code.species
         stops = [chosen for chosen in near.reach if nearest_asked(plan, chosen) is None]
         near.stops = {chosen: len(near.nodes) + k for k, chosen in enumerate(stops)}
