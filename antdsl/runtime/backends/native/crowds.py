@@ -12,7 +12,7 @@ from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import BlockWriter, Writer
 from antdsl.runtime.backends.native.lanes import BOOL, F32, I8, I32, I64, PTR, WIDTH, Lanes
 from antdsl.runtime.backends.native.layout import KINDS
-from antdsl.runtime.backends.native.search import BEYOND, STRIDE, Found, Search, measured, write_down
+from antdsl.runtime.backends.native.search import BEYOND, STRIDE, Found, Rows, Search, measured, write_down
 from antdsl.runtime.backends.native.sets import NO_LABEL, PairValues, Sum, take
 from antdsl.runtime.world import AXES
 
@@ -32,7 +32,7 @@ def write_many(b: BlockWriter, near: Search) -> None:
             own = {node: e.splat(mine(k)) for node, k in near.places.items()}
             place = [e.splat(e.load_one(w.base("start", f"position.{axis}"), row, F32)) for axis in AXES]
             radius = {chosen: e.splat(mine(k)) for chosen, k in near.reach.items()}
-            buffer, count = _every(w, near, place, list(radius.values()))
+            buffer, count = _all(w, near, place, list(radius.values()))
             sums = [Sum(e, node, many=False) for node in near.nodes]
             for each in sums:
                 each.start()
@@ -66,26 +66,30 @@ def write_many(b: BlockWriter, near: Search) -> None:
     ).replace("define void", "define internal void")
 
 
-def _every(w: Writer, near: Search, place: list[Lanes], radii: list[Lanes]) -> tuple[Lanes, Lanes]:
-    """Write down all agents of the grid that may be in the widest of some radii. Gives where, and how many; the list goes on with
-    zeros to a multiple of eight. Cells are not asked: where these are many, most of the crowd is near."""
+def _all(w: Writer, near: Search, place: list[Lanes], radii: list[Lanes]) -> tuple[Lanes, Lanes]:
+    """Write down the agents that may be in the widest of some radii: where they stand in the grid's order. Gives where that is, and
+    how many; the list goes on with zeros to a multiple of eight."""
     e = w.e
     buffer, total = w.base("candidates"), e.slot(I64, one=True)
     e.put(total, e.constant(0, I64, one=True))
-    widest = radii[0]
-    for each in radii[1:]:
-        widest = np.fmax(widest, each)
-    limit = (widest * widest) * np.float32(BEYOND) + np.float32(1e-30)
-    x, y, z = place
-    sx, sy, sz = (w.base("grid", near.number, axis) for axis in AXES)
-    count = e.load_one(w.base("grid", near.number, "whole"), e.constant(6, I64, one=True), I64)
-    with e.loop(count, WIDTH) as at:
-        dx, dy, dz = e.load(sx, at, F32) - x, e.load(sy, at, F32) - y, e.load(sz, at, F32) - z
-        inside = ((dx * dx + dy * dy) + dz * dz) <= limit
-        write_down(e, buffer, total, at, inside & ((e.splat(at) + e.iota()) < e.splat(count)))
-    found = e.get(total, I64, one=True)
-    e.do(f"store <{WIDTH} x i32> zeroinitializer, ptr {e.address(buffer, found, I32).name}, align 4")
-    return buffer, found
+    search = Rows(w, near.number, place, radii, e.constant(True, BOOL))
+    limit = (search.widest * search.widest) * np.float32(BEYOND) + np.float32(1e-30)
+
+    def through(first: Lanes, number: Lanes) -> None:
+        begin, count = (e.one(f"extractelement {each.typed}, i64 0", I32) for each in (first, number))
+        with e.loop(e.convert(count, I64), WIDTH) as k:
+            turn = e.convert(k, I32)
+            at = e.one(f"add i32 {begin.name}, {turn.name}", I32)
+            places = e.splat(at) + e.convert(e.iota(), I32)
+            there = (e.splat(turn) + e.convert(e.iota(), I32)) < e.splat(count)
+            found = measured(w, near, e.where(there, places, e.constant(0, I32)), place, there)
+            square = (found.dx * found.dx + found.dy * found.dy) + found.dz * found.dz
+            write_down(e, buffer, total, at, there & (square <= limit))
+
+    search.each(through)
+    count = e.get(total, I64, one=True)
+    e.do(f"store <{WIDTH} x i32> zeroinitializer, ptr {e.address(buffer, count, I32).name}, align 4")
+    return buffer, count
 
 
 @dataclass(slots=True, eq=False)

@@ -1,14 +1,15 @@
 """Reductions over neighbours as machine code: one search of the cell grid for all that is asked of one species.
 
-For eight asking agents at a time the cells in reach are worked out side by side; candidates in them are measured, eight at a time,
-and those near enough written down as pairs of a place in the grid and an asking agent. Then eight pairs of any of the eight agents
-are tested, weighed and added to the sums of their agents. Who has very many neighbours is left to `crowds`.
+For eight asking agents at a time the rows of cells in reach are worked out side by side, and gone through side by side: the first
+candidate of each agent, the second of each, and so on. Each is measured, tested, weighed and added where it counts, with no
+branch by agent. Who has very many neighbours is left to `crowds`.
 
 Reductions of several regions are found in one search where what they need is known: the first region that asks has it made for its
 agents, those after it only for agents that have not asked yet. What nobody asks for then is found in vain, and not seen."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,14 +21,13 @@ from antdsl.runtime.backends.native.block import BlockWriter, Near, Writer
 from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH, Emitter, Lanes
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.backends.native.schedule import operands_of
-from antdsl.runtime.backends.native.sets import PairValues, Sum, own_values, sets_of
+from antdsl.runtime.backends.native.sets import PairValues, Sum, own_values, sets_of, take
 from antdsl.runtime.pairs import nearest_asked
 from antdsl.runtime.world import AXES
 
 SLACK, INWARD, BEYOND = 1.0 + 1e-6, 1.0 - 1e-6, 1.0 + 1e-5  # as in `senses.neighbours_compiled`
 STRIDE = 64  # bytes from one operand or result of a search to the next
-MOST = 512  # candidates of one agent that are written down here
-_LANE = 28  # bits of a place in the grid in what is written down; above them stands which of the eight asks
+MOST = 4096  # candidates of one agent that are gone through here
 
 
 @dataclass(slots=True, eq=False)
@@ -236,44 +236,40 @@ def _write(b: BlockWriter, near: Search) -> None:
         return e.get(place, I8) != 0 if kind == BOOL else e.get(place, kind)
 
     place = [e.load(w.base("start", f"position.{axis}"), row, F32) for axis in AXES]
-    radii = {chosen: mine(k) for chosen, k in near.reach.items()}
-    buffer, count, many = _candidates(w, near, place, list(radii.values()), asks)
+    radius = {chosen: mine(k) for chosen, k in near.reach.items()}
+    cosine = {chosen: mine(k) for chosen, k in near.view.items()}
+    heading = [e.load(w.base("start", f"heading.{axis}"), row, F32) for axis in AXES] if near.view else []
+    own = {node: mine(k) for node, k in near.places.items()}
+    itself = e.convert(e.splat(row) + e.iota(), I32) if near.other == b.species else None
     sums = [Sum(e, node, many=False) for node in near.nodes]
     for each in sums:
         each.start()
-    heading = [e.load(w.base("start", f"heading.{axis}"), row, F32) for axis in AXES] if near.view else []
-    lane_slot = e.slot(I32)
-    with e.loop(count, WIDTH) as index:
-        packed = e.load(buffer, index, I32)
-        there = (e.splat(index) + e.iota()) < e.splat(count)
-        packed = e.where(there, packed, e.constant(0, I32))
-        lane, at = packed >> _LANE, packed & ((1 << _LANE) - 1)
-        found = measured(w, near, at, [e.permuted(each, lane) for each in place], there)
-        if near.other == b.species:
-            found.there = there & (found.rows != lane + e.convert(row, I32))
+    counts = {chosen: e.slot(I32) for chosen in radius}
+    seen = e.slot(I32)
+    for slot in (seen, *counts.values()):
+        e.put(slot, e.constant(0, I32))
+    search = Rows(w, near.number, place, list(radius.values()), asks)
+    search.note(w, near)
 
-        def inside(chosen: ir.Node) -> Lanes:
-            reached = found.there & (found.distance <= e.permuted(radii[chosen], lane))
-            if chosen in near.view:
-                hx, hy, hz = (e.permuted(each, lane) for each in heading)
-                ahead = (found.dx * hx + found.dy * hy) + found.dz * hz
-                reached = reached & (ahead >= e.permuted(mine(near.view[chosen]), lane) * found.distance)
-            return reached
+    def through(first: Lanes, number: Lanes) -> None:
+        """Candidates of a row of cells: each agent's first, its second, and so on, side by side."""
+        e.put(seen, e.get(seen, I32) + number)
+        number = e.where(e.get(seen, I32) <= MOST, number, e.constant(0, I32))
+        with e.loop(e.convert(e.greatest(number), I64)) as k:
+            turn = e.splat(e.convert(k, I32))
+            there = turn < number
+            found = measured(w, near, e.where(there, first + turn, e.constant(0, I32)), place, there)
+            if itself is not None:
+                found.there = there & (found.rows != itself)
+            with e.inside(e.some(found.there & (found.distance <= search.widest))):
+                _taken(w, b, near, found, radius, cosine, heading, own, sums, counts)
 
-        def own(node: ir.Node) -> Lanes:
-            return e.permuted(mine(near.places[node]), lane)
-
-        pairs = PairValues(w, own, found.leaf, b.senses)
-        terms = []
-        for each, node in zip(sums, near.nodes, strict=True):
-            reached = e.once(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
-            condition = node.args[1]
-            if condition.op != "const.bool" or not condition.attrs[0]:
-                reached = reached & pairs.value(condition)
-            body = pairs.value(node.args[2]) if len(node.args) > 2 else None
-            terms.append(each.terms(reached, body, found.ids() if node.op == "reduce.agent" else None))
-        _scattered(e, sums, terms, lane, lane_slot)
-    fits = asks & ~e.of_bits(e.get(many, I8, one=True))
+    search.each(through)
+    over = e.get(seen, I32) > MOST
+    for slot in counts.values():
+        over = over | (e.get(slot, I32) > limits.NEIGHBOURS)
+    over = asks & over
+    fits = asks & ~over
     for k, (each, node) in enumerate(zip(sums, near.nodes, strict=True)):
         value, kind = each.result(), KINDS[node.kind]
         stored = e.convert(value, I8) if kind == BOOL else value
@@ -282,9 +278,8 @@ def _write(b: BlockWriter, near: Search) -> None:
     for k in near.stops.values():
         start = e.field("%out", STRIDE * k)
         e.put(start, e.where(fits, e.constant(0, I8), e.get(start, I8)))
-    left = e.get(many, I8, one=True)
-    with e.inside(e.one(f"icmp ne i8 {left.name}, 0", BOOL)):
-        bits = e.one(f"zext i8 {left.name} to i64", I64)
+    with e.inside(e.some(over)):
+        bits = e.one(f"zext i8 {e.mask_bits(over).name} to i64", I64)
         e.do(f"call void @{near.name}.many(ptr %t, i64 %row, i64 {bits.name}, ptr %own, ptr %out)")
     b.module.functions[near.name] = w.function(near.name, ", i64 %row, i8 %mask, ptr %own, ptr %out").replace(
         "define void", "define internal void"
@@ -292,110 +287,92 @@ def _write(b: BlockWriter, near: Search) -> None:
     write_many(b, near)
 
 
-def _scattered(e: Emitter, sums: list[Sum], terms: list[list[Lanes]], lane: Lanes, lane_slot: str) -> None:
-    """Add eight terms of each reduction to the sums of the agents that they belong to."""
-    e.put(lane_slot, lane)
-    stored = []
-    for some in terms:
-        slots = [e.slot(each.kind) for each in some]
-        for slot, each in zip(slots, some, strict=True):
-            e.put(slot, each)
-        stored.append(list(zip(slots, [each.kind for each in some], strict=True)))
-    for k in range(WIDTH):
-        at = e.get(e.one(f"getelementptr i32, ptr {lane_slot}, i64 {k}", PTR).name, I32, one=True)
-        whose = e.one(f"zext i32 {at.name} to i64", I64)
-        for each, slots_ in zip(sums, stored, strict=True):
-            single = [
-                e.get(e.one(f"getelementptr {kind}, ptr {slot}, i64 {k}", PTR).name, kind, one=True) for slot, kind in slots_
-            ]
-            each.scatter(whose, single)
+def _taken(
+    w: Writer,
+    b: BlockWriter,
+    near: Search,
+    found: Found,
+    radius: dict[ir.Node, Lanes],
+    cosine: dict[ir.Node, Lanes],
+    heading: list[Lanes],
+    own: dict[ir.Node, Lanes],
+    sums: list[Sum],
+    counts: dict[ir.Node, str],
+) -> None:
+    """Add eight pairs to the sums of their agents."""
+    e = w.e
+
+    def inside(chosen: ir.Node) -> Lanes:
+        reached = found.there & (found.distance <= radius[chosen])
+        e.put(counts[chosen], e.get(counts[chosen], I32) + e.convert(reached, I32))
+        if chosen in cosine:
+            hx, hy, hz = heading
+            ahead = (found.dx * hx + found.dy * hy) + found.dz * hz
+            reached = reached & (ahead >= cosine[chosen] * found.distance)
+        return reached
+
+    pairs = PairValues(w, lambda node: own[node], found.leaf, b.senses)
+    for each, node in zip(sums, near.nodes, strict=True):
+        reached = e.once(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
+        take(each, node, pairs, reached, found.ids)
 
 
-def _candidates(
-    w: Writer, near: Search, place: list[Lanes], radii: list[Lanes], asks: Lanes
-) -> tuple[Lanes, Lanes, str]:
-    """Write down who may be in the widest radius of each of eight agents. Gives where, how many, and the address of the bits of
-    agents with too many candidates, or perhaps more neighbours than the cap."""
-    e, cells = w.e, Cells(w, near.number)
-    buffer = w.base("candidates")
-    total, many = e.slot(I64, one=True), e.slot(I8, one=True)
-    seen, found = e.slot(I32), e.slot(I32)
-    e.put(total, e.constant(0, I64, one=True))
-    e.put(many, e.constant(0, I8, one=True))
-    for slot in (seen, found):
-        e.put(slot, e.constant(0, I32))
-    widest = radii[0]
-    for each in radii[1:]:
-        widest = np.fmax(widest, each)
-    usable = asks & (widest >= np.float32(0))
-    for each in place:
-        usable = usable & np.isfinite(each)
-    _note_widest(w, near, e.where(usable & np.isfinite(widest), widest, e.constant(0.0, F32)))
-    stack = e.slot(F32, count=3)
-    for k, each in enumerate(place):
-        e.put(e.field(stack, 32 * k), each)
-    along = []
-    for k, axis in enumerate(cells.axes):
-        at = e.one(f"getelementptr <{WIDTH} x float>, ptr {stack}, i64 {axis.name}", PTR)
-        along.append(e.where(usable, e.convert(e.get(at.name, F32), F64), cells.low[k]))
-    largest = np.maximum(np.maximum(np.abs(along[0]), np.abs(along[1])), np.abs(along[2]))
-    tiny = largest * 1e-14 + 1e-18
-    r = e.where(usable, e.convert(widest, F64), e.constant(0.0, F64)) * SLACK + tiny
-    square = r * r
-    b0, b1 = cells.span(1, along[1], r)
-    c0, c1 = cells.span(2, along[2], r)
-    sheet = cells.flat & (np.abs(along[2] - cells.low[2]) <= cells.width[2])
-    c0, c1 = e.where(sheet, e.constant(0, I32), c0), e.where(sheet, e.constant(0, I32), c1)
-    beyond = e.slot(F32)
-    e.put(beyond, (widest * widest) * np.float32(BEYOND) + np.float32(1e-30))
-    nothing = e.constant(-1, I32)
-    deep, tall = (e.convert(e.greatest(e.where(usable, z - a, nothing) + 1), I64) for a, z in ((c0, c1), (b0, b1)))
-    first, number = e.slot(I64), e.slot(I64)
-    sx, sy, sz = (w.base("grid", near.number, axis) for axis in AXES)
-    with e.loop(deep) as j:
-        cz = c0 + e.convert(e.splat(j), I32)
-        far_z = e.where(sheet, e.constant(0.0, F64), cells.off(2, along[2], cz))
-        with e.loop(tall) as i:
-            cy = b0 + e.convert(e.splat(i), I32)
-            left = (square - cells.off(1, along[1], cy)) - far_z
-            half = np.sqrt(np.maximum(left, 0.0)) * SLACK + tiny
-            a0, a1 = cells.span(0, along[0], half)
-            within = usable & (cy <= b1) & (cz <= c1) & (left >= 0.0) & (a0 <= a1)
-            line = (e.convert(cz, I64) * cells.size[1] + e.convert(cy, I64)) * cells.size[0]
-            none = e.constant(0, I64)
-            begin = cells.before(e.where(within, line + e.convert(a0, I64), none))
-            end = cells.before(e.where(within, line + e.convert(a1, I64) + 1, none))
-            e.put(first, begin)
-            e.put(number, end - begin)
-            with e.loop(e.constant(WIDTH, I64, one=True)) as lane:
-                count = e.get(e.address(Lanes(e, PTR, number, one=True), lane, I64).name, I64, one=True)
-                with e.inside(e.one(f"icmp sgt i64 {count.name}, 0", BOOL)):
-                    at_seen = e.address(Lanes(e, PTR, seen, one=True), lane, I32).name
-                    before = e.get(at_seen, I32, one=True)
-                    sum_ = e.one(f"add i32 {before.name}, {e.convert(count, I32).name}", I32)
-                    e.put(at_seen, sum_)
-                    with e.inside(e.one(f"icmp sle i32 {sum_.name}, {MOST}", BOOL)):
-                        start = e.get(e.address(Lanes(e, PTR, first, one=True), lane, I64).name, I64, one=True)
-                        mine = [e.load_one(Lanes(e, PTR, e.field(stack, 32 * k), one=True), lane, F32) for k in range(3)]
-                        x, y, z = (e.splat(each) for each in mine)
-                        limit = e.splat(e.load_one(Lanes(e, PTR, beyond, one=True), lane, F32))
-                        shifted = e.one(f"shl i64 {lane.name}, {_LANE}", I64)
-                        old = e.get(total, I64, one=True)
-                        with e.loop(count, WIDTH) as k:
-                            at = e.one(f"add i64 {start.name}, {k.name}", I64)
-                            dx, dy, dz = e.load(sx, at, F32) - x, e.load(sy, at, F32) - y, e.load(sz, at, F32) - z
-                            inside = ((dx * dx + dy * dy) + dz * dz) <= limit
-                            inside = inside & ((e.splat(k) + e.iota()) < e.splat(count))
-                            write_down(e, buffer, total, e.one(f"or i64 {at.name}, {shifted.name}", I64), inside)
-                        new = e.one(f"sub i64 {e.get(total, I64, one=True).name}, {old.name}", I64)
-                        at_found = e.address(Lanes(e, PTR, found, one=True), lane, I32).name
-                        more = e.one(f"add i32 {e.get(at_found, I32, one=True).name}, {e.convert(new, I32).name}", I32)
-                        e.put(at_found, more)
-    over = asks & ((e.get(seen, I32) > MOST) | (e.get(found, I32) > limits.NEIGHBOURS))
-    e.put(many, e.mask_bits(over))
-    count = e.get(total, I64, one=True)
-    e.do(f"store <{WIDTH} x i32> zeroinitializer, ptr {e.address(buffer, count, I32).name}, align 4")
-    return buffer, count, many
+class Rows:
+    """Rows of cells in reach of eight places, within the widest of some radii of each."""
+
+    def __init__(self, w: Writer, number: int, place: list[Lanes], radii: list[Lanes], asks: Lanes) -> None:
+        e = self.e = w.e
+        self.cells = cells = Cells(w, number)
+        widest = radii[0]
+        for each in radii[1:]:
+            widest = np.fmax(widest, each)
+        usable = asks & (widest >= np.float32(0))
+        for each in place:
+            usable = usable & np.isfinite(each)
+        self.widest, self.usable = widest, usable
+        stack = e.slot(F32, count=3)
+        for k, each in enumerate(place):
+            e.put(e.field(stack, 32 * k), each)
+        along = []
+        for k, axis in enumerate(cells.axes):
+            at = e.one(f"getelementptr <{WIDTH} x float>, ptr {stack}, i64 {axis.name}", PTR)
+            along.append(e.where(usable, e.convert(e.get(at.name, F32), F64), cells.low[k]))
+        largest = np.maximum(np.maximum(np.abs(along[0]), np.abs(along[1])), np.abs(along[2]))
+        self.along, self.tiny = along, largest * 1e-14 + 1e-18
+        r = e.where(usable, e.convert(widest, F64), e.constant(0.0, F64)) * SLACK + self.tiny
+        self.square = r * r
+        self.b0, self.b1 = cells.span(1, along[1], r)
+        c0, c1 = cells.span(2, along[2], r)
+        self.sheet = cells.flat & (np.abs(along[2] - cells.low[2]) <= cells.width[2])
+        self.c0, self.c1 = (e.where(self.sheet, e.constant(0, I32), c) for c in (c0, c1))
+
+    def note(self, w: Writer, near: Search) -> None:
+        """Remember the greatest radius that was asked for: the next step's cells suit it."""
+        e, place, zero = self.e, w.base("grid", near.number, "widest"), w.e.constant(0, I64, one=True)
+        widest = e.where(self.usable & np.isfinite(self.widest), self.widest, e.constant(0.0, F32))
+        e.store(place, zero, np.fmax(e.load(place, zero, F32), widest))
+
+    def each(self, do: Callable[[Lanes, Lanes], None]) -> None:
+        """Emit `do` for each row of cells: where its agents begin in the grid's order, and how many may be in reach, i32."""
+        e, cells, nothing = self.e, self.cells, self.e.constant(-1, I32)
+        deep, tall = (
+            e.convert(e.greatest(e.where(self.usable, z - a, nothing) + 1), I64)
+            for a, z in ((self.c0, self.c1), (self.b0, self.b1))
+        )
+        with e.loop(deep) as j:
+            cz = self.c0 + e.convert(e.splat(j), I32)
+            far = e.where(self.sheet, e.constant(0.0, F64), cells.off(2, self.along[2], cz))
+            with e.loop(tall) as i:
+                cy = self.b0 + e.convert(e.splat(i), I32)
+                left = (self.square - cells.off(1, self.along[1], cy)) - far
+                half = np.sqrt(np.maximum(left, 0.0)) * SLACK + self.tiny
+                a0, a1 = cells.span(0, self.along[0], half)
+                within = self.usable & (cy <= self.b1) & (cz <= self.c1) & (left >= 0.0) & (a0 <= a1)
+                line = (e.convert(cz, I64) * cells.size[1] + e.convert(cy, I64)) * cells.size[0]
+                none = e.constant(0, I64)
+                begin = cells.before(e.where(within, line + e.convert(a0, I64), none))
+                end = cells.before(e.where(within, line + e.convert(a1, I64) + 1, none))
+                do(e.convert(begin, I32), e.convert(end - begin, I32))
 
 
 def write_down(e: Emitter, buffer: Lanes, total: str, at: Lanes, inside: Lanes) -> None:
@@ -403,19 +380,12 @@ def write_down(e: Emitter, buffer: Lanes, total: str, at: Lanes, inside: Lanes) 
     to stay: there is no branch that is hard to foretell."""
     bits = e.one(f"zext i8 {e.mask_bits(inside).name} to i64", I64)
     count = e.get(total, I64, one=True)
-    small = e.convert(at, I32)
     for k in range(WIDTH):
-        value = e.one(f"add i32 {small.name}, {k}", I32)
+        value = e.one(f"add i32 {at.name}, {k}", I32)
         e.put(e.address(buffer, count, I32).name, value)
         shifted = e.one(f"lshr i64 {bits.name}, {k}", I64) if k else bits
         count = e.one(f"add i64 {count.name}, {e.one(f'and i64 {shifted.name}, 1', I64).name}", I64)
     e.put(total, count)
-
-
-def _note_widest(w: Writer, near: Search, widest: Lanes) -> None:
-    """Remember the greatest radius that was asked for: the next step's cells suit it."""
-    e, place, zero = w.e, w.base("grid", near.number, "widest"), w.e.constant(0, I64, one=True)
-    e.store(place, zero, np.fmax(e.load(place, zero, F32), widest))
 
 
 # --- a pair ----------------------------------------------------------------------------------------------------------
@@ -453,7 +423,7 @@ class Found:
 def measured(w: Writer, near: Search, at: Lanes, place: list[Lanes], there: Lanes) -> Found:
     """Others at places in the grid, as seen from places of the asking agents."""
     e = w.e
-    dx, dy, dz = (e.gather(w.base("grid", near.number, axis), at, F32) - p for axis, p in zip(AXES, place, strict=True))
-    rows = e.gather(w.base("grid", near.number, "rows"), at, I32)
-    return Found(w, near.other, there, rows, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
+    *others, rows = e.quadruples(w.base("grid", near.number, "places"), at)
+    dx, dy, dz = (other - own for other, own in zip(others, place, strict=True))
+    return Found(w, near.other, there, e.bits(rows, I32), dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
 
