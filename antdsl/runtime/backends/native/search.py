@@ -1,8 +1,8 @@
 """Reductions over neighbours as machine code: one search of the cell grid for all that is asked of one species.
 
-For eight asking agents at a time the rows of cells in reach are worked out side by side, and gone through side by side: the first
-candidate of each agent, the second of each, and so on. Each is measured, tested, weighed and added where it counts, with no
-branch by agent. Who has very many neighbours is left to `crowds`.
+For eight asking agents at a time the cells in reach are worked out side by side; candidates in them are measured, eight at a time,
+and those near enough written down as pairs of a place in the grid and an asking agent. Then eight pairs of any of the eight agents
+are tested, weighed and added to the sums of their agents. Who has very many neighbours is left to `crowds`.
 
 Reductions of several regions are found in one search where what they need is known: the first region that asks has it made for its
 agents, those after it only for agents that have not asked yet. What nobody asks for then is found in vain, and not seen."""
@@ -16,18 +16,20 @@ import numpy as np
 
 from antdsl import limits
 from antdsl.plan import ir
+from antdsl.plan.traverse import needed
 from antdsl.runtime.backends.compile import Instruction
 from antdsl.runtime.backends.native.block import BlockWriter, Near, Writer
-from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH, Emitter, Lanes
+from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH, Emitter, Lanes, Module
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.backends.native.schedule import operands_of
-from antdsl.runtime.backends.native.sets import PairValues, Sum, own_values, sets_of, take
+from antdsl.runtime.backends.native.sets import PairValues, Sums, own_values, sets_of, tested
 from antdsl.runtime.pairs import nearest_asked
 from antdsl.runtime.world import AXES
 
 SLACK, INWARD, BEYOND = 1.0 + 1e-6, 1.0 - 1e-6, 1.0 + 1e-5  # as in `senses.neighbours_compiled`
 STRIDE = 64  # bytes from one operand or result of a search to the next
-MOST = 4096  # candidates of one agent that are gone through here
+MOST = 512  # candidates of one agent that are gone through here
+_LANE = 28  # bits of a place in the grid in what is written down; above them stands which of the eight asks
 
 
 @dataclass(slots=True, eq=False)
@@ -56,10 +58,7 @@ class Search:
     view: dict[ir.Node, int] = field(default_factory=dict)
     places: dict[ir.Node, int] = field(default_factory=dict)
     stops: dict[ir.Node, int] = field(default_factory=dict)  # sets of which too many are told, and where among the results
-
-    @property
-    def results(self) -> int:
-        return len(self.nodes) + len(self.stops)
+    beside: list[str] = field(default_factory=list)  # others' registers that are laid side by side, four and four
 
 
 def neighbours(b: BlockWriter, instruction: Instruction) -> None:
@@ -139,6 +138,9 @@ def _made(b: BlockWriter, group: Group, asking: Lanes) -> None:
         plan = b.code.species
         stops = [chosen for chosen in near.reach if nearest_asked(plan, chosen) is None]
         near.stops = {chosen: len(near.nodes) + k for k, chosen in enumerate(stops)}
+        read = needed(arg for node in near.nodes for arg in node.args[1:])
+        names = sorted({each.attrs[0] for each in read if each.op == "other" and each.kind is ir.Kind.F32})
+        near.beside = names if len(names) > 1 else []
         b.code.near.append(Near(near.other, list(near.reach)))
     for k, value in enumerate(values):
         e.put(e.field(group.own, STRIDE * k), e.convert(value, I8) if value.kind == BOOL else value)
@@ -237,42 +239,36 @@ def _write(b: BlockWriter, near: Search) -> None:
 
     place = [e.load(w.base("start", f"position.{axis}"), row, F32) for axis in AXES]
     radius = {chosen: mine(k) for chosen, k in near.reach.items()}
-    cosine = {chosen: mine(k) for chosen, k in near.view.items()}
-    heading = [e.load(w.base("start", f"heading.{axis}"), row, F32) for axis in AXES] if near.view else []
-    own = {node: mine(k) for node, k in near.places.items()}
-    itself = e.convert(e.splat(row) + e.iota(), I32) if near.other == b.species else None
-    sums = [Sum(e, node, many=False) for node in near.nodes]
-    for each in sums:
-        each.start()
-    counts = {chosen: e.slot(I32) for chosen in radius}
-    seen = e.slot(I32)
-    for slot in (seen, *counts.values()):
-        e.put(slot, e.constant(0, I32))
     search = Rows(w, near.number, place, list(radius.values()), asks)
     search.note(w, near)
+    buffer, count, over = _candidates(w, near, search, asks)
+    heading = [e.load(w.base("start", f"heading.{axis}"), row, F32) for axis in AXES] if near.view else []
+    sums = Sums(e, near.nodes)
+    with e.loop(count, WIDTH) as index:
+        there = (e.splat(index) + e.iota()) < e.splat(count)
+        packed = e.where(there, e.load(buffer, index, I32), e.constant(0, I32))
+        lane, at = packed >> _LANE, packed & ((1 << _LANE) - 1)
+        found = measured(w, near, at, [e.permuted(each, lane) for each in place], there)
+        if near.other == b.species:
+            found.there = there & (found.rows != lane + e.splat(e.convert(row, I32)))
 
-    def through(first: Lanes, number: Lanes) -> None:
-        """Candidates of a row of cells: each agent's first, its second, and so on, side by side."""
-        e.put(seen, e.get(seen, I32) + number)
-        number = e.where(e.get(seen, I32) <= MOST, number, e.constant(0, I32))
-        with e.loop(e.convert(e.greatest(number), I64)) as k:
-            turn = e.splat(e.convert(k, I32))
-            there = turn < number
-            found = measured(w, near, e.where(there, first + turn, e.constant(0, I32)), place, there)
-            if itself is not None:
-                found.there = there & (found.rows != itself)
-            with e.inside(e.some(found.there & (found.distance <= search.widest))):
-                _taken(w, b, near, found, radius, cosine, heading, own, sums, counts)
+        def inside(chosen: ir.Node) -> Lanes:
+            reached = found.there & (found.distance <= e.permuted(radius[chosen], lane))
+            if chosen in near.view:
+                hx, hy, hz = (e.once(("heading", k), lambda each=each: e.permuted(each, lane)) for k, each in enumerate(heading))  # type: ignore[misc]
+                ahead = e.once("ahead", lambda: (found.dx * hx + found.dy * hy) + found.dz * hz)
+                reached = reached & (ahead >= e.permuted(mine(near.view[chosen]), lane) * found.distance)
+            return reached
 
-    search.each(through)
-    over = e.get(seen, I32) > MOST
-    for slot in counts.values():
-        over = over | (e.get(slot, I32) > limits.NEIGHBOURS)
-    over = asks & over
+        pairs = PairValues(w, lambda node: e.permuted(mine(near.places[node]), lane), found.leaf, b.senses)
+        terms = []
+        for sum_, node in zip(sums.all, near.nodes, strict=True):
+            reached = e.once(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
+            terms.append(sum_.terms(*tested(node, pairs, reached), found.ids() if node.op == "reduce.agent" else None))
+        sums.scatter(lane, terms)
     fits = asks & ~over
-    for k, (each, node) in enumerate(zip(sums, near.nodes, strict=True)):
-        value, kind = each.result(), KINDS[node.kind]
-        stored = e.convert(value, I8) if kind == BOOL else value
+    for k, (value, node) in enumerate(zip(sums.results(), near.nodes, strict=True)):
+        stored = e.convert(value, I8) if KINDS[node.kind] == BOOL else value
         start = e.field("%out", STRIDE * k)
         e.put(start, e.where(fits, stored, e.get(start, stored.kind)))
     for k in near.stops.values():
@@ -287,34 +283,49 @@ def _write(b: BlockWriter, near: Search) -> None:
     write_many(b, near)
 
 
-def _taken(
-    w: Writer,
-    b: BlockWriter,
-    near: Search,
-    found: Found,
-    radius: dict[ir.Node, Lanes],
-    cosine: dict[ir.Node, Lanes],
-    heading: list[Lanes],
-    own: dict[ir.Node, Lanes],
-    sums: list[Sum],
-    counts: dict[ir.Node, str],
-) -> None:
-    """Add eight pairs to the sums of their agents."""
+def _candidates(w: Writer, near: Search, search: Rows, asks: Lanes) -> tuple[Lanes, Lanes, Lanes]:
+    """Write down who may be in the widest radius of each of eight agents. Gives where, how many, and agents with too many
+    candidates, or perhaps more neighbours than the cap."""
     e = w.e
+    buffer, zero = w.base("candidates"), e.constant(0, I64, one=True)
+    total, seen, found, first, number, beyond = e.slot(I64, one=True), *(e.slot(kind) for kind in (I32, I32, I32, I32, F32))
+    e.put(total, zero)
+    for slot in (seen, found):
+        e.put(slot, e.constant(0, I32))
+    e.put(beyond, (search.widest * search.widest) * np.float32(BEYOND) + np.float32(1e-30))
+    sx, sy, sz = (w.base("grid", near.number, axis) for axis in AXES)
 
-    def inside(chosen: ir.Node) -> Lanes:
-        reached = found.there & (found.distance <= radius[chosen])
-        e.put(counts[chosen], e.get(counts[chosen], I32) + e.convert(reached, I32))
-        if chosen in cosine:
-            hx, hy, hz = heading
-            ahead = (found.dx * hx + found.dy * hy) + found.dz * hz
-            reached = reached & (ahead >= cosine[chosen] * found.distance)
-        return reached
+    def each_of(slot: str, kind: str, lane: Lanes) -> Lanes:
+        return e.load_one(Lanes(e, PTR, slot, one=True), lane, kind)
 
-    pairs = PairValues(w, lambda node: own[node], found.leaf, b.senses)
-    for each, node in zip(sums, near.nodes, strict=True):
-        reached = e.once(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
-        take(each, node, pairs, reached, found.ids)
+    def through(begin: Lanes, count: Lanes) -> None:
+        sums = e.get(seen, I32) + count
+        e.put(seen, sums)
+        e.put(first, begin)
+        e.put(number, e.where(sums <= MOST, count, e.constant(0, I32)))
+        with e.loop(e.constant(WIDTH, I64, one=True)) as lane:
+            many = e.convert(each_of(number, I32, lane), I64)
+            with e.inside(e.one(f"icmp sgt i64 {many.name}, 0", BOOL)):
+                start = e.convert(each_of(first, I32, lane), I64)
+                x, y, z = (e.splat(each_of(e.field(search.stack, 32 * k), F32, lane)) for k in range(3))
+                limit = e.splat(each_of(beyond, F32, lane))
+                shifted = e.one(f"shl i64 {lane.name}, {_LANE}", I64)
+                old = e.get(total, I64, one=True)
+                with e.loop(many, WIDTH) as k:
+                    at = e.one(f"add i64 {start.name}, {k.name}", I64)
+                    dx, dy, dz = e.load(sx, at, F32) - x, e.load(sy, at, F32) - y, e.load(sz, at, F32) - z
+                    inside = ((dx * dx + dy * dy) + dz * dz) <= limit
+                    left = e.convert(e.one(f"sub i64 {many.name}, {k.name}", I64), I32)
+                    inside = inside & (e.convert(e.iota(), I32) < e.splat(left))
+                    write_down(e, buffer, total, e.convert(e.one(f"or i64 {at.name}, {shifted.name}", I64), I32), inside)
+                new = e.convert(e.one(f"sub i64 {e.get(total, I64, one=True).name}, {old.name}", I64), I32)
+                more = e.one(f"add i32 {each_of(found, I32, lane).name}, {new.name}", I32)
+                e.put(e.address(Lanes(e, PTR, found, one=True), lane, I32).name, more)
+
+    search.each(through)
+    over = asks & ((e.get(seen, I32) > MOST) | (e.get(found, I32) > limits.NEIGHBOURS))
+    count = e.get(total, I64, one=True)
+    return buffer, count, over
 
 
 class Rows:
@@ -330,7 +341,7 @@ class Rows:
         for each in place:
             usable = usable & np.isfinite(each)
         self.widest, self.usable = widest, usable
-        stack = e.slot(F32, count=3)
+        self.stack = stack = e.slot(F32, count=3)
         for k, each in enumerate(place):
             e.put(e.field(stack, 32 * k), each)
         along = []
@@ -376,16 +387,41 @@ class Rows:
 
 
 def write_down(e: Emitter, buffer: Lanes, total: str, at: Lanes, inside: Lanes) -> None:
-    """Append those of eight numbers from `at` on for which a condition holds. Each is written, and written over where it is not
-    to stay: there is no branch that is hard to foretell."""
+    """Append those of eight numbers from `at` (i32) on for which a condition holds. All are written, and written over where they
+    are not to stay: there is no branch that is hard to foretell."""
     bits = e.one(f"zext i8 {e.mask_bits(inside).name} to i64", I64)
     count = e.get(total, I64, one=True)
+    numbers = e.splat(at) + e.convert(e.iota(), I32)
+    place = e.address(buffer, count, I32).name
+    if e.module.avx2:
+        order = e.load(e.address(Lanes(e, PTR, _orders(e.module), one=True), e.one(f"shl i64 {bits.name}, 3", I64), I8), zero_of(e), I8)
+        packed = e.permuted(numbers, e.op(f"zext {order.typed} to <{WIDTH} x i32>", I32))
+        e.do(f"store {packed.typed}, ptr {place}, align 4")
+        e.module.declare("llvm.ctpop.i64", I64, [I64])
+        e.put(total, e.one(f"add i64 {count.name}, {e.one(f'call i64 @llvm.ctpop.i64(i64 {bits.name})', I64).name}", I64))
+        return
     for k in range(WIDTH):
-        value = e.one(f"add i32 {at.name}, {k}", I32)
-        e.put(e.address(buffer, count, I32).name, value)
+        e.put(e.address(buffer, count, I32).name, e.one(f"add i32 {at.name}, {k}", I32))
         shifted = e.one(f"lshr i64 {bits.name}, {k}", I64) if k else bits
         count = e.one(f"add i64 {count.name}, {e.one(f'and i64 {shifted.name}, 1', I64).name}", I64)
     e.put(total, count)
+
+
+def zero_of(e: Emitter) -> Lanes:
+    return e.constant(0, I64, one=True)
+
+
+def _orders(module: Module) -> str:
+    """A table of bytes: for each of the 256 sets of eight lanes, its lanes first."""
+    name = "lanes.first"
+
+    def make() -> str:
+        rows = [[k for k in range(WIDTH) if bits >> k & 1] for bits in range(256)]
+        flat = [f"i8 {k}" for row in rows for k in (*row, *(0,) * (WIDTH - len(row)))]
+        return f"@{name} = internal constant [{len(flat)} x i8] [{', '.join(flat)}]"
+
+    module.function(name, make)
+    return f"@{name}"
 
 
 # --- a pair ----------------------------------------------------------------------------------------------------------
@@ -396,7 +432,7 @@ class Found:
     """Eight pairs: which are there at all, others' rows, other minus own, and its length."""
 
     w: Writer
-    other: str
+    near: Search
     there: Lanes
     rows: Lanes
     dx: Lanes
@@ -406,7 +442,7 @@ class Found:
 
     def ids(self) -> Lanes:
         def make() -> Lanes:
-            return self.w.e.gather(self.w.base("other", self.other, "ids"), self.rows, I64)
+            return self.w.e.gather(self.w.base("other", self.near.other, "ids"), self.rows, I64)
 
         found: Lanes = self.w.e.once(("ids", self.rows.name), make)
         return found
@@ -417,7 +453,14 @@ class Found:
             return named[node.op]
         if node.op == "other.id":
             return self.ids()
-        return self.w.e.gather(self.w.base("other", self.other, node.attrs[0]), self.rows, KINDS[node.kind])
+        beside = self.near.beside
+        if node.attrs[0] in beside:
+            block, part = divmod(beside.index(node.attrs[0]), 4)
+            names = tuple(beside[4 * block : 4 * block + 4])
+            base = self.w.base("beside", self.near.other, *names)
+            found: Lanes = self.w.e.once(("beside", block, self.rows.name), lambda: self.w.e.quadruples(base, self.rows))[part]
+            return found
+        return self.w.e.gather(self.w.base("other", self.near.other, node.attrs[0]), self.rows, KINDS[node.kind])
 
 
 def measured(w: Writer, near: Search, at: Lanes, place: list[Lanes], there: Lanes) -> Found:
@@ -425,5 +468,5 @@ def measured(w: Writer, near: Search, at: Lanes, place: list[Lanes], there: Lane
     e = w.e
     *others, rows = e.quadruples(w.base("grid", near.number, "places"), at)
     dx, dy, dz = (other - own for other, own in zip(others, place, strict=True))
-    return Found(w, near.other, there, e.bits(rows, I32), dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
+    return Found(w, near, there, e.bits(rows, I32), dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
 

@@ -65,7 +65,7 @@ class Sum:
         match self.node.op:
             case "reduce.sum":
                 assert body is not None
-                term = e.where(mask, self._rounded(body), 0.0)
+                term = self._rounded(e.where(mask, body, e.constant(0.0, F32)))
                 if self.many:
                     quantum = int(self.node.attrs[0])
                     magic = float(np.ldexp(1.5, quantum + exact_sums.HALF + 52))
@@ -105,7 +105,7 @@ class Sum:
         match self.node.op:
             case "reduce.sum":
                 assert body is not None
-                return [e.where(mask, self._rounded(body), 0.0)]
+                return [self._rounded(e.where(mask, body, e.constant(0.0, F32)))]
             case "reduce.count" | "reduce.any":
                 return [e.convert(mask, I32)]
             case "reduce.min" | "reduce.max":
@@ -122,8 +122,6 @@ class Sum:
         before = e.get(place, kinds[0], one=True)
         term = terms[0].name
         match self.node.op:
-            case "reduce.sum":
-                after = e.one(f"fadd double {before.name}, {term}", F64)
             case "reduce.count":
                 after = e.one(f"add i32 {before.name}, {term}", I32)
             case "reduce.any":
@@ -148,7 +146,11 @@ class Sum:
         """A term as a multiple of the quantum, as `exact_sums.rounded` gives it."""
         quantum = int(self.node.attrs[0])
         bound, magic = float(np.ldexp(1.0, quantum + exact_sums.BOUND)), float(np.ldexp(1.5, quantum + 52))
-        wide = np.clip(self.e.convert(body, F64), -bound, bound)
+        if float(np.float32(bound)) == bound:  # cut before it is widened, which is the same
+            body, bound = np.clip(body, -np.float32(bound), np.float32(bound)), np.inf
+        wide = self.e.convert(body, F64)
+        if bound < np.inf:
+            wide = np.clip(wide, -bound, bound)
         rounded: Lanes = (wide + magic) - magic
         return rounded
 
@@ -299,12 +301,91 @@ def one_by_one(b: BlockWriter, first: Instruction) -> None:
         b.known(instruction.out, each.result())
 
 
-def take(each: Sum, node: ir.Node, pairs: PairValues, near: Lanes, label: Callable[[], Lanes]) -> None:
+def tested(node: ir.Node, pairs: PairValues, near: Lanes) -> tuple[Lanes, Lanes | None]:
+    """Which pairs count in a reduction, and its body."""
     condition = node.args[1]
     if condition.op != "const.bool" or not condition.attrs[0]:
         near = near & pairs.value(condition)
-    body = pairs.value(node.args[2]) if len(node.args) > 2 else None
-    each.take(near, body, label() if node.op in ("reduce.agent", "reduce.item") else None)
+    return near, pairs.value(node.args[2]) if len(node.args) > 2 else None
+
+
+def take(each: Sum, node: ir.Node, pairs: PairValues, near: Lanes, label: Callable[[], Lanes]) -> None:
+    """Add the pairs that count to a reduction."""
+    each.take(*tested(node, pairs, near), label() if node.op in ("reduce.agent", "reduce.item") else None)
+
+
+class Sums:
+    """Running values of several reductions, of eight agents each. Four sums of an agent lie side by side and are added to at once."""
+
+    def __init__(self, e: Emitter, nodes: list[ir.Node]) -> None:
+        self.e, self.all = e, [Sum(e, node, many=False) for node in nodes]
+        added = [k for k, node in enumerate(nodes) if node.op == "reduce.sum"]
+        self._fours = [added[k : k + 4] for k in range(0, len(added), 4)]
+        self._places = [e.slot(F64, count=4) for _ in self._fours]
+        for place in self._places:
+            for k in range(4):
+                e.put(e.field(place, 64 * k), e.constant(0.0, F64))
+        for each in self.all:
+            if each.node.op != "reduce.sum":
+                each.start()
+
+    def scatter(self, lane: Lanes, terms: list[list[Lanes]]) -> None:
+        """Add eight terms of each reduction to the values of the agents that they belong to, lanes i32."""
+        e = self.e
+        lanes = e.slot(I32)
+        e.put(lanes, lane)
+        fours = [self._turned([terms[k][0] for k in some]) for some in self._fours]
+        stored = []
+        for sum_, some in zip(self.all, terms, strict=True):
+            slots = [e.slot(each.kind) for each in some] if sum_.node.op != "reduce.sum" else []
+            for slot, each in zip(slots, some, strict=False):
+                e.put(slot, each)
+            stored.append([(slot, each.kind) for slot, each in zip(slots, some, strict=False)])
+        for k in range(WIDTH):
+            at = e.get(e.one(f"getelementptr i32, ptr {lanes}, i64 {k}", PTR).name, I32, one=True)
+            whose = e.one(f"zext i32 {at.name} to i64", I64)
+            for place, turned in zip(self._places, fours, strict=True):
+                mine = e.one(f"getelementptr <4 x double>, ptr {place}, i64 {whose.name}", PTR).name
+                before = e.one(f"load <4 x double>, ptr {mine}", F64).name
+                after = e.one(f"fadd <4 x double> {before}, {turned[k]}", F64).name
+                e.do(f"store <4 x double> {after}, ptr {mine}")
+            for sum_, slots_ in zip(self.all, stored, strict=True):
+                if slots_:
+                    single = [
+                        e.get(e.one(f"getelementptr {kind}, ptr {slot}, i64 {k}", PTR).name, kind, one=True)
+                        for slot, kind in slots_
+                    ]
+                    sum_.scatter(whose, single)
+
+    def _turned(self, terms: list[Lanes]) -> list[str]:
+        """Of up to four times eight terms eight times four."""
+        e, found = self.e, []
+        four = [*(each.name for each in terms), *(e.constant(0.0, F64).name for _ in range(4 - len(terms)))]
+
+        def shuffled(a: str, b: str, of: str, order: list[int]) -> str:
+            text = ", ".join(f"i32 {k}" for k in order)
+            return e.op(f"shufflevector {of} {a}, {of} {b}, <{len(order)} x i32> <{text}>", F64).name
+
+        eight = f"<{WIDTH} x double>"
+        for k in range(WIDTH):
+            low = shuffled(four[0], four[1], eight, [k, k + WIDTH])
+            high = shuffled(four[2], four[3], eight, [k, k + WIDTH])
+            found.append(shuffled(low, high, "<2 x double>", [0, 1, 2, 3]))
+        return found
+
+    def results(self) -> list[Lanes]:
+        """The reductions of the eight agents."""
+        e = self.e
+        found = {}
+        for some, place in zip(self._fours, self._places, strict=True):
+            rows = [e.one(f"load <4 x double>, ptr {e.field(place, 32 * k)}", F64).name for k in range(WIDTH)]
+            for part, number in enumerate(some):
+                value = "poison"
+                for lane, row in enumerate(rows):
+                    single = e.one(f"extractelement <4 x double> {row}, i64 {part}", F64).name
+                    value = e.op(f"insertelement <{WIDTH} x double> {value}, double {single}, i64 {lane}", F64).name
+                found[number] = e.convert(Lanes(e, F64, value), F32)
+        return [found[k] if k in found else each.result() for k, each in enumerate(self.all)]
 
 
 def sets_of(instructions: list[Instruction]) -> dict[ir.Node, tuple[int, ...]]:

@@ -51,6 +51,15 @@ class Addresses:
         self._known[key] = (new, new, _address(new))
         return self._known[key][2]
 
+    def scratch(self, key: Key, shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+        """An array of that shape, the same one as long as the shape stays."""
+        known = self._known.get(key)
+        if known is None or known[0].shape != shape:
+            array = np.zeros(shape, dtype)
+            known = self._known[key] = (array, None, _address(array))
+        found: NDArray[Any] = known[0]
+        return found
+
     def copied(self, key: Key, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
         """Of a copy, made anew where the array or a stamp is another one; a stamp of None: always, into the same place."""
         known = self._known.get(key)
@@ -151,6 +160,14 @@ class Tables:
             return self._addresses.copied((other.name, "ids"), other.ids, np.int64, other.version)
         return self._addresses.moved((other.name, "start", name), other.start, name)
 
+    def _beside(self, world: World, population: Population, key: Key) -> int:
+        """Up to four registers of others at the start of the step, side by side."""
+        other = world.populations[str(key[1])]
+        whole = self._addresses.scratch(key, (len(other) + WIDTH, 4), np.float32)
+        for k, name in enumerate(key[2:]):
+            whole[: len(other), k] = other.start[str(name)]
+        return _address(whole)
+
     def _item(self, world: World, population: Population, key: Key) -> int:
         return self._addresses.copied(key, world.items[str(key[1])].seen[str(key[2])], np.float32)
 
@@ -197,6 +214,7 @@ _POINTERS: dict[str, Callable[[Tables, World, Population, Key], int]] = {
     "mesh": Tables._mesh,
     "event": Tables._event,
     "other": Tables._other,
+    "beside": Tables._beside,
     "item": Tables._item,
     "cell": Tables._cell,
     "field": Tables._field,
