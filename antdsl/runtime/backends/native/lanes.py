@@ -286,6 +286,10 @@ class Emitter:
         prefix = "f" if left.kind in _FLOATS else ""
         return self.op(f"{prefix}{word} {left.typed}, {right.name}", left.kind)
 
+    def multiplied(self, a: Lanes, b: Lanes) -> Lanes:
+        """A product of whole numbers."""
+        return self.op(f"mul {a.typed}, {b.name}", a.kind)
+
     def bitwise(self, word: str, a: Any, b: Any) -> Lanes:
         left, right = self._pair(a, b)
         return self.op(f"{word} {left.typed}, {right.name}", left.kind)
@@ -329,6 +333,11 @@ class Emitter:
         else:
             word = "zext" if value.kind == BOOL else "sext"
         return self.op(f"{word} {value.typed} to {to}", kind, one=value.one)
+
+    def whole(self, value: Lanes) -> Lanes:
+        """A whole number of float64 below 2**31 as i32, by its bits once 1.5 * 2**52 is added: of any other some number, none is
+        undefined."""
+        return self.convert(self.bits(value + 6755399441055744.0, I64), I32)
 
     def bits(self, value: Lanes, kind: str) -> Lanes:
         """The same bits as another kind of one width."""

@@ -177,7 +177,7 @@ class Cells:
         most = e.convert(e.convert(self.size[axis], I32), F64)
         first = np.minimum(np.maximum((q - half - self.low[axis]) * self.inverse[axis], 0.0), most)
         last = np.minimum(np.maximum((q + half - self.low[axis]) * self.inverse[axis], -1.0), most - 1.0)
-        return e.convert(np.floor(first), I32), e.convert(np.floor(last), I32)
+        return e.whole(np.floor(first)), e.whole(np.floor(last))
 
     def off(self, axis: int, q: Lanes, cell: Lanes) -> Lanes:
         """Least distance along an axis from q to a cell, squared, rounded down."""
@@ -186,42 +186,52 @@ class Cells:
         square: Lanes = gap * gap
         return square
 
-    def before(self, keys: Lanes) -> Lanes:
-        """How many sorted agents lie in cells before keys, i64: from the table of starts, or by bisection where there is none."""
+    def between(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, within: Lanes) -> tuple[Lanes, Lanes]:
+        """Place in the grid's order of the first agent of a row of cells from one cell to another, and how many there are, i32;
+        0 and 0 where a condition does not hold."""
         w, e = self.w, self.w.e
+        starts, keys = w.base("grid", self.number, "starts"), w.base("grid", self.number, "keys")
+        begin, end = e.slot(I32), e.slot(I32)
+        none = e.constant(0, I32)
+        with e.inside(e.one(f"icmp ne ptr {starts.name}, null", BOOL)):  # so few cells that 32 bits hold their numbers
+            fast, middle = (e.convert(self.size[k], I32) for k in (0, 1))
+            line = e.multiplied(e.multiplied(z, middle) + y, fast)
+            e.put(begin, e.gather(starts, e.where(within, line + first, none), I32))
+            e.put(end, e.gather(starts, e.where(within, line + last + 1, none), I32))
+        with e.inside(e.one(f"icmp eq ptr {starts.name}, null", BOOL)):
+            wide = [e.convert(each, I64) for each in (z, y, first, last)]
+            line = e.multiplied(e.multiplied(wide[0], self.size[1]) + wide[1], self.size[0])
+            name, lanes = self._bisection(), f"<{WIDTH} x i64>"
+            for slot, key in ((begin, line + wide[2]), (end, line + wide[3] + 1)):
+                text = f"call {lanes} @{name}(ptr {keys.name}, i64 {self.count.name}, {key.typed})"
+                e.put(slot, e.convert(e.op(text, I64), I32))
+        start = e.get(begin, I32)
+        return start, e.where(within, e.get(end, I32) - start, none)
+
+    def _bisection(self) -> str:
+        """A function that finds how many of the sorted keys are below each of eight, i64."""
         name = "grid.before"
 
         def make() -> str:
-            f = Emitter(w.module)
-            starts, sorted_keys = (Lanes(f, PTR, name, one=True) for name in ("%starts", "%keys"))
-            key = Lanes(f, I64, "%key")
-            found = f.slot(I64)
-            with f.inside(f.one(f"icmp ne ptr {starts.name}, null", BOOL)):
-                f.put(found, f.convert(f.gather(starts, key, I32), I64))
-            with f.inside(f.one(f"icmp eq ptr {starts.name}, null", BOOL)):
-                low, high = f.slot(I64), f.slot(I64)
-                f.put(low, f.constant(0, I64))
-                f.put(high, f.splat(Lanes(f, I64, "%count", one=True)))
-                with f.loop(f.constant(32, I64, one=True)):
-                    a, b = f.get(low, I64), f.get(high, I64)
-                    middle = (a + b) >> 1
-                    more = a < b
-                    probe = f.gather(sorted_keys, f.where(more, middle, f.constant(0, I64)), I64)
-                    less = more & (probe < key)
-                    f.put(low, f.where(less, middle + 1, a))
-                    f.put(high, f.where(more & ~less, middle, b))
-                f.put(found, f.get(low, I64))
-            value = f.get(found, I64)
-            body = "\n".join((*f.allocas, *f.entry, *f.lines))
-            lanes = f"<{WIDTH} x i64>"
-            head = f"define internal {lanes} @{name}(ptr %starts, ptr %keys, i64 %count, {lanes} %key) noinline"
+            f = Emitter(self.w.module)
+            sorted_keys, key = Lanes(f, PTR, "%keys", one=True), Lanes(f, I64, "%key")
+            low, high = f.slot(I64), f.slot(I64)
+            f.put(low, f.constant(0, I64))
+            f.put(high, f.splat(Lanes(f, I64, "%count", one=True)))
+            with f.loop(f.constant(32, I64, one=True)):
+                a, b = f.get(low, I64), f.get(high, I64)
+                middle, more = (a + b) >> 1, a < b
+                probe = f.gather(sorted_keys, f.where(more, middle, f.constant(0, I64)), I64)
+                less = more & (probe < key)
+                f.put(low, f.where(less, middle + 1, a))
+                f.put(high, f.where(more & ~less, middle, b))
+            value = f.get(low, I64)
+            body, lanes = "\n".join((*f.allocas, *f.entry, *f.lines)), f"<{WIDTH} x i64>"
+            head = f"define internal {lanes} @{name}(ptr %keys, i64 %count, {lanes} %key) noinline"
             return f"{head} {{\nentry:\n{body}\n  ret {value.typed}\n}}"
 
-        w.module.function(name, make)
-        starts, sorted_keys = w.base("grid", self.number, "starts"), w.base("grid", self.number, "keys")
-        return e.op(
-            f"call <{WIDTH} x i64> @{name}(ptr {starts.name}, ptr {sorted_keys.name}, i64 {self.count.name}, {keys.typed})", I64
-        )
+        self.w.module.function(name, make)
+        return name
 
 
 def _write(b: BlockWriter, near: Search) -> None:
@@ -365,7 +375,7 @@ class Rows:
 
     def each(self, do: Callable[[Lanes, Lanes], None]) -> None:
         """Emit `do` for each row of cells: where its agents begin in the grid's order, and how many may be in reach, i32."""
-        e, cells, nothing = self.e, self.cells, self.e.constant(-1, I32)
+        e, cells, nothing = self.e, self.cells, self.e.constant(0, I32)
         deep, tall = (
             e.convert(e.greatest(e.where(self.usable, z - a, nothing) + 1), I64)
             for a, z in ((self.c0, self.c1), (self.b0, self.b1))
@@ -379,11 +389,7 @@ class Rows:
                 half = np.sqrt(np.maximum(left, 0.0)) * SLACK + self.tiny
                 a0, a1 = cells.span(0, self.along[0], half)
                 within = self.usable & (cy <= self.b1) & (cz <= self.c1) & (left >= 0.0) & (a0 <= a1)
-                line = (e.convert(cz, I64) * cells.size[1] + e.convert(cy, I64)) * cells.size[0]
-                none = e.constant(0, I64)
-                begin = cells.before(e.where(within, line + e.convert(a0, I64), none))
-                end = cells.before(e.where(within, line + e.convert(a1, I64) + 1, none))
-                do(e.convert(begin, I32), e.convert(end - begin, I32))
+                do(*cells.between(cz, cy, a0, a1, within))
 
 
 def write_down(e: Emitter, buffer: Lanes, total: str, at: Lanes, inside: Lanes) -> None:
