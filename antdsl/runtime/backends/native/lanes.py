@@ -300,6 +300,11 @@ class Emitter:
             return self.op(f"fcmp {'u' if word == 'ne' else 'o'}{word} {left.typed}, {right.name}", BOOL)
         return self.op(f"icmp {word if word in ('eq', 'ne') else 's' + word} {left.typed}, {right.name}", BOOL)
 
+    def between(self, value: Lanes, low: Lanes, high: Lanes) -> Lanes:
+        """A value cut to bounds that are numbers."""
+        above = self.where(value > low, value, low)
+        return self.where(above < high, above, high)
+
     def unordered(self, a: Lanes) -> Lanes:
         """Where a value is NaN."""
         return self.op(f"fcmp uno {a.typed}, {a.name}", BOOL)
@@ -452,24 +457,17 @@ class Emitter:
             return self.op(f"icmp ne i8 {value.name}, 0", BOOL, one=True)
         return self.op(f"load {kind}, ptr {place.name}", kind, one=True)
 
-    def gather(self, base: Lanes, index: Lanes, kind: str, mask: Lanes | None = None) -> Lanes:
-        """Elements of an array at indices, which must lie in it; 0 where a condition does not hold."""
-        if kind == BOOL:
-            return self.compare("ne", self.gather(base, index, I8, mask), 0)
-        if kind == I8:
-            # there is no instruction for bytes: four are read, of which the first counts; arrays have spare ones behind them
-            places = self.op(f"getelementptr i8, ptr {base.name}, {index.typed}", PTR)
-            return self.convert(self._gathered(places, I32, mask), I8)
-        places = self.op(f"getelementptr {kind}, ptr {base.name}, {index.typed}", PTR)
-        return self._gathered(places, kind, mask)
-
-    def _gathered(self, places: Lanes, kind: str, mask: Lanes | None) -> Lanes:
-        name = f"llvm.masked.gather.v{WIDTH}{_MANGLED[kind]}.v{WIDTH}p0"
-        type = f"<{WIDTH} x {kind}>"
-        self.module.declare(name, type, [f"<{WIDTH} x ptr>", f"<{WIDTH} x i1>", type])
-        chosen = mask or self.constant(True, BOOL)
-        align = 1 if kind == I32 else (8 if kind in (F64, I64) else 4)
-        return self.op(f"call {type} @{name}(<{WIDTH} x ptr> align {align} {places.name}, {chosen.typed}, {type} zeroinitializer)", kind)
+    def gather(self, base: Lanes, index: Lanes, kind: str) -> Lanes:
+        """Elements of an array at indices, which must lie in it: eight single loads, which many processors do faster than their
+        instruction for it."""
+        stored = I8 if kind == BOOL else kind
+        value = f"<{WIDTH} x {stored}> poison"
+        for lane in range(WIDTH):
+            at = self.convert(self.one(f"extractelement {index.typed}, i64 {lane}", index.kind), I64)
+            single = self.load_one(base, at, stored)
+            value = self.op(f"insertelement {value}, {single.typed}, i64 {lane}", stored).typed
+        found = Lanes(self, stored, value.rpartition(" ")[2])
+        return found != 0 if kind == BOOL else found
 
 
 class Module:

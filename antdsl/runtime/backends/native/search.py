@@ -168,21 +168,25 @@ class Cells:
         self.inverse = [e.splat(read(floats, 6 + k, F64)) for k in range(3)]
         self.axes = [read(whole, k, I64) for k in range(3)]
         self.size = [e.splat(read(whole, 3 + k, I64)) for k in range(3)]
+        self.most = [e.convert(e.convert(size, I32), F64) for size in self.size]
         self.flat = e.splat(e.one(f"icmp eq i64 {read(whole, 5, I64).name}, 1", BOOL))
         self.count = read(whole, 6, I64)
 
     def span(self, axis: int, q: Lanes, half: Lanes) -> tuple[Lanes, Lanes]:
         """First and last cell along an axis that [q - half, q + half] meets, i32; the last is below the first where none."""
         e = self.w.e
-        most = e.convert(e.convert(self.size[axis], I32), F64)
-        first = np.minimum(np.maximum((q - half - self.low[axis]) * self.inverse[axis], 0.0), most)
-        last = np.minimum(np.maximum((q + half - self.low[axis]) * self.inverse[axis], -1.0), most - 1.0)
+        most = self.most[axis]
+        first = e.between((q - half - self.low[axis]) * self.inverse[axis], e.constant(0.0, F64), most)
+        last = e.between((q + half - self.low[axis]) * self.inverse[axis], e.constant(-1.0, F64), most - 1.0)
         return e.whole(np.floor(first)), e.whole(np.floor(last))
 
     def off(self, axis: int, q: Lanes, cell: Lanes) -> Lanes:
         """Least distance along an axis from q to a cell, squared, rounded down."""
-        edge = self.low[axis] + self.w.e.convert(cell, F64) * self.width[axis]
-        gap = np.maximum(np.maximum(edge - q, q - (edge + self.width[axis])), 0.0) * INWARD
+        e = self.w.e
+        edge = self.low[axis] + e.convert(cell, F64) * self.width[axis]
+        before, behind = edge - q, q - (edge + self.width[axis])
+        gap = e.where(before > behind, before, behind)
+        gap = e.where(gap > 0.0, gap, 0.0) * INWARD
         square: Lanes = gap * gap
         return square
 
@@ -386,7 +390,7 @@ class Rows:
             with e.loop(tall) as i:
                 cy = self.b0 + e.convert(e.splat(i), I32)
                 left = (self.square - cells.off(1, self.along[1], cy)) - far
-                half = np.sqrt(np.maximum(left, 0.0)) * SLACK + self.tiny
+                half = np.sqrt(e.where(left > 0.0, left, 0.0)) * SLACK + self.tiny
                 a0, a1 = cells.span(0, self.along[0], half)
                 within = self.usable & (cy <= self.b1) & (cz <= self.c1) & (left >= 0.0) & (a0 <= a1)
                 do(*cells.between(cz, cy, a0, a1, within))
