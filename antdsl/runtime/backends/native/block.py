@@ -212,6 +212,8 @@ class BlockWriter(Writer):
                     e.store_where(mask, self.base("kept", number, part), self.row, value)
                 e.store_where(mask, has, self.row, e.constant(True, BOOL))
             self.mask.pop()
+        if self.schedule.at[each] == self.stage and each.out in self.schedule.left:
+            self.slot(each.out)
 
     # --- values --------------------------------------------------------------------------------------------------------
 
@@ -227,6 +229,7 @@ class BlockWriter(Writer):
         if slot in self._kept:
             number, kinds = self.code.kept.index(self._kept[slot]), self._kinds[slot]
             parts = tuple(self.e.load(self.base("kept", number, k), self.row, kind) for k, kind in enumerate(kinds))
+            self._leave(slot, parts)
             return parts if len(parts) > 1 else parts[0]
         each = self._makers.get(slot)
         node = None if each is None else each.what

@@ -42,7 +42,7 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], *, m
         return node.op == "get" or node.op in ELEMENTWISE or node.op in senses
 
     def costly(node: ir.Node) -> bool:
-        return node.op.startswith("reduce.") and node.args[0].op != "set.items"
+        return node.op.startswith("reduce.") or node.op == "field.strongest"
 
     module = Module(avx2)
     found: dict[tuple[str, str], BlockCode] = {}

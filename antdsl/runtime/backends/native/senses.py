@@ -172,21 +172,27 @@ def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
     field, count = node.attrs
     held, block, own = w.base("field", field, "held"), w.base("field", field, "block", int(count)), _cell(w, field)
     there = own < w.number(I32, "cells", field)
-    most, where = e.slot(F64), e.slot(I32)
-    e.do(f"store <{WIDTH} x double> zeroinitializer, ptr {most}")
-    e.do(f"store {own.typed}, ptr {where}")
-    width = e.constant(int(count), I64)
-    start = e.convert(e.where(there, own, e.constant(0, I32)), I64) * width
-    with e.loop(e.constant(int(count), I64, one=True)) as k:
-        cell = e.gather(block, start + e.splat(k), I32)
-        amount = e.gather(held, cell, F64)
-        best = e.op(f"load <{WIDTH} x double>, ptr {most}", F64)
-        more = there & (amount > best)
-        e.do(f"store {e.where(more, amount, best).typed}, ptr {most}")
-        before = e.op(f"load <{WIDTH} x i32>, ptr {where}", I32)
-        e.do(f"store {e.where(more, cell, before).typed}, ptr {where}")
-    value = e.op(f"load <{WIDTH} x double>, ptr {most}", F64)
-    cell = e.op(f"load <{WIDTH} x i32>, ptr {where}", I32)
+    most, where, whose = e.slot(F64), e.slot(I32), e.slot(I32)
+    e.put(most, e.constant(0.0, F64))
+    e.put(where, own)
+    e.put(whose, e.where(there, own, e.constant(0, I32)))
+    asks = e.one(f"zext i8 {e.mask_bits(w.mask[-1] & there).name} to i64", I64)
+    with e.loop(e.constant(WIDTH, I64, one=True)) as lane:  # cells of one agent lie side by side
+        bit = e.one(f"lshr i64 {asks.name}, {lane.name}", I64)
+        with e.inside(e.one(f"trunc i64 {bit.name} to i1", BOOL)):
+            mine = e.load_one(Lanes(e, PTR, whose, one=True), lane, I32)
+            start = e.one(f"mul i64 {e.convert(mine, I64).name}, {int(count)}", I64)
+            cells = e.address(block, start, I32)
+            best, at = e.constant(0.0, F64, one=True), mine
+            for k in range(int(count)):
+                cell = e.load_one(cells, e.constant(k, I64, one=True), I32)
+                amount = e.load_one(held, e.convert(cell, I64), F64)
+                more = e.one(f"fcmp ogt double {amount.name}, {best.name}", BOOL)
+                best = e.one(f"select i1 {more.name}, double {amount.name}, double {best.name}", F64)
+                at = e.one(f"select i1 {more.name}, i32 {cell.name}, i32 {at.name}", I32)
+            e.put(e.address(Lanes(e, PTR, most, one=True), lane, F64).name, best)
+            e.put(e.address(Lanes(e, PTR, where, one=True), lane, I32).name, at)
+    value, cell = e.get(most, F64), e.get(where, I32)
     small = e.convert(value, F32)
     nothing = ~(small > 0)
     parts = [small]
