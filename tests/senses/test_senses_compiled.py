@@ -194,6 +194,7 @@ LOOPS = {
     "atan2, inf": lambda: elementary.atan2(np.append(_NUMBERS, np.float32(np.inf)), np.append(_NUMBERS, np.float32(1))),
     "at_least": lambda: _GRID.at_least(*_PLACES),
     **{f"uniform {k}": lambda k=k: randomness.uniform(2**40 + 5, -3, "ant", "wander", k, _IDS) for k in range(6)},
+    **{f"word {k}": lambda k=k: randomness.word(2**40 + 5, -3, "ant", "wander", k, _IDS) for k in range(6)},
 }
 
 
