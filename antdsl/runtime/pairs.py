@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.numerics import compiled, exact_sums
-from antdsl.numerics.vectors import Vector
 from antdsl.plan import ir
 from antdsl.plan.traverse import blocks, needed, operands, statements
 from antdsl.runtime.faults import Fault, LimitStop
+from antdsl.runtime.item_pairs import items_within
 from antdsl.runtime.world import AXES, Items, Population, World
 from antdsl.senses.neighbours import CellGrid, TooManyWithin, View, seen
 from antdsl.source import Span
@@ -30,9 +30,6 @@ NO_ITEM = np.int32(-1)
 _COARSER = 4  # quarters of an octave
 _ROUNDED = 1 + 1e-6  # by more than float32 rounds a distance
 MOST_PAIRS = 1 << 22  # of one chunk, where everybody is asked about everybody
-_MEASURED = 1 << 16  # pairs of an agent and an item at once
-_MANY_ITEMS = 128  # above it those that are too far off along one axis are not measured
-_WIDER, _TINY = 1 + 1e-5, 1e-15  # of a radius, and mm: more than float32 rounds, and than squares of it lose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +112,8 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
     `nearby` is what was found for the chunk before; this adds to it."""
     own = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     if node.op == "set.items":
-        return _items(world.items[node.attrs[0]], own, args[0], len(population))
+        items = world.items[node.attrs[0]]
+        return PairRows(items, len(own[0]), *items_within(items, own, args[0], len(population)))
     other = world.populations[node.attrs[0]]
     ids = population.ids[rows] if other is population else None
     if node.op == "set.every":
@@ -255,85 +253,6 @@ def _every(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | 
         i, j = i.take(keep), j.take(keep)
     dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own[k].take(i) for k, axis in enumerate(AXES))
     return PairRows(other, n, i, j, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
-
-
-def _items(items: Items, own: tuple[Floats, ...], radius: Any, crowd: int) -> PairRows:
-    """Items within radii, by asking row and item."""
-    reach = np.full(len(own[0]), radius, np.float32) if np.ndim(radius) == 0 else np.asarray(radius, np.float32)
-    if len(items) > _MANY_ITEMS:
-        return _items_along(items, own, reach)
-    if compiled.wanted(crowd):
-        from antdsl.runtime.pairs_compiled import within
-
-        x, y, z = own
-        i, j, dx, dy, dz, distance = within(*_seen_at(items), x, y, z, reach)
-        return PairRows(items, len(x), i, j, dx, dy, dz, distance)
-    return _items_each(items, own, reach)
-
-
-def _seen_at(items: Items) -> Vector:
-    x, y, z = (np.asarray(items.seen[axis], np.float32) for axis in AXES)
-    return x, y, z
-
-
-def _items_each(items: Items, own: tuple[Floats, ...], reach: Floats) -> PairRows:
-    """All items measured from all rows."""
-    n, m = len(own[0]), len(items)
-    x, y, z = _seen_at(items)
-    each = max(1, _MEASURED // max(m, 1))
-    parts: list[tuple[NDArray[Any], ...]] = []
-    for a in range(0, n, each):
-        px, py, pz = (place[a : a + each] for place in own)
-        dx, dy, dz = x[:, None] - px, y[:, None] - py, z[:, None] - pz
-        distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
-        near = np.flatnonzero(distance <= reach[a : a + each])
-        first = near.searchsorted(np.arange(m + 1) * px.size)
-        j = np.repeat(np.arange(m), np.diff(first))
-        i = near - j * px.size
-        order = np.argsort(i, kind="stable")
-        near = near.take(order)
-        parts.append((i.take(order) + a, j.take(order), *(v.ravel().take(near) for v in (dx, dy, dz, distance))))
-    return _joined(items, n, parts)
-
-
-def _items_along(items: Items, own: tuple[Floats, ...], reach: Floats) -> PairRows:
-    """Items measured from rows from which, along the two axes that items are most spread on, they are not too far off."""
-    n, there = len(own[0]), _seen_at(items)
-    with np.errstate(invalid="ignore"):
-        one, two = sorted(range(3), key=lambda k: -float(np.nan_to_num(np.ptp(there[k]))))[:2]
-        order = np.argsort(there[one], kind="stable")
-        far = reach.astype(np.float64) * _WIDER + _TINY
-        far[~np.isfinite(far)] = np.inf
-        place = np.where(far < np.inf, own[one], np.float32(0)).astype(np.float64)
-        along, aside = (there[axis].astype(np.float64)[order] for axis in (one, two))
-        first, last = along.searchsorted(place - far, "left"), along.searchsorted(place + far, "right")
-    count = np.maximum(last - first, 0)
-    ends = np.cumsum(count)
-    parts, a = [], 0
-    while a < n:
-        before = int(ends[a - 1]) if a else 0
-        b = max(a + 1, int(ends.searchsorted(before + _MEASURED, "right")))
-        some = count[a:b]
-        at = np.arange(int(some.sum())) + np.repeat(first[a:b] - (np.cumsum(some) - some), some)
-        apart = aside.take(at) - np.repeat(own[two][a:b].astype(np.float64), some)
-        near = np.flatnonzero(~(np.abs(apart) > np.repeat(far[a:b], some)))
-        i, j = np.repeat(np.arange(a, b), some).take(near), order.take(at.take(near))
-        dx, dy, dz = (t.take(j) - place.take(i) for t, place in zip(there, own, strict=True))
-        distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
-        keep = np.flatnonzero(distance <= reach.take(i))
-        keep = keep[np.lexsort((j[keep], i[keep]))]
-        parts.append(tuple(column.take(keep) for column in (i, j, dx, dy, dz, distance)))
-        a = b
-    return _joined(items, n, parts)
-
-
-def _joined(items: Items, count: int, parts: list[tuple[NDArray[Any], ...]]) -> PairRows:
-    if len(parts) == 1:
-        return PairRows(items, count, *parts[0])
-    if not parts:
-        none = np.empty(0, np.float32)
-        return PairRows(items, count, np.empty(0, np.intp), np.empty(0, np.intp), none, none, none, none)
-    return PairRows(items, count, *(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 # --- reductions ------------------------------------------------------------------------------------------------------

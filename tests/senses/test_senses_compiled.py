@@ -135,7 +135,7 @@ def near_items(seen: dict, places, radius) -> list[tuple]:
 
 @pytest.mark.parametrize("many", [0, 1, 7, 200])
 def test_items_are_found_the_same_in_every_way(monkeypatch: pytest.MonkeyPatch, many: int) -> None:
-    from antdsl.runtime import pairs
+    from antdsl.runtime import item_pairs
 
     places, _ = crowd((400, 10, 400), 1000)
     rng = np.random.default_rng(4)
@@ -147,19 +147,18 @@ def test_items_are_found_the_same_in_every_way(monkeypatch: pytest.MonkeyPatch, 
     items = type("Held", (), {"seen": seen, "__len__": lambda self: many})()
     numbers = rng.uniform(-5, 300, 1000).astype(np.float32)
     numbers[::50] = np.nan
-    monkeypatch.setattr(pairs, "_MEASURED", 5000)
+    monkeypatch.setattr(item_pairs, "_MEASURED", 5000)
     for radius in (np.float32(np.inf), np.float32(60), np.float32(0), numbers):
         reach = np.broadcast_to(radius, 1000).astype(np.float32)
-        monkeypatch.setattr(pairs, "_MANY_ITEMS", 1000)
+        monkeypatch.setattr(item_pairs, "_MANY_ITEMS", 1000)
         with np.errstate(all="ignore"):
             wanted = near_items(seen, places, radius)
-            ways = [pairs._items_each(items, tuple(places), reach)]
-            ways += [pairs._items_along(items, tuple(places), reach)] if many else []
+            ways = [item_pairs.each(items, tuple(places), reach)]
+            ways += [item_pairs.along(items, tuple(places), reach)] if many else []
             for fast in (False, True):
                 monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
-                ways.append(pairs._items(items, tuple(places), radius, 1000))
-        for found in ways:
-            columns = (found.i, found.j, found.dx, found.dy, found.dz, found.distance)
+                ways.append(item_pairs.items_within(items, tuple(places), radius, 1000))
+        for columns in ways:
             assert [column.dtype.itemsize for column in columns] == [8, 8, 4, 4, 4, 4]
             assert [(i, j, *(w.tobytes() for w in way)) for i, j, *way in zip(*columns, strict=True)] == wanted
 
