@@ -22,6 +22,7 @@ _CHUNK = 1 << 16  # rays at once
 _AGAIN = 16  # faces that a ray may pass by at less than a hair
 _APART = 8.0  # hairs further away from the nearest face: from there one that is as near is nearer
 _END = 1.1  # of a ray: Open3D looks as far, which is more than it errs by unless the ray is a hair long
+_FEW = 128  # rays that go on to the end of the scene sooner than they are asked about twice
 _BRIEF_CELLS = 1000
 _FARTHEST = 1e15  # mm: Open3D, whose squares are float32, names no nearest face from much farther off
 FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
@@ -162,7 +163,8 @@ class RayScene:
             rays = np.empty((len(rows), 6), np.float32)
             rays[:, :3] = a if begin is None else a + w * begin[:, None]
             rays[:, 3:] = w
-            if most < np.inf:
+            many = len(rows) > _FEW
+            if most < np.inf and many:
                 # A ray that hits nothing costs the whole scene's length unless it has an end, which only occlusions know.
                 maybe = self._occluded(rays, most * _END, threads).nonzero()[0]
                 rows, rays = rows.take(maybe), rays.take(maybe, axis=0)
@@ -171,9 +173,13 @@ class RayScene:
             if not rows.size:
                 break
             part, named = self._named(rays, threads)
+            if most < np.inf and not many:  # whose first hit lies before the end is occluded before it, and no other
+                named[part > np.float32(most * _END)] = -1
             at: NDArray[Any] = part if begin is None else begin + part
             if named.min() < 0:
                 some = np.flatnonzero(named >= 0)
+                if not some.size:
+                    break
                 rows, at, named = rows.take(some), at.take(some), named.take(some)
                 a, w = a.take(some, axis=0), w.take(some, axis=0)
             here, weights, hit, hair = self._faces.judged(named, a, w, at)

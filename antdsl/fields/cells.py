@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -21,6 +21,7 @@ Cells = NDArray[np.int32]
 
 NEAREST = 16
 _DENSE = 8_000_000  # voxels of a box that may be listed one by one
+_BLOCKS = 8_000_000  # at most, that tell about where a key is
 _ALONG = 1 << 19  # voxels along an axis; three packed with a side stay in 63 bits
 BLOCK = tuple((x, y, z) for x, y, z in product((-1, 0, 1), repeat=3))
 _CHUNK = 1 << 15
@@ -148,32 +149,73 @@ class SurfaceCells:
 
     def lookup_sides(self, points: Floats, side: NDArray[np.int64]) -> Cells:
         """As `lookup`, for faces that face as `facing` says, int64[n]."""
+        return self.follow(points, side, None)[0]
+
+    def follow(self, points: Floats, side: NDArray[np.int64], before: Known | None) -> tuple[Cells, Known | None]:
+        """As `lookup_sides`, given what was found for as many points before: only those in another voxel or on another side are
+        looked up. Gives what to remember; None where looking up costs no more than that."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         if not len(self):
-            return np.full(len(points), -1, np.int32)
-        key = np.zeros(len(points), np.int64)
-        within = np.ones(len(points), np.bool_)
-        for axis in range(3):
-            step = np.floor(points[:, axis] / self.cell + 0.5) - self._low[axis]
-            within &= (step >= 0) & (step < self._size[axis])  # not so for what is no number
-            key *= self._size[axis]
-            key += np.where(within, step, 0.0).astype(np.int64)
-        key = key * 6 + side
-        cell = self._find(key, within)
+            return np.full(len(points), -1, np.int32), None
+        key = np.empty(len(points), np.int64)
+        within = np.empty(len(points), np.bool_)
+        for a in range(0, len(points), _CHUNK):
+            some = slice(a, a + _CHUNK)
+            self._keys_at(points[some], side[some], key[some], within[some])
+        cell, known = self._found(key, within, before)
         missed = np.flatnonzero(cell < 0)
         if missed.size:
             missed = missed[np.isfinite(points[missed]).all(axis=1)]
             bounded = np.clip(points[missed] / self.cell + 0.5, -1e15, 1e15)
             voxel = np.floor(bounded).astype(np.int64) - self._low
             cell[missed] = self._nearby(points[missed], voxel, side[missed])
-        return cell
+        return cell, known
+
+    def _keys_at(self, points: Floats, side: NDArray[np.int64], key: NDArray[np.int64], within: NDArray[np.bool_]) -> None:
+        """Write the key of each point's voxel and side, and whether that lies within the box."""
+        for axis in range(3):
+            step = np.floor(points[:, axis] / self.cell + 0.5)
+            step -= self._low[axis]
+            inside = (step >= 0) & (step < self._size[axis])  # not so for what is no number
+            whole = np.where(inside, step, 0.0).astype(np.int64)
+            if axis:
+                key *= self._size[axis]
+                key += whole
+                within &= inside
+            else:
+                key[:], within[:] = whole, inside
+        key *= 6
+        key += side
+
+    def _found(self, key: NDArray[np.int64], within: NDArray[np.bool_], before: Known | None) -> tuple[Cells, Known | None]:
+        """As `_find`, and what `follow` remembers."""
+        if self._direct is not None:
+            return self._find(key, within), None
+        key[~within] = -1
+        if before is None or before.of is not self or len(before.key) != len(key):
+            cell = self._find(key, within)
+        else:
+            cell = before.cell.copy()
+            other = np.flatnonzero((key != before.key) | (cell < 0))  # where there was none, one may have been added
+            cell[other] = self._find(key[other], within[other])
+        return cell.copy(), Known(self, key, cell)
 
     def _find(self, key: NDArray[np.int64], within: NDArray[np.bool_]) -> Cells:
         """The cell of each key that lies within the box, -1 for none."""
         if self._direct is not None:
             return np.where(within, self._direct.take(np.where(within, key, 0)), np.int32(-1))
-        at = np.minimum(self._keys.searchsorted(key), len(self) - 1)
-        return np.where(within & (self._keys.take(at) == key), at, -1).astype(np.int32)
+        cell = np.full(len(key), -1, np.int32)
+        for a in range(0, len(key), _CHUNK):
+            rows = a + np.flatnonzero(within[a : a + _CHUNK])
+            some = key[rows]
+            at = self._index.place(self._keys, some)
+            here = np.flatnonzero(self._keys.take(np.minimum(at, len(self) - 1)) == some)
+            cell[rows[here]] = at[here]
+        return cell
+
+    @cached_property
+    def _index(self) -> _Index:
+        return _Index.of(self._keys, 6 * int(self._size[0]) * int(self._size[1]) * int(self._size[2]))
 
     @cached_property
     def _direct(self) -> Cells | None:
@@ -197,29 +239,46 @@ class SurfaceCells:
                 best, distance = np.where(closer, at, best), np.where(closer, gap, distance)
         return best
 
-    def _around(self, cells: NDArray[np.int64], block: Sequence[tuple[int, int, int]]) -> NDArray[np.int64]:
-        """Compatible cells in a block of voxels around cells, int64[k, n], -1 where there is none."""
+    def _around(self, cells: NDArray[np.int64], column: Callable[[int, int], int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Pairs of one of some cells, counted from 0, and a compatible cell in the voxels around it: by both, ascending.
+
+        In the column of voxels at (x, y) from its own, those at most `column(x, y)` above and below are around; -1: none. Cells
+        of a column are next to each other."""
         voxels = self._voxels[cells]
-        voxel = np.column_stack(
-            [voxels // (self._size[1] * self._size[2]), voxels // self._size[2] % self._size[1], voxels % self._size[2]]
-        )
-        side, rows = self.side_of(cells), []
-        for offset in block:
-            for at, there in self._cells_in(voxel + np.array(offset)):
-                rows.append(np.where(there & compatible(self.side_of(at), side), at, -1))
-        return np.stack(rows)
+        z, rest = voxels % self._size[2], voxels // self._size[2]
+        x, y = rest // self._size[1], rest % self._size[1]
+        firsts, counts = [], []
+        for dx, dy in product((-1, 0, 1), repeat=2):
+            if (far := column(dx, dy)) < 0:
+                continue
+            there = (x + dx >= 0) & (x + dx < self._size[0]) & (y + dy >= 0) & (y + dy < self._size[1])
+            base = np.where(there, ((x + dx) * self._size[1] + (y + dy)) * self._size[2], 0)
+            first = self._first_in(base + np.maximum(z - far, 0))
+            last = self._first_in(base + np.minimum(z + far, self._size[2] - 1) + 1)
+            firsts.append(first)
+            counts.append(np.where(there, last - first, 0))
+        first, count = np.stack(firsts, axis=1).ravel(), np.stack(counts, axis=1)
+        own, flat = np.repeat(np.arange(len(cells)), count.sum(axis=1)), count.ravel()
+        other = np.arange(own.size) + np.repeat(first - (np.cumsum(flat) - flat), flat)
+        kept = np.flatnonzero(compatible(self.side_of(other), self.side_of(cells).take(own)))
+        return own.take(kept), other.take(kept)
+
+    def _first_in(self, voxel: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The number of cells in voxels before these, by their places in the box."""
+        if self._start_table is not None:
+            return self._start_table.take(voxel).astype(np.int64)
+        return self._voxels.searchsorted(voxel).astype(np.int64)
 
     @cached_property
     def links(self) -> Links:
         """Which cells share a face of their voxels, or a voxel, and do not face opposite ways."""
-        block = [o for o in BLOCK if sum(map(abs, o)) <= 1]
         counts, cells = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
         for a in range(0, len(self), _CHUNK):
-            own = np.arange(a, min(a + _CHUNK, len(self)))
-            around = np.sort(self._around(own, block), axis=0).T
-            here = (around >= 0) & (around != own[:, None])
-            counts.append(here.sum(axis=1))
-            cells.append(around[here].astype(np.int32))
+            chosen = np.arange(a, min(a + _CHUNK, len(self)))
+            own, other = self._around(chosen, lambda x, y: 1 - abs(x) - abs(y))
+            others = np.flatnonzero(other != own + a)
+            counts.append(np.bincount(own.take(others), minlength=len(chosen)))
+            cells.append(other.take(others).astype(np.int32))
         return Links(np.cumsum(np.concatenate(counts)), np.concatenate(cells))
 
     @property
@@ -237,16 +296,68 @@ class SurfaceCells:
         """Rows of `nearest` for some cells."""
         table = np.full((len(cells), k), len(self), np.int32)
         for a in range(0, len(cells), _CHUNK):
-            own = cells[a : a + _CHUNK]
-            around = self._around(own, BLOCK)
-            gap = np.zeros(around.shape)
-            for axis in range(3):
-                gap += (self.position[around, axis] - self.position[own, axis]) ** 2
-            gap[around < 0] = np.inf
-            order = np.lexsort((around, gap), axis=0)[:k]
-            chosen = np.take_along_axis(np.where(around < 0, len(self), around), order, axis=0)
-            table[a : a + own.size, : len(chosen)] = np.sort(chosen, axis=0).T
+            chosen = cells[a : a + _CHUNK]
+            own, other = self._around(chosen, lambda x, y: 1)
+            count = np.bincount(own, minlength=len(chosen))
+            crowded = np.flatnonzero(count > k)
+            if crowded.size:  # most have no more than so many around
+                asked = np.flatnonzero((count > k).take(own))
+                one, two = own.take(asked), other.take(asked)
+                place, there = self.position.take(chosen.take(one), axis=0), self.position.take(two, axis=0)
+                gap = np.zeros(len(asked))
+                for axis in range(3):
+                    gap += (there[:, axis] - place[:, axis]) ** 2
+                order = np.lexsort((two, gap, one))
+                left = asked[order[_rank(count[crowded]) >= k]]
+                kept = np.ones(len(own), np.bool_)
+                kept[left] = False
+                own, other = own[kept], other[kept]
+                count = np.minimum(count, k)
+            table[a + own, _rank(count)] = other
         return table
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What was found for points: the cells `of` which, the `key` of each point's voxel and side (-1 outside the box) and the
+    `cell` there, -1 for none."""
+
+    of: SurfaceCells
+    key: NDArray[np.int64]
+    cell: Cells
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Index:
+    """Ascending numbers cut into blocks of 2**shift: where each begins, and how many halvings find a number in the fullest."""
+
+    shift: int
+    start: NDArray[np.int32]
+    halvings: int
+
+    @staticmethod
+    def of(numbers: NDArray[np.int64], end: int) -> _Index:
+        """For numbers from 0 to before `end`."""
+        shift = max(0, int(end // min(_BLOCKS, 4 * len(numbers) + 1)).bit_length())
+        start = np.zeros((end >> shift) + 2, np.int32)
+        np.cumsum(np.bincount(numbers >> shift, minlength=len(start) - 1), out=start[1:])
+        return _Index(shift, start, int(np.diff(start).max(initial=0)).bit_length())
+
+    def place(self, numbers: NDArray[np.int64], asked: NDArray[np.int64]) -> NDArray[np.int64]:
+        """How many of the numbers are less, for each of those asked, from 0 to before the end."""
+        block = asked >> self.shift
+        low, high = self.start.take(block).astype(np.int64), self.start.take(block + 1).astype(np.int64)
+        for _ in range(self.halvings):
+            middle = (low + high) >> 1
+            less = (numbers.take(np.minimum(middle, len(numbers) - 1)) < asked) & (low < high)
+            low, high = np.where(less, middle + 1, low), np.where(less, high, middle)
+        return low
+
+
+def _rank(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """0, 1, … for each of groups of so many that follow each other."""
+    rank: NDArray[np.int64] = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+    return rank
 
 
 def compatible(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,8 +62,7 @@ class GrowingCells(SurfaceCells):
         else:
             self._sorted = np.argsort(self._keys[: self.used], kind="stable")
         self.__dict__.pop("links", None)
-        around = self._around(new, BLOCK)
-        changed = np.unique(around[around >= 0])
+        changed = np.unique(self._around(new, lambda x, y: 1)[1])
         for k, table in self._tables.items():
             if self._direct is not None and compiled.wanted(len(changed)):
                 self._fill(table, changed, k)
@@ -100,16 +99,19 @@ class GrowingCells(SurfaceCells):
             self._tables[k] = grown
 
     def _find(self, key: NDArray[np.int64], within: NDArray[np.bool_]) -> Cells:
-        if self._direct is not None or not len(self._sorted):
+        if self._direct is not None:
             return super()._find(key, within)
+        if not len(self._sorted):
+            return np.full(len(key), -1, np.int32)
         keys = self._keys.take(self._sorted)
         at = np.minimum(keys.searchsorted(key), len(keys) - 1)
         return np.where(within & (keys.take(at) == key), self._sorted.take(at), -1).astype(np.int32)
 
-    def _around(self, cells: NDArray[np.int64], block: Sequence[tuple[int, int, int]]) -> NDArray[np.int64]:
+    def _around(self, cells: NDArray[np.int64], column: Callable[[int, int], int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """As for cells that stay, all voxels and sides at once: the cells that are added in a step are few."""
         at = self._voxels[cells]
         voxel = np.stack([at // (self._size[1] * self._size[2]), at // self._size[2] % self._size[1], at % self._size[2]])
+        block = [offset for offset in BLOCK if abs(offset[2]) <= column(*offset[:2])]
         there = voxel[:, None, :] + np.array(block).T[:, :, None]
         inbound: NDArray[np.bool_] = (there >= 0) & (there < self._size[:, None, None])
         within: NDArray[np.bool_] = np.logical_and.reduce(inbound, axis=0)
@@ -118,7 +120,9 @@ class GrowingCells(SurfaceCells):
         inside = np.repeat(within[:, None, :], 6, axis=1)
         found = self._find(keys.ravel(), inside.ravel()).reshape(-1, len(cells))
         near = compatible(self.side_of(np.maximum(found, 0)), self.side_of(cells))
-        return np.where((found >= 0) & near, found, -1).astype(np.int64)
+        other = np.sort(np.where(near, found, -1).astype(np.int64), axis=0).T
+        own, which = np.nonzero(other >= 0)
+        return own, other[own, which]
 
     def _cells_in(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
         within: NDArray[np.bool_] = np.logical_and.reduce((voxel >= 0) & (voxel < self._size), axis=1)

@@ -272,6 +272,10 @@ class Meshes(Ground, Protocol):
     def met(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[Flags, Floats, Footing]:
         """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface, after what part of it, and the footing there."""
 
+    def faced(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
+        """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface: their numbers, ascending, after what part of it,
+        and the face's unit normal (3, k), by how it is wound."""
+
     def near_rises(self, footing: Footing, place: Floats, reach: Floats) -> Flags:
         """Whether for agents at places [n,3] a surface may rise within `reach` [n] mm: at an inner crease, or another piece, or a
         mesh that moves. Never false where one does, and the same for an agent whoever else is asked for."""

@@ -1,24 +1,33 @@
-"""Whether to use the compiled kernels: they need the extra `[fast]`, and enough agents for their start-up to pay.
+"""Whether to use the compiled kernels: they need the extra `[fast]`, and enough work for their start-up to pay.
 
 Kernels give the same bits as the NumPy code that stands beside them. `NUMBA_DISABLE_JIT=1` keeps to NumPy.
+
+Loading them takes about as long as a hundred steps of a small crowd, and nobody knows how many follow. So a crowd that is large,
+for whom a few steps make up for it, begins with them, and a small one once its steps have cost a share of what loading does, half
+of it since most shots have hundreds of frames: what it pays more than had it known is bounded by the cost of loading (A. Karlin
+et al., Competitive Snoopy Caching, Algorithmica 3, 1988).
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar
 
 from numpy.typing import NDArray
 
 T = TypeVar("T")
 PART = 4_096  # agents for whom a thread pays
-LEAST = 2_000  # agents; below this a step takes few milliseconds, and loading the compiler takes half a second
+LEAST = 2_000  # agents; a step of these without kernels takes so long that a few make up for loading them
 _LEAST_FOR_LONG = 200  # agents; where thousands of steps follow, half a second is soon won back
+_AT_ONCE = 50_000  # numbers, worked on before any step: then a world is made ready that is large
+_LOADING, _COMPILING = 0.3, 25.0  # s of processor time before it: for kernels kept from another run, and the first time
 _long = False
-_FEW = 1  # agents, once kernels are in use: the small work of a large crowd goes to them too, which is most of its calls
 _running = False
+_spent = 0.0
 
 
 def expect_long_runs() -> None:
@@ -27,13 +36,40 @@ def expect_long_runs() -> None:
     _long = True
 
 
-def wanted(count: int) -> bool:
-    """Whether work on so many agents goes to compiled kernels."""
+def begin_step(agents: int) -> None:
+    """Start with kernels where a step of so many agents comes that will pay for them, or where steps before it would have."""
     global _running
-    least = _FEW if _running else _LEAST_FOR_LONG if _long else LEAST
-    found = count >= least and available()
-    _running = _running or found
-    return found
+    if not _running and _pays(agents):
+        _running = available()
+
+
+def end_step(seconds: float) -> None:
+    """A step took so much processor time."""
+    global _spent
+    _spent += seconds
+
+
+def _pays(agents: int) -> bool:
+    if agents >= (_LEAST_FOR_LONG if _long else LEAST):
+        return True
+    return _spent >= _LOADING and (_spent >= _COMPILING or _kept())
+
+
+@cache
+def _kept() -> bool:
+    """Whether kernels of another run are found where they most likely are; those that are elsewhere count as none."""
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    folders = Path(named).glob("*") if named else (Path(__file__).parent / "__pycache__",)
+    return any(any(folder.glob("elementary_compiled.*.nbi")) for folder in folders)
+
+
+def wanted(count: int) -> bool:
+    """Whether work on so many numbers goes to compiled kernels: once these run, the small work of a crowd too, which is most of
+    its calls."""
+    global _running
+    if not _running and count >= _AT_ONCE:
+        _running = available()
+    return _running and count > 0
 
 
 @cache

@@ -7,6 +7,8 @@ Reductions and series: W. J. Cody and W. Waite, Software Manual for the Elementa
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -60,12 +62,16 @@ def _waves(x: Value) -> tuple[Value, Value, Value]:
 
 def sin(x: Value) -> Value:
     """Sine; NaN where the angle is not finite. Angles above 1e6 are reduced by 2 pi as float64 holds it."""
+    if np.ndim(x) == 0:
+        return _alone(wide_sin, np.float64(x).tobytes())
     found = _compiled("sines", x)
     return _narrow(wide_sin(x)) if found is None else found
 
 
 def cos(x: Value) -> Value:
     """Cosine; as `sin`."""
+    if np.ndim(x) == 0:
+        return _alone(wide_cos, np.float64(x).tobytes())
     found = _compiled("cosines", x)
     return _narrow(wide_cos(x)) if found is None else found
 
@@ -107,6 +113,8 @@ def _log_wide(wide: Value) -> Value:
 
 def exp(x: Value) -> Value:
     """e to the x."""
+    if np.ndim(x) == 0:
+        return _alone(_exp_wide, np.float64(x).tobytes())
     found = _compiled("exponentials", x)
     return _narrow(_exp_wide(_widen(x))) if found is None else found
 
@@ -153,6 +161,12 @@ def _widen(x: Value) -> Value:
 
 def _narrow(x: Value) -> Value:
     return np.float32(x) if np.ndim(x) == 0 else x.astype(np.float32)
+
+
+@lru_cache(1024)
+def _alone(wide: Callable[[Value], Value], number: bytes) -> Value:
+    """A function of one float64, told by its bytes for the sake of -0: most are the same in every step."""
+    return _narrow(wide(np.frombuffer(number)[0]))
 
 
 def _compiled(loop: str, *values: Value) -> Value | None:

@@ -6,6 +6,7 @@ Method: J. K. Salmon et al., Parallel random numbers: as easy as 1, 2, 3, SC 201
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from hashlib import blake2b
 from typing import Any
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 from antdsl.numerics import compiled
 from antdsl.numerics.philox import HALF, LOW, M0, M1, ROUNDS, SPREAD, UNIT, W0, W1
 
+Kernel = Callable[..., Any]
+Counters = tuple[tuple[int, int, int], tuple[int, int]]
 Words = tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]
 
 
@@ -57,7 +60,7 @@ def of_ids(wide: Any, first: Any, low: Any, last: Any, key: tuple[Any, Any]) -> 
     return philox((first, wide & LOW, (((wide >> HALF) * SPREAD) & LOW) ^ low, last), key)
 
 
-def counters(seed: int, frame: int, species: str, site: str, block: int) -> tuple[tuple[int, int, int], tuple[int, int]]:
+def counters(seed: int, frame: int, species: str, site: str, block: int) -> Counters:
     """The counter words that all ids share (the third but for the high half of an id), and the key."""
     low, high = site_words(species, site)
     return (frame & 0xFFFFFFFF, low, (high + block) & 0xFFFFFFFF), (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF)
@@ -73,10 +76,21 @@ def uniform(seed: int, frame: int, species: str, site: str, index: int, ids: NDA
     if compiled.wanted(ids.size) and ids.ndim == 1:
         from antdsl.numerics.randomness_compiled import uniforms
 
-        shared, key = counters(seed, frame, species, site, index >> 2)
-        found = np.empty(ids.size, np.float32)
-        uniforms(
-            *compiled.plain(ids.astype(np.int64, copy=False)), *(np.uint64(word) for word in (*shared, *key)), index & 3, found
-        )
-        return found
+        return _drawn(uniforms, np.empty(ids.size, np.float32), counters(seed, frame, species, site, index >> 2), index, ids)
     return unit_floats(words(seed, frame, species, site, index >> 2, ids)[index & 3])
+
+
+def word(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """The word of `words` that `uniform` makes that draw from."""
+    if compiled.wanted(ids.size) and ids.ndim == 1:
+        from antdsl.numerics.randomness_compiled import words as loop
+
+        return _drawn(loop, np.empty(ids.size, np.uint64), counters(seed, frame, species, site, index >> 2), index, ids)
+    return words(seed, frame, species, site, index >> 2, ids)[index & 3]
+
+
+def _drawn(loop: Kernel, found: NDArray[Any], shared: Counters, index: int, ids: NDArray[np.int64]) -> NDArray[Any]:
+    """Draws by a compiled loop."""
+    numbers = (np.uint64(number) for number in (*shared[0], *shared[1]))
+    loop(*compiled.plain(ids.astype(np.int64, copy=False)), *numbers, index & 3, found)
+    return found

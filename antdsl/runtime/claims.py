@@ -5,6 +5,8 @@ An agent's own register is float32, an item's amount float64: the item changes b
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,7 +57,7 @@ def _settle_one(world: World, items: str, attribute: str, entries: list[tuple[Po
 
 def _draws(world: World, population: Population, entry: ClaimEntry) -> NDArray[np.uint64]:
     ids = population.ids[entry.rows]
-    return randomness.words(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)[0]
+    return randomness.word(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)
 
 
 def _turn(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -82,14 +84,19 @@ def _change(
 def _served(rest: NDArray[np.float64], item: NDArray[np.int32], change: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Who is served; `item` is sorted. Takes what they get from the rest."""
     won = np.zeros(len(item), np.bool_)
-    for k in np.unique(item):
-        mine = slice(int(np.searchsorted(item, k)), int(np.searchsorted(item, k, side="right")))
-        taken = np.cumsum(change[mine])
-        served = taken <= rest[k]
-        count = len(served) if served.all() else int(np.argmin(served))
+    if not len(item):
+        return won
+    starts = [0, *(np.flatnonzero(item[1:] != item[:-1]) + 1).tolist(), len(item)]
+    for begin, end in pairwise(starts):
+        k = item[begin]
+        taken = np.add.accumulate(change[begin:end])
+        count = end - begin
+        if not taken[-1] <= rest[k]:  # nobody adds less than nothing, so that else all are served
+            served = taken <= rest[k]
+            count = count if served.all() else int(np.argmin(served))
         if count:
             rest[k] -= taken[count - 1]
-        won[mine][:count] = True
+        won[begin : begin + count] = True
     return won
 
 

@@ -29,7 +29,8 @@ def find_cells(world: World, population: Population) -> None:
         found: dict[int, Cells] = {}  # fields may share their cells
         for name, field in world.fields.items():
             if id(field.cells) not in found:
-                found[id(field.cells)] = field.cells.lookup_sides(place, sides)
+                known = population.voxels.get(name)
+                found[id(field.cells)], population.voxels[name] = field.cells.follow(place, sides, known)
             population.cells[name] = found[id(field.cells)]
 
 

@@ -18,6 +18,7 @@ from antdsl.numerics import compiled, exact_sums
 from antdsl.plan import ir
 from antdsl.plan.traverse import blocks, needed, operands, statements
 from antdsl.runtime.faults import Fault, LimitStop
+from antdsl.runtime.item_pairs import items_within
 from antdsl.runtime.world import AXES, Items, Population, World
 from antdsl.senses.neighbours import CellGrid, TooManyWithin, View, seen
 from antdsl.source import Span
@@ -111,7 +112,8 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
     `nearby` is what was found for the chunk before; this adds to it."""
     own = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     if node.op == "set.items":
-        return _items(world.items[node.attrs[0]], own, args[0], len(population))
+        items = world.items[node.attrs[0]]
+        return PairRows(items, len(own[0]), *items_within(items, own, args[0], len(population)))
     other = world.populations[node.attrs[0]]
     ids = population.ids[rows] if other is population else None
     if node.op == "set.every":
@@ -251,39 +253,6 @@ def _every(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | 
         i, j = i.take(keep), j.take(keep)
     dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own[k].take(i) for k, axis in enumerate(AXES))
     return PairRows(other, n, i, j, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
-
-
-def _items(items: Items, own: tuple[Floats, ...], radius: Any, crowd: int) -> PairRows:
-    if compiled.wanted(crowd):
-        from antdsl.runtime.pairs_compiled import within
-
-        reach = np.full(len(own[0]), radius, np.float32) if np.ndim(radius) == 0 else np.asarray(radius, np.float32)
-        ix, iy, iz = (np.asarray(items.seen[axis], np.float32) for axis in AXES)
-        x, y, z = own
-        i, j, dx, dy, dz, distance = within(ix, iy, iz, x, y, z, reach)
-        return PairRows(items, len(x), i, j, dx, dy, dz, distance)
-    return _items_by_item(items, own, radius)
-
-
-def _items_by_item(items: Items, own: tuple[Floats, ...], radius: Any) -> PairRows:
-    n = len(own[0])
-    parts: list[tuple[NDArray[Any], ...]] = []
-    for k in range(len(items)):
-        dx, dy, dz = (items.seen[axis][k] - place for axis, place in zip(AXES, own, strict=True))
-        distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
-        near = np.flatnonzero(distance <= radius)
-        if len(near) == n:
-            parts.append((np.arange(n), np.full(n, k), dx, dy, dz, distance))
-        elif len(near):
-            parts.append((near, np.full(len(near), k), dx.take(near), dy.take(near), dz.take(near), distance.take(near)))
-    if not parts:
-        empty = np.empty(0, np.float32)
-        return PairRows(items, n, np.empty(0, np.intp), np.empty(0, np.intp), empty, empty, empty, empty)
-    if len(parts) == 1:
-        return PairRows(items, n, *parts[0])
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    order = np.argsort(columns[0], kind="stable")
-    return PairRows(items, n, *(column.take(order) for column in columns))
 
 
 # --- reductions ------------------------------------------------------------------------------------------------------

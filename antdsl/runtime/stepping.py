@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from time import perf_counter, process_time
 
+from antdsl.numerics import compiled
 from antdsl.runtime.faults import FaultStop
 from antdsl.runtime.phases import PHASES
 from antdsl.runtime.world import World
@@ -13,11 +14,14 @@ def step(world: World) -> None:
     """Go on by one frame. Raises FaultStop after a whole step in which a value was at fault, if the options say `stop`,
     and LimitStop in the middle of one that would take more than the limits allow."""
     started, worked = perf_counter(), process_time()
+    begun = worked
+    compiled.begin_step(len(world))
     for name, phase in PHASES:
         phase(world)
         ended, done = perf_counter(), process_time()
         world.timings[name] = world.timings.get(name, 0.0) + ended - started
         world.worked[name] = world.worked.get(name, 0.0) + done - worked
         started, worked = ended, done
+    compiled.end_step(worked - begun)
     if world.faults.latest is not None and world.options.on_fault == "stop":
         raise FaultStop(world.faults.latest)

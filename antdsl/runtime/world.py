@@ -22,6 +22,7 @@ from antdsl.scene.setting import Setting
 if TYPE_CHECKING:
     from antdsl.casting.curves import Curve
     from antdsl.casting.obstacle import Obstacle
+    from antdsl.fields.cells import Known
     from antdsl.fields.flow import Flow, Map
     from antdsl.fields.pheromone import PheromoneField
     from antdsl.ground.solid import Volume
@@ -87,6 +88,7 @@ class Population:
     events: dict[str, NDArray[np.bool_]]
     raised: dict[str, NDArray[np.bool_]]  # to be seen in the next step
     cells: dict[str, NDArray[np.int32]] = field(default_factory=dict)  # field -> own cell
+    voxels: dict[str, Known | None] = field(default_factory=dict)  # field -> what its cells were found by, whoever the rows are
     effects: Effects = field(default_factory=Effects)
     version: int = 0  # changes whenever rows do
     next_id: int = 0

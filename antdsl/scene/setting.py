@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -205,4 +206,10 @@ class Setting:
     @property
     def dt(self) -> float:
         """Seconds a step."""
-        return float(1 / self.fps)
+        return _seconds(self.fps)
+
+
+@lru_cache(64)
+def _seconds(fps: Fraction) -> float:
+    """Of one frame; asked for many times a step."""
+    return float(1 / fps)

@@ -138,3 +138,20 @@ def test_a_missing_library_is_named_with_what_to_install():
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
     for word in ("open3d-cpu", "libegl1", "libgl1", "libusb-1.0-0"):
         assert word in told
+
+
+def test_few_feelers_touch_what_many_do(monkeypatch: pytest.MonkeyPatch):
+    """Few rays go on beyond their reach, many are asked first whether they touch anything within it."""
+    from antdsl.casting import rays
+
+    mesh = ball(12)
+    scene, (origin, direction) = RayScene(*mesh), random_rays(5000, 15)
+    start, touched = scene._faces.corners.mean(axis=1).take(np.arange(5000) % len(mesh[1]), axis=0), []
+    origin = np.where(np.arange(5000)[:, None] % 2, origin, start)  # every other one begins on a face
+    reach = np.random.default_rng(1).choice([1e-6, 1e-4, 0.1, 3.0, 30.0], 5000)
+    for few in (0, 5000):
+        monkeypatch.setattr(rays, "_FEW", few)
+        touched.append(scene.cast_within(origin, direction * reach[:, None]))
+    assert 400 < len(touched[0][0]) < 4500
+    for many, few in zip(*touched, strict=True):
+        assert np.array_equal(many, few)

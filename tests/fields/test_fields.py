@@ -96,6 +96,40 @@ def test_the_table_and_the_search_find_the_same(monkeypatch):
     assert np.array_equal(one.block, two.block)
 
 
+def test_who_is_followed_is_looked_up_again_only_in_another_voxel(monkeypatch):
+    from antdsl.fields import cells as module
+
+    monkeypatch.setattr(module, "_DENSE", 0)
+    mesh, rng = ball(30, (3, 4, 5)), np.random.default_rng(2)
+    cells, (points, normals) = SurfaceCells([mesh], 4.0), on_surface(mesh, 2000)
+    side, known, asked = facing(normals), None, []
+    find = SurfaceCells._find
+    monkeypatch.setattr(SurfaceCells, "_find", lambda self, key, within: asked.append(len(key)) or find(self, key, within))
+    for step in range(8):
+        points = points + rng.normal(0, 0.4, points.shape)
+        points[step], points[10 * step] = np.nan, 1e9
+        side = np.where(rng.random(2000) < 0.02, rng.integers(0, 6, 2000), side)
+        found, known = cells.follow(points, side, known)
+        assert np.array_equal(found, cells.lookup_sides(points, side))
+    assert asked[0] == 2000 and max(asked[2::2]) < 1400  # every other one asks about all
+    rows = rng.permutation(2000)[:1500]
+    assert np.array_equal(cells.follow(points[rows], side[rows], known)[0], found[rows])
+
+
+def test_the_nearest_are_those_of_a_plain_search():
+    """On two balls that stand in each other, where more cells than sixteen are around many."""
+    cells = SurfaceCells([ball(12, (0, 0, 0)), ball(12, (3, 1, 0)), ball(12, (1, 4, 2))], 3.0)
+    voxel = np.stack(np.unravel_index(cells._voxels, tuple(cells._size)), axis=1)
+    crowded, most = 0, len(cells)
+    for a in range(most):
+        near = np.flatnonzero((np.abs(voxel - voxel[a]).max(axis=1) <= 1) & ((cells.side ^ 1) != cells.side[a]))
+        gap = ((cells.position[near] - cells.position[a]) ** 2).sum(axis=1)
+        wanted = np.sort(near[np.lexsort((near, gap))][:16])
+        crowded += len(near) > 16
+        assert np.array_equal(cells.block[a], np.pad(wanted, (0, 16 - len(wanted)), constant_values=most))
+    assert crowded > 100 and crowded < most
+
+
 def test_a_miss_falls_back_to_a_cell_near_by_that_does_not_face_the_other_way():
     cells = SurfaceCells([grid(80, 4)], 4.0)
     up = np.array([[0, 1.0, 0]])

@@ -87,3 +87,44 @@ def test_a_full_disk_fails_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(IndexDataCacheFile, "save", full)
     kernel = load(folder, monkeypatch)
     assert kernel(2.0) == 6 and hits(kernel) == 0
+
+
+@pytest.fixture
+def unstarted(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"_running": False, "_spent": 0.0, "_long": False, "_kept": lambda: True}.items():
+        monkeypatch.setattr(compiled, name, value)
+
+
+@pytest.mark.usefixtures("unstarted")
+def test_a_small_crowd_gets_kernels_once_it_has_cost_as_much_as_they_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun = []
+    for _ in range(100):
+        compiled.begin_step(30)
+        begun.append(compiled.wanted(30))
+        compiled.end_step(0.01)
+    assert begun.index(True) == pytest.approx(compiled._LOADING / 0.01, abs=1)
+    assert compiled.wanted(1) and not compiled.wanted(0)
+
+
+@pytest.mark.usefixtures("unstarted")
+def test_kernels_that_have_to_be_compiled_first_are_waited_for_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "_kept", lambda: False)
+    compiled.end_step(compiled._COMPILING * 0.9)
+    compiled.begin_step(30)
+    assert not compiled.wanted(30)
+    compiled.end_step(compiled._COMPILING * 0.2)
+    compiled.begin_step(30)
+    assert compiled.wanted(30)
+
+
+@pytest.mark.usefixtures("unstarted")
+def test_a_large_crowd_begins_with_kernels_and_its_set_up_does_not() -> None:
+    assert not compiled.wanted(compiled.LEAST)
+    compiled.begin_step(compiled.LEAST)
+    assert compiled.wanted(1)
+
+
+@pytest.mark.usefixtures("unstarted")
+def test_a_large_world_is_made_ready_with_kernels() -> None:
+    assert compiled.wanted(1_000_000)
+    assert compiled.wanted(1)

@@ -123,22 +123,44 @@ def test_a_crowd_goes_the_same_way_compiled_and_not(monkeypatch) -> None:
     assert hashes[0] == hashes[1]
 
 
-def test_items_are_the_same_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    from antdsl.runtime import pairs
+def near_items(seen: dict, places, radius) -> list[tuple]:
+    """Pairs by row and item, with their way and distance, from one item after another."""
+    found = []
+    for k in range(len(seen["x"])):
+        way = [seen[axis][k] - place for axis, place in zip("xyz", places, strict=True)]
+        distance = np.sqrt((way[0] * way[0] + way[1] * way[1]) + way[2] * way[2])
+        found += [(i, k, *(w[i].tobytes() for w in (*way, distance))) for i in np.flatnonzero(distance <= radius)]
+    return sorted(found)
 
-    places, _ = crowd((400, 10, 400), 3000)
+
+@pytest.mark.parametrize("many", [0, 1, 7, 200])
+def test_items_are_found_the_same_in_every_way(monkeypatch: pytest.MonkeyPatch, many: int) -> None:
+    from antdsl.runtime import item_pairs
+
+    places, _ = crowd((400, 10, 400), 1000)
     rng = np.random.default_rng(4)
-    for many in (0, 1, 7, 200):
-        seen = {axis: rng.uniform(-200, 200, many).astype(np.float32) for axis in "xyz"}
-        items = type("Held", (), {"seen": seen, "__len__": lambda self, many=many: many})()
-        for radius in (np.float32(np.inf), np.float32(60), rng.uniform(-5, 300, 3000).astype(np.float32)):
-            with np.errstate(invalid="ignore"):
-                slow = pairs._items_by_item(items, tuple(places), radius)
-            monkeypatch.setattr(compiled, "wanted", lambda count: True)
-            fast = pairs._items(items, tuple(places), radius, 3000)
-            for name in ("i", "j", "dx", "dy", "dz", "distance"):
-                a, b = getattr(slow, name), getattr(fast, name)
-                assert np.array_equal(a, b, equal_nan=a.dtype == np.float32) and a.dtype.itemsize == b.dtype.itemsize
+    seen = {axis: rng.uniform(-200, 200, many).astype(np.float32) for axis in "xyz"}
+    for axis, values in seen.items():
+        values[: many // 50] = {"x": np.nan, "y": np.inf, "z": 3e38}[axis]
+        values[many // 50 : many // 20] = places["xyz".index(axis)][0]
+    places[0][5], places[1][6], places[2][7] = np.nan, np.inf, -3e38
+    items = type("Held", (), {"seen": seen, "__len__": lambda self: many})()
+    numbers = rng.uniform(-5, 300, 1000).astype(np.float32)
+    numbers[::50] = np.nan
+    monkeypatch.setattr(item_pairs, "_MEASURED", 5000)
+    for radius in (np.float32(np.inf), np.float32(60), np.float32(0), numbers):
+        reach = np.broadcast_to(radius, 1000).astype(np.float32)
+        monkeypatch.setattr(item_pairs, "_MANY_ITEMS", 1000)
+        with np.errstate(all="ignore"):
+            wanted = near_items(seen, places, radius)
+            ways = [item_pairs.each(items, tuple(places), reach)]
+            ways += [item_pairs.along(items, tuple(places), reach)] if many else []
+            for fast in (False, True):
+                monkeypatch.setattr(compiled, "wanted", lambda count, fast=fast: fast)
+                ways.append(item_pairs.items_within(items, tuple(places), radius, 1000))
+        for columns in ways:
+            assert [column.dtype.itemsize for column in columns] == [8, 8, 4, 4, 4, 4]
+            assert [(i, j, *(w.tobytes() for w in way)) for i, j, *way in zip(*columns, strict=True)] == wanted
 
 
 def test_parts_walked_side_by_side_come_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -171,6 +193,7 @@ LOOPS = {
     "atan2, inf": lambda: elementary.atan2(np.append(_NUMBERS, np.float32(np.inf)), np.append(_NUMBERS, np.float32(1))),
     "at_least": lambda: _GRID.at_least(*_PLACES),
     **{f"uniform {k}": lambda k=k: randomness.uniform(2**40 + 5, -3, "ant", "wander", k, _IDS) for k in range(6)},
+    **{f"word {k}": lambda k=k: randomness.word(2**40 + 5, -3, "ant", "wander", k, _IDS) for k in range(6)},
 }
 
 

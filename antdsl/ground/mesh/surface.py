@@ -108,6 +108,13 @@ class MeshGround:
         place = origin.T + way.T * np.where(found, part, 0.0)
         return found, np.where(found, part, 1.0), self._footing(face, *weights(self._table, np.maximum(face, 0), place))
 
+    def faced(self, origin: Floats, way: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
+        """Whose straight way from `origin` [n,3] by `way` [n,3] meets a surface: their numbers, ascending, after what part of it,
+        and the face's unit normal (3, k), by how it is wound."""
+        scene, live = self._scene(None)
+        which, part, _, face = scene.cast_within(origin, way, threads)
+        return which, part, self._table.normal.take(live.take(face), axis=1)
+
     def position(self, footing: Footing) -> Floats:
         """Places in the world, float64[n,3]; zero for footings nowhere."""
         face, known = self._faces_of(footing)

@@ -139,15 +139,13 @@ def _velocity(world: World, population: Population, up: Vector, dt: np.float32, 
     if compiled.wanted(len(population)):
         from antdsl.runtime.moving.advance_compiled import velocities
 
-        found, may_turn_more = np.empty((3, len(population)), np.float32), np.empty(len(population), np.bool_)
+        found = np.empty((3, len(population)), np.float32)
         limits = (now[name] for name in ("max_speed", "max_force", "mass", "response", "max_turn"))
         step = _F(world.dt)
-        velocities(push, before, up, *limits, step * _F(1.0001), step if substep == 0 else _F(0), dt, found, may_turn_more)
-        velocity: Vector = (found[0], found[1], found[2])
-        turning = np.flatnonzero(may_turn_more)
-    else:
-        velocity = _pushed(now, push, vec.flat(before, up), up, _time(now, _F(world.dt), dt, substep))
-        turning = np.flatnonzero(np.isfinite(now["max_turn"]))
+        velocities(push, before, up, *limits, step * _F(1.0001), step if substep == 0 else _F(0), dt, found)
+        return found[0], found[1], found[2]
+    velocity = _pushed(now, push, vec.flat(before, up), up, _time(now, _F(world.dt), dt, substep))
+    turning = np.flatnonzero(np.isfinite(now["max_turn"]))
     if len(turning):
         time = _time({"response": now["response"][turning]}, _F(world.dt), dt, substep)
         most = np.maximum(now["max_turn"][turning], _F(0)) * time

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from antdsl.numerics.elementary_compiled import atan2, cos_sin
 from antdsl.numerics.kernel_cache import njit
 from antdsl.numerics.vectors_compiled import cross, dot, minus, plus, times
 
@@ -18,12 +19,12 @@ _TWELFTH, _NINETIETH = _F(1 / 12), _F(1 / 90)  # as `moving`
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def velocities(  # type: ignore[no-untyped-def]  # numba takes the types from the call
-    push, velocity, up, max_speed, max_force, mass, response, max_turn, at_once, first, dt, to, turning
+    push, velocity, up, max_speed, max_force, mass, response, max_turn, at_once, first, dt, to
 ):  # fmt: skip
-    """Velocities after the push, into `to` (3, n), and in `turning` who may have turned too far. `at_once` is the longest
-    response that takes its whole time, `first`, in one substep; `dt` the time of others. All float32, vectors three arrays."""
+    """Velocities after the push, within the limits of speed and turn, into `to` (3, n). `at_once` is the longest response that
+    takes its whole time, `first`, in one substep; `dt` the time of others. All float32, vectors three arrays."""
     last, cosine = _ZERO, _ONE
-    for i in range(turning.size):
+    for i in range(mass.size):
         u = (up[0][i], up[1][i], up[2][i])
         wish = _flat((push[0][i], push[1][i], push[2][i]), u)
         wish = times(wish, _ONE / _maximum(_length(wish), _ONE))
@@ -36,14 +37,39 @@ def velocities(  # type: ignore[no-untyped-def]  # numba takes the types from th
         if speed > most:
             v = times(v, most / (speed if speed > 0 else _ONE))
         v = (v[0] if np.isfinite(v[0]) else _ZERO, v[1] if np.isfinite(v[1]) else _ZERO, v[2] if np.isfinite(v[2]) else _ZERO)
-        to[0, i], to[1, i], to[2, i] = v
-        turning[i] = False
         if np.isfinite(max_turn[i]):
-            turn = min(_maximum(max_turn[i], _ZERO) * time, _PI)
+            most = _maximum(max_turn[i], _ZERO) * time
+            turn = min(most, _PI)
             if turn != last:
                 last, cosine = turn, _F(np.cos(turn))
             both = _length(v) * _length(before)
-            turning[i] = not (dot(v, before) > (cosine + _SURELY) * both and both > _TINY)
+            if not (dot(v, before) > (cosine + _SURELY) * both and both > _TINY):
+                v = _turned(v, before, u, most)
+        to[0, i], to[1, i], to[2, i] = v
+
+
+@njit(error_model="numpy")
+def _turned(velocity, before, up, most):  # type: ignore[no-untyped-def]
+    """As `moving._limit_turn`, for one."""
+    if not _length(before) > 0:
+        most = _F(4.0)
+    ahead, good = _unit(before)
+    if not good:
+        ahead, good = _unit(velocity)
+        if not good:
+            ahead = _across(up)
+    direction, good = _unit(velocity)
+    if not good:
+        direction = ahead
+    left = cross(up, ahead)
+    side, good = _unit(_flat(direction, ahead))
+    if not good:
+        side = left
+    sine, cosine = _length(cross(ahead, direction)), dot(ahead, direction)
+    if not (np.isfinite(sine) and np.isfinite(cosine)) or not atan2(sine, cosine) > most:
+        return velocity
+    c, s = cos_sin(most)
+    return times(plus(times(ahead, c), times(side, s)), _length(velocity))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

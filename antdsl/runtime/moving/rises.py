@@ -131,11 +131,9 @@ def _seen(
 ) -> Rises:
     """Walls that rays along `ahead` (3, k) meet from just above the ground, so near that the body tilts within a `step` (mm)."""
     high, reach = 2 * _EYE * half, _WIDEST * half
-    met, part, footing = meshes.met((place + normal * high).T, (ahead * reach).T, threads)
-    hit = np.flatnonzero(met)
+    hit, part, wall = meshes.faced((place + normal * high).T, (ahead * reach).T, threads)
     rows, half, step, high, reach = rows.take(hit), half.take(hit), step.take(hit), high.take(hit), reach.take(hit)
-    ahead, normal, part = ahead.take(hit, axis=1), normal.take(hit, axis=1), part.take(hit)
-    wall = meshes.normal(footing.take(hit)).T
+    ahead, normal = ahead.take(hit, axis=1), normal.take(hit, axis=1)
     wall = np.where(dot(wall, ahead) > 0, -wall, wall)
     cosine, across = dot(normal, wall), stacked_cross(normal, wall)
     sine = np.maximum(np.sqrt(dot(across, across)), 1e-6)

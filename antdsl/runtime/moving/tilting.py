@@ -64,7 +64,10 @@ class Bodies:
 
     def paced(self, step: Vector) -> tuple[Vector, NDArray[np.float32] | None]:
         """Steps (mm) as long as the bodies can follow, and the share of its speed that each keeps (None: all keep all)."""
-        rows = np.union1d(self.leaning, self.rises.rows)
+        chosen = np.zeros(len(self.most), np.bool_)
+        chosen[self.leaning] = True
+        chosen[self.rises.rows] = True
+        rows = np.flatnonzero(chosen)
         if not len(rows):
             return step, None
         if compiled.wanted(len(self.most)):
