@@ -23,8 +23,8 @@ Rows = slice | NDArray[np.intp]
 TINY = np.float32(1e-30)
 
 
-def uniform_leaf(world: World, node: ir.Node) -> Value:
-    """A constant, a param or a value of the run or step, as one NumPy scalar."""
+def constant(node: ir.Node) -> Value:
+    """A constant as one NumPy scalar."""
     match node.op:
         case "const":
             return np.float32(node.attrs[0])
@@ -34,6 +34,14 @@ def uniform_leaf(world: World, node: ir.Node) -> Value:
             return np.int32(node.attrs[0])
         case "const.i64":
             return np.int64(node.attrs[0])
+    raise AssertionError(f"{node.op} is not constant")
+
+
+def uniform_leaf(world: World, node: ir.Node) -> Value:
+    """A constant, a param or a value of the run or step, as one NumPy scalar."""
+    if node.rate is ir.Rate.CONST:
+        return constant(node)
+    match node.op:
         case "param":
             return world.params[node.attrs[0]]
         case "told":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from time import perf_counter
 from typing import Any
@@ -29,7 +30,7 @@ from antdsl.runtime.backends.compile import (
 from antdsl.runtime.backends.metering import Metered
 from antdsl.runtime.pairs import MOST_PAIRS, NearbySets
 from antdsl.runtime.requests import Effects
-from antdsl.runtime.sensing import uniform_leaf
+from antdsl.runtime.sensing import constant, uniform_leaf
 from antdsl.runtime.world import DTYPES, Population, World
 
 BLOCKS = ("born", "decide", "act", "blend")
@@ -43,6 +44,7 @@ class NumpyBackend:
     def __init__(self, plan: ir.Plan) -> None:
         self._blocks: dict[tuple[str, str], BlockCompiler] = {}
         self._uniforms: dict[str, list[ir.Node]] = {}
+        self._constants: dict[str, dict[ir.Node, Any]] = {}
         for name, species in plan.species.items():
             order = places(species)
             sets: dict[ir.Node, int] = {}
@@ -51,7 +53,9 @@ class NumpyBackend:
                 compiler.compile(getattr(species, block))
                 bind_calls(compiler, numpy_calls.call)
             roots = tuple(node for block in BLOCKS for node in self._blocks[name, block].uniforms)
-            self._uniforms[name] = needed(roots)
+            every = needed(roots)
+            self._constants[name] = constant_values(node for node in every if node.rate is ir.Rate.CONST)
+            self._uniforms[name] = [node for node in every if node.rate is not ir.Rate.CONST]
         self._values: dict[str, dict[ir.Node, Any]] = {}
         self._kept: dict[str, Kept] = {}
         self._pairs: dict[str, dict[tuple[ir.Node, int], Any]] = {}
@@ -70,7 +74,7 @@ class NumpyBackend:
     def begin(self, world: World) -> None:
         """Values of the step, and nothing sensed yet."""
         for name, population in world.populations.items():
-            self._values[name] = uniform_values(world, self._uniforms[name])
+            self._values[name] = self._of_step(world, name)
             n = len(population) + self.spare
             self._pairs[name] = {}
             self._kept[name] = {
@@ -78,13 +82,16 @@ class NumpyBackend:
                 for node in kept_senses(population.plan)
             }
 
+    def _of_step(self, world: World, species: str) -> dict[ir.Node, Any]:
+        return uniform_values(world, self._uniforms[species], self._constants[species])
+
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Run a block for some rows (None: all), and put what they ask for into the population's effects."""
         compiler = self._blocks[population.name, block]
         if not compiler.root.calls:
             return
         if block == "born":
-            self._values[population.name] = uniform_values(world, self._uniforms[population.name])
+            self._values[population.name] = self._of_step(world, population.name)
         chunks = self._chunks(world, population, compiler, rows)
         threads = min(world.options.threads, len(chunks))
         metered = self.metered.get((population.name, block))
@@ -157,9 +164,19 @@ class NumpyBackend:
         return pool
 
 
-def uniform_values(world: World, nodes: list[ir.Node]) -> dict[ir.Node, Any]:
-    """Values that are the same for all agents, as NumPy scalars; operands stand first."""
+def constant_values(nodes: Iterable[ir.Node]) -> dict[ir.Node, Any]:
+    """Values that are the same in every step; operands stand first."""
     values: dict[ir.Node, Any] = {}
+    with np.errstate(all="ignore"):
+        for node in nodes:
+            f = ELEMENTWISE.get(node.op)
+            values[node] = constant(node) if f is None else f(*[values[a] for a in node.args])
+    return values
+
+
+def uniform_values(world: World, nodes: list[ir.Node], known: Mapping[ir.Node, Any] | None = None) -> dict[ir.Node, Any]:
+    """Values that are the same for all agents, as NumPy scalars, beside those that are known already; operands stand first."""
+    values: dict[ir.Node, Any] = dict(known or {})
     with np.errstate(all="ignore"):
         for node in nodes:
             f = ELEMENTWISE.get(node.op)
