@@ -14,7 +14,7 @@ from antdsl.runtime.backends.native import machine
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.lanes import WIDTH
 from antdsl.runtime.backends.native.programs import Program, program
-from antdsl.runtime.backends.native.tables import Addresses, Tables
+from antdsl.runtime.backends.native.tables import Rooms, Tables
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 from antdsl.runtime.backends.reference import Agent
 from antdsl.runtime.moving import moving_geometry
@@ -36,7 +36,8 @@ class NativeBackend(NumpyBackend):
         self.program: Program | None = None
         self._code: machine.Code | None = None
         self._tables: dict[tuple[str, str, int], Tables] = {}
-        self._addresses = Addresses()
+        self._rooms = Rooms()
+        self._versions: dict[str, int] = {}
         self._widest: dict[tuple[str, str, int], float] = {}
         self._calls: dict[Instruction, Run] = {}
 
@@ -48,6 +49,10 @@ class NativeBackend(NumpyBackend):
             for key, code in self.program.blocks.items():
                 for each in (*code.requests, *(each for group in code.schedule.calls for each in group)):
                     self._calls[each] = numpy_calls.call(each, self._blocks[key])(each.out, each.inputs, None)
+        versions = {name: population.version for name, population in world.populations.items()}
+        if versions != self._versions:
+            self._versions = versions
+            self._rooms.forget()
         super().begin(world)
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
@@ -63,13 +68,13 @@ class NativeBackend(NumpyBackend):
         size = -(-max(WIDTH, world.options.chunk) // WIDTH) * WIDTH
         n = len(population)
         chunks = [(a, min(a + size, n)) for a in range(0, n, size)]
-        tables = self._tables.setdefault((population.name, block, 0), Tables(code, self._addresses))
+        tables = self._tables.setdefault((population.name, block, 0), Tables(code, self._rooms))
         grids = [self._grid(world, population, block, code, compiler, k, tables) for k in range(len(code.near))]
         tables.fill(world, population, self._values[population.name], self._kept.get(population.name), grids)
         tables.room(min(size, n))
         with np.errstate(all="ignore"):
             for begin, end in chunks:
-                self._rows(world, population, compiler, code, tables, begin, end)
+                self._go(world, population, compiler, code, tables, begin, end)
         for k, widest in enumerate(tables.widest):
             self._widest[population.name, block, k] = float(widest.max()) or self._widest[population.name, block, k]
             widest[:] = 0
@@ -90,7 +95,7 @@ class NativeBackend(NumpyBackend):
         self._widest[population.name, block, number] = widest
         return grid_for(world, world.populations[near.species], widest if widest > 0 else 1.0)
 
-    def _rows(
+    def _go(
         self,
         world: World,
         population: Population,

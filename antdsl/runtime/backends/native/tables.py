@@ -1,7 +1,7 @@
 """Fills the table of addresses and the numbers of a block: where in the world each array lies that its machine code names.
 
-Code reads eight rows at once, so that every array it is given goes on for eight rows behind the last one: registers are moved into
-arrays with room, what others own is copied."""
+Code reads eight rows at once, so every array that it is given goes on for eight rows behind the last one: registers are moved into
+arrays with room, what others own is copied. What has not become another array since the last run is not looked up again."""
 
 from __future__ import annotations
 
@@ -31,61 +31,64 @@ def roomy(array: NDArray[Any]) -> NDArray[Any]:
     return found
 
 
-class Addresses:
-    """Addresses of arrays. An array that is the same object as before has the address it had."""
-
-    def __init__(self) -> None:
-        self._known: dict[Key, tuple[Any, Any, int]] = {}
-
-    def moved(self, key: Key, holder: dict[str, NDArray[Any]], name: str) -> int:
-        """Of a register, which is moved into an array with room unless it is in one."""
-        known = self._known.get(key)
-        array = holder[name]
-        if known is not None and known[0] is array:
-            return known[2]
-        for other in self._known.values():  # start and now may share one array
-            if other[0] is array and other[1] is array:
-                self._known[key] = other
-                return other[2]
-        new = holder[name] = roomy(array)
-        self._known[key] = (new, new, _address(new))
-        return self._known[key][2]
-
-    def scratch(self, key: Key, shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-        """An array of that shape, the same one as long as the shape stays."""
-        known = self._known.get(key)
-        if known is None or known[0].shape != shape:
-            array = np.zeros(shape, dtype)
-            known = self._known[key] = (array, None, _address(array))
-        found: NDArray[Any] = known[0]
-        return found
-
-    def copied(self, key: Key, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
-        """Of a copy, made anew where the array or a stamp is another one; a stamp of None: always, into the same place."""
-        known = self._known.get(key)
-        if known is not None and stamp is not None and known[0] is array and known[1][1] == stamp:
-            return known[2]
-        if known is not None and stamp is None and len(known[1][0]) == len(array) + WIDTH:
-            known[1][0][: len(array)] = array
-            return known[2]
-        whole = np.zeros(len(array) + WIDTH, dtype)
-        whole[: len(array)] = array
-        self._known[key] = (array, (whole, stamp), _address(whole))
-        return self._known[key][2]
-
-
-def _address(array: NDArray[Any]) -> int:
+def address(array: NDArray[Any]) -> int:
+    """Where an array begins in memory; it has to lie in one piece."""
     if not array.flags.c_contiguous:
         raise ValueError("machine code reads arrays that lie in one piece")
-    found: int = array.__array_interface__["data"][0]
+    found: int = array.ctypes.data
     return found
+
+
+class Rooms:
+    """Arrays with room, by what they hold: the same one for all blocks that name it."""
+
+    def __init__(self) -> None:
+        self._moved: dict[int, tuple[NDArray[Any], NDArray[Any], int]] = {}  # by identity: an array, that with room, its address
+        self._copies: dict[Key, tuple[Any, NDArray[Any], int]] = {}
+
+    def moved(self, holder: dict[str, NDArray[Any]], name: str) -> tuple[NDArray[Any], int]:
+        """A register's array with its address, moved into one with room unless it is in one. Start and now may share an array, and
+        share the new one then."""
+        array = holder[name]
+        known = self._moved.get(id(array))
+        if known is None:
+            new = roomy(array)
+            known = self._moved[id(array)] = (array, new, address(new))
+            self._moved[id(new)] = (new, *known[1:])
+        holder[name] = known[1]
+        return known[1:]
+
+    def forget(self) -> None:
+        """Rows are others now: let go of arrays that are no longer in use."""
+        self._moved.clear()
+
+    def copied(self, key: Key, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
+        """The address of a copy. `stamp`: as long as it stays, so does what was copied; without one it is copied each time."""
+        known = self._copies.get(key)
+        if known is not None and stamp is not None and known[0] == stamp:
+            return known[2]
+        if known is None or len(known[1]) != len(array) + WIDTH:
+            whole = np.zeros(len(array) + WIDTH, dtype)
+            known = (stamp, whole, address(whole))
+        known[1][: len(array)] = array
+        self._copies[key] = (stamp, known[1], known[2])
+        return known[2]
+
+    def fours(self, key: Key, rows: int) -> NDArray[np.float32]:
+        """An array of four floats a row."""
+        known = self._copies.get(key)
+        if known is None or len(known[1]) != rows + WIDTH:
+            whole = np.zeros((rows + WIDTH, 4), np.float32)
+            known = self._copies[key] = (None, whole, address(whole))
+        found: NDArray[np.float32] = known[1]
+        return found
 
 
 class Tables:
     """What one block of one species is run with in one thread."""
 
-    def __init__(self, code: BlockCode, addresses: Addresses) -> None:
-        self.code, self._addresses = code, addresses
+    def __init__(self, code: BlockCode, rooms: Rooms) -> None:
+        self.code, self._rooms = code, rooms
         self.numbers = np.zeros(max(len(code.layout.numbers), 1), np.int64)
         self.pointers = np.zeros(len(code.layout.pointers), np.int64)
         self.arrays: dict[tuple[int, int], NDArray[Any]] = {}
@@ -94,120 +97,133 @@ class Tables:
         self.widest = [np.zeros(WIDTH, np.float32) for _ in code.near]
         self._candidates = np.zeros(0, np.int32)
         self._size = -1
-        self._held: list[Any] = []
-        self._bytes = self.numbers.view(np.uint8)
-        self.address = _address(self.pointers)
+        self._views = {np.dtype(kind): self.numbers.view(kind) for kind in (np.int64, np.float64, np.float32, np.int32, np.bool_)}
+        self._constants: Mapping[ir.Node, Any] | None = None
+        self._changing: list[tuple[Key, int]] = []
+        pointers = list(code.layout.pointers.items())
+        self._registers = [(str(key[1]), key[0] == "start", place) for key, place in pointers if key[0] in ("start", "now")]
+        self._seen: list[Any] = [None] * len(self._registers)
+        self._kept = [(int(str(key[1])), key[2], place) for key, place in pointers if key[0] == "kept"]
+        self._grids = [(int(str(key[1])), str(key[2]), place) for key, place in pointers if key[0] == "grid"]
+        self._found = [(_POINTERS[str(key[0])], key, place) for key, place in pointers if key[0] in _POINTERS]
+        self.pointers[0] = address(self.numbers)
+        self.address = address(self.pointers)
 
-    def fill(self, world: World, population: Population, values: Mapping[ir.Node, Any], kept: Any, grids: list[CellGrid]) -> None:
-        """Everything but what depends on the rows of a chunk. `values` are those of the step, `grids` a cell grid for each search."""
-        self._held = []
-        for key, place in self.code.layout.numbers.items():
-            value = _NUMBERS[str(key[0])](world, population, values, key)
-            self._bytes[8 * place : 8 * place + value.nbytes] = np.frombuffer(value.tobytes(), np.uint8)
-        for key, place in self.code.layout.pointers.items():
-            find = _POINTERS.get(str(key[0]))
-            if find is not None:
-                self.pointers[place] = find(self, world, population, key)
-            elif key[0] == "kept":
-                has, parts = kept[self.code.kept[int(str(key[1]))]]
-                self.pointers[place] = _address(has if key[2] == "has" else parts[int(str(key[2]))])
-            elif key[0] == "grid":
-                self.pointers[place] = self._grid(grids[int(str(key[1]))], key)
+    def fill(
+        self, world: World, population: Population, values: Mapping[ir.Node, Any], kept: Any, grids: list[CellGrid]
+    ) -> None:
+        """All but what depends on the rows of a chunk. `values` are those of the step, `grids` a cell grid for each search."""
+        self._numbers(world, population, values)
+        for number, (name, start, place) in enumerate(self._registers):
+            holder = population.start if start else population.now
+            if holder[name] is not self._seen[number]:
+                self._seen[number], self.pointers[place] = self._rooms.moved(holder, name)
+        for number, part, place in self._kept:
+            has, parts = kept[self.code.kept[number]]
+            self.pointers[place] = address(has if part == "has" else parts[int(str(part))])
+        for number, name, place in self._grids:
+            self.pointers[place] = self._grid(grids[number], number, name)
+        for find, key, place in self._found:
+            self.pointers[place] = find(self, world, population, key)
+
+    def _numbers(self, world: World, population: Population, values: Mapping[ir.Node, Any]) -> None:
+        """Constants are put down once."""
+        if self._constants is None:
+            self._constants = values
+            for key, place in self.code.layout.numbers.items():
+                node = key[1] if key[0] == "node" else None
+                if isinstance(node, ir.Node) and node.rate is ir.Rate.CONST:
+                    self._number(place, values[node])
+                else:
+                    self._changing.append((key, place))
+        for key, place in self._changing:
+            self._number(place, _NUMBERS[str(key[0])](world, population, values, key))
+
+    def _number(self, place: int, value: Any) -> None:
+        view = self._views[value.dtype]
+        view[place * (8 // value.dtype.itemsize)] = value
 
     def room(self, rows: int) -> None:
         """Arrays for so many rows of a chunk."""
-        if rows > self._size:
-            self._size = rows
-            for (slot, part), kind in self.code.layout.arrays.items():
-                self.arrays[slot, part] = np.zeros(rows + WIDTH, DTYPES[kind])
-            self.notes = np.zeros(1 + 2 * (len(self.code.faults) * (rows // WIDTH + 1)), np.int64)
+        if rows <= self._size:
+            return
+        self._size = rows
+        for (slot, part), kind in self.code.layout.arrays.items():
+            self.arrays[slot, part] = np.zeros(rows + WIDTH, DTYPES[kind])
+        self.notes = np.zeros(1 + 2 * (len(self.code.faults) * (rows // WIDTH + 1)), np.int64)
         for key, place in self.code.layout.pointers.items():
             if key[0] == "array":
-                self.pointers[place] = _address(self.arrays[int(str(key[1])), int(str(key[2]))])
+                self.pointers[place] = address(self.arrays[int(str(key[1])), int(str(key[2]))])
             elif key[0] == "notes":
-                self.pointers[place] = _address(self.notes)
+                self.pointers[place] = address(self.notes)
 
     # --- one kind of key each -------------------------------------------------------------------------------------------
 
-    def _own(self, world: World, population: Population, key: Key) -> int:
-        holder = population.start if key[0] == "start" else population.now
-        return self._addresses.moved((population.name, *key), holder, str(key[1]))
-
     def _rows(self, world: World, population: Population, key: Key) -> int:
-        """Arrays that do not change while the rows stay."""
+        """What does not change while the rows stay."""
         array = {"ids": population.ids, "born": population.born}[str(key[0])]
-        return self._addresses.copied((population.name, *key), array, np.int64, population.version)
+        return self._rooms.copied((population.name, *key), array, np.int64, (population.version, len(population)))
 
     def _quarantined(self, world: World, population: Population, key: Key) -> int:
-        return self._addresses.copied((population.name, *key), population.quarantined, np.bool_)
+        return self._rooms.copied((population.name, *key), population.quarantined, np.bool_)
 
     def _mesh(self, world: World, population: Population, key: Key) -> int:
-        return self._addresses.copied((population.name, *key), population.footing.mesh, np.int64)
+        return self._rooms.copied((population.name, *key), population.footing.mesh, np.int64)
 
     def _event(self, world: World, population: Population, key: Key) -> int:
         flags = population.events.get(str(key[1]))
-        return self._addresses.copied(
-            (population.name, *key), np.zeros(len(population), np.bool_) if flags is None else flags, np.bool_
-        )
+        nobody = np.zeros(len(population), np.bool_)
+        return self._rooms.copied((population.name, *key), nobody if flags is None else flags, np.bool_)
 
     def _other(self, world: World, population: Population, key: Key) -> int:
         """What is another one's: registers at the start of the step, ids, and these in order with their rows."""
-        other = world.populations[str(key[1])]
-        name = str(key[2])
+        other, name = world.populations[str(key[1])], str(key[2])
+        stamp = (other.version, len(other))
         if name in ("sorted ids", "order"):
-            return self._addresses.copied(key, other.sorted_ids()[name == "order"], np.int64, other.version)
+            return self._rooms.copied(key, other.sorted_ids()[name == "order"], np.int64, stamp)
         if name == "ids":
-            return self._addresses.copied((other.name, "ids"), other.ids, np.int64, other.version)
-        return self._addresses.moved((other.name, "start", name), other.start, name)
+            return self._rooms.copied((other.name, "ids"), other.ids, np.int64, stamp)
+        return self._rooms.moved(other.start, name)[1]
 
     def _beside(self, world: World, population: Population, key: Key) -> int:
         """Up to four registers of others at the start of the step, side by side."""
         other = world.populations[str(key[1])]
-        whole = self._addresses.scratch(key, (len(other) + WIDTH, 4), np.float32)
+        whole = self._rooms.fours(key, len(other))
         for k, name in enumerate(key[2:]):
             whole[: len(other), k] = other.start[str(name)]
-        return _address(whole)
+        return address(whole)
 
     def _item(self, world: World, population: Population, key: Key) -> int:
-        return self._addresses.copied(key, world.items[str(key[1])].seen[str(key[2])], np.float32)
+        return self._rooms.copied(key, world.items[str(key[1])].seen[str(key[2])], np.float32)
 
     def _cell(self, world: World, population: Population, key: Key) -> int:
-        return self._addresses.copied((population.name, *key), population.cells[str(key[1])], np.int32)
+        return self._rooms.copied((population.name, *key), population.cells[str(key[1])], np.int32)
 
     def _field(self, world: World, population: Population, key: Key) -> int:
         field = world.fields[str(key[1])]
         if key[2] == "held":
-            return _address(field.held)
+            return address(field.held)
         if key[2] == "block":
-            table = field.cells.nearest(int(str(key[3])))
-            self._held.append(table)
-            return _address(table)
-        return _address(field.seen_places[AXES.index(str(key[2]))])
+            return address(field.cells.nearest(int(str(key[3]))))
+        return address(field.seen_places[AXES.index(str(key[2]))])
 
     def _crowded(self, world: World, population: Population, key: Key) -> int:
-        return _address(self.crowded)
+        return address(self.crowded)
 
     def _candidate(self, world: World, population: Population, key: Key) -> int:
         most = max(len(other) for other in world.populations.values()) + (WIDTH + 1) * MOST
         if len(self._candidates) < most:
             self._candidates = np.zeros(most, np.int32)
-        return _address(self._candidates)
+        return address(self._candidates)
 
-    def _number(self, world: World, population: Population, key: Key) -> int:
-        return _address(self.numbers)
-
-    def _grid(self, grid: CellGrid, key: Key) -> int:
-        if key[2] == "widest":
-            return _address(self.widest[int(str(key[1]))])
-        array = grid.tables[str(key[2])]
-        self._held.append(array)
-        return 0 if array is None else _address(array)
+    def _grid(self, grid: CellGrid, number: int, name: str) -> int:
+        if name == "widest":
+            return address(self.widest[number])
+        array = grid.tables[name]
+        return 0 if array is None else address(array)
 
 
 _POINTERS: dict[str, Callable[[Tables, World, Population, Key], int]] = {
-    "numbers": Tables._number,
-    "start": Tables._own,
-    "now": Tables._own,
     "ids": Tables._rows,
     "born": Tables._rows,
     "quarantined": Tables._quarantined,
