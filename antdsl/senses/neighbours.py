@@ -53,6 +53,62 @@ class Pairs:
         return Pairs(*arrays)
 
 
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """The cells of a box: lists go by the fast, middle and slow axis, which are its longest, its second and its shortest. Low
+    corner and width in mm."""
+
+    axes: tuple[int, ...]
+    low: list[float]
+    extent: list[float]
+    width: list[float]
+    size: list[int]
+
+    @classmethod
+    def of(cls, low: list[float], high: list[float], cell: float) -> Shape:
+        """Of a box between two corners, for queries of a usual radius."""
+        extent = [b - a for a, b in zip(low, high, strict=True)]
+        axes = tuple(sorted(range(3), key=lambda axis: -extent[axis]))
+        low, extent = ([values[axis] for axis in axes] for values in (low, extent))
+        cell = cell if np.isfinite(cell) and cell > 0 else max(extent[0], 1.0)
+        # Wider cells only add candidates; the packed key of a far-flung crowd must not overflow.
+        least = max(extent[0] / (_MAX_CELLS_ALONG - 4), 1e-30)
+        width = [max(cell / 4, least), max(cell, least), max(cell, least)]
+        return cls(axes, low, extent, width, [int(e / w) + 1 for e, w in zip(extent, width, strict=True)])
+
+    @property
+    def cells(self) -> int:
+        return self.size[0] * self.size[1] * self.size[2]
+
+    def as_sheet(self) -> Shape:
+        """With one layer of cells along the shortest axis."""
+        return Shape(self.axes, self.low, self.extent, [*self.width[:2], 2 * self.extent[2]], [*self.size[:2], 1])
+
+    def numbers(self, places: list[NDArray[Any]]) -> list[NDArray[np.int64]]:
+        """Numbers of the cells of places (x, y, z, float64[n] mm) along the three axes."""
+        along = (places[axis] for axis in self.axes)
+        return [np.floor((p - b) / w).astype(np.int64) for p, b, w in zip(along, self.low, self.width, strict=True)]
+
+    def is_sheet(self, places: list[NDArray[Any]]) -> bool:
+        """Whether a crowd at these places, as on ground, has so few agents or layers above each other that these need not be told
+        apart."""
+        wide = [np.asarray(p, np.float64) for p in places]
+        return self.extent[2] > 0 and self.sheet_of(self.numbers(wide), wide[0].size)
+
+    def sheet_of(self, cells: list[NDArray[np.int64]], n: int) -> bool:
+        """The same of the numbers of cells of so many agents."""
+        across, broad, deep = (e / self.width[1] + 2 for e in self.extent)  # columns, and layers
+        if across * broad * deep <= max(1 << 16, 64 * n):
+            column = cells[1] * int(across) + (cells[0] >> 2)
+            columns = _distinct(column, int(across) * int(broad))
+            if n <= _AGENTS_PER_COLUMN * columns:
+                return True
+            cell = column * int(deep) + cells[2]
+            return _distinct(cell, int(across) * int(broad) * int(deep)) <= _LAYERS_PER_COLUMN * columns
+        column = np.sort((cells[1] << 32) | (cells[0] >> 2))
+        return n <= _AGENTS_PER_COLUMN * (1 + int(np.count_nonzero(column[1:] != column[:-1])))
+
+
 class CellGrid:
     """Agents sorted into cells: rows along the crowd's longest axis, cut four times finer than across.
 
@@ -67,20 +123,13 @@ class CellGrid:
             rows = rows[stable_order(ids[rows])]
         places = [np.asarray(a, np.float64)[rows] for a in (x, y, z)]
         low = [float(p.min(initial=np.inf)) if rows.size else 0.0 for p in places]
-        extent = [float(p.max(initial=-np.inf)) - b if rows.size else 0.0 for p, b in zip(places, low, strict=True)]
-        self._axes = tuple(sorted(range(3), key=lambda axis: -extent[axis]))  # fast, middle, slow
-        places = [places[axis] for axis in self._axes]
-        low, extent = ([values[axis] for axis in self._axes] for values in (low, extent))
-        cell = cell if np.isfinite(cell) and cell > 0 else max(extent[0], 1.0)
-        # Wider cells only add candidates; the packed key of a far-flung crowd must not overflow.
-        least = max(extent[0] / (_MAX_CELLS_ALONG - 4), 1e-30)
-        width = [max(cell / 4, least), max(cell, least), max(cell, least)]
-        cells = [np.floor((p - b) / w).astype(np.int64) for p, b, w in zip(places, low, width, strict=True)]
-        if extent[2] > 0 and self._is_sheet(cells, rows.size, [e / width[1] for e in extent]):
+        high = [float(p.max(initial=-np.inf)) if rows.size else 0.0 for p in places]
+        shape = Shape.of(low, high, cell)
+        cells = shape.numbers(places)
+        if shape.extent[2] > 0 and shape.sheet_of(cells, rows.size):
             cells[2][:] = 0
-            width[2] = 2 * extent[2]
-        self._low, self._width = low, width
-        self._size = [int(e / w) + 1 for e, w in zip(extent, width, strict=True)]
+            shape = shape.as_sheet()
+        self._axes, self._low, self._width, self._size = shape.axes, shape.low, shape.width, shape.size
         key = (cells[2] * self._size[1] + cells[1]) * self._size[0] + cells[0]
         order = stable_order(key)
         self._rows = rows.take(order)
@@ -106,22 +155,6 @@ class CellGrid:
         found |= {"keys": self._keys, "starts": self._starts, "floats": np.array([*self._low, *self._width, *(1 / w for w in self._width)])}
         found["whole"] = np.array([*self._axes, *self._size, self._rows.size], np.int64)
         return found
-
-    @staticmethod
-    def _is_sheet(cells: list[NDArray[np.int64]], n: int, size: list[float]) -> bool:
-        """Whether a crowd, as on ground, has so few agents or layers above each other that these need not be told apart.
-
-        `size` is the number of columns along the crowd's longest and middle axis, and of layers."""
-        across, broad, deep = (s + 2 for s in size)
-        if across * broad * deep <= max(1 << 16, 64 * n):
-            column = cells[1] * int(across) + (cells[0] >> 2)
-            columns = _distinct(column, int(across) * int(broad))
-            if n <= _AGENTS_PER_COLUMN * columns:
-                return True
-            cell = column * int(deep) + cells[2]
-            return _distinct(cell, int(across) * int(broad) * int(deep)) <= _LAYERS_PER_COLUMN * columns
-        column = np.sort((cells[1] << 32) | (cells[0] >> 2))
-        return n <= _AGENTS_PER_COLUMN * (1 + int(np.count_nonzero(column[1:] != column[:-1])))
 
     def _start_table(self) -> NDArray[np.int32] | None:
         """First sorted agent of every cell, when the box has few enough cells to be listed; else None."""

@@ -12,16 +12,16 @@ from antdsl.runtime.backends import numpy_calls
 from antdsl.runtime.backends.compile import EFFECTS, LAZY, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Instruction, Run, Scope
 from antdsl.runtime.backends.native import machine
 from antdsl.runtime.backends.native.block import BlockCode
+from antdsl.runtime.backends.native.grids import Arrays, Grids
 from antdsl.runtime.backends.native.lanes import WIDTH
 from antdsl.runtime.backends.native.programs import Program, program
 from antdsl.runtime.backends.native.tables import Rooms, Tables
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 from antdsl.runtime.backends.reference import Agent
 from antdsl.runtime.moving import moving_geometry
-from antdsl.runtime.pairs import NearbySets, grid_for
+from antdsl.runtime.pairs import NearbySets
 from antdsl.runtime.requests import Effects, FaultEntry, GiveEntry
 from antdsl.runtime.world import Population, World
-from antdsl.senses.neighbours import CellGrid
 
 _SAMPLED = 8  # agents whose radius is worked out before the first search, to choose cells by
 
@@ -46,6 +46,7 @@ class NativeBackend(NumpyBackend):
         if self.program is None:
             self.program = program(world.plan, self._blocks, moving=moving_geometry.moving(world) is not None, avx2=machine.host().avx2)
             self._code = machine.load(machine.object_code(self.program.text, machine.host()))
+            self._grids = Grids(self._code.function)
             for key, code in self.program.blocks.items():
                 for each in (*code.requests, *(each for group in code.schedule.calls for each in group)):
                     self._calls[each] = numpy_calls.call(each, self._blocks[key])(each.out, each.inputs, None)
@@ -53,6 +54,7 @@ class NativeBackend(NumpyBackend):
         if versions != self._versions:
             self._versions = versions
             self._rooms.forget()
+        self._grids.forget()
         super().begin(world)
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
@@ -81,7 +83,7 @@ class NativeBackend(NumpyBackend):
 
     def _grid(
         self, world: World, population: Population, block: str, code: BlockCode, compiler: BlockCompiler, number: int, tables: Tables
-    ) -> CellGrid:
+    ) -> Arrays:
         """Cells for a search: they suit the greatest radius of the step before, or of some agents."""
         near = code.near[number]
         widest = self._widest.get((population.name, block, number))
@@ -93,7 +95,7 @@ class NativeBackend(NumpyBackend):
                 found += [float(agent.value(chosen.args[0])) for chosen in near.sets]
             widest = max((each for each in found if np.isfinite(each)), default=0.0)
         self._widest[population.name, block, number] = widest
-        return grid_for(world, world.populations[near.species], widest if widest > 0 else 1.0)
+        return self._grids.of(world, world.populations[near.species], widest if widest > 0 else 1.0)
 
     def _go(
         self,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Instruction
-from antdsl.runtime.backends.native import search, sets
+from antdsl.runtime.backends.native import grids, search, sets
 from antdsl.runtime.backends.native.block import BlockCode, BlockWriter
 from antdsl.runtime.backends.native.lanes import Module
 from antdsl.runtime.backends.native.layout import KINDS, Layout
@@ -59,4 +59,5 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], *, m
             if each.does not in PAIRED and isinstance(each.what, ir.Node):
                 for part, kind in enumerate(ir.TUPLES.get(each.what.op, (each.what.kind,))):
                     code.layout.array(each.out, part, KINDS[kind])
+    grids.write(module)
     return Program(module.text(), found)

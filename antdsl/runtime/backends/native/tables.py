@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from antdsl.numerics import randomness
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import BlockCode
+from antdsl.runtime.backends.native.grids import Arrays
 from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, WIDTH
 from antdsl.runtime.backends.native.layout import Key
 from antdsl.runtime.backends.native.search import MOST
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.neighbours import CellGrid
 
 DTYPES = {F32: np.float32, F64: np.float64, BOOL: np.bool_, I32: np.int32, I64: np.int64}
 
@@ -110,7 +110,7 @@ class Tables:
         self.address = address(self.pointers)
 
     def fill(
-        self, world: World, population: Population, values: Mapping[ir.Node, Any], kept: Any, grids: list[CellGrid]
+        self, world: World, population: Population, values: Mapping[ir.Node, Any], kept: Any, grids: list[Arrays]
     ) -> None:
         """All but what depends on the rows of a chunk. `values` are those of the step, `grids` a cell grid for each search."""
         self._numbers(world, population, values)
@@ -216,10 +216,10 @@ class Tables:
             self._candidates = np.zeros(most, np.int32)
         return address(self._candidates)
 
-    def _grid(self, grid: CellGrid, number: int, name: str) -> int:
+    def _grid(self, grid: Arrays, number: int, name: str) -> int:
         if name == "widest":
             return address(self.widest[number])
-        array = grid.tables[name]
+        array = grid[name]
         return 0 if array is None else address(array)
 
 
