@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from antdsl.plan import ir
 from antdsl.runtime.backends import numpy_calls
-from antdsl.runtime.backends.compile import EFFECTS, LAZY, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Instruction, Run, Scope
+from antdsl.runtime.backends.compile import EFFECTS, LAZY, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Does, Instruction, Run, Scope
 from antdsl.runtime.backends.native import machine
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.grids import Arrays, Grids
@@ -21,6 +21,7 @@ from antdsl.runtime.backends.reference import Agent
 from antdsl.runtime.moving import moving_geometry
 from antdsl.runtime.pairs import NearbySets
 from antdsl.runtime.requests import Effects, FaultEntry, GiveEntry
+from antdsl.runtime.sensing import SENSES
 from antdsl.runtime.world import Population, World
 
 _SAMPLED = 8  # agents whose radius is worked out before the first search, to choose cells by
@@ -40,14 +41,17 @@ class NativeBackend(NumpyBackend):
         self._versions: dict[str, int] = {}
         self._widest: dict[tuple[str, str, int], float] = {}
         self._calls: dict[Instruction, Run] = {}
+        self._together: dict[tuple[str, str, int], list[list[Instruction]]] = {}
 
     def begin(self, world: World) -> None:
         """Values of the step, and nothing sensed yet."""
         if self.program is None:
-            self.program = program(world.plan, self._blocks, moving=moving_geometry.moving(world) is not None, avx2=machine.host().avx2)
+            self.program = program(world.plan, self._blocks, moving=moving_geometry.moving(world) is not None, detail=world.detail is not None, avx2=machine.host().avx2)
             self._code = machine.load(machine.object_code(self.program.text, machine.host()))
             self._grids = Grids(self._code.function)
             for key, code in self.program.blocks.items():
+                for stage, calls in enumerate(code.schedule.calls):
+                    self._together[(*key, stage)] = _groups(calls, code)
                 for each in (*code.requests, *(each for group in code.schedule.calls for each in group)):
                     self._calls[each] = numpy_calls.call(each, self._blocks[key])(each.out, each.inputs, None)
         versions = {name: population.version for name, population in world.populations.items()}
@@ -117,8 +121,8 @@ class NativeBackend(NumpyBackend):
             if code.schedule.calls[stage]:
                 v = v or self._slots(world, population, compiler, effects)
                 v[compiler.root.rows] = slice(begin, end)
-                for instruction in code.schedule.calls[stage]:
-                    self._call(v, code, tables, instruction, picked, begin, end)
+                for some in self._together[population.name, compiler.name, stage]:
+                    self._call(v, code, tables, some, picked, begin, end)
         if tables.crowded[0]:
             super().run(world, population, compiler.name, np.arange(begin, end))  # which stops and says where
         for each in code.requests:
@@ -172,17 +176,51 @@ class NativeBackend(NumpyBackend):
         v: list[Any],
         code: BlockCode,
         tables: Tables,
-        each: Instruction,
+        some: list[Instruction],
         picked: dict[int, NDArray[np.intp]],
         begin: int,
         end: int,
     ) -> None:
+        """Make a call, or several of one sense with one name at once: who asks is named as often as it asks."""
+        if len(some) > 1 or some[0] in code.guarded:
+            self._calls_at_once(v, code, tables, some, begin, end)
+            return
+        (each,) = some
         chosen = self._enter(v, code, tables, each.scope, picked, begin, end)
         if not len(chosen):
             return
         self._inputs(v, code, tables, each, chosen)
         self._calls[each](v)
-        found = v[each.out]
+        self._put(tables, each, chosen, v[each.out])
+
+    def _calls_at_once(
+        self, v: list[Any], code: BlockCode, tables: Tables, some: list[Instruction], begin: int, end: int
+    ) -> None:
+        chosen = [
+            np.flatnonzero(tables.arrays[code.guarded.get(each, code.schedule.slot(each.scope.rows)), 0][: end - begin])
+            for each in some
+        ]
+        ends = np.cumsum([len(rows) for rows in chosen])
+        if not ends[-1]:
+            return
+        columns = []
+        for place in range(len(some[0].inputs)):
+            parts = []
+            for each, rows in zip(some, chosen, strict=True):
+                source = code.schedule.slot(each.inputs[place])
+                array = tables.arrays.get((source, 0))
+                parts.append(np.full(len(rows), v[each.inputs[place]]) if array is None else array.take(rows))
+            columns.append(np.concatenate(parts))
+        node = some[0].what
+        assert isinstance(node, ir.Node)
+        found = SENSES[node.op](v[WORLD], v[POPULATION], node, np.concatenate(chosen) + begin, *columns)
+        parts_of = [np.split(part, ends[:-1]) for part in (found if isinstance(found, tuple) else (found,))]
+        for k, (each, rows) in enumerate(zip(some, chosen, strict=True)):
+            self._put(tables, each, rows, tuple(part[k] for part in parts_of))
+
+    @staticmethod
+    def _put(tables: Tables, each: Instruction, chosen: NDArray[np.intp], found: Any) -> None:
+        """Leave the results of a call where the next stage looks for them."""
         for part, value in enumerate(found if isinstance(found, tuple) else (found,)):
             if (each.out, part) in tables.arrays:
                 tables.arrays[each.out, part][chosen] = value
@@ -202,3 +240,19 @@ class NativeBackend(NumpyBackend):
             self._inputs(v, code, tables, each, chosen)
             self._calls[each](v)
 
+
+
+def _groups(calls: list[Instruction], code: BlockCode) -> list[list[Instruction]]:
+    """Calls in their order; those that can be guarded or are of one sense and name are made at once."""
+    found: list[list[Instruction]] = []
+    known: dict[Any, list[Instruction]] = {}
+    for each in calls:
+        if each.does is not Does.VALUE or not isinstance(each.what, ir.Node) or each.what.op not in SENSES:
+            found.append([each])
+            continue
+        key = (each.what.op, each.what.attrs)
+        if key not in known:
+            known[key] = []
+            found.append(known[key])
+        known[key].append(each)
+    return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -83,6 +83,7 @@ class BlockCode:
     near: list[Near] = field(default_factory=list)
     kept: list[ir.Node] = field(default_factory=list)
     requests: list[Instruction] = field(default_factory=list)
+    guarded: dict[Instruction, int] = field(default_factory=dict)  # calls that not all need, with the slot of who does
     gives: list[tuple[Instruction, int]] = field(default_factory=list)  # with the slot that stands for what it leaves
 
 
@@ -100,9 +101,11 @@ class BlockWriter(Writer):
         stage: int,
         senses: dict[str, Lower],
         reduce: Callable[[BlockWriter, Instruction], None],
+        guards: Mapping[str, tuple[Lower, tuple[Any, ...]]],
     ) -> None:
         super().__init__(module, code.layout)
         self.code, self.compiler, self.stage, self.senses, self._reduce = code, compiler, stage, senses, reduce
+        self.guards = guards
         self.schedule, self.species = code.schedule, code.species.name
         self._uniform = {slot: node for node, slot in compiler.uniforms.items()}
         self._makers: dict[int, Instruction] = {}
@@ -165,9 +168,25 @@ class BlockWriter(Writer):
                 case Does.STATEMENT:
                     if self.schedule.at[each] == self.stage:
                         self._statement(each)
+                case Does.VALUE if each in self.schedule.calls[self.stage]:
+                    self._guard(each)
                 case Does.VALUE | Does.REDUCE if each in self.schedule.native:
                     if self.schedule.home.get(each.out) == self.stage:
                         self.slot(each.out)
+
+    def _guard(self, each: Instruction) -> None:
+        """Note who needs a call, where that can be told, and leave what the others get."""
+        assert isinstance(each.what, ir.Node)
+        guard = self.guards.get(each.what.op)
+        if guard is None:
+            return
+        asks, others = guard
+        needed = self.mask[-1] & asks(self, each.what, tuple(self.slot(k) for k in each.inputs))
+        slot = self.code.guarded.setdefault(each, -1000 - len(self.code.guarded))
+        self._nobody.append(slot)
+        self.e.store(self.array(slot, 0, BOOL), self.offset, needed)
+        for part, (value, kind) in enumerate(zip(others, self._kinds[each.out], strict=True)):
+            self.e.store(self.array(each.out, part, kind), self.offset, self.e.constant(value, kind))
 
     def _region(self, each: Instruction) -> None:
         inner = each.inner

@@ -13,7 +13,7 @@ from antdsl.runtime.backends.native.block import BlockCode, BlockWriter
 from antdsl.runtime.backends.native.lanes import Module
 from antdsl.runtime.backends.native.layout import KINDS, Layout
 from antdsl.runtime.backends.native.schedule import PAIRED, schedule
-from antdsl.runtime.backends.native.senses import NATIVE, OF_PAIRS, ON_MOVING_GROUND
+from antdsl.runtime.backends.native.senses import GUARDS, NATIVE, OF_PAIRS, ON_MOVING_GROUND
 
 _RUNS = ("decide", "act", "blend")
 
@@ -32,8 +32,10 @@ class Program:
     blocks: Mapping[tuple[str, str], BlockCode]
 
 
-def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], *, moving: bool, avx2: bool) -> Program:
-    """All blocks of a plan but births, which are few. `moving`: some of the ground moves."""
+def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], *, moving: bool, detail: bool, avx2: bool) -> Program:
+    """All blocks of a plan but births, which are few. `moving`: some of the ground moves; `detail`: some agents
+    see boxes instead of obstacles."""
+    guards = {} if detail else GUARDS
     senses = {op: lower for op, lower in NATIVE.items() if not (moving and op in ON_MOVING_GROUND)}
 
     def lowers(node: ir.Node) -> bool:
@@ -53,7 +55,7 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], *, m
         code = found[species, block] = BlockCode(plan.species[species], [], Layout(), order)
         for stage in range(order.stages):
             name = f"{species}.{block}.{stage}"
-            BlockWriter(module, code, compiler, stage, senses, _reduce).write(name)
+            BlockWriter(module, code, compiler, stage, senses, _reduce, guards).write(name)
             code.names.append(name)
         for each in (each for group in order.calls for each in group):
             if each.does not in PAIRED and isinstance(each.what, ir.Node):

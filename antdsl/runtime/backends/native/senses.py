@@ -7,11 +7,14 @@ from collections.abc import Mapping
 from typing import Any
 
 
+import numpy as np
+
 from antdsl.numerics import randomness
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import Lower, Writer
 from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Emitter, Lanes
 from antdsl.runtime.backends.native.layout import KINDS
+from antdsl.runtime.moving.obstacle_clearance import may_touch
 
 
 def _register(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
@@ -219,6 +222,18 @@ NATIVE: Mapping[str, Lower] = {
     "field.value": _field_value,
     "field.strongest": _field_strongest,
 }
+
+
+def _may_hit(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    """Who may meet the obstacle with a ray."""
+    reach = args[3]
+    clear = w.e.load(w.base("clear", node.attrs[0]), w.row, F32)
+    found: Lanes = (reach > 0) & (reach < np.inf) & may_touch(clear, reach)
+    return found
+
+
+# Of what is called: who needs the call at all, and what the others get.
+GUARDS: Mapping[str, tuple[Lower, tuple[Any, ...]]] = {"ray": (_may_hit, (False, np.inf, 0.0, 0.0, 0.0))}
 ON_MOVING_GROUND = frozenset(("field.strongest",))  # there its places turn with the ground: it is called
 OF_PAIRS = frozenset(("agent.get", "agent.alive", "item.get", "item.alive"))  # may hang on the other one of a pair
 

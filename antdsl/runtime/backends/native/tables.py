@@ -18,6 +18,7 @@ from antdsl.runtime.backends.native.grids import Arrays
 from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, WIDTH
 from antdsl.runtime.backends.native.layout import Key
 from antdsl.runtime.backends.native.search import MOST
+from antdsl.runtime.moving.obstacle_clearance import clearance
 from antdsl.runtime.world import AXES, Population, World
 
 DTYPES = {F32: np.float32, F64: np.float64, BOOL: np.bool_, I32: np.int32, I64: np.int64}
@@ -199,6 +200,9 @@ class Tables:
     def _cell(self, world: World, population: Population, key: Key) -> int:
         return self._rooms.copied((population.name, *key), population.cells[str(key[1])], np.int32)
 
+    def _clear(self, world: World, population: Population, key: Key) -> int:
+        return self._rooms.copied((population.name, *key), clearance(world, population, str(key[1])), np.float32)
+
     def _field(self, world: World, population: Population, key: Key) -> int:
         field = world.fields[str(key[1])]
         if key[2] == "held":
@@ -233,6 +237,7 @@ _POINTERS: dict[str, Callable[[Tables, World, Population, Key], int]] = {
     "beside": Tables._beside,
     "item": Tables._item,
     "cell": Tables._cell,
+    "clear": Tables._clear,
     "field": Tables._field,
     "crowded": Tables._crowded,
     "candidates": Tables._candidate,
