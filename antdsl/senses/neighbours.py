@@ -143,16 +143,21 @@ class CellGrid:
 
     @cached_property
     def tables(self) -> dict[str, NDArray[Any] | None]:
-        """What machine code searches by: `places` of agents in the order of cells and their rows, x, y, z float32 and the bits of an
-        int32, with eight spare ones behind the last; `x y z` alone; their `keys` int64; `starts` int32, first agent of each cell, where it is listed; `floats`:
-        low, width and its inverse of cells along the fast, middle and slow axis; `whole`: these axes, numbers of cells, number of agents."""
+        """What machine code searches by: `places` of agents in the order of cells and their rows, x, y, z float32 and the bits of
+        an int32, with eight spare ones behind the last; `x y z` alone; their `keys` int64; `starts` int32, first agent of each
+        cell, where it is listed; `floats`: low, width and its inverse of cells along the fast, middle and slow axis; `whole`:
+        these axes, numbers of cells, number of agents."""
         places = np.zeros((self._rows.size + 8, 4), np.float32)
         for axis, values in enumerate(self._sorted):
             places[: self._rows.size, axis] = values
         places.view(np.int32)[: self._rows.size, 3] = self._rows
         found: dict[str, NDArray[Any] | None] = {"places": places}
         found |= {name: np.concatenate([a, np.zeros(8, a.dtype)]) for name, a in zip("xyz", self._sorted, strict=True)}
-        found |= {"keys": self._keys, "starts": self._starts, "floats": np.array([*self._low, *self._width, *(1 / w for w in self._width)])}
+        found |= {
+            "keys": self._keys,
+            "starts": self._starts,
+            "floats": np.array([*self._low, *self._width, *(1 / w for w in self._width)]),
+        }
         found["whole"] = np.array([*self._axes, *self._size, self._rows.size], np.int64)
         return found
 

@@ -41,6 +41,7 @@ class NumpyBackend:
     """Compiled once for a plan; `begin` is called at each step's start, `run` for each block of each species."""
 
     spare = 0  # rows behind the last one that arrays over a species have
+
     def __init__(self, plan: ir.Plan) -> None:
         self._blocks: dict[tuple[str, str], BlockCompiler] = {}
         self._uniforms: dict[str, list[ir.Node]] = {}

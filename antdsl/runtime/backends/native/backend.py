@@ -1,4 +1,4 @@
-"""Runs a plan's blocks as machine code; what has none is called between the stages, and until the code is there NumPy runs all."""
+"""Runs a plan's blocks as machine code; what has none is called between the stages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,19 @@ from numpy.typing import NDArray
 
 from antdsl.plan import ir
 from antdsl.runtime.backends import numpy_calls
-from antdsl.runtime.backends.compile import EFFECTS, LAZY, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Does, Instruction, Run, Scope
+from antdsl.runtime.backends.compile import (
+    EFFECTS,
+    LAZY,
+    NEARBY,
+    PAIRS,
+    POPULATION,
+    WORLD,
+    BlockCompiler,
+    Does,
+    Instruction,
+    Run,
+    Scope,
+)
 from antdsl.runtime.backends.native import machine
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.grids import Arrays, Grids
@@ -46,7 +58,13 @@ class NativeBackend(NumpyBackend):
     def begin(self, world: World) -> None:
         """Values of the step, and nothing sensed yet."""
         if self.program is None:
-            self.program = program(world.plan, self._blocks, moving=moving_geometry.moving(world) is not None, detail=world.detail is not None, avx2=machine.host().avx2)
+            self.program = program(
+                world.plan,
+                self._blocks,
+                moving=moving_geometry.moving(world) is not None,
+                detail=world.detail is not None,
+                avx2=machine.host().avx2,
+            )
             self._code = machine.load(machine.object_code(self.program.text, machine.host()))
             self._grids = Grids(self._code.function)
             for key, code in self.program.blocks.items():
@@ -86,7 +104,14 @@ class NativeBackend(NumpyBackend):
             widest[:] = 0
 
     def _grid(
-        self, world: World, population: Population, block: str, code: BlockCode, compiler: BlockCompiler, number: int, tables: Tables
+        self,
+        world: World,
+        population: Population,
+        block: str,
+        code: BlockCode,
+        compiler: BlockCompiler,
+        number: int,
+        tables: Tables,
     ) -> Arrays:
         """Cells for a search: they suit the greatest radius of the step before, or of some agents."""
         near = code.near[number]
@@ -137,9 +162,9 @@ class NativeBackend(NumpyBackend):
                 effects.gives.append(GiveEntry(what, item[rows], gone[rows]))
         for k in range(int(tables.notes[0])):
             row, told = int(tables.notes[1 + 2 * k]), int(tables.notes[2 + 2 * k])
-            what, span = code.faults[told >> 16]
+            refused, span = code.faults[told >> 16]
             rows = row + np.flatnonzero([told >> bit & 1 for bit in range(WIDTH)])
-            effects.faults.append(FaultEntry(compiler.name, what, span, rows))
+            effects.faults.append(FaultEntry(compiler.name, refused, span, rows))
 
     def _slots(self, world: World, population: Population, compiler: BlockCompiler, effects: Effects) -> list[Any]:
         v: list[Any] = [None] * compiler.slots
@@ -151,7 +176,14 @@ class NativeBackend(NumpyBackend):
         return v
 
     def _enter(
-        self, v: list[Any], code: BlockCode, tables: Tables, scope: Scope, picked: dict[int, NDArray[np.intp]], begin: int, end: int
+        self,
+        v: list[Any],
+        code: BlockCode,
+        tables: Tables,
+        scope: Scope,
+        picked: dict[int, NDArray[np.intp]],
+        begin: int,
+        end: int,
     ) -> NDArray[np.intp]:
         """The rows of a scope, counted within the chunk."""
         slot = code.schedule.slot(scope.rows)
@@ -161,9 +193,7 @@ class NativeBackend(NumpyBackend):
         v[scope.rows], v[scope.size] = (slice(begin, end) if len(found) == end - begin else found + begin), len(found)
         return found
 
-    def _inputs(
-        self, v: list[Any], code: BlockCode, tables: Tables, each: Instruction, chosen: NDArray[np.intp]
-    ) -> None:
+    def _inputs(self, v: list[Any], code: BlockCode, tables: Tables, each: Instruction, chosen: NDArray[np.intp]) -> None:
         for slot in each.inputs:
             source = code.schedule.slot(slot)
             if (source, 0) in tables.arrays:
@@ -239,7 +269,6 @@ class NativeBackend(NumpyBackend):
         if len(chosen):
             self._inputs(v, code, tables, each, chosen)
             self._calls[each](v)
-
 
 
 def _groups(calls: list[Instruction], code: BlockCode) -> list[list[Instruction]]:

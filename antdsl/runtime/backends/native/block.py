@@ -9,8 +9,8 @@ from typing import Any
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
-from antdsl.runtime.backends.native import lanes as ll
-from antdsl.runtime.backends.native.lanes import BOOL, F32, I64, PTR, WIDTH, Emitter, Lanes, Module
+from antdsl.runtime.backends.native.emitter import Emitter, elementwise
+from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes, Module
 from antdsl.runtime.backends.native.layout import KINDS, Key, Layout
 from antdsl.runtime.backends.native.schedule import Schedule, operands_of
 
@@ -45,15 +45,18 @@ class Writer:
             zero = self.e.constant(0, I64, one=True)
             return self.e.load_one(place, zero, kind)
 
-        single = self.e.once(("number", *key), make)
-        return single if one else self.e.once(("numbers", *key), lambda: self.e.splat(single))
+        single: Lanes = self.e.once(("number", *key), make)
+        if one:
+            return single
+        lanes: Lanes = self.e.once(("numbers", *key), lambda: self.e.splat(single))
+        return lanes
 
     def apply(self, op: str, *args: Lanes) -> Any:
         """An elementwise operation: the function that NumPy goes by, given lanes."""
         formula = ELEMENTWISE[op]
         if op not in _LONG:
             return formula(*args)
-        name = ll.elementwise(self.module, f"f.{op}", tuple(each.kind for each in args), formula)
+        name = elementwise(self.module, f"f.{op}", tuple(each.kind for each in args), formula)
         return self.e.call(name, F32, *args)
 
     def function(self, name: str, arguments: str) -> str:
@@ -146,9 +149,9 @@ class BlockWriter(Writer):
                 e.store(self.array(root.rows, 0, BOOL), offset, mask)
             e.known[-1][root.rows] = mask
             self.mask.append(mask)
-            top, rest = len(e.lines), []
+            top = len(e.lines)
             self._scope(root)
-            e.lines, rest = rest, e.lines
+            rest, e.lines = e.lines, []
             for slot in self._nobody:
                 e.store(self.array(slot, 0, BOOL), offset, e.constant(False, BOOL))
             for do in self.at_top:
@@ -201,8 +204,10 @@ class BlockWriter(Writer):
 
     def _mask(self, inner: Scope, make: Callable[[], Lanes]) -> Lanes:
         """The mask of an inner scope: made now, or as an earlier stage left it."""
+        mask: Lanes
         if self.schedule.home[inner.rows] != self.stage:
-            return self.slot(inner.rows)
+            mask = self.slot(inner.rows)
+            return mask
         mask = self.e.known[-1][inner.rows] = make()
         if inner.rows in self.schedule.left:
             self._nobody.append(inner.rows)
@@ -254,9 +259,7 @@ class BlockWriter(Writer):
         node = None if each is None else each.what
         anew = isinstance(node, ir.Node) and node.op in ("snap", "id") and slot not in self.schedule.left
         if each is None or each not in self.schedule.native or (self.schedule.home[slot] != self.stage and not anew):
-            parts = tuple(
-                self.e.load(self.array(slot, k, kind), self.offset, kind) for k, kind in enumerate(self._kinds[slot])
-            )
+            parts = tuple(self.e.load(self.array(slot, k, kind), self.offset, kind) for k, kind in enumerate(self._kinds[slot]))
             return parts if len(parts) > 1 else parts[0]
         if each.does is Does.REDUCE:
             self._reduce(self, each)
@@ -363,7 +366,7 @@ class BlockWriter(Writer):
             good = e.intrinsic("fabs", amount) < float("inf")
             self._refuse(mask & ~good, f"give {what.own}", what.span)
             mask = mask & good
-        there = mask & (item >= 0) & (item < self.number(ll.I32, "items", what.items))
+        there = mask & (item >= 0) & (item < self.number(I32, "items", what.items))
         zero = e.constant(0.0, F32)
         most = e.where(had > zero, had, zero)
         cut = e.where(amount > zero, amount, zero)
@@ -372,6 +375,6 @@ class BlockWriter(Writer):
         slot = -1 - len(self.code.gives)
         self.code.gives.append((each, slot))
         self._nobody.append(slot)
-        gone = e.convert(had, ll.F64) - e.convert(left, ll.F64)
+        gone = e.convert(had, F64) - e.convert(left, F64)
         for part, value in enumerate((there, item, gone)):
             e.store(self.array(slot, part, value.kind), self.offset, value)

@@ -10,10 +10,12 @@ import numpy as np
 from antdsl import limits
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import BlockWriter, Writer
+from antdsl.runtime.backends.native.cells import BEYOND, Rows, write_down
 from antdsl.runtime.backends.native.lanes import BOOL, F32, I8, I32, I64, PTR, WIDTH, Lanes
 from antdsl.runtime.backends.native.layout import KINDS
-from antdsl.runtime.backends.native.search import BEYOND, STRIDE, Found, Rows, Search, measured, write_down
-from antdsl.runtime.backends.native.sets import NO_LABEL, PairValues, Sum, take
+from antdsl.runtime.backends.native.near import STRIDE, Found, Search, measured
+from antdsl.runtime.backends.native.sets import PairValues, take
+from antdsl.runtime.backends.native.sums import NO_LABEL, Sum
 from antdsl.runtime.world import AXES
 
 
@@ -67,8 +69,8 @@ def write_many(b: BlockWriter, near: Search) -> None:
 
 
 def _all(w: Writer, near: Search, place: list[Lanes], radii: list[Lanes]) -> tuple[Lanes, Lanes]:
-    """Write down the agents that may be in the widest of some radii: where they stand in the grid's order. Gives where that is, and
-    how many; the list goes on with zeros to a multiple of eight."""
+    """Write down the agents that may be in the widest of some radii: where they stand in the grid's order. Gives where that is,
+    and how many; the list goes on with zeros to a multiple of eight."""
     e = w.e
     buffer, total = w.base("candidates"), e.slot(I64, one=True)
     e.put(total, e.constant(0, I64, one=True))
@@ -188,4 +190,3 @@ def _cut(measure: _Measure, near: Search, radius: Lanes, chosen: ir.Node, lane: 
         return inside & ((bits < reach) | ((bits == reach) & (found.ids() <= label)))
 
     return counts
-

@@ -1,4 +1,5 @@
-"""The cell grid of a search, sorted by machine code: the same cells as `senses.neighbours.CellGrid`, agents of a cell in any order.
+"""The cell grid of a search, sorted by machine code: the same cells as `senses.neighbours.CellGrid`, agents of a cell in any
+order.
 
 Counting sort: number of each agent's cell and how many are in each, their sums from the first cell on, then each agent to its
 place (D. E. Knuth, The Art of Computer Programming 3, 5.2)."""
@@ -139,6 +140,3 @@ class Grids:
             known, since = shape.is_sheet(places), 0
         self._sheets[other.name] = (len(other), since + 1, known)
         return known
-
-
-

@@ -1,14 +1,13 @@
 """Values of eight agents at once, as text in the intermediate language of LLVM.
 
-`Lanes` answers to the operators and to the NumPy functions that the project's own kernels are written with: a function of
-`numerics` that is called with lanes instead of arrays writes down its operations, in the order and with the roundings that NumPy
-gives them. So each operation has one meaning for both. `Emitter` holds the text of one function and what its blocks know."""
+`Lanes` answers to the operators and to the NumPy functions that the project's own kernels are written with (`meanings`): a
+function of `numerics` that is called with lanes instead of arrays writes down its operations, in the order and with the
+roundings that NumPy gives them. So each operation has one meaning for both."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -19,14 +18,14 @@ TYPES: Mapping[Any, str] = {
     np.dtype(np.float32): F32, np.dtype(np.float64): F64, np.dtype(np.bool_): BOOL, np.dtype(np.int32): I32,
     np.dtype(np.int64): I64, np.dtype(np.uint64): I64, np.dtype(np.intp): I64, np.dtype(np.int8): I8, np.dtype(np.uint8): I8,
 }  # fmt: skip
-_FLOATS = (F32, F64)
-_MANGLED = {F32: "f32", F64: "f64", BOOL: "i1", I8: "i8", I32: "i32", I64: "i64", PTR: "p0"}
-_BITS = {BOOL: 1, I8: 8, I32: 32, I64: 64}
+FLOATS = (F32, F64)
+MANGLED = {F32: "f32", F64: "f64", BOOL: "i1", I8: "i8", I32: "i32", I64: "i64", PTR: "p0"}
+BITS = {BOOL: 1, I8: 8, I32: 32, I64: 64}
 
 
 def literal(value: Any, kind: str) -> str:
     """A number in the intermediate language; of a float the bits."""
-    if kind in _FLOATS:
+    if kind in FLOATS:
         number = float(np.float32(value)) if kind == F32 else float(value)
         return f"0x{struct.unpack('>Q', struct.pack('>d', number))[0]:016X}"
     if kind == BOOL:
@@ -41,7 +40,7 @@ class Lanes:
     __slots__ = ("constant", "e", "kind", "name", "one")
     ndim = 1
 
-    def __init__(self, e: Emitter, kind: str, name: str, *, one: bool = False, constant: bool = False) -> None:
+    def __init__(self, e: Any, kind: str, name: str, *, one: bool = False, constant: bool = False) -> None:
         self.e, self.kind, self.name, self.one, self.constant = e, kind, name, one, constant
 
     @property
@@ -53,421 +52,104 @@ class Lanes:
         return f"{self.type} {self.name}"
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
-        if method != "__call__" or any(value is not None for value in options.values()) or ufunc not in _UFUNCS:
+        if method != "__call__" or any(value is not None for value in options.values()):
             return NotImplemented
-        return _UFUNCS[ufunc](self.e, *inputs)
+        return self.e.meaning(ufunc, *inputs)
 
     def __array_function__(self, function: Any, types: Any, inputs: tuple[Any, ...], options: Mapping[str, Any]) -> Any:
-        return NotImplemented if function not in _FUNCTIONS or options else _FUNCTIONS[function](self.e, *inputs)
+        return NotImplemented if options else self.e.meaning(function, *inputs)
 
     def astype(self, dtype: Any) -> Lanes:
-        return self.e.convert(self, TYPES[np.dtype(dtype)])
+        found: Lanes = self.e.convert(self, TYPES[np.dtype(dtype)])
+        return found
 
     def __add__(self, other: Any) -> Lanes:
-        return self.e.arithmetic("add", self, other)
+        found: Lanes = self.e.arithmetic("add", self, other)
+        return found
 
     def __radd__(self, other: Any) -> Lanes:
-        return self.e.arithmetic("add", other, self)
+        found: Lanes = self.e.arithmetic("add", other, self)
+        return found
 
     def __sub__(self, other: Any) -> Lanes:
-        return self.e.arithmetic("sub", self, other)
+        found: Lanes = self.e.arithmetic("sub", self, other)
+        return found
 
     def __rsub__(self, other: Any) -> Lanes:
-        return self.e.arithmetic("sub", other, self)
+        found: Lanes = self.e.arithmetic("sub", other, self)
+        return found
 
     def __mul__(self, other: Any) -> Lanes:
-        return self.e.arithmetic("mul", self, other)
+        found: Lanes = self.e.arithmetic("mul", self, other)
+        return found
 
     def __rmul__(self, other: Any) -> Lanes:
-        return self.e.arithmetic("mul", other, self)
+        found: Lanes = self.e.arithmetic("mul", other, self)
+        return found
 
     def __truediv__(self, other: Any) -> Lanes:
-        return self.e.arithmetic("div", self, other)
+        found: Lanes = self.e.arithmetic("div", self, other)
+        return found
 
     def __rtruediv__(self, other: Any) -> Lanes:
-        return self.e.arithmetic("div", other, self)
+        found: Lanes = self.e.arithmetic("div", other, self)
+        return found
 
     def __neg__(self) -> Lanes:
-        return self.e.op(f"fneg {self.typed}", self.kind)
+        found: Lanes = self.e.op(f"fneg {self.typed}", self.kind)
+        return found
 
     def __and__(self, other: Any) -> Lanes:
-        return self.e.bitwise("and", self, other)
+        found: Lanes = self.e.bitwise("and", self, other)
+        return found
 
     def __or__(self, other: Any) -> Lanes:
-        return self.e.bitwise("or", self, other)
+        found: Lanes = self.e.bitwise("or", self, other)
+        return found
 
     def __xor__(self, other: Any) -> Lanes:
-        return self.e.bitwise("xor", self, other)
+        found: Lanes = self.e.bitwise("xor", self, other)
+        return found
 
     __rand__, __ror__, __rxor__ = __and__, __or__, __xor__
 
     def __rshift__(self, other: Any) -> Lanes:
-        return self.e.bitwise("lshr", self, other)
-
-    def __lshift__(self, other: Any) -> Lanes:
-        return self.e.bitwise("shl", self, other)
-
-    def __invert__(self) -> Lanes:
-        return self.e.bitwise("xor", self, True if self.kind == BOOL else -1)
-
-    def __lt__(self, other: Any) -> Lanes:
-        return self.e.compare("lt", self, other)
-
-    def __le__(self, other: Any) -> Lanes:
-        return self.e.compare("le", self, other)
-
-    def __gt__(self, other: Any) -> Lanes:
-        return self.e.compare("gt", self, other)
-
-    def __ge__(self, other: Any) -> Lanes:
-        return self.e.compare("ge", self, other)
-
-    def __eq__(self, other: object) -> Lanes:  # type: ignore[override]  # as arrays do
-        return self.e.compare("eq", self, other)
-
-    def __ne__(self, other: object) -> Lanes:  # type: ignore[override]
-        return self.e.compare("ne", self, other)
-
-    __hash__ = None  # type: ignore[assignment]
-
-
-class Emitter:
-    """Writes one function. Blocks nest: what an inner block names is not known outside it, so `known` is a stack."""
-
-    def __init__(self, module: Module) -> None:
-        self.module = module
-        self.allocas: list[str] = []
-        self.entry: list[str] = []
-        self.lines: list[str] = []
-        self.block = "entry"
-        self.known: list[dict[Any, Any]] = [{}]
-        self._numbers = 0
-
-    # --- text ----------------------------------------------------------------------------------------------------------
-
-    def name(self, stem: str = "v") -> str:
-        self._numbers += 1
-        return f"%{stem}{self._numbers}"
-
-    def op(self, text: str, kind: str, *, one: bool = False) -> Lanes:
-        """One instruction and its result."""
-        name = self.name()
-        self.lines.append(f"  {name} = {text}")
-        return Lanes(self, kind, name, one=one)
-
-    def do(self, text: str) -> None:
-        self.lines.append(f"  {text}")
-
-    def at_entry(self, text: str, kind: str) -> Lanes:
-        """One instruction where the function begins; gives a single value."""
-        name = self.name("e")
-        self.entry.append(f"  {name} = {text}")
-        return Lanes(self, kind, name, one=True)
-
-    def slot(self, kind: str, *, one: bool = False, count: int = 0) -> str:
-        """Room on the stack, for one value or for an array of so many."""
-        type = kind if one else f"<{WIDTH} x {kind}>"
-        name = self.name("a")
-        self.allocas.append(f"  {name} = alloca {f'[{count} x {type}]' if count else type}, align 32")
-        return name
-
-    def label(self, stem: str) -> str:
-        self._numbers += 1
-        return f"{stem}{self._numbers}"
-
-    def begin(self, label: str) -> None:
-        self.lines.append(f"{label}:")
-        self.block = label
-
-    def jump(self, label: str) -> None:
-        self.do(f"br label %{label}")
-
-    def branch(self, condition: Lanes, then: str, other: str) -> None:
-        self.do(f"br {condition.typed}, label %{then}, label %{other}")
-
-    @contextmanager
-    def inside(self, condition: Lanes) -> Iterator[None]:
-        """What is emitted within runs only where a single condition holds."""
-        then, done = self.label("then"), self.label("done")
-        self.branch(condition, then, done)
-        self.begin(then)
-        self.known.append({})
-        yield
-        self.known.pop()
-        self.jump(done)
-        self.begin(done)
-
-    @contextmanager
-    def loop(self, count: Lanes, step: int = 1) -> Iterator[Lanes]:
-        """Runs for numbers from 0 to below a single i64, by `step`; gives the number."""
-        head, body, done = self.label("head"), self.label("body"), self.label("done")
-        before = self.block
-        number, following = self.name("i"), self.name("n")
-        self.jump(head)
-        self.begin(head)
-        place = len(self.lines)
-        self.lines.append("")
-        more = self.op(f"icmp slt i64 {number}, {count.name}", BOOL, one=True)
-        self.branch(more, body, done)
-        self.begin(body)
-        self.known.append({})
-        yield Lanes(self, I64, number, one=True)
-        self.known.pop()
-        self.lines.append(f"  {following} = add i64 {number}, {step}")
-        self.lines[place] = f"  {number} = phi i64 [ 0, %{before} ], [ {following}, %{self.block} ]"
-        self.jump(head)
-        self.begin(done)
-
-    def once(self, key: Any, make: Callable[[], Any]) -> Any:
-        """A value that this block or one around it knows already, or makes now."""
-        for names in reversed(self.known):
-            if key in names:
-                return names[key]
-        value = self.known[-1][key] = make()
-        return value
-
-    def call(self, name: str, kind: str, *arguments: Lanes, one: bool = False) -> Lanes:
-        """Call a function of the module or an intrinsic."""
-        type = kind if one else f"<{WIDTH} x {kind}>"
-        return self.op(f"call {type} @{name}({', '.join(each.typed for each in arguments)})", kind, one=one)
-
-    def intrinsic(self, stem: str, *arguments: Lanes) -> Lanes:
-        """An intrinsic function of lanes of one kind that gives the same kind."""
-        first = arguments[0]
-        suffix = f".{_MANGLED[first.kind]}" if first.one else f".v{WIDTH}{_MANGLED[first.kind]}"
-        self.module.declare(f"llvm.{stem}{suffix}", first.type, [each.type for each in arguments])
-        return self.call(f"llvm.{stem}{suffix}", first.kind, *arguments, one=first.one)
-
-    # --- values --------------------------------------------------------------------------------------------------------
-
-    def constant(self, value: Any, kind: str, *, one: bool = False) -> Lanes:
-        text = literal(value, kind)
-        return Lanes(self, kind, text if one else f"splat ({kind} {text})", one=one, constant=True)
-
-    def splat(self, value: Lanes) -> Lanes:
-        """A single value in every lane."""
-        if not value.one:
-            return value
-        if value.constant:
-            return Lanes(self, value.kind, f"splat ({value.kind} {value.name})", constant=True)
-        first = self.op(f"insertelement <{WIDTH} x {value.kind}> poison, {value.typed}, i64 0", value.kind)
-        return self.op(f"shufflevector {first.typed}, <{WIDTH} x {value.kind}> poison, <{WIDTH} x i32> zeroinitializer", value.kind)
-
-    def lanes(self, value: Any, like: Lanes) -> Lanes:
-        """A value as lanes of the kind of another one; numbers of Python take its kind, as in NumPy."""
-        if isinstance(value, Lanes):
-            return self.splat(value)
-        kind = like.kind
-        if isinstance(value, np.generic):
-            kind = TYPES[value.dtype]
-        elif isinstance(value, float) and kind not in _FLOATS:
-            kind = F64
-        return self.constant(value, kind)
-
-    def _pair(self, a: Any, b: Any) -> tuple[Lanes, Lanes]:
-        if isinstance(a, Lanes):
-            left, right = self.splat(a), self.lanes(b, a)
-        else:
-            right = self.splat(b)
-            left = self.lanes(a, right)
-        if left.kind == right.kind:
-            return left, right
-        kinds = {left.kind, right.kind}
-        if F64 in kinds or kinds <= {F32, I32, I64} or kinds == {BOOL, F64}:
-            kind = F64
-        elif F32 in kinds:
-            kind = F32
-        else:
-            kind = I64 if I64 in kinds else I32
-        return self.convert(left, kind), self.convert(right, kind)
-
-    def arithmetic(self, word: str, a: Any, b: Any) -> Lanes:
-        left, right = self._pair(a, b)
-        prefix = "f" if left.kind in _FLOATS else ""
-        return self.op(f"{prefix}{word} {left.typed}, {right.name}", left.kind)
-
-    def multiplied(self, a: Lanes, b: Lanes) -> Lanes:
-        """A product of whole numbers."""
-        return self.op(f"mul {a.typed}, {b.name}", a.kind)
-
-    def bitwise(self, word: str, a: Any, b: Any) -> Lanes:
-        left, right = self._pair(a, b)
-        return self.op(f"{word} {left.typed}, {right.name}", left.kind)
-
-    def compare(self, word: str, a: Any, b: Any) -> Lanes:
-        left, right = self._pair(a, b)
-        if left.kind in _FLOATS:
-            return self.op(f"fcmp {'u' if word == 'ne' else 'o'}{word} {left.typed}, {right.name}", BOOL)
-        return self.op(f"icmp {word if word in ('eq', 'ne') else 's' + word} {left.typed}, {right.name}", BOOL)
-
-    def between(self, value: Lanes, low: Lanes, high: Lanes) -> Lanes:
-        """A value cut to bounds that are numbers."""
-        above = self.where(value > low, value, low)
-        return self.where(above < high, above, high)
-
-    def unordered(self, a: Lanes) -> Lanes:
-        """Where a value is NaN."""
-        return self.op(f"fcmp uno {a.typed}, {a.name}", BOOL)
-
-    def where(self, condition: Any, then: Any, other: Any) -> Lanes:
-        if not isinstance(then, Lanes) and not isinstance(other, Lanes):
-            # as NumPy does for two numbers of Python
-            kind = F64 if isinstance(then, float) or isinstance(other, float) else I64
-            then, other = self.constant(then, kind), self.constant(other, kind)
-        a, b = self._pair(then, other)
-        return self.op(f"select {self.splat(condition).typed}, {a.typed}, {b.typed}", a.kind)
-
-    def convert(self, value: Lanes, kind: str) -> Lanes:
-        """As NumPy's `astype`; of a float to a whole number only those in its range are the same, none is undefined."""
-        if value.kind == kind:
-            return value
-        to = kind if value.one else f"<{WIDTH} x {kind}>"
-        if value.kind in _FLOATS and kind in _FLOATS:
-            word = "fpext" if kind == F64 else "fptrunc"
-        elif kind in _FLOATS:
-            word = "uitofp" if value.kind == BOOL else "sitofp"
-        elif value.kind in _FLOATS:
-            suffix = _MANGLED[kind], _MANGLED[value.kind]
-            stem = "llvm.fptosi.sat." + (".".join(suffix) if value.one else f"v{WIDTH}{suffix[0]}.v{WIDTH}{suffix[1]}")
-            self.module.declare(stem, to, [value.type])
-            return self.call(stem, kind, value, one=value.one)
-        elif kind == BOOL:
-            return self.compare("ne", value, 0)
-        elif _BITS[kind] < _BITS[value.kind]:
-            word = "trunc"
-        else:
-            word = "zext" if value.kind == BOOL else "sext"
-        return self.op(f"{word} {value.typed} to {to}", kind, one=value.one)
-
-    def whole(self, value: Lanes) -> Lanes:
-        """A whole number of float64 below 2**31 as i32, by its bits once 1.5 * 2**52 is added: of any other some number, none is
-        undefined."""
-        return self.convert(self.bits(value + 6755399441055744.0, I64), I32)
-
-    def bits(self, value: Lanes, kind: str) -> Lanes:
-        """The same bits as another kind of one width."""
-        return self.op(f"bitcast {value.typed} to <{WIDTH} x {kind}>", kind)
-
-    def some(self, mask: Lanes) -> Lanes:
-        """Whether a condition holds in some lane."""
-        return self.op(f"icmp ne i8 {self.mask_bits(mask).name}, 0", BOOL, one=True)
-
-    def mask_bits(self, mask: Lanes) -> Lanes:
-        """A condition as bits of one number, the first lane's the lowest."""
-        return self.op(f"bitcast {mask.typed} to i8", I8, one=True)
-
-    def of_bits(self, bits: Lanes) -> Lanes:
-        """A condition from the bits of one number."""
-        return self.op(f"bitcast i8 {bits.name} to <{WIDTH} x i1>", BOOL)
-
-    def one(self, text: str, kind: str) -> Lanes:
-        """One instruction that gives a single value."""
-        return self.op(text, kind, one=True)
-
-    def field(self, base: str, offset: int) -> str:
-        """The address so many bytes behind another."""
-        return self.one(f"getelementptr i8, ptr {base}, i64 {offset}", PTR).name
-
-    def get(self, place: str, kind: str, *, one: bool = False) -> Lanes:
-        """What lies at an address on the stack: eight values or a single one."""
-        type = kind if one else f"<{WIDTH} x {kind}>"
-        return self.op(f"load {type}, ptr {place}", kind, one=one)
-
-    def put(self, place: str, value: Lanes) -> None:
-        self.do(f"store {value.typed}, ptr {place}")
-
-    def greatest(self, value: Lanes) -> Lanes:
-        """The greatest of eight whole numbers of 32 bits."""
-        self.module.declare("llvm.vector.reduce.smax.v8i32", I32, [f"<{WIDTH} x i32>"])
-        return self.one(f"call i32 @llvm.vector.reduce.smax.v8i32({value.typed})", I32)
-
-    def quadruples(self, base: Lanes, index: Lanes) -> list[Lanes]:
-        """Of an array of four floats each the four of every lane's index (i32)."""
-        rows = []
-        for lane in range(WIDTH):
-            at = self.one(f"extractelement {index.typed}, i64 {lane}", index.kind)
-            wide = self.convert(at, I64)
-            place = self.one(f"getelementptr <4 x float>, ptr {base.name}, i64 {wide.name}", PTR)
-            rows.append(self.op(f"load <4 x float>, ptr {place.name}, align 4", F32).name)
-
-        def shuffled(a: str, b: str, width: int, order: tuple[int, ...]) -> str:
-            text = ", ".join(f"i32 {k}" for k in order)
-            type = f"<{width} x float>"
-            return self.op(f"shufflevector {type} {a}, {type} {b}, <{len(order)} x i32> <{text}>", F32).name
-
-        a, b, c, d = (shuffled(rows[k], rows[k + 4], 4, (0, 1, 2, 3, 4, 5, 6, 7)) for k in range(4))
-        low, high = (0, 8, 1, 9, 4, 12, 5, 13), (2, 10, 3, 11, 6, 14, 7, 15)
-        halves = [(shuffled(a, b, 8, order), shuffled(c, d, 8, order)) for order in (low, high)]
-        even, odd = (0, 1, 8, 9, 4, 5, 12, 13), (2, 3, 10, 11, 6, 7, 14, 15)
-        found = []
-        for x, y in halves:
-            found += [Lanes(self, F32, shuffled(x, y, 8, order)) for order in (even, odd)]
+        found: Lanes = self.e.bitwise("lshr", self, other)
         return found
 
-    def permuted(self, value: Lanes, order: Lanes) -> Lanes:
-        """Of each lane the value of the lane that an i32 of 0 to 7 names."""
-        if value.constant:
-            return value
-        if value.kind == BOOL:
-            return self.permuted(self.convert(value, I32), order) != 0
-        if value.kind in (F32, I32) and self.module.avx2:
-            name = "llvm.x86.avx2.permps" if value.kind == F32 else "llvm.x86.avx2.permd"
-            self.module.declare(name, value.type, [value.type, f"<{WIDTH} x i32>"])
-            return self.call(name, value.kind, value, order)
-        place = self.slot(value.kind)
-        self.put(place, value)
-        return self.gather(Lanes(self, PTR, place, one=True), order, value.kind)
+    def __lshift__(self, other: Any) -> Lanes:
+        found: Lanes = self.e.bitwise("shl", self, other)
+        return found
 
-    def iota(self) -> Lanes:
-        return Lanes(self, I64, f"<{', '.join(f'i64 {k}' for k in range(WIDTH))}>", constant=True)
+    def __invert__(self) -> Lanes:
+        found: Lanes = self.e.bitwise("xor", self, True if self.kind == BOOL else -1)
+        return found
 
-    # --- memory --------------------------------------------------------------------------------------------------------
+    def __lt__(self, other: Any) -> Lanes:
+        found: Lanes = self.e.compare("lt", self, other)
+        return found
 
-    def address(self, base: Lanes, index: Lanes, kind: str) -> Lanes:
-        """Where the element of a single index lies."""
-        return self.op(f"getelementptr {kind}, ptr {base.name}, i64 {index.name}", PTR, one=True)
+    def __le__(self, other: Any) -> Lanes:
+        found: Lanes = self.e.compare("le", self, other)
+        return found
 
-    def load(self, base: Lanes, index: Lanes, kind: str) -> Lanes:
-        """Eight elements from an index on; bytes as conditions for BOOL."""
-        stored = I8 if kind == BOOL else kind
-        place = self.address(base, index, stored)
-        value = self.op(f"load <{WIDTH} x {stored}>, ptr {place.name}, align 1", stored)
-        return self.compare("ne", value, 0) if kind == BOOL else value
+    def __gt__(self, other: Any) -> Lanes:
+        found: Lanes = self.e.compare("gt", self, other)
+        return found
 
-    def store(self, base: Lanes, index: Lanes, value: Lanes) -> None:
-        """Put eight elements from an index on; conditions as bytes."""
-        if value.kind == BOOL:
-            value = self.convert(value, I8)
-        place = self.address(base, index, value.kind)
-        self.do(f"store {self.splat(value).typed}, ptr {place.name}, align 1")
+    def __ge__(self, other: Any) -> Lanes:
+        found: Lanes = self.e.compare("ge", self, other)
+        return found
 
-    def store_where(self, mask: Lanes, base: Lanes, index: Lanes, value: Lanes) -> None:
-        """Put those of eight elements for which a condition holds. Nobody else may write to the eight meanwhile."""
-        if value.kind == BOOL:
-            value = self.convert(value, I8)
-        place = self.address(base, index, value.kind)
-        before = self.op(f"load <{WIDTH} x {value.kind}>, ptr {place.name}, align 1", value.kind)
-        chosen = self.op(f"select {mask.typed}, {self.splat(value).typed}, {before.typed}", value.kind)
-        self.do(f"store {chosen.typed}, ptr {place.name}, align 1")
+    def __eq__(self, other: object) -> Lanes:  # type: ignore[override]  # as arrays do
+        found: Lanes = self.e.compare("eq", self, other)
+        return found
 
-    def load_one(self, base: Lanes, index: Lanes, kind: str) -> Lanes:
-        place = self.address(base, index, I8 if kind == BOOL else kind)
-        if kind == BOOL:
-            value = self.op(f"load i8, ptr {place.name}", I8, one=True)
-            return self.op(f"icmp ne i8 {value.name}, 0", BOOL, one=True)
-        return self.op(f"load {kind}, ptr {place.name}", kind, one=True)
+    def __ne__(self, other: object) -> Lanes:  # type: ignore[override]
+        found: Lanes = self.e.compare("ne", self, other)
+        return found
 
-    def gather(self, base: Lanes, index: Lanes, kind: str) -> Lanes:
-        """Elements of an array at indices, which must lie in it: eight single loads, which many processors do faster than their
-        instruction for it."""
-        stored = I8 if kind == BOOL else kind
-        value = f"<{WIDTH} x {stored}> poison"
-        for lane in range(WIDTH):
-            at = self.convert(self.one(f"extractelement {index.typed}, i64 {lane}", index.kind), I64)
-            single = self.load_one(base, at, stored)
-            value = self.op(f"insertelement {value}, {single.typed}, i64 {lane}", stored).typed
-        found = Lanes(self, stored, value.rpartition(" ")[2])
-        return found != 0 if kind == BOOL else found
+    __hash__ = None  # type: ignore[assignment]
 
 
 class Module:
@@ -489,122 +171,3 @@ class Module:
 
     def text(self) -> str:
         return "\n".join((*self._declared.values(), *self.functions.values())) + "\n"
-
-
-def elementwise(module: Module, name: str, kinds: tuple[str, ...], formula: Callable[..., Any]) -> str:
-    """Add a function of lanes that does what a formula of NumPy does; gives its name."""
-
-    def make() -> str:
-        e = Emitter(module)
-        inputs = [Lanes(e, kind, f"%x{k}") for k, kind in enumerate(kinds)]
-        value = formula(*inputs)
-        arguments = ", ".join(each.typed for each in inputs)
-        body = "\n".join((*e.allocas, *e.entry, *e.lines))
-        return f"define internal {value.type} @{name}({arguments}) noinline {{\nentry:\n{body}\n  ret {value.typed}\n}}"
-
-    module.function(name, make)
-    return name
-
-
-# --- the NumPy functions that lanes answer to ------------------------------------------------------------------------
-
-
-def _minimum(e: Emitter, a: Any, b: Any) -> Lanes:
-    """The lesser; NaN where one is."""
-    left, right = e._pair(a, b)
-    found = e.where(left > right, right, left)
-    return found if right.constant else e.where(e.unordered(right), right, found)
-
-
-def _maximum(e: Emitter, a: Any, b: Any) -> Lanes:
-    left, right = e._pair(a, b)
-    found = e.where(left < right, right, left)
-    return found if right.constant else e.where(e.unordered(right), right, found)
-
-
-def _fmin(e: Emitter, a: Any, b: Any) -> Lanes:
-    """The lesser; the other one where one is NaN."""
-    left, right = e._pair(a, b)
-    return e.where(e.unordered(right), left, e.where(left < right, left, right))
-
-
-def _fmax(e: Emitter, a: Any, b: Any) -> Lanes:
-    left, right = e._pair(a, b)
-    return e.where(e.unordered(right), left, e.where(left > right, left, right))
-
-
-def _isfinite(e: Emitter, a: Lanes) -> Lanes:
-    return e.intrinsic("fabs", a) < np.inf
-
-
-def _frexp(e: Emitter, a: Lanes) -> tuple[Lanes, Lanes]:
-    """Of a normal number of float64: its fraction in [0.5, 1), and its power of 2 as i32."""
-    bits = e.bits(a, I64)
-    power = e.convert((bits >> 52) & 0x7FF, I32) - 1022
-    return e.bits((bits & ~(0x7FF << 52)) | (1022 << 52), F64), power
-
-
-def _ldexp(e: Emitter, a: Lanes, power: Lanes) -> Lanes:
-    """a times a power of 2 between -1022 and 1023."""
-    wide = e.convert(power, I64)
-    return a * e.bits((wide + 1023) << 52, F64)
-
-
-def _fmod(e: Emitter, a: Any, b: Any) -> Lanes:
-    """The exact remainder, with the sign of a. Most are less than b already, and what is not is found lane by lane."""
-    left, right = e._pair(a, b)
-    result = e.slot(left.kind)
-    e.do(f"store {left.typed}, ptr {result}")
-    rest = e.intrinsic("fabs", left) < e.intrinsic("fabs", right)
-    with e.inside(e.some(~rest)):
-        for lane in range(WIDTH):
-            x, y = (e.op(f"extractelement {v.typed}, i64 {lane}", v.kind, one=True) for v in (left, right))
-            one = e.op(f"frem {x.typed}, {y.name}", x.kind, one=True)
-            place = e.op(f"getelementptr {x.kind}, ptr {result}, i64 {lane}", PTR, one=True)
-            e.do(f"store {one.typed}, ptr {place.name}")
-    return e.op(f"load {left.type}, ptr {result}", left.kind)
-
-
-def _logical(word: str) -> Callable[..., Lanes]:
-    return lambda e, a, b: e.bitwise(word, a, b)
-
-
-_UFUNCS: dict[np.ufunc, Callable[..., Any]] = {
-    np.add: lambda e, a, b: e.arithmetic("add", a, b),
-    np.subtract: lambda e, a, b: e.arithmetic("sub", a, b),
-    np.multiply: lambda e, a, b: e.arithmetic("mul", a, b),
-    np.true_divide: lambda e, a, b: e.arithmetic("div", a, b),
-    np.negative: lambda e, a: -a,
-    np.absolute: lambda e, a: e.intrinsic("fabs", a),
-    np.floor: lambda e, a: e.intrinsic("floor", a),
-    np.rint: lambda e, a: e.intrinsic("rint", a),
-    np.sqrt: lambda e, a: e.intrinsic("sqrt", a),
-    np.less: lambda e, a, b: e.compare("lt", a, b),
-    np.less_equal: lambda e, a, b: e.compare("le", a, b),
-    np.greater: lambda e, a, b: e.compare("gt", a, b),
-    np.greater_equal: lambda e, a, b: e.compare("ge", a, b),
-    np.equal: lambda e, a, b: e.compare("eq", a, b),
-    np.not_equal: lambda e, a, b: e.compare("ne", a, b),
-    np.logical_and: _logical("and"),
-    np.logical_or: _logical("or"),
-    np.logical_not: lambda e, a: ~a,
-    np.bitwise_and: _logical("and"),
-    np.bitwise_or: _logical("or"),
-    np.bitwise_xor: _logical("xor"),
-    np.right_shift: lambda e, a, b: e.bitwise("lshr", a, b),
-    np.left_shift: lambda e, a, b: e.bitwise("shl", a, b),
-    np.minimum: _minimum,
-    np.maximum: _maximum,
-    np.fmin: _fmin,
-    np.fmax: _fmax,
-    np.isfinite: _isfinite,
-    np.frexp: _frexp,
-    np.ldexp: _ldexp,
-    np.fmod: _fmod,
-}
-_FUNCTIONS: dict[Any, Callable[..., Any]] = {
-    np.where: lambda e, condition, then, other: e.where(condition, then, other),
-    np.ndim: lambda e, a: 1,
-    np.all: lambda e, a: False,  # of lanes it is not known while their text is written
-    np.clip: lambda e, a, low, high: _minimum(e, _maximum(e, a, low), high),
-}

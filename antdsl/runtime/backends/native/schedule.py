@@ -1,8 +1,9 @@
 """In which stage each instruction of a block runs, and which values one stage leaves to the next.
 
-What has no machine code (rays, curves, flows) is called between two stages: all rows go through stage 0, then the calls that stand
-at its end are made, then all rows go through stage 1. A statement runs in the first stage that can know its operands, in the order
-of the text; a value is worked out where it is first wanted, and left in an array where a later stage or a call wants it too."""
+What has no machine code (rays, curves, flows) is called between two stages: all rows go through stage 0, then the calls that
+stand at its end are made, then all rows go through stage 1. A statement runs in the first stage that can know its operands, in
+the order of the text; a value is worked out where it is first wanted, and left in an array where a later stage or a call wants
+it too."""
 
 from __future__ import annotations
 
@@ -239,9 +240,7 @@ def _wanted(maker: _Maker) -> Schedule:
     for slot, stages_ in wanted.items():
         if slot in home and max(stages_) > home[slot] and slot not in made_by_calls and slot not in anew:
             left.add(slot)
-    return Schedule(
-        stages, home, left, wanted, maker.at, calls, maker.alias, frozenset(maker.native), frozenset(maker.inlined)
-    )
+    return Schedule(stages, home, left, wanted, maker.at, calls, maker.alias, frozenset(maker.native), frozenset(maker.inlined))
 
 
 def _through(maker: _Maker, scope: Scope, wanted: dict[int, set[int]], stages: set[int]) -> None:

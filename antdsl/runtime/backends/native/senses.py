@@ -6,13 +6,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-
 import numpy as np
 
 from antdsl.numerics import randomness
+from antdsl.numerics.philox import UNIT
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import Lower, Writer
-from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Emitter, Lanes
+from antdsl.runtime.backends.native.emitter import Emitter
+from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.moving.obstacle_clearance import may_touch
 
@@ -31,7 +32,8 @@ def _id(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
 def _age(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     frames = w.number(I64, "frame") - w.e.load(w.base("born"), w.row, I64)
     whole = w.e.convert(w.e.where(frames > 0, frames, w.e.constant(0, I64)), I32)  # a run has far fewer than 2**31 frames
-    return w.e.convert(w.e.convert(whole, F64) * w.number(F64, "dt"), F32)
+    age: Lanes = w.e.convert(w.e.convert(whole, F64) * w.number(F64, "dt"), F32)
+    return age
 
 
 def _words(w: Any, site: str, block: int) -> list[Lanes]:
@@ -39,7 +41,9 @@ def _words(w: Any, site: str, block: int) -> list[Lanes]:
 
     def make() -> list[Lanes]:
         e, out = w.e, w.e.slot(I64, count=4)
-        shared = [w.number(I64, "philox", w.species, site, block, word, one=True) for word in ("first", "low", "last", "k0", "k1")]
+        shared = [
+            w.number(I64, "philox", w.species, site, block, word, one=True) for word in ("first", "low", "last", "k0", "k1")
+        ]
         ids = _id(w, None, ())  # type: ignore[arg-type]
         name = _philox(w)
         e.do(f"call void @{name}({ids.typed}, {', '.join(each.typed for each in shared)}, ptr {out})")
@@ -60,7 +64,8 @@ def _philox(w: Writer) -> str:
         e = Emitter(w.module)
         ids = Lanes(e, I64, "%ids")
         first, low, last, k0, k1 = (e.splat(Lanes(e, I64, f"%{n}", one=True)) for n in ("first", "low", "last", "k0", "k1"))
-        for k, word in enumerate(randomness.of_ids(ids, first, low, last, (k0, k1))):
+        words: Any = randomness.of_ids(ids, first, low, last, (k0, k1))
+        for k, word in enumerate(words):
             place = e.op(f"getelementptr <{WIDTH} x i64>, ptr %out, i64 {k}", PTR, one=True)
             e.do(f"store {word.typed}, ptr {place.name}")
         body = "\n".join((*e.allocas, *e.entry, *e.lines))
@@ -75,7 +80,7 @@ def _draw(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     site, index = node.attrs
     word = _words(w, site, index >> 2)[index & 3]
     small: Lanes = w.e.convert(w.e.convert(word >> 8, I32), F32)  # 24 bits: as whole numbers of 32 bits they convert faster
-    return small * randomness.UNIT
+    return small * UNIT
 
 
 def _draw_agent(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
@@ -142,7 +147,8 @@ def _agent_alive(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
 
 
 def _item_there(w: Any, items: str, item: Lanes) -> Lanes:
-    return (item >= 0) & (item < w.number(I32, "items", items))
+    there: Lanes = (item >= 0) & (item < w.number(I32, "items", items))
+    return there
 
 
 def _item_get(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
@@ -236,5 +242,3 @@ def _may_hit(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
 GUARDS: Mapping[str, tuple[Lower, tuple[Any, ...]]] = {"ray": (_may_hit, (False, np.inf, 0.0, 0.0, 0.0))}
 ON_MOVING_GROUND = frozenset(("field.strongest",))  # there its places turn with the ground: it is called
 OF_PAIRS = frozenset(("agent.get", "agent.alive", "item.get", "item.alive"))  # may hang on the other one of a pair
-
-

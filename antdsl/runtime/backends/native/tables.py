@@ -1,7 +1,7 @@
 """Fills the table of addresses and the numbers of a block: where in the world each array lies that its machine code names.
 
-Code reads eight rows at once, so every array that it is given goes on for eight rows behind the last one: registers are moved into
-arrays with room, what others own is copied. What has not become another array since the last run is not looked up again."""
+Code reads eight rows at once, so every array that it is given goes on for eight rows behind the last one: registers are moved
+into arrays with room, what others own is copied. What has not become another array since the last run is not looked up again."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ class Rooms:
         self._copies: dict[Key, tuple[Any, NDArray[Any], int]] = {}
 
     def moved(self, holder: dict[str, NDArray[Any]], name: str) -> tuple[NDArray[Any], int]:
-        """A register's array with its address, moved into one with room unless it is in one. Start and now may share an array, and
-        share the new one then."""
+        """A register's array with its address, moved into one with room unless it is in one. Start and now may share an array,
+        and share the new one then."""
         array = holder[name]
         known = self._moved.get(id(array))
         if known is None:
@@ -110,9 +110,7 @@ class Tables:
         self.pointers[0] = address(self.numbers)
         self.address = address(self.pointers)
 
-    def fill(
-        self, world: World, population: Population, values: Mapping[ir.Node, Any], kept: Any, grids: list[Arrays]
-    ) -> None:
+    def fill(self, world: World, population: Population, values: Mapping[ir.Node, Any], kept: Any, grids: list[Arrays]) -> None:
         """All but what depends on the rows of a chunk. `values` are those of the step, `grids` a cell grid for each search."""
         self._numbers(world, population, values)
         for number, (name, start, place) in enumerate(self._registers):

@@ -1,0 +1,74 @@
+"""What the functions of a search are written from, and the pairs that they find."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from antdsl.plan import ir
+from antdsl.runtime.backends.native.block import Writer
+from antdsl.runtime.backends.native.lanes import I32, I64, Lanes
+from antdsl.runtime.backends.native.layout import KINDS
+
+STRIDE = 64  # bytes from one operand or result of a search to the next
+
+
+@dataclass(slots=True, eq=False)
+class Search:
+    """What the functions of a search are written from: places of operands and results in their areas."""
+
+    name: str
+    number: int
+    other: str
+    nodes: list[ir.Node]
+    kinds: list[str] = field(default_factory=list)  # of the operands
+    reach: dict[ir.Node, int] = field(default_factory=dict)
+    view: dict[ir.Node, int] = field(default_factory=dict)
+    places: dict[ir.Node, int] = field(default_factory=dict)
+    stops: dict[ir.Node, int] = field(default_factory=dict)  # sets of which too many are told, and where among the results
+    beside: list[str] = field(default_factory=list)  # others' registers that are laid side by side, four and four
+
+
+@dataclass(slots=True, eq=False)
+class Found:
+    """Eight pairs: which are there at all, others' rows, other minus own, and its length."""
+
+    w: Writer
+    near: Search
+    there: Lanes
+    rows: Lanes
+    dx: Lanes
+    dy: Lanes
+    dz: Lanes
+    distance: Lanes
+
+    def ids(self) -> Lanes:
+        def make() -> Lanes:
+            return self.w.e.gather(self.w.base("other", self.near.other, "ids"), self.rows, I64)
+
+        found: Lanes = self.w.e.once(("ids", self.rows.name), make)
+        return found
+
+    def leaf(self, node: ir.Node) -> Lanes:
+        named = {"pair.x": self.dx, "pair.y": self.dy, "pair.z": self.dz, "pair.distance": self.distance}
+        if node.op in named:
+            return named[node.op]
+        if node.op == "other.id":
+            return self.ids()
+        beside = self.near.beside
+        if node.attrs[0] in beside:
+            block, part = divmod(beside.index(node.attrs[0]), 4)
+            names = tuple(beside[4 * block : 4 * block + 4])
+            base = self.w.base("beside", self.near.other, *names)
+            found: Lanes = self.w.e.once(("beside", block, self.rows.name), lambda: self.w.e.quadruples(base, self.rows))[part]
+            return found
+        return self.w.e.gather(self.w.base("other", self.near.other, node.attrs[0]), self.rows, KINDS[node.kind])
+
+
+def measured(w: Writer, near: Search, at: Lanes, place: list[Lanes], there: Lanes) -> Found:
+    """Others at places in the grid, as seen from places of the asking agents."""
+    e = w.e
+    *others, rows = e.quadruples(w.base("grid", near.number, "places"), at)
+    dx, dy, dz = (other - own for other, own in zip(others, place, strict=True))
+    return Found(w, near, there, e.bits(rows, I32), dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
