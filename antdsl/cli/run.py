@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 class Backend(StrEnum):
     numpy = "numpy"
+    native = "native"
     reference = "reference"
 
 
@@ -44,7 +45,11 @@ def run(
     summary: Path = typer.Option(None, "--summary", metavar="FILE", help="Write counts, speeds and measures as JSON."),
     resume: bool = typer.Option(False, "--resume", help="Go on with the cache of an earlier run that was stopped."),
     force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
-    backend: Backend = typer.Option(Backend.numpy, "--backend", help="`reference` is slow and plain: one agent at a time."),
+    backend: Backend = typer.Option(
+        Backend.numpy,
+        "--backend",
+        help="`native`: as machine code; `reference`: one agent at a time, slow and plain. Changes no result.",
+    ),
     shuffle: int = typer.Option(
         None, "--shuffle-rows", metavar="N", min=0, help="Put agents into rows in another order. Changes no result."
     ),

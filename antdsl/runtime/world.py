@@ -45,13 +45,15 @@ MOVED = tuple(f"{name}.{axis}" for name in ("position", "velocity", "heading", "
 class Options:
     """How to run; nothing here changes a result, only `on_fault` says what follows a fault.
 
-    `shuffle_rows` puts the agents into rows in a random order; `chunk` is the number of rows worked on at once."""
+    `shuffle_rows` puts the agents into rows in a random order; `chunk` is the number of rows worked on at once. `wait_for_code`: the
+    first step waits for machine code, instead of running in NumPy until it is there."""
 
     backend: Literal["numpy", "native", "reference"] = "numpy"
     chunk: int = 16_384
     threads: int = 1
     shuffle_rows: int | None = None
     on_fault: Literal["stop", "quarantine"] = "stop"
+    wait_for_code: bool = False
 
 
 @dataclass(slots=True, eq=False)

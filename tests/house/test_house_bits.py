@@ -38,6 +38,7 @@ ALLOWED = {
         "log2": "the width of cells: which pairs are found does not depend on it",
         "scipy": "a tree that says how far to look: which pairs are the nearest does not depend on it",
     },
+    "runtime/backends/native/grids.py": {"log2": "the same"},
     "fields/pheromone.py": {
         "@": "a sparse matrix: SciPy adds row by row in the order of the columns, and is compiled for all processors alike",
         "scipy": "the same",

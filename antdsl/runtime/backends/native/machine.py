@@ -38,6 +38,16 @@ def _llvm() -> Any:
 
 
 @cache
+def available() -> bool:
+    """Whether code can be made here: llvmlite is installed and knows this processor."""
+    try:
+        host()
+    except (ImportError, OSError, RuntimeError):  # not there, not loadable, or made without this processor
+        return False
+    return True
+
+
+@cache
 def host() -> Target:
     """This machine."""
     llvm = _llvm()

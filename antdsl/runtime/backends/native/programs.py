@@ -12,6 +12,7 @@ from antdsl.runtime.backends.native import grids, search, sets
 from antdsl.runtime.backends.native.block import BlockCode, BlockWriter
 from antdsl.runtime.backends.native.lanes import Module
 from antdsl.runtime.backends.native.layout import KINDS, Layout
+from antdsl.runtime.backends.native.machine import Target
 from antdsl.runtime.backends.native.schedule import PAIRED, schedule
 from antdsl.runtime.backends.native.senses import GUARDS, NATIVE, OF_PAIRS, ON_MOVING_GROUND
 
@@ -32,11 +33,18 @@ class Program:
     blocks: Mapping[tuple[str, str], BlockCode]
 
 
-def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], *, moving: bool, detail: bool, avx2: bool) -> Program:
-    """All blocks of a plan but births, which are few. `moving`: some of the ground moves; `detail`: some agents
-    see boxes instead of obstacles."""
-    guards = {} if detail else GUARDS
-    senses = {op: lower for op, lower in NATIVE.items() if not (moving and op in ON_MOVING_GROUND)}
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What code depends on of a world: whether some of its ground moves, and whether agents may see boxes instead of obstacles."""
+
+    moving: bool
+    detail: bool
+
+
+def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], facts: Facts, target: Target) -> Program:
+    """All blocks of a plan but births, which are few."""
+    guards = {} if facts.detail else GUARDS
+    senses = {op: lower for op, lower in NATIVE.items() if not (facts.moving and op in ON_MOVING_GROUND)}
 
     def lowers(node: ir.Node) -> bool:
         if node.op.startswith("reduce."):
@@ -46,7 +54,7 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], *, m
     def costly(node: ir.Node) -> bool:
         return node.op.startswith("reduce.") or node.op == "field.strongest"
 
-    module = Module(avx2)
+    module = Module(target.avx2)
     found: dict[tuple[str, str], BlockCode] = {}
     for (species, block), compiler in blocks.items():
         if block not in _RUNS or not compiler.root.code:

@@ -1,0 +1,155 @@
+"""Runs one block of machine code for the rows of a chunk: its stages, the calls between them, and what it asks of the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.plan import ir
+from antdsl.runtime.backends.compile import EFFECTS, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Instruction, Scope
+from antdsl.runtime.backends.native.block import BlockCode
+from antdsl.runtime.backends.native.lanes import WIDTH
+from antdsl.runtime.backends.native.ready import Ready
+from antdsl.runtime.backends.native.tables import Tables
+from antdsl.runtime.pairs import NearbySets
+from antdsl.runtime.requests import Effects, FaultEntry, GiveEntry
+from antdsl.runtime.sensing import SENSES
+from antdsl.runtime.world import Population, World
+
+
+@dataclass(slots=True, eq=False)
+class Block:
+    """A block of one species in one step; `values` are those that are the same for all agents."""
+
+    ready: Ready
+    code: BlockCode
+    compiler: BlockCompiler
+    tables: Tables
+    world: World
+    population: Population
+    values: dict[ir.Node, Any]
+
+
+@dataclass(slots=True, eq=False)
+class Chunk:
+    """Some rows of a block. `run` says whether all went well: False where some agent has too many others in a radius."""
+
+    block: Block
+    begin: int
+    end: int
+    effects: Effects
+    _picked: dict[int, NDArray[np.intp]] = field(default_factory=dict)
+    _slots: list[Any] | None = None
+
+    def run(self) -> bool:
+        """Take the rows through all stages; what is asked of the world is added to the effects."""
+        block, tables = self.block, self.block.tables
+        tables.notes[0] = tables.crowded[0] = 0
+        for stage, name in enumerate(block.code.names):
+            block.ready.code.function(name)(tables.address, self.begin, self.end)
+            for some in block.ready.together[block.population.name, block.compiler.name, stage]:
+                self._call(some)
+        if tables.crowded[0]:
+            return False
+        for each in block.code.requests:
+            rows = self._enter(each.scope)
+            if len(rows):
+                self._made(each, rows)
+        self._gifts()
+        self._faults()
+        return True
+
+    def _gifts(self) -> None:
+        """What agents have given to items."""
+        for instruction, slot in self.block.code.gives:
+            there, item, gone = (self.block.tables.arrays[slot, part] for part in range(3))
+            rows = np.flatnonzero(there[: self.end - self.begin])
+            if len(rows):
+                assert isinstance(instruction.what, ir.Give)
+                self.effects.gives.append(GiveEntry(instruction.what, item[rows], gone[rows]))
+
+    def _faults(self) -> None:
+        """Values that were refused."""
+        notes = self.block.tables.notes
+        for k in range(int(notes[0])):
+            row, told = int(notes[1 + 2 * k]), int(notes[2 + 2 * k])
+            refused, span = self.block.code.faults[told >> 16]
+            rows = row + np.flatnonzero([told >> bit & 1 for bit in range(WIDTH)])
+            self.effects.faults.append(FaultEntry(self.block.compiler.name, refused, span, rows))
+
+    # --- calls ---------------------------------------------------------------------------------------------------------
+
+    def _known(self) -> list[Any]:
+        """Slots as NumPy's calls have them."""
+        if self._slots is None:
+            block = self.block
+            v = self._slots = [None] * block.compiler.slots
+            v[WORLD], v[POPULATION], v[EFFECTS] = block.world, block.population, self.effects
+            v[PAIRS], v[NEARBY] = {}, NearbySets(1)
+            v[block.compiler.root.rows] = slice(self.begin, self.end)
+            for node, slot in block.compiler.uniforms.items():
+                v[slot] = block.values[node]
+        return self._slots
+
+    def _rows_of(self, slot: int) -> NDArray[np.intp]:
+        """Rows, counted within the chunk, for which a mask holds."""
+        if slot not in self._picked:
+            self._picked[slot] = np.flatnonzero(self.block.tables.arrays[slot, 0][: self.end - self.begin])
+        return self._picked[slot]
+
+    def _enter(self, scope: Scope) -> NDArray[np.intp]:
+        rows, v = self._rows_of(self.block.code.schedule.slot(scope.rows)), self._known()
+        whole = len(rows) == self.end - self.begin
+        v[scope.rows], v[scope.size] = (slice(self.begin, self.end) if whole else rows + self.begin), len(rows)
+        return rows
+
+    def _operand(self, slot: int, rows: NDArray[np.intp]) -> Any:
+        """What a stage has left for some rows, or what is the same for all."""
+        source = self.block.code.schedule.slot(slot)
+        array = self.block.tables.arrays.get((source, 0))
+        if array is not None:
+            return array.take(rows)
+        return self._known()[source]
+
+    def _made(self, each: Instruction, rows: NDArray[np.intp]) -> Any:
+        """Run a call of NumPy's for some rows."""
+        v = self._known()
+        for slot in each.inputs:
+            v[slot] = self._operand(slot, rows)
+        self.block.ready.calls[each](v)
+        return v[each.out]
+
+    def _call(self, some: list[Instruction]) -> None:
+        """Make a call, or several of one sense with one name at once: who asks is named as often as it asks."""
+        code = self.block.code
+        if len(some) == 1 and some[0] not in code.guarded:
+            rows = self._enter(some[0].scope)
+            if len(rows):
+                self._leave(some[0], rows, self._made(some[0], rows))
+            return
+        chosen = [self._rows_of(code.guarded.get(each, code.schedule.slot(each.scope.rows))) for each in some]
+        ends = np.cumsum([len(rows) for rows in chosen])
+        if not ends[-1]:
+            return
+        columns = []
+        for place in range(len(some[0].inputs)):
+            parts = [self._operand(each.inputs[place], rows) for each, rows in zip(some, chosen, strict=True)]
+            spread = (np.full(len(rows), part) if np.ndim(part) == 0 else part for part, rows in zip(parts, chosen, strict=True))
+            columns.append(np.concatenate(list(spread)))
+        node = some[0].what
+        assert isinstance(node, ir.Node)
+        asking = np.concatenate(chosen) + self.begin
+        found = SENSES[node.op](self.block.world, self.block.population, node, asking, *columns)
+        parts_of = [np.split(part, ends[:-1]) for part in (found if isinstance(found, tuple) else (found,))]
+        for k, (each, rows) in enumerate(zip(some, chosen, strict=True)):
+            self._leave(each, rows, tuple(part[k] for part in parts_of))
+
+    def _leave(self, each: Instruction, rows: NDArray[np.intp], found: Any) -> None:
+        """Put the results of a call where the next stage looks for them."""
+        for part, value in enumerate(found if isinstance(found, tuple) else (found,)):
+            array = self.block.tables.arrays.get((each.out, part))
+            if array is not None:
+                array[rows] = value
