@@ -16,7 +16,6 @@ from antdsl.runtime import CrowdData, ItemData, Options, PlaceData, Setting, Wor
 WAYS = (
     Options(),
     Options(chunk=7, threads=2, shuffle_rows=3),
-    Options(backend="native", chunk=8, shuffle_rows=2),
     Options(backend="reference"),
     Options(backend="reference", shuffle_rows=1),
 )

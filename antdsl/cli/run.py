@@ -99,7 +99,7 @@ def run(
         if recording.meter is not None:
             from antdsl.cli.printing.profile_table import show
 
-            show(recording.meter.profile(), lines=options.backend == "numpy")
+            show(recording.meter.profile(), lines=options.backend != "reference")
 
 
 def cores() -> int:

@@ -45,8 +45,9 @@ MOVED = tuple(f"{name}.{axis}" for name in ("position", "velocity", "heading", "
 class Options:
     """How to run; nothing here changes a result, only `on_fault` says what follows a fault.
 
-    `shuffle_rows` puts the agents into rows in a random order; `chunk` is the number of rows worked on at once. `wait_for_code`: the
-    first step waits for machine code, instead of running in NumPy until it is there."""
+    `shuffle_rows` puts the agents into rows in a random order; `chunk` is the number of rows worked on at once.
+    `wait_for_code`: with the native backend, the first step waits for machine code, instead of running in NumPy until it is
+    there."""
 
     backend: Literal["numpy", "native", "reference"] = "numpy"
     chunk: int = 16_384

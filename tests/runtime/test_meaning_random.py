@@ -48,7 +48,7 @@ def test_backends_agree_on_what_agents_sense_and_do(seed: int, place: dict[str, 
     ways = (
         Options(on_fault="quarantine"),
         Options(on_fault="quarantine", chunk=3, threads=2, shuffle_rows=3),
-        Options(on_fault="quarantine", backend="native", chunk=8, shuffle_rows=4),
+        Options(on_fault="quarantine", backend="native", wait_for_code=True, chunk=8, shuffle_rows=4),
         Options(on_fault="quarantine", backend="reference", shuffle_rows=2),
     )
     agents = (crowd(9, radius=60), crowd(3, species="other", radius=60))

@@ -58,8 +58,8 @@ class NativeBackend(NumpyBackend):
         super().begin(world)
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
-        """Run a block for some rows (None: all), and put what they ask for into the population's effects. Births, and a step whose
-        lines are timed, are NumPy's."""
+        """Run a block for some rows (None: all), and put what they ask for into the population's effects. Births are NumPy's, and
+        steps whose lines are timed."""
         ready = self.ready
         code = None if ready is None else ready.program.blocks.get((population.name, block))
         if ready is None or code is None or rows is not None or self.metered:

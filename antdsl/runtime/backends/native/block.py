@@ -45,10 +45,10 @@ class Writer:
             zero = self.e.constant(0, I64, one=True)
             return self.e.load_one(place, zero, kind)
 
-        single: Lanes = self.e.once(("number", *key), make)
+        single: Lanes = self.e.once(("number", kind, *key), make)
         if one:
             return single
-        lanes: Lanes = self.e.once(("numbers", *key), lambda: self.e.splat(single))
+        lanes: Lanes = self.e.once(("numbers", kind, *key), lambda: self.e.splat(single))
         return lanes
 
     def apply(self, op: str, *args: Lanes) -> Any:

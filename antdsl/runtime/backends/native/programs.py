@@ -35,7 +35,7 @@ class Program:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What code depends on of a world: whether some of its ground moves, and whether agents may see boxes instead of obstacles."""
+    """What code depends on of a world: whether some of its ground moves, and whether agents may see boxes for obstacles."""
 
     moving: bool
     detail: bool

@@ -1,7 +1,7 @@
 """Makes a plan's blocks ready to run as machine code: text, code in memory, and the calls between its stages.
 
-Code is made in a thread beside the run; a program that was compiled in this process before, whatever its numbers were, is there at
-once."""
+Code is made in a thread beside the run; a program that was compiled in this process before, whatever its numbers were, is there
+at once."""
 
 from __future__ import annotations
 

@@ -1,0 +1,244 @@
+"""Machine code gives the bits that the reference gives: of every operation, of whole programs, and of what is rare."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plans
+import pytest
+from meaning import crowd, play
+from sampling import sampled
+
+from antdsl import limits
+from antdsl.numerics.elementwise import ELEMENTWISE
+from antdsl.pipeline import open_scene
+from antdsl.plan import ir
+from antdsl.runtime import FaultStop, Options, World, bind, state_hash, step
+from antdsl.runtime.backends.native import machine, ready
+from antdsl.runtime.backends.native.block import Writer
+from antdsl.runtime.backends.native.emitter import elementwise
+from antdsl.runtime.backends.native.lanes import BOOL, F32, I32, I64, WIDTH, Lanes, Module
+from antdsl.runtime.backends.native.layout import Layout
+
+pytestmark = pytest.mark.skipif(not machine.available(), reason="llvmlite is not installed")
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+SCENES = sorted(path.relative_to(EXAMPLES).as_posix() for path in EXAMPLES.rglob("*.yaml"))
+NATIVE = Options(backend="native", wait_for_code=True)
+WAYS = (Options(), NATIVE, replace(NATIVE, chunk=8, shuffle_rows=3), replace(NATIVE, chunk=1000, threads=2))
+KINDS = {"f": F32, "b": BOOL, "x": F32}
+DTYPES = {F32: np.float32, BOOL: np.bool_, I32: np.int32}
+SPECIAL = (0.0, -0.0, np.inf, -np.inf, np.nan, 1e30, -1e30, 1e-40, 1.0, -1.0, 0.5, 2.0, 3.0, 1e6, 1e7, 6.2831855, 3.4e38, 1e-45)
+
+
+def loop(op: str) -> tuple[str, tuple[str, ...], str]:
+    """A module that applies an operation to arrays: its text, the kinds of its operands and of its result."""
+    kinds = (I32,) if op == "number" else tuple(KINDS[letter] for letter in ir.OPS[op].args)
+    module = Module(machine.host().avx2)
+    w = Writer(module, Layout({(k,): k for k in range(len(kinds) + 1)}))
+    name = elementwise(module, "of_lanes", kinds, ELEMENTWISE[op])
+    kind = F32 if module.functions[name].startswith("define internal <8 x float>") else BOOL
+    with w.e.loop(Lanes(w.e, I64, "%end", one=True), WIDTH) as at:
+        found = w.e.call(name, kind, *(w.e.load(w.base(k), at, each) for k, each in enumerate(kinds)))
+        w.e.store(w.base(len(kinds)), at, found)
+    module.functions["of_arrays"] = w.function("of_arrays", ", i64 %begin, i64 %end")
+    return module.text(), kinds, kind
+
+
+def some(kind: str, seed: int, count: int) -> Any:
+    """Values of many sizes, a quarter of them special ones."""
+    draw = np.random.default_rng(seed)
+    if kind == BOOL:
+        return draw.random(count) < 0.5
+    if kind == I32:
+        return draw.integers(-5, 1000, count).astype(np.int32)
+    values = (draw.normal(size=count) * 10.0 ** draw.integers(-6, 7, count)).astype(np.float32)
+    values[: count // 4] = draw.choice(np.array(SPECIAL, np.float32), count // 4)
+    return values
+
+
+@pytest.mark.parametrize("op", sorted(ELEMENTWISE))
+def test_an_operation_gives_the_bits_of_numpy(op: str) -> None:
+    text, kinds, kind = loop(op)
+    code = machine.load(machine.object_code(text, machine.host()))
+    count = 1 << 13
+    operands = [some(each, 3 + k, count) for k, each in enumerate(kinds)]
+    found = np.zeros(count, DTYPES[kind])
+    table = np.array([each.ctypes.data for each in (*operands, found)], np.int64)
+    code.function("of_arrays")(table.ctypes.data, 0, count)
+    with np.errstate(all="ignore"):
+        wanted = ELEMENTWISE[op](*operands)
+    if kind == F32:
+        nan = np.isnan(wanted)
+        assert np.array_equal(nan, np.isnan(found)) and nan.sum() < count
+        wanted, found = wanted[~nan].view(np.int32), found[~nan].view(np.int32)
+    assert np.array_equal(wanted, found)
+
+
+def hashes(scene: str, frames: int, options: Options, most: int = 2000) -> list[str]:
+    shot, report = open_scene(EXAMPLES / scene)
+    assert shot is not None, report
+    crowds = tuple(replace(each, count=min(each.count, most)) for each in shot.setting.crowds)
+    world = bind(shot.plan, replace(shot.setting, crowds=crowds), options)
+    found = [state_hash(world)]
+    for _ in range(frames):
+        step(world)
+        found.append(state_hash(world))
+    return found
+
+
+@pytest.mark.parametrize("scene", sampled(SCENES, ["foraging/scene.yaml", "moods/scene.yaml", "tunnel/scene.yaml"]))
+def test_an_example_has_the_states_that_numpy_gives_it(scene: str) -> None:
+    wanted = hashes(scene, 18, Options())
+    for way in (NATIVE, replace(NATIVE, chunk=8, shuffle_rows=5), replace(NATIVE, chunk=100_000, threads=2)):
+        assert hashes(scene, 18, way) == wanted
+
+
+def test_a_world_of_every_operation_has_the_states_that_the_reference_gives_it() -> None:
+    found = []
+    for way in (Options(backend="reference"), NATIVE, replace(NATIVE, chunk=8, shuffle_rows=2)):
+        world = bind(plans.rich(), plans.setting(), way)
+        for _ in range(12):
+            step(world)
+        found.append(state_hash(world))
+    assert found[0] == found[1] == found[2]
+
+
+DENSE = """
+species a {
+  mood = 0
+  near_by = 0
+  ahead = 0
+  least = 0
+  whose = 0
+  state only {
+    mood = sum(n in neighbours(3 mm): n.least + distance(n) / 1 mm)
+    near_by = count(neighbours(3 mm))
+    ahead = count(neighbours(3 mm, 90 deg))
+    least = min(10, min(n in neighbours(2 mm): distance(n) / 1 mm))
+    whose = best(n in neighbours(3 mm): distance(n)).id
+  }
+}
+"""
+
+
+@pytest.mark.parametrize("radius", [2.0, 0.0])
+def test_of_many_neighbours_the_nearest_count(radius: float) -> None:
+    """More than the cap within the radius of each; with a radius of 0 all in one place, where ids decide."""
+    seen = play(DENSE, crowd(700, radius=radius), steps=2, ways=WAYS)
+    counts = np.array(seen["near_by"])
+    assert counts.max() == limits.NEIGHBOURS and (radius == 0 or len(set(seen["mood"])) > 1)
+
+
+def test_too_many_in_a_radius_are_told_as_numpy_tells_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "WITHIN_RADIUS", 300)
+    told = []
+    for way in (Options(), NATIVE):
+        with pytest.raises(FaultStop) as stop:
+            play(DENSE, crowd(400, radius=1.0), ways=(way,))
+        told.append(str(stop.value))
+    assert told[0] == told[1] and "300" in told[0]
+
+
+FAULTY = """
+species a {
+  mood = 1
+  late = 0
+  state only {
+    late = log(3 - id)
+    mood = mood / (id - 5)
+  }
+}
+"""
+
+
+def test_refused_values_are_told_as_the_reference_tells_them() -> None:
+    told = []
+    for way in (Options(backend="reference"), Options(), NATIVE):
+        seen = play(FAULTY, crowd(12, radius=40), steps=3, ways=(replace(way, on_fault="quarantine"),))
+        log = seen.world.faults
+        told.append((log.count, [str(fault) for fault in log.reported], seen["late"], seen["mood"]))
+    assert told[0] == told[1] == told[2] and told[0][0] > 2
+
+
+def rich(options: Options) -> World:
+    return bind(plans.rich(), plans.setting(), options)
+
+
+def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted = []
+    world = rich(Options())
+    for _ in range(8):
+        step(world)
+        wanted.append(state_hash(world))
+    world = rich(Options(backend="native"))
+    coming: Any = ready.beside(world.plan, world.backend._blocks, ready.Facts(False, False))  # type: ignore[attr-defined]
+    done = coming.result()
+
+    class Later:
+        steps = 0
+
+        def done(self) -> bool:
+            self.steps += 1
+            return self.steps > 4
+
+        def result(self) -> Any:
+            return done
+
+    world.backend._coming = Later()  # type: ignore[attr-defined]
+    found, native = [], []
+    for _ in range(8):
+        step(world)
+        found.append(state_hash(world))
+        native.append(world.backend.ready is not None)  # type: ignore[attr-defined]
+    assert found == wanted and native == [False] * 4 + [True] * 4
+
+
+def test_without_llvmlite_numpy_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted = rich(Options())
+    monkeypatch.setattr(machine, "available", lambda: False)
+    world = rich(NATIVE)
+    for _ in range(3):
+        step(wanted)
+        step(world)
+    assert state_hash(world) == state_hash(wanted) and world.backend.ready is None  # type: ignore[attr-defined]
+
+
+def text_of(world: World) -> str:
+    step(world)
+    found: str = world.backend.ready.program.text  # type: ignore[attr-defined]
+    return found
+
+
+ARM = machine.Target("aarch64-unknown-linux-gnu", "cortex-a72", "+neon")
+FUSED = ("fmadd", "fmsub", "fnmadd", "fnmsub", "fmla", "fmls")
+
+
+@pytest.mark.parametrize(
+    "target", [machine.host(), replace(machine.host(), features=machine.host().features.replace("-fma", "+fma")), ARM]
+)
+def test_no_operations_are_fused(target: machine.Target) -> None:
+    """A fused multiply-add rounds once instead of twice; not even a processor that has one is given it."""
+    shot, _ = open_scene(EXAMPLES / "foraging" / "scene.yaml")
+    assert shot is not None
+    text = text_of(bind(shot.plan, shot.setting, NATIVE))
+    if target is ARM:
+        text = "\n".join(
+            line
+            for line in text.replace("@llvm.x86.avx2.permd", "@permd").replace("@llvm.x86.avx2.permps", "@permps").splitlines()
+        )
+    code = machine.assembly(text, target)
+    assert len(code.splitlines()) > 2000
+    assert not [line for line in code.splitlines() if any(word in line for word in FUSED)]
+
+
+def test_another_number_needs_no_other_code() -> None:
+    texts = []
+    for speed in ("10", "25"):
+        text = f"species a {{ max_speed {speed} mm/s\n pace = 1\n state only {{ pace = pace * 1.5 + {speed} }} }}"
+        seen = play(text, ways=(NATIVE,))
+        texts.append(seen.world.backend.ready.program.text)  # type: ignore[attr-defined]
+    assert texts[0] == texts[1]
