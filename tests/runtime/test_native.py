@@ -17,7 +17,7 @@ from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.pipeline import open_scene
 from antdsl.plan import ir
 from antdsl.runtime import FaultStop, Options, World, bind, state_hash, step
-from antdsl.runtime.backends.native import machine, ready
+from antdsl.runtime.backends.native import listing, machine, ready
 from antdsl.runtime.backends.native.block import Writer
 from antdsl.runtime.backends.native.emitter import elementwise
 from antdsl.runtime.backends.native.lanes import BOOL, F32, I32, I64, WIDTH, Lanes, Module
@@ -175,7 +175,7 @@ def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.
         step(world)
         wanted.append(state_hash(world))
     world = rich(Options(backend="native"))
-    coming: Any = ready.beside(world.plan, world.backend._blocks, ready.Facts(False, False))  # type: ignore[attr-defined]
+    coming: Any = ready.beside(world.plan, world.backend.blocks, ready.Facts(False, False))  # type: ignore[attr-defined]
     done = coming.result()
 
     class Later:
@@ -233,6 +233,17 @@ def test_no_operations_are_fused(target: machine.Target) -> None:
     code = machine.assembly(text, target)
     assert len(code.splitlines()) > 2000
     assert not [line for line in code.splitlines() if any(word in line for word in FUSED)]
+
+
+def test_what_is_machine_code_is_told() -> None:
+    shot, _ = open_scene(EXAMPLES / "foraging" / "scene.yaml")
+    assert shot is not None
+    made = listing.of_plan(shot.plan, machine.host())
+    text = listing.show(made)
+    assert "then NumPy: ray(stones)" in text and "3 times" in text and "searches forager for 2 sets" in text
+    counts = listing.counts(made)
+    assert counts == listing.counts(listing.of_plan(shot.plan, machine.host()))
+    assert f"stage 0: {counts['forager.decide.0']:,} instructions" in text and counts["forager.decide.0"] > 500
 
 
 def test_another_number_needs_no_other_code() -> None:

@@ -64,6 +64,11 @@ class NumpyBackend:
         self._pool: ThreadPoolExecutor | None = None
         self.metered: dict[tuple[str, str], Metered] = {}  # by species and block, while somebody measures
 
+    @property
+    def blocks(self) -> Mapping[tuple[str, str], BlockCompiler]:
+        """The instructions of each block, by species and block."""
+        return self._blocks
+
     def measure(self, on: bool) -> None:
         """Time each call from the next step on, or no longer. No call gives another result by it."""
         if on == bool(self.metered):

@@ -45,7 +45,7 @@ class NativeBackend(NumpyBackend):
         if self.ready is None and machine.available():
             if self._coming is None:
                 moving = moving_geometry.moving(world) is not None
-                self._coming = beside(world.plan, self._blocks, Facts(moving, world.detail is not None))
+                self._coming = beside(world.plan, self.blocks, Facts(moving, world.detail is not None))
             if self._coming.done() or world.options.wait_for_code:
                 self.ready = self._coming.result()
                 self._grids = Grids(self.ready.code.function)

@@ -27,9 +27,10 @@ def _reduce(b: BlockWriter, instruction: Instruction) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Program:
-    """`text` of all functions; `blocks` by species and block."""
+    """`text` of all functions, and that of each by its name; `blocks` by species and block."""
 
     text: str
+    functions: Mapping[str, str]
     blocks: Mapping[tuple[str, str], BlockCode]
 
 
@@ -70,4 +71,4 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], fact
                 for part, kind in enumerate(ir.TUPLES.get(each.what.op, (each.what.kind,))):
                     code.layout.array(each.out, part, KINDS[kind])
     grids.write(module)
-    return Program(module.text(), found)
+    return Program(module.text(), module.functions, found)

@@ -1,0 +1,63 @@
+"""What of a plan is machine code, for people: stages, their instructions in LLVM's language, and what is called between them."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from antdsl.plan import ir
+from antdsl.runtime.backends.native.machine import Target
+from antdsl.runtime.backends.native.programs import Facts, Program, program
+from antdsl.runtime.backends.numpy_backend import NumpyBackend
+
+_HEADS = ("define ", "declare ", "}", "@")
+
+
+def of_plan(plan: ir.Plan, target: Target) -> Program:
+    """A plan as machine code would be made of it, on ground that does not move."""
+    return program(plan, NumpyBackend(plan).blocks, Facts(False, False), target)
+
+
+def counts(made: Program) -> dict[str, int]:
+    """Instructions of each function, as they are written."""
+    return {name: instructions(text) for name, text in made.functions.items() if text.startswith("define")}
+
+
+def instructions(text: str) -> int:
+    """How many instructions a function has: its lines but labels, its head and its end."""
+    lines = (line.strip() for line in text.splitlines())
+    return sum(1 for line in lines if line and not line.startswith(_HEADS) and not line.endswith(":"))
+
+
+def show(made: Program) -> str:
+    """Readable text, the same for the same plan."""
+    size, lines, named = counts(made), [], set()
+    species = ""
+    for (name, block), code in made.blocks.items():
+        if name != species:
+            lines.append(f"species {name}")
+            species = name
+        lines.append(f"  {block}")
+        for stage, function in enumerate(code.names):
+            lines.append(f"    stage {stage}: {size[function]:,} instructions")
+            named.add(function)
+            called: Counter[str] = Counter()
+            for each in code.schedule.calls[stage]:
+                if isinstance(each.what, ir.Node):
+                    of = f"({each.what.attrs[0]})" if each.what.attrs else ""
+                    called[f"{each.what.op}{of}{_place(each.what)}"] += 1
+            lines += [f"    then NumPy: {what}{f', {count} times' if count > 1 else ''}" for what, count in called.items()]
+        for search in code.near:
+            lines.append(f"    searches {search.species} for {len(search.sets)} set{'s' if len(search.sets) > 1 else ''}")
+        lines += [f"    asks for {_asked(each.what)}{_place(each.what)}" for each in code.requests]
+    shared = sorted(set(size) - named)
+    lines += ["functions of all", *(f"  {name}: {size[name]:,} instructions" for name in shared)]
+    return "\n".join(lines) + "\n"
+
+
+def _asked(what: ir.Node | ir.Statement) -> str:
+    return what.op if isinstance(what, ir.Request) else type(what).__name__.lower()
+
+
+def _place(what: ir.Node | ir.Statement) -> str:
+    span = what.span
+    return "" if span is None else f", line {span.source.line_column(span.start)[0]}"
