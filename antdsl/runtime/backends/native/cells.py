@@ -10,7 +10,7 @@ from antdsl.runtime.backends.native.block import Writer
 from antdsl.runtime.backends.native.emitter import Emitter
 from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH, Lanes, Module
 
-SLACK, INWARD, BEYOND = 1.0 + 1e-6, 1.0 - 1e-6, 1.0 + 1e-5  # as in `senses.neighbours_compiled`
+SLACK, BEYOND = 1.0 + 1e-6, 1.0 + 1e-5  # as in `senses.neighbours_compiled`
 
 
 class Cells:
@@ -40,16 +40,6 @@ class Cells:
         first = e.between((q - half - self.low[axis]) * self.inverse[axis], e.constant(0.0, F64), most)
         last = e.between((q + half - self.low[axis]) * self.inverse[axis], e.constant(-1.0, F64), most - 1.0)
         return e.whole(np.floor(first)), e.whole(np.floor(last))
-
-    def off(self, axis: int, q: Lanes, cell: Lanes) -> Lanes:
-        """Least distance along an axis from q to a cell, squared, rounded down."""
-        e = self.w.e
-        edge = self.low[axis] + e.convert(cell, F64) * self.width[axis]
-        before, behind = edge - q, q - (edge + self.width[axis])
-        gap = e.where(before > behind, before, behind)
-        gap = e.where(gap > 0.0, gap, 0.0) * INWARD
-        square: Lanes = gap * gap
-        return square
 
     def between(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, within: Lanes) -> tuple[Lanes, Lanes]:
         """Place in the grid's order of the first agent of a row of cells from one cell to another, and how many there are, i32;
@@ -120,13 +110,12 @@ class Rows:
             at = e.one(f"getelementptr <{WIDTH} x float>, ptr {stack}, i64 {axis.name}", PTR)
             along.append(e.where(usable, e.convert(e.get(at.name, F32), F64), cells.low[k]))
         largest = np.maximum(np.maximum(np.abs(along[0]), np.abs(along[1])), np.abs(along[2]))
-        self.along, self.tiny = along, largest * 1e-14 + 1e-18
-        r = e.where(usable, e.convert(widest, F64), e.constant(0.0, F64)) * SLACK + self.tiny
-        self.square = r * r
+        r = e.where(usable, e.convert(widest, F64), e.constant(0.0, F64)) * SLACK + (largest * 1e-14 + 1e-18)
+        self.a0, self.a1 = cells.span(0, along[0], r)
         self.b0, self.b1 = cells.span(1, along[1], r)
         c0, c1 = cells.span(2, along[2], r)
-        self.sheet = cells.flat & (np.abs(along[2] - cells.low[2]) <= cells.width[2])
-        self.c0, self.c1 = (e.where(self.sheet, e.constant(0, I32), c) for c in (c0, c1))
+        sheet = cells.flat & (np.abs(along[2] - cells.low[2]) <= cells.width[2])
+        self.c0, self.c1 = (e.where(sheet, e.constant(0, I32), c) for c in (c0, c1))
 
     def note(self) -> None:
         """Remember the greatest radius that was asked for: the next step's cells suit it."""
@@ -144,14 +133,10 @@ class Rows:
         )
         with e.loop(deep) as j:
             cz = self.c0 + e.convert(e.splat(j), I32)
-            far = e.where(self.sheet, e.constant(0.0, F64), cells.off(2, self.along[2], cz))
             with e.loop(tall) as i:
                 cy = self.b0 + e.convert(e.splat(i), I32)
-                left = (self.square - cells.off(1, self.along[1], cy)) - far
-                half = np.sqrt(e.where(left > 0.0, left, 0.0)) * SLACK + self.tiny
-                a0, a1 = cells.span(0, self.along[0], half)
-                within = self.usable & (cy <= self.b1) & (cz <= self.c1) & (left >= 0.0) & (a0 <= a1)
-                do(*cells.between(cz, cy, a0, a1, within))
+                within = self.usable & (cy <= self.b1) & (cz <= self.c1) & (self.a0 <= self.a1)
+                do(*cells.between(cz, cy, self.a0, self.a1, within))
 
 
 def write_down(e: Emitter, buffer: Lanes, total: str, at: Lanes, inside: Lanes) -> None:
