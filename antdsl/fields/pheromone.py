@@ -54,6 +54,15 @@ class PheromoneField:
         """Places of cells as agents see them, float32[3, cells + 1], the last one for no cell."""
         return self._seen
 
+    @property
+    def pending(self) -> NDArray[np.int64]:
+        """Deposits that have not landed, in each cell, in units; who writes here says so by `touch`."""
+        return self._pending
+
+    def touch(self) -> None:
+        """There are deposits that have not landed."""
+        self._touched = True
+
     def grow(self, new: NDArray[np.int64]) -> None:
         """Make room for cells that were added."""
         more = len(self.cells) - len(self.values)

@@ -80,6 +80,10 @@ class NativeBackend(NumpyBackend):
                 end = min(begin + size, count)
                 if not Chunk(made, begin, end, population.effects).run():
                     super().run(world, population, block, np.arange(begin, end))  # which stops, and says where
+        for field, laid in tables.laid.items():
+            if laid[0]:
+                world.fields[field].touch()
+                laid[0] = False
         for number, widest in enumerate(tables.widest):
             key = (population.name, block, number)
             self._widest[key] = float(widest.max()) or self._widest[key]

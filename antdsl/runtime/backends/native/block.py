@@ -105,10 +105,12 @@ class BlockWriter(Writer):
         senses: dict[str, Lower],
         reduce: Callable[[BlockWriter, Instruction], None],
         guards: Mapping[str, tuple[Lower, tuple[Any, ...]]],
+        asking: Mapping[str, Callable[[BlockWriter, Instruction, ir.Request], None]],
+        combine: Callable[[str], str],
     ) -> None:
         super().__init__(module, code.layout)
         self.code, self.compiler, self.stage, self.senses, self._reduce = code, compiler, stage, senses, reduce
-        self.guards = guards
+        self.guards, self.asking, self.combine = guards, asking, combine
         self.schedule, self.species = code.schedule, code.species.name
         self._uniform = {slot: node for node, slot in compiler.uniforms.items()}
         self._makers: dict[int, Instruction] = {}
@@ -320,6 +322,8 @@ class BlockWriter(Writer):
             self._store(each, what)
         elif isinstance(what, ir.Give):
             self._give(each, what)
+        elif isinstance(what, ir.Request) and what.op in self.asking:
+            self.asking[what.op](self, each, what)
         else:
             for slot in each.inputs:
                 self.slot(slot)
@@ -331,11 +335,11 @@ class BlockWriter(Writer):
             good = self.e.intrinsic("fabs", value) < float("inf")
             if what.infinite:
                 good = good | (value == float("inf"))
-            self._refuse(mask & ~good, what.register, what.span)
+            self.refuse(mask & ~good, what.register, what.span)
             mask = mask & good
         self.e.store_where(mask, self.base("now", what.register), self.row, value)
 
-    def _refuse(self, bad: Lanes, what: str, span: Any) -> None:
+    def refuse(self, bad: Lanes, what: str, span: Any) -> None:
         """Note the rows whose value is not finite."""
         self.note(bad, self.code.faults, (what, span), 0)
 
@@ -364,7 +368,7 @@ class BlockWriter(Writer):
         amount = had if what.amount is None else self.slot(each.inputs[1])
         if what.amount is not None:
             good = e.intrinsic("fabs", amount) < float("inf")
-            self._refuse(mask & ~good, f"give {what.own}", what.span)
+            self.refuse(mask & ~good, f"give {what.own}", what.span)
             mask = mask & good
         there = mask & (item >= 0) & (item < self.number(I32, "items", what.items))
         zero = e.constant(0.0, F32)

@@ -9,6 +9,7 @@ from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Instruction
 from antdsl.runtime.backends.native import grids, search, sets
+from antdsl.runtime.backends.native.asking import ASKING
 from antdsl.runtime.backends.native.block import BlockCode, BlockWriter
 from antdsl.runtime.backends.native.lanes import Module
 from antdsl.runtime.backends.native.layout import KINDS, Layout
@@ -55,16 +56,19 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], fact
     def costly(node: ir.Node) -> bool:
         return node.op.startswith("reduce.") or node.op == "field.strongest"
 
+    def combine(field: str) -> str:
+        return plan.fields[field].combine
+
     module = Module(target.avx2)
     found: dict[tuple[str, str], BlockCode] = {}
     for (species, block), compiler in blocks.items():
         if block not in _RUNS or not compiler.root.code:
             continue
-        order = schedule(compiler, lowers, costly)
+        order = schedule(compiler, lowers, costly, frozenset(ASKING))
         code = found[species, block] = BlockCode(plan.species[species], [], Layout(), order)
         for stage in range(order.stages):
             name = f"{species}.{block}.{stage}"
-            BlockWriter(module, code, compiler, stage, senses, _reduce, guards).write(name)
+            BlockWriter(module, code, compiler, stage, senses, _reduce, guards, ASKING, combine).write(name)
             code.names.append(name)
         for each in (each for group in order.calls for each in group):
             if each.does not in PAIRED and isinstance(each.what, ir.Node):

@@ -60,16 +60,18 @@ class _Maker:
     paired: set[int] = field(default_factory=set)  # slots over pairs that calls need
 
 
-def schedule(compiler: BlockCompiler, lowers: Callable[[ir.Node], bool], costly: Callable[[ir.Node], bool]) -> Schedule:
+def schedule(
+    compiler: BlockCompiler, lowers: Callable[[ir.Node], bool], costly: Callable[[ir.Node], bool], asking: frozenset[str]
+) -> Schedule:
     """The stages of a block. `lowers` says whether a node has machine code, `costly` whether one that is kept for the step has to
-    be kept by machine code too, rather than worked out again."""
+    be kept by machine code too, rather than worked out again; `asking`: requests that have machine code."""
     maker = _Maker(compiler, lowers, costly, frozenset(compiler.uniforms.values()))
     for instruction in _all(compiler.root):
         what = instruction.what
         if instruction.does is Does.REDUCE and isinstance(what, ir.Node) and not lowers(what):
             _paired(maker, instruction)
     _first(maker, compiler.root, 0)
-    return _wanted(maker)
+    return _wanted(maker, asking)
 
 
 def _all(scope: Scope) -> Iterator[Instruction]:
@@ -170,7 +172,7 @@ def operands_of(reduce: Instruction) -> tuple[int, ...]:
     return tuple(found)
 
 
-def _wanted(maker: _Maker) -> Schedule:
+def _wanted(maker: _Maker, asking: frozenset[str]) -> Schedule:
     stages = 1 + max([*maker.first.values(), *maker.at.values(), *(k + 1 for k in maker.called)], default=0)
     calls = [maker.called.get(k, []) for k in range(stages)]
     called = {each for group in calls for each in group}
@@ -221,7 +223,8 @@ def _wanted(maker: _Maker) -> Schedule:
             home[out] = stage + 1
         elif instruction.does is Does.STATEMENT:
             stage = maker.at[instruction]
-            array = not isinstance(instruction.what, ir.Store | ir.Give)
+            what = instruction.what
+            array = not isinstance(what, ir.Store | ir.Give) and not (isinstance(what, ir.Request) and what.op in asking)
             want((*instruction.inputs, scope.rows), stage, array)
         elif instruction in maker.native and out in wanted:
             what = instruction.what

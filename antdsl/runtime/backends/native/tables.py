@@ -95,6 +95,7 @@ class Tables:
         self.arrays: dict[tuple[int, int], NDArray[Any]] = {}
         self.notes = np.zeros(1, np.int64)
         self.crowded = np.zeros(1, np.int64)
+        self.laid: dict[str, NDArray[np.bool_]] = {}  # by field, whether anything was
         self.widest = [np.zeros(WIDTH, np.float32) for _ in code.near]
         self._candidates = np.zeros(0, np.int32)
         self._size = -1
@@ -205,9 +206,14 @@ class Tables:
         field = world.fields[str(key[1])]
         if key[2] == "held":
             return address(field.held)
+        if key[2] == "pending":
+            return address(field.pending)
         if key[2] == "block":
             return address(field.cells.nearest(int(str(key[3]))))
         return address(field.seen_places[AXES.index(str(key[2]))])
+
+    def _laid(self, world: World, population: Population, key: Key) -> int:
+        return address(self.laid.setdefault(str(key[1]), np.zeros(1, np.bool_)))
 
     def _crowded(self, world: World, population: Population, key: Key) -> int:
         return address(self.crowded)
@@ -238,6 +244,7 @@ _POINTERS: dict[str, Callable[[Tables, World, Population, Key], int]] = {
     "clear": Tables._clear,
     "field": Tables._field,
     "crowded": Tables._crowded,
+    "laid": Tables._laid,
     "candidates": Tables._candidate,
 }
 
