@@ -74,9 +74,9 @@ class SetUp:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What a process found out. `set_up`, `memory` (bytes that the process grew by at most, from before the binding) and `cached`
-    (CPU and wall seconds of a step whose frame goes to a cache) are of the first backend; `state` the bytes of all that is kept of
-    the agents; `nodes` those of the plan; `neighbours` how many others stand within the
+    """What a process found out. Of the first backend: `set_up`, `memory` (bytes that the process grew by at most, from before the
+    binding), `cached` (CPU and wall seconds of a step whose frame goes to a cache) and `counts` of one step (`counting`).
+    `state`: bytes of all that is kept of the agents; `nodes`: those of the plan; `neighbours`: how many others stand within the
     case's sight, in the mean, after the last step."""
 
     job: Job
@@ -87,6 +87,7 @@ class Measured:
     memory: int
     state: int
     nodes: int
+    counts: dict[str, int]
     neighbours: float | None = None
     cached: tuple[float, float] | None = None
 

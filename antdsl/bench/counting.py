@@ -141,7 +141,9 @@ class _Counted:
 
     def __getattr__(self, name: str) -> Any:
         value = getattr(self._function, name)
-        return _Counted(value, self._counts, self._inside) if name in ("reduce", "accumulate", "at", "outer", "reduceat") else value
+        return (
+            _Counted(value, self._counts, self._inside) if name in ("reduce", "accumulate", "at", "outer", "reduceat") else value
+        )
 
 
 # --- functions of antdsl -----------------------------------------------------------------------------------------------

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,6 +16,7 @@ import numpy as np
 
 from antdsl.bench.cases import case_of
 from antdsl.bench.costs import BOUND, Cost, Job, Measured, SetUp
+from antdsl.bench.counting import count_step
 from antdsl.bench.ratios import in_turn
 from antdsl.outputs.writer.process_memory import peak_memory
 from antdsl.pipeline import Shot
@@ -57,6 +59,7 @@ def measure(job: Job) -> Measured:
         memory=memory,
         state=_state_bytes(world),
         nodes=_nodes(shot),
+        counts=count_step(world),
         neighbours=_neighbours(world, case.sight) if case.sight else None,
         cached=_cached(shot, options[0], job.turns * steps) if job.cache else None,
     )
@@ -121,10 +124,11 @@ def hand_written(agents: int) -> Callable[[], None]:
     file = benchmark_file("bound.py")
     if file is None:
         raise FileNotFoundError("the frame written by hand is part of a checkout only")
-    spec = importlib.util.spec_from_file_location("antdsl_bound", file)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    sys.path.append(str(file.parent))  # kernels are kept under the name that a module is found by
+    try:
+        module = importlib.import_module(file.stem)
+    finally:
+        sys.path.pop()
     frame: Callable[[], None] = module.Bound(agents).frame
     return frame
 
