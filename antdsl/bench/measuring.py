@@ -18,7 +18,7 @@ from antdsl.bench.cases import case_of
 from antdsl.bench.costs import BOUND, Cost, Job, Measured, SetUp
 from antdsl.bench.counting import count_step
 from antdsl.bench.ratios import in_turn
-from antdsl.outputs.writer.process_memory import peak_memory
+from antdsl.outputs.writer.process_memory import memory
 from antdsl.pipeline import Shot
 from antdsl.plan.traverse import blocks, needed, operands, statements
 from antdsl.resources import benchmark_file
@@ -34,7 +34,7 @@ def measure(job: Job) -> Measured:
     start = _packages()
     case = case_of(job.case)
     shot, compile_ = _timed(lambda: case.make(job.agents))
-    resident = peak_memory()
+    before, _ = memory()
     options = [Options(backend=_any(name), threads=job.threads) for name in job.backends]
     world, bound_s = _timed(lambda: bind(shot.plan, shot.setting, options[0]))
     _, first = _timed(lambda: step(world))
@@ -46,7 +46,7 @@ def measure(job: Job) -> Measured:
     runners: dict[str, Callable[[], None]] = {name: _stepper(each) for name, each in worlds.items()}
     _, once = _timed(runners[job.backends[0]])
     steps = job.steps or max(1, min(_MOST_STEPS, ceil(_TURN / max(once, 1e-6))))
-    memory = peak_memory() - resident  # before the hand-written frame is there
+    most = memory()[1]  # before the hand-written frame is there
     if job.bound:
         runners[BOUND] = hand_written(agents)
     costs = _turns(runners, worlds, steps, job.turns)
@@ -56,7 +56,7 @@ def measure(job: Job) -> Measured:
         steps=steps,
         costs=costs,
         set_up=SetUp(start, compile_, bound_s, first),
-        memory=memory,
+        memory=most - before,
         state=_state_bytes(world),
         nodes=_nodes(shot),
         counts=count_step(world),

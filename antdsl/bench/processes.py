@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 
 from antdsl.bench.costs import Job, Measured
@@ -16,12 +15,13 @@ class Failed(Exception):
     """The process ended without a result; the message is what it said last."""
 
 
-def measured(job: Job, environment: Mapping[str, str] | None = None) -> Measured:
+def measured(job: Job) -> Measured:
     """What the process finds out. Raises Failed."""
     words = [sys.executable, "-m", "antdsl.bench", json.dumps(job.as_json())]
-    package = Path(__file__).resolve().parents[2]  # the child takes the same package, wherever one is
-    paths = [str(package), *filter(None, [os.environ.get("PYTHONPATH")])]
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), **(environment or {})}
+    around = Path(__file__).resolve().parents[2]
+    env = dict(os.environ)
+    if around.name not in ("site-packages", "dist-packages"):  # a checkout: the child is to take the package from it, too
+        env["PYTHONPATH"] = os.pathsep.join([str(around), *filter(None, [env.get("PYTHONPATH")])])
     done = subprocess.run(words, capture_output=True, text=True, env=env)
     if done.returncode:
         raise Failed((done.stderr.strip() or f"the process ended with {done.returncode}").splitlines()[-1])

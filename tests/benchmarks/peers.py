@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
-from antdsl.bench import Job, in_turn, interval, measured
-from antdsl.bench.tables import markdown
+from antdsl.bench import Job, in_turn, measured
+from antdsl.bench.tables import markdown, ratio_text
 
 CRATE = Path(__file__).parent / "peers" / "flockers"
 SIZES = (1_000, 15_000, 100_000)
@@ -58,10 +58,10 @@ def rows(program: Path, backends: Sequence[str], turns: int = TURNS, sizes: Sequ
             costs = in_turn(lambda runner, runners=runners: runners[runner](), 2, turns, warm=1)
             theirs, ours = (median(cost[k][0] for cost in costs) for k in (0, 1))
             seen = [median(cost[k][1] for cost in costs) for k in (0, 1)]
-            ratio = interval([their[0] / our[0] for their, our in costs])
+            ratio = ratio_text([their[0] / our[0] for their, our in costs])
             found.append([
                 f"{agents:,}", f"{agents / theirs / 1e6:.2f}", f"{seen[0]:.1f}", f"{backend} {agents / ours / 1e6:.2f}",
-                f"{seen[1]:.1f}", str(ratio),
+                f"{seen[1]:.1f}", ratio,
             ])  # fmt: skip
     return found
 
