@@ -1,5 +1,5 @@
 """Where the files that come with antdsl are: the grammar, the library of behaviours, the pages of the codes, the page of the
-preview. No other file knows."""
+preview, examples. No other file knows."""
 
 from __future__ import annotations
 
@@ -39,6 +39,17 @@ def library_file(name: str) -> Path | None:
     """The file behind `use NAME`, or None when the library has none of that name."""
     file = behaviours_folder() / f"{name}.ant"
     return file if name.isidentifier() and os.path.isfile(file) else None  # whatever its length
+
+
+def example_file(name: str) -> Path:
+    """A file of the examples that ship with the package, such as `foraging/scene.yaml`: those that `antdsl bench` measures."""
+    return _folder("examples") / name
+
+
+def benchmark_file(name: str) -> Path | None:
+    """A file of the benchmarks that stand beside the tests, or None: only a checkout has them."""
+    file = _PACKAGE.parent / "tests" / "benchmarks" / name
+    return file if file.is_file() else None
 
 
 def code_page(code: str) -> Path | None:

@@ -11,7 +11,7 @@ gc.set_threshold(100_000, 50, 50)
 
 import typer  # noqa: E402
 
-from antdsl.cli import check, doctor, explain, export, fmt, graph, info, lsp, new, plan, preview, render, run, sweep, test  # noqa: E402
+from antdsl.cli import bench, check, doctor, explain, export, fmt, graph, info, lsp, new, plan, preview, render, run, sweep, test  # noqa: E402
 from antdsl.cli.exits import Exit, Stop  # noqa: E402
 from antdsl.cli.printing.messages import closed  # noqa: E402
 
@@ -30,6 +30,7 @@ COMMANDS = (
     ("explain", explain.explain),
     ("graph", graph.graph),
     ("plan", plan.plan),
+    ("bench", bench.bench),
     ("doctor", doctor.doctor),
     ("lsp", lsp.lsp),
 )

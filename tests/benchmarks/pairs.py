@@ -2,32 +2,42 @@
 
 `python tests/benchmarks/pairs.py OTHER examples/foraging/many.yaml --pairs 20 --steps 12` runs each scene in both trees in turn,
 each time in a process of its own on one thread, and prints this tree's CPU time as a ratio of the other's: the mean of the pairs
-and where it lies with 95 % (bootstrap: B. Efron, Annals of Statistics 7, 1979). Two runs side by side meet the same machine, so
-that a ratio says something where a time does not. `--agents 100000` takes so many agents, and a world scaled about its zero so
-that they stand as densely. With OTHER `.` a tree is held against itself, which shows how far ratios stray by chance."""
+and where it lies with 95 % (`antdsl/bench/ratios.py`). `--agents 100000` takes so many agents, and a world scaled about its zero
+so that they stand as densely. With OTHER `.` a tree is held against itself, which shows how far ratios stray by chance. With
+`--most 1.1` it leaves with 1 where a step surely takes more than 1.1 times as long as the other tree's."""
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
-import random
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from statistics import mean
-
-import numpy as np
+from typing import Any
 
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options, bind, step
-from antdsl.scene.setting import Point, Setting
 
 ROOT = Path(__file__).resolve().parents[2]
-_RESAMPLED = 10_000
+
+
+def of_this_tree(name: str) -> Any:
+    """A module of this tree's `antdsl/bench`, whichever tree the package comes from: another one may not have it."""
+    spec = importlib.util.spec_from_file_location(f"bench_{name}", ROOT / "antdsl" / "bench" / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+scaled = of_this_tree("scaling").scaled
+ratios = of_this_tree("ratios")
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,58 +46,6 @@ class Cost:
 
     setup: float
     step: float
-
-
-@dataclass(frozen=True, slots=True)
-class Ratio:
-    """The mean of ratios and its 95 % interval."""
-
-    mean: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{self.mean:.3f} ({self.low:.3f} to {self.high:.3f})"
-
-
-def interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
-    """The mean of some ratios, with the 2.5th and 97.5th percentile of means of as many drawn from them with replacement."""
-    draw = random.Random(seed)
-    means = sorted(mean(draw.choices(ratios, k=len(ratios))) for _ in range(_RESAMPLED))
-    return Ratio(mean(ratios), means[round(0.025 * _RESAMPLED)], means[round(0.975 * _RESAMPLED)])
-
-
-def scaled(setting: Setting, agents: int) -> Setting:
-    """The setting with so many agents in all, lengths of the world scaled about its zero so that their density stays: meshes,
-    places of items and crowds, curves. Sizes of agents and items, cells of fields and radii of behaviours stay.
-
-    Raises ValueError for a world with solids, flows, maps or moving things."""
-    if setting.solids or setting.flows or setting.maps or any((setting.moves.meshes, setting.moves.items, setting.moves.curves)):
-        raise ValueError("only worlds of meshes, items and curves that stand still can be scaled")
-    before = sum(crowd.count for crowd in setting.crowds)
-    by = (agents / before) ** 0.5
-
-    def point(place: Point) -> Point:
-        return (place[0] * by, place[1] * by, place[2] * by)
-
-    crowds, left = [], agents
-    for number, crowd in enumerate(setting.crowds):
-        last = number == len(setting.crowds) - 1
-        count = left if last else round(crowd.count * agents / before)
-        left -= count
-        at = crowd.place
-        radius = None if at.radius is None else at.radius * by
-        points = None if at.points is None else at.points * by
-        around, inside = (None if place is None else point(place) for place in (at.around, at.inside))
-        place = replace(at, around=around, inside=inside, radius=radius, points=points)
-        crowds.append(replace(crowd, count=count, place=place))
-    items = {name: tuple(replace(item, position=point(item.position)) for item in those) for name, those in setting.items.items()}
-    surfaces, obstacles = (
-        {name: replace(mesh, vertices=mesh.vertices * by) for name, mesh in meshes.items()}
-        for meshes in (setting.surfaces, setting.obstacles)
-    )
-    curves = {name: np.asarray(curve) * by for name, curve in setting.curves.items()}
-    return replace(setting, crowds=tuple(crowds), surfaces=surfaces, obstacles=obstacles, items=items, curves=curves)
 
 
 def once(scene: Path, steps: int, agents: int | None) -> Cost:
@@ -115,19 +73,6 @@ def in_tree(tree: Path, scene: str, steps: int, agents: int | None) -> Cost:
     return Cost(**json.loads(done.stdout))
 
 
-def pairs(measure: Callable[[int], Cost], count: int) -> list[tuple[Cost, Cost]]:
-    """Costs of tree 0 and tree 1, in turn; who is first changes from pair to pair. One run of each before is not counted: it
-    fills the caches of kernels."""
-    for tree in (0, 1):
-        measure(tree)
-    found = []
-    for number in range(count):
-        order = (0, 1) if number % 2 else (1, 0)
-        costs = {tree: measure(tree) for tree in order}
-        found.append((costs[0], costs[1]))
-    return found
-
-
 def main() -> None:
     """Print a line for each scene."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -136,19 +81,24 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=20)
     parser.add_argument("--steps", type=int, default=12)
     parser.add_argument("--agents", type=int, default=None)
+    parser.add_argument("--most", type=float, default=None, help="leave with 1 above this ratio")
     parser.add_argument("--once", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.once:
         cost = once(Path(given.scenes[0]), given.steps, given.agents)
         print(json.dumps({"setup": cost.setup, "step": cost.step}))
         return
-    trees = (given.other.resolve(), ROOT)
+    trees, slower = (given.other.resolve(), ROOT), []
     for scene in given.scenes:
-        found = pairs(lambda tree, scene=scene: in_tree(trees[tree], scene, given.steps, given.agents), given.pairs)  # type: ignore[misc]
-        steps = interval([this.step / other.step for other, this in found])
-        setups = interval([this.setup / other.setup for other, this in found])
+        measure = partial(in_tree, scene=scene, steps=given.steps, agents=given.agents)
+        found = ratios.in_turn(lambda tree, measure=measure: measure(trees[tree]), 2, given.pairs)
+        steps = ratios.interval([this.step / other.step for other, this in found])
+        setups = ratios.interval([this.setup / other.setup for other, this in found])
         milliseconds = 1000 * mean(this.step for _, this in found)
         print(f"{scene}: a step {milliseconds:.2f} ms, {steps} of the other tree's; set-up {setups}", flush=True)
+        slower += [scene] if given.most is not None and steps.above(given.most) else []
+    if slower:
+        raise SystemExit(f"a step takes more than {given.most:g} times as long: {', '.join(slower)}")
 
 
 if __name__ == "__main__":

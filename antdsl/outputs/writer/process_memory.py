@@ -18,6 +18,16 @@ def peak_memory() -> int:
     return int(peak if sys.platform == "darwin" else peak * 1024)
 
 
+def memory() -> tuple[int, int]:
+    """What this process uses now, and the most that it has used since it was started, in bytes. Where the system tells the most
+    alone, that twice: it may be that of the process which started this one."""
+    try:
+        whole = _kilobytes(_ABOUT / "status")
+        return 1024 * whole["VmRSS"], 1024 * whole["VmHWM"]
+    except (OSError, KeyError):
+        return peak_memory(), peak_memory()
+
+
 def own_peak_memory() -> int:
     """The most memory that this process, forked from another, has used besides what it shares with that one, in bytes.
 

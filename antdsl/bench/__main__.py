@@ -1,0 +1,26 @@
+"""The process that measures: a job in JSON as its only word, what it found out in JSON as its last line."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+
+from antdsl.bench.cases import NoCase
+from antdsl.bench.costs import Job
+
+
+def main() -> None:
+    """Do the job."""
+    warnings.simplefilter("ignore")  # what libraries say to programmers
+    from antdsl.bench.measuring import measure
+
+    try:
+        found = measure(Job.from_json(json.loads(sys.argv[1])))
+    except NoCase as why:
+        raise SystemExit(str(why)) from None
+    print(json.dumps(found.as_json()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,114 @@
+"""What is asked of a process that measures, and what it tells: plain values that go through JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from statistics import median
+from typing import Any
+
+BOUND = "bound"  # the name under which the frame written by hand is told beside backends
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """Measure a case (by its name, or a scene by its path) with so many agents (None: as many as it has) on some backends.
+
+    `turns` times each backend makes `steps` steps, in turn with the others (0: as many as take about 20 ms). `bound`: the frame
+    written by hand takes its turns too. `cache`: what it costs to write each frame is measured besides."""
+
+    case: str
+    agents: int | None
+    backends: tuple[str, ...]
+    turns: int = 20
+    steps: int = 0
+    threads: int = 1
+    bound: bool = False
+    cache: bool = False
+
+    def as_json(self) -> dict[str, Any]:
+        """For `from_json`."""
+        return asdict(self)
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> Job:
+        """What `as_json` gave."""
+        return Job(**{**data, "backends": tuple(data["backends"])})
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Seconds of a step, of the processors and by the clock, one number a turn; and by phase in the mean of all turns."""
+
+    cpu: list[float]
+    wall: list[float]
+    phases_cpu: dict[str, float] = field(default_factory=dict)
+    phases_wall: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def cpu_ms(self) -> float:
+        """Milliseconds of processors of a step: the median of the turns."""
+        return 1000 * median(self.cpu)
+
+    @property
+    def wall_ms(self) -> float:
+        """Milliseconds by the clock of a step: the median of the turns."""
+        return 1000 * median(self.wall)
+
+
+@dataclass(frozen=True, slots=True)
+class SetUp:
+    """CPU seconds until the first frame: `start` Python and packages, `compile` from the texts to a plan and meshes, `bind` to a
+    world, `first` the first step."""
+
+    start: float
+    compile: float
+    bind: float
+    first: float
+
+    @property
+    def total(self) -> float:
+        """Until the first frame stands."""
+        return self.start + self.compile + self.bind + self.first
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What a process found out. Of the first backend: `set_up`, `memory` (bytes that the process grew by at most, from before the
+    binding), `cached` (CPU and wall seconds of a step whose frame goes to a cache) and `counts` of one step (`counting`).
+    `state`: bytes of all that is kept of the agents; `nodes`: those of the plan; `neighbours`: how many others stand within the
+    case's sight, in the mean, after the last step."""
+
+    job: Job
+    agents: int
+    steps: int
+    costs: dict[str, Cost]
+    set_up: SetUp
+    memory: int
+    state: int
+    nodes: int
+    counts: dict[str, int]
+    neighbours: float | None = None
+    cached: tuple[float, float] | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """For `from_json`."""
+        return asdict(self)
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> Measured:
+        """What `as_json` gave."""
+        cached = data["cached"]
+        return Measured(
+            **{
+                **data,
+                "job": Job.from_json(data["job"]),
+                "costs": {name: Cost(**cost) for name, cost in data["costs"].items()},
+                "set_up": SetUp(**data["set_up"]),
+                "cached": None if cached is None else (cached[0], cached[1]),
+            }
+        )
+
+    def ratios(self, name: str, other: str) -> list[float]:
+        """CPU time of a step on one of `costs` over that on another, turn by turn."""
+        return [one / two for one, two in zip(self.costs[name].cpu, self.costs[other].cpu, strict=True)]

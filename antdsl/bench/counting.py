@@ -1,0 +1,166 @@
+"""What a step is made of, counted exactly: the same program makes the same counts on any machine, however busy.
+
+| count | of |
+|---|---|
+| `instructions` | calls of the NumPy backend's compiled blocks, regions that nobody is in left out |
+| `instruction_bytes` | bytes of their operands and results |
+| `elements` | rows that they worked on, all together |
+| `numpy_calls` | functions of NumPy called by name (`np.take`, `np.add.at`) from outside NumPy; operators are not seen |
+| `numpy_bytes` | bytes of the arrays that these were given and gave |
+| `python_calls` | functions of antdsl that Python called |
+
+A backend that has counts of its own, such as instructions of what it compiled, offers `counts() -> Mapping[str, int]`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+
+from antdsl.runtime import Options, World, bind, step
+from antdsl.runtime.backends import BACKENDS, NumpyBackend
+from antdsl.runtime.backends.compile import Instruction, Run, Slots
+from antdsl.scene.setting import Setting
+
+SETTLED = 4  # steps before the one that is counted: tables are made, kernels compiled
+_PACKAGE = str(Path(__file__).resolve().parents[1])
+_PARTS = frozenset(["<listcomp>", "<setcomp>", "<dictcomp>", "<genexpr>"])  # functions in some versions of Python only
+
+Counts = dict[str, int]
+
+
+def counts_of(plan: Any, setting: Setting, backend: str = "numpy") -> Counts:
+    """Counts of the step after SETTLED others, on one thread. Raises KeyError for a backend that is not there."""
+    if backend not in BACKENDS:
+        raise KeyError(backend)
+    name: Any = backend
+    world = bind(plan, setting, Options(backend=name, threads=1))
+    for _ in range(SETTLED):
+        step(world)
+    return count_step(world)
+
+
+def count_step(world: World) -> Counts:
+    """Make a step and count it. The step gives what it always gives."""
+    counts: Counts = {}
+    with _numpy_counted(counts), _instructions_counted(world, counts), _functions_counted(counts):
+        step(world)
+    own = getattr(world.backend, "counts", None)
+    if own is not None:
+        counts |= {name: int(number) for name, number in own().items()}
+    return dict(sorted(counts.items()))
+
+
+# --- the NumPy backend's instructions ----------------------------------------------------------------------------------
+
+
+@contextmanager
+def _instructions_counted(world: World, counts: Counts) -> Iterator[None]:
+    backend = world.backend
+    if not isinstance(backend, NumpyBackend):
+        yield
+        return
+    counts |= {"instructions": 0, "instruction_bytes": 0, "elements": 0}
+    backend.measure(True)
+    scopes = {id(each.scope): each.scope for block in backend.metered.values() for each in block.instructions}
+    plain = [(scope, scope.calls) for scope in scopes.values()]
+    for scope, calls in plain:
+        scope.calls = [_counted(call, code, counts) for call, code in zip(calls, scope.code, strict=True)]
+    try:
+        yield
+    finally:
+        for scope, calls in plain:
+            scope.calls = calls
+        backend.measure(False)
+
+
+def _counted(call: Run, instruction: Instruction, counts: Counts) -> Run:
+    slots = (*instruction.inputs, *([instruction.out] if instruction.out >= 0 else []))
+    size = instruction.scope.size
+
+    def run(v: Slots) -> None:
+        call(v)
+        counts["instructions"] += 1
+        counts["elements"] += v[size]
+        counts["instruction_bytes"] += sum(_bytes(v[slot]) for slot in slots)
+
+    return run
+
+
+def _bytes(value: Any) -> int:
+    """Of an array, or of those in a tuple or a list."""
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    return sum(map(_bytes, value)) if isinstance(value, tuple | list) else 0
+
+
+# --- functions of NumPy, by name ---------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _numpy_counted(counts: Counts) -> Iterator[None]:
+    """All functions that NumPy's namespace has are counted where somebody outside calls them."""
+    counts |= {"numpy_calls": 0, "numpy_bytes": 0}
+    inside = [False]
+    plain = {name: value for name, value in vars(np).items() if not name.startswith("_") and _is_function(value)}
+    for name, value in plain.items():
+        setattr(np, name, _Counted(value, counts, inside))
+    try:
+        yield
+    finally:
+        for name, value in plain.items():
+            setattr(np, name, value)
+
+
+def _is_function(value: Any) -> bool:
+    return callable(value) and not isinstance(value, type)
+
+
+class _Counted:
+    """A function of NumPy that counts its calls; what it calls itself of NumPy's does not count again."""
+
+    def __init__(self, function: Callable[..., Any], counts: Counts, inside: list[bool]) -> None:
+        self._function, self._counts, self._inside = function, counts, inside
+
+    def __call__(self, *given: Any, **named: Any) -> Any:
+        if self._inside[0]:
+            return self._function(*given, **named)
+        self._inside[0] = True
+        try:
+            found = self._function(*given, **named)
+        finally:
+            self._inside[0] = False
+        self._counts["numpy_calls"] += 1
+        self._counts["numpy_bytes"] += _bytes(given) + _bytes(tuple(named.values())) + _bytes(found)
+        return found
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._function, name)
+        return (
+            _Counted(value, self._counts, self._inside) if name in ("reduce", "accumulate", "at", "outer", "reduceat") else value
+        )
+
+
+# --- functions of antdsl -----------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _functions_counted(counts: Counts) -> Iterator[None]:
+    counts["python_calls"] = 0
+
+    def seen(frame: FrameType, event: str, argument: object) -> None:
+        code = frame.f_code
+        if event == "call" and code.co_filename.startswith(_PACKAGE) and code.co_name not in _PARTS:
+            counts["python_calls"] += code.co_filename != __file__ and not code.co_filename.endswith("metering.py")
+
+    before = sys.getprofile()
+    sys.setprofile(seen)
+    try:
+        yield
+    finally:
+        sys.setprofile(before)

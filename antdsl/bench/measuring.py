@@ -1,0 +1,191 @@
+"""Takes a job through set-up and steps in this process: several backends in turn, and the frame written by hand."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from math import ceil
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import Any
+
+import numpy as np
+
+from antdsl.bench.cases import case_of
+from antdsl.bench.costs import BOUND, Cost, Job, Measured, SetUp
+from antdsl.bench.counting import count_step
+from antdsl.bench.ratios import in_turn
+from antdsl.outputs.writer.process_memory import memory
+from antdsl.pipeline import Shot
+from antdsl.plan.traverse import blocks, needed, operands, statements
+from antdsl.resources import benchmark_file
+from antdsl.runtime import Options, World, bind, step
+
+WARM = 4  # steps that are not counted: the rows come into order of place after the first, kernels are loaded
+_TURN = 0.02  # seconds that a turn takes at least, where the number of steps is left open
+_MOST_STEPS = 64
+
+
+def measure(job: Job) -> Measured:
+    """Do a job. Raises NoCase for a scene that cannot be opened or scaled."""
+    start = _packages()
+    case = case_of(job.case)
+    shot, compile_ = _timed(lambda: case.make(job.agents))
+    before, _ = memory()
+    options = [Options(backend=_any(name), threads=job.threads) for name in job.backends]
+    world, bound_s = _timed(lambda: bind(shot.plan, shot.setting, options[0]))
+    _, first = _timed(lambda: step(world))
+    worlds = {job.backends[0]: world}
+    for name, each in zip(job.backends[1:], options[1:], strict=True):
+        worlds[name] = bind(shot.plan, shot.setting, each)
+        step(worlds[name])
+    agents = len(world)
+    runners: dict[str, Callable[[], None]] = {name: _stepper(each) for name, each in worlds.items()}
+    _, once = _timed(runners[job.backends[0]])
+    steps = job.steps or max(1, min(_MOST_STEPS, ceil(_TURN / max(once, 1e-6))))
+    most = memory()[1]  # before the hand-written frame is there
+    if job.bound:
+        runners[BOUND] = hand_written(agents)
+    costs = _turns(runners, worlds, steps, job.turns)
+    return Measured(
+        job=job,
+        agents=agents,
+        steps=steps,
+        costs=costs,
+        set_up=SetUp(start, compile_, bound_s, first),
+        memory=most - before,
+        state=_state_bytes(world),
+        nodes=_nodes(shot),
+        counts=count_step(world),
+        neighbours=_neighbours(world, case.sight) if case.sight else None,
+        cached=_cached(shot, options[0], job.turns * steps) if job.cache else None,
+    )
+
+
+def _any(name: str) -> Any:
+    """A backend's name, which BACKENDS has been asked about."""
+    return name
+
+
+def _packages() -> float:
+    """CPU seconds of this process once all is imported that steps need."""
+    import antdsl.casting.rays
+    import antdsl.runtime.backends  # noqa: F401
+    from antdsl.numerics import compiled
+
+    compiled.available()
+    return process_time()
+
+
+def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
+    began = process_time()
+    found = work()
+    return found, process_time() - began
+
+
+def _stepper(world: World) -> Callable[[], None]:
+    return lambda: step(world)
+
+
+def _turns(runners: dict[str, Callable[[], None]], worlds: dict[str, World], steps: int, turns: int) -> dict[str, Cost]:
+    """So many turns of so many steps each, after WARM steps of each that are not counted."""
+    for run in runners.values():
+        for _ in range(WARM):
+            run()
+    for world in worlds.values():
+        world.timings.clear()
+        world.worked.clear()
+    names = list(runners)
+
+    def once(number: int) -> tuple[float, float]:
+        run = runners[names[number]]
+        worked, passed = process_time(), perf_counter()
+        for _ in range(steps):
+            run()
+        return (process_time() - worked) / steps, (perf_counter() - passed) / steps
+
+    found = in_turn(once, len(names), turns, warm=0)
+    count = turns * steps
+    costs = {}
+    for number, name in enumerate(names):
+        cpu, wall = ([turn[number][k] for turn in found] for k in (0, 1))
+        own = worlds.get(name)
+        phases = [] if own is None else [{p: s / count for p, s in each.items()} for each in (own.worked, own.timings)]
+        costs[name] = Cost(cpu, wall, *phases)
+    return costs
+
+
+def hand_written(agents: int) -> Callable[[], None]:
+    """A frame of so many foraging ants as written by hand, of a checkout's `tests/benchmarks/bound.py`. Raises FileNotFoundError
+    where there is none."""
+    file = benchmark_file("bound.py")
+    if file is None:
+        raise FileNotFoundError("the frame written by hand is part of a checkout only")
+    sys.path.append(str(file.parent))  # kernels are kept under the name that a module is found by
+    try:
+        module = importlib.import_module(file.stem)
+    finally:
+        sys.path.pop()
+    frame: Callable[[], None] = module.Bound(agents).frame
+    return frame
+
+
+def _state_bytes(world: World) -> int:
+    """Bytes of the arrays that hold the agents; one that stands for two is counted once."""
+    arrays: dict[int, int] = {}
+    for population in world.populations.values():
+        held = [population.ids, population.born, population.quarantined, population.position, population.normal]
+        for part in (population.start, population.now, population.events, population.raised, population.cells):
+            held += part.values()
+        footing = population.footing
+        held += [value for name in footing.__slots__ if isinstance(value := getattr(footing, name), np.ndarray)]
+        arrays |= {id(array): array.nbytes for array in held}
+    return sum(arrays.values())
+
+
+def _nodes(shot: Shot) -> int:
+    """Nodes of the plan: operations that it has, each counted once a block."""
+    return sum(
+        len(needed([node for _, each in statements(block) for node in operands(each)]))
+        for species in shot.plan.species.values()
+        for _, block in blocks(species)
+    )
+
+
+def _neighbours(world: World, sight: float) -> float:
+    """How many others stand within `sight` mm of an agent, in the mean."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(np.concatenate([population.position for population in world.populations.values()]))
+    return float(tree.count_neighbors(tree, sight) / tree.n - 1)
+
+
+def _cached(shot: Shot, options: Options, steps: int) -> tuple[float, float]:
+    """CPU and wall seconds of a step whose frame is written: of a long run, less those of a short one, which has the set-up."""
+    few, many = (_recorded(shot, options, frames) for frames in (WARM, WARM + steps))
+    return (many[0] - few[0]) / steps, (many[1] - few[1]) / steps
+
+
+def _recorded(shot: Shot, options: Options, frames: int) -> tuple[float, float]:
+    from antdsl.outputs.recording import begin, record
+    from antdsl.scene.values import parse_frames
+
+    shot = replace(shot, scene=shot.scene.changed(frames=parse_frames(f"1..{frames + 1}")))
+    with tempfile.TemporaryDirectory() as folder:
+        worked, passed = _all_processes(), perf_counter()
+        for _ in record(begin(shot, Path(folder, "cache"), options, resume=False, force=False)):
+            pass
+        return _all_processes() - worked, perf_counter() - passed
+
+
+def _all_processes() -> float:
+    """CPU seconds of this process and, where the system tells, of those that it has waited for."""
+    try:
+        import resource
+    except ImportError:
+        return process_time()
+    others = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return process_time() + others.ru_utime + others.ru_stime

@@ -1,0 +1,56 @@
+"""Ratios of costs that were measured in turn, with where they lie with 95 %.
+
+Two runs side by side meet the same machine, so that a ratio says something where a time does not."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import mean
+from typing import TypeVar
+
+LEAST_PAIRS = 20  # of which a ratio is told with its interval
+_RESAMPLED = 10_000
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Ratio:
+    """The mean of ratios and its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.mean:.3f} ({self.low:.3f} to {self.high:.3f})"
+
+    def above(self, most: float) -> bool:
+        """Whether the whole interval lies above a ratio: slower than that, and not by chance."""
+        return self.low > most
+
+
+def interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
+    """The mean of some ratios, with the 2.5th and 97.5th percentile of means of as many drawn from them with replacement
+    (bootstrap: B. Efron, Annals of Statistics 7, 1979). The same ratios give the same interval. Raises ValueError for none."""
+    if not ratios:
+        raise ValueError("no ratios were measured")
+    draw = random.Random(seed)
+    means = sorted(mean(draw.choices(ratios, k=len(ratios))) for _ in range(_RESAMPLED))
+    return Ratio(mean(ratios), means[round(0.025 * _RESAMPLED)], means[round(0.975 * _RESAMPLED)])
+
+
+def in_turn(measure: Callable[[int], T], runners: int, count: int, warm: int = 1) -> list[tuple[T, ...]]:
+    """What runners 0, 1, … cost, so many times in turn; who is first changes from turn to turn. `warm` runs of each before are
+    not counted: they fill caches."""
+    for _ in range(warm):
+        for runner in range(runners):
+            measure(runner)
+    found = []
+    for number in range(count):
+        first = (number + 1) % runners
+        order = [(first + k) % runners for k in range(runners)]
+        costs = {runner: measure(runner) for runner in order}
+        found.append(tuple(costs[runner] for runner in range(runners)))
+    return found

@@ -1,0 +1,51 @@
+"""A setting with more or fewer agents, as dense as before or all in one place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from antdsl.scene.setting import Point, Setting
+
+
+def scaled(setting: Setting, agents: int) -> Setting:
+    """The setting with so many agents in all, lengths of the world scaled about its zero so that their density stays: meshes,
+    places of items and crowds, curves. Sizes of agents and items, cells of fields and radii of behaviours stay.
+
+    Raises ValueError for a world with solids, flows, maps or moving things."""
+    if setting.solids or setting.flows or setting.maps or any((setting.moves.meshes, setting.moves.items, setting.moves.curves)):
+        raise ValueError("only worlds of meshes, items and curves that stand still can be scaled")
+    before = sum(crowd.count for crowd in setting.crowds)
+    by = (agents / before) ** 0.5
+
+    def point(place: Point) -> Point:
+        return (place[0] * by, place[1] * by, place[2] * by)
+
+    crowds, left = [], agents
+    for number, crowd in enumerate(setting.crowds):
+        last = number == len(setting.crowds) - 1
+        count = left if last else round(crowd.count * agents / before)
+        left -= count
+        at = crowd.place
+        radius = None if at.radius is None else at.radius * by
+        points = None if at.points is None else at.points * by
+        around, inside = (None if place is None else point(place) for place in (at.around, at.inside))
+        place = replace(at, around=around, inside=inside, radius=radius, points=points)
+        crowds.append(replace(crowd, count=count, place=place))
+    items = {name: tuple(replace(item, position=point(item.position)) for item in those) for name, those in setting.items.items()}
+    surfaces, obstacles = (
+        {name: replace(mesh, vertices=mesh.vertices * by) for name, mesh in meshes.items()}
+        for meshes in (setting.surfaces, setting.obstacles)
+    )
+    curves = {name: np.asarray(curve) * by for name, curve in setting.curves.items()}
+    return replace(setting, crowds=tuple(crowds), surfaces=surfaces, obstacles=obstacles, items=items, curves=curves)
+
+
+def gathered(setting: Setting, share: float) -> Setting:
+    """The setting with every crowd of a radius in so much of its area, around the same place."""
+    crowds = tuple(
+        replace(crowd, place=replace(crowd.place, radius=crowd.place.radius * share**0.5)) if crowd.place.radius else crowd
+        for crowd in setting.crowds
+    )
+    return replace(setting, crowds=crowds)

@@ -1,0 +1,132 @@
+"""What was measured as words: rows for a terminal or a page, and plain values for JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import mean
+from typing import Any
+
+from antdsl.bench.cases import CASES
+from antdsl.bench.costs import BOUND, Measured
+from antdsl.bench.machine import machine
+from antdsl.bench.ratios import LEAST_PAIRS, interval
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A case with so many agents: one measured process for each backend, and one in which all of several took turns."""
+
+    alone: tuple[Measured, ...]
+    together: Measured | None = None
+
+
+def ratio_text(ratios: Sequence[float]) -> str:
+    """The mean; with its interval where there were enough turns for one."""
+    return str(interval(ratios)) if len(ratios) >= LEAST_PAIRS else f"{mean(ratios):.2f} ({len(ratios)} turns)"
+
+
+def backend_of(measured: Measured) -> str:
+    """The backend that a process with one has measured."""
+    return measured.job.backends[0]
+
+
+HEADS = (
+    "backend", "CPU ms", "wall ms", "frames/s", "µs per agent", "of the bound", "cache, CPU ms", "bytes per agent",
+    "start", "compile", "bind", "first step",
+)  # fmt: skip
+
+
+def whole_step(result: Result) -> list[list[str]]:
+    """A row of HEADS for each backend. Set-up in CPU seconds; bytes: of what is kept, and by how much the process grew."""
+    rows = []
+    for found in result.alone:
+        name, set_up = backend_of(found), found.set_up
+        cost = found.costs[name]
+        rows.append(
+            [
+                name,
+                f"{cost.cpu_ms:.2f}",
+                f"{cost.wall_ms:.2f}",
+                f"{1000 / max(cost.wall_ms, 1e-9):.1f}",
+                f"{1000 * cost.cpu_ms / max(found.agents, 1):.2f}",
+                ratio_text(found.ratios(name, BOUND)) if BOUND in found.costs else "",
+                "" if found.cached is None else f"{1000 * found.cached[0]:.2f}",
+                f"{found.state / max(found.agents, 1):,.0f}, {found.memory / max(found.agents, 1):,.0f}",
+                *(f"{seconds:.2f}" for seconds in (set_up.start, set_up.compile, set_up.bind, set_up.first)),
+            ]
+        )
+    return rows
+
+
+def phases(result: Result) -> tuple[list[str], list[list[str]]]:
+    """Heads and rows of CPU and wall milliseconds by phase, the dearest of the first backend first."""
+    heads = ["phase"]
+    for found in result.alone:
+        heads += [f"{backend_of(found)}: CPU ms", "wall ms"]
+    first = result.alone[0].costs[backend_of(result.alone[0])]
+    rows = []
+    for phase in sorted(first.phases_cpu, key=lambda each: -first.phases_cpu[each]):
+        row = [phase]
+        for found in result.alone:
+            cost = found.costs[backend_of(found)]
+            row += [f"{1000 * each.get(phase, 0.0):.3f}" for each in (cost.phases_cpu, cost.phases_wall)]
+        rows.append(row)
+    return heads, rows
+
+
+def between(result: Result) -> list[str]:
+    """A line for each backend after the first: its ratio to the first, from turns in one process."""
+    if result.together is None:
+        return []
+    first, *others = result.together.job.backends
+    return [
+        f"{name}: {ratio_text(result.together.ratios(name, first))} of the CPU time of {first}, in turn in one process"
+        for name in others
+    ]
+
+
+def about(result: Result) -> str:
+    """The case, its agents and what else is known of it."""
+    found = result.alone[0]
+    case = CASES.get(found.job.case)
+    words = [f"{found.job.case}, {found.agents:,} agents"]
+    words += [case.about] if case is not None else []
+    words += [f"{found.neighbours:.1f} neighbours each"] if found.neighbours is not None else []
+    words.append(f"{found.nodes:,} nodes of the plan")
+    if "elements" in found.counts:
+        words.append(f"{found.counts['elements'] / max(found.agents, 1):,.0f} operations per agent and step")
+    words += [case.told] if case is not None and case.told else []
+    return "; ".join(words)
+
+
+def as_json(results: Sequence[Result]) -> dict[str, Any]:
+    """All that was measured, with the ratios that tables show."""
+    return {
+        "machine": machine(),
+        "results": [
+            {
+                "alone": [found.as_json() for found in result.alone],
+                "together": None if result.together is None else result.together.as_json(),
+            }
+            for result in results
+        ],
+    }
+
+
+def from_json(data: dict[str, Any]) -> list[Result]:
+    """The results of what `as_json` gave."""
+    return [
+        Result(
+            tuple(Measured.from_json(each) for each in one["alone"]),
+            None if one["together"] is None else Measured.from_json(one["together"]),
+        )
+        for one in data["results"]
+    ]
+
+
+def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of a page."""
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    lines += ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,123 @@
+"""`antdsl bench`: how long steps take, phase by phase, beside other backends and a frame written by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from antdsl.cli.destinations import file_to_write, keeping_inputs, put, words_aside
+from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.printing.messages import say
+
+if TYPE_CHECKING:
+    from antdsl.bench.costs import Job, Measured
+    from antdsl.bench.tables import Result
+
+SLOWEST = "reference"  # left out unless it is named: it takes one agent at a time
+
+
+def bench(
+    cases: list[str] = typer.Argument(None, metavar="[CASE…]", help="Cases of --list, or scenes. [default: a quick look]"),
+    agents: list[int] = typer.Option([], "--agents", metavar="N", min=1, help="So many agents; may be given several times."),
+    backend: list[str] = typer.Option([], "--backend", metavar="NAME", help="A backend; several are told as ratios."),
+    pairs: int = typer.Option(20, "--pairs", min=1, max=10_000, help="Turns of each; under 20 no interval is told."),
+    steps: int = typer.Option(0, "--steps", min=0, max=100_000, help="Steps in a turn; 0 takes as many as make 20 ms."),
+    threads: int = typer.Option(1, "--threads", min=1, max=256, help="Threads for rays and chunks."),
+    cache: bool = typer.Option(False, "--cache", help="Also measure steps whose frames are written to a cache."),
+    json_: Path = typer.Option(None, "--json", metavar="FILE", help="Write all that was measured; `-` prints it."),
+    list_: bool = typer.Option(False, "--list", help="List the cases and stop."),
+) -> None:
+    """Measure what steps cost: CPU and wall time, memory, set-up."""
+    from antdsl.bench import CASES
+
+    if list_:
+        for case in CASES.values():
+            sizes = ", ".join(f"{number:,}" for number in case.agents) or "as it is"
+            say(f"{case.name:<18}{case.about}: {sizes}")
+        return
+    file_to_write(json_, "--json")
+    with keeping_inputs({"--json": json_}) as inputs:
+        inputs += [Path(name) for name in cases or [] if name not in CASES]
+    names = _backends(backend)
+    jobs = _jobs(cases or [], agents)
+    for name in dict.fromkeys(name for name, _ in jobs):
+        _openable(name)
+    with words_aside(json_) as output:
+        results = []
+        for name, count in jobs:
+            results.append(_measured(name, count, names, pairs, steps, threads, cache))
+            _show(results[-1])
+        if json_ is not None:
+            import json
+
+            from antdsl.bench.tables import as_json
+
+            put(json_, (json.dumps(as_json(results), indent=1) + "\n").encode(), output)
+
+
+def _backends(asked: list[str]) -> list[str]:
+    """The backends asked for, each once; without any, all but the slowest."""
+    from antdsl.runtime.backends import BACKENDS
+
+    for name in asked:
+        if name not in BACKENDS:
+            raise typer.BadParameter(f"there is no backend `{name}`; there are: {', '.join(BACKENDS)}", param_hint="--backend")
+    return list(dict.fromkeys(asked)) or [name for name in BACKENDS if name != SLOWEST]
+
+
+def _jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | None]]:
+    """Cases with numbers of agents: those asked for, else those of the case; without cases, those of a quick look."""
+    from antdsl.bench import CASES
+
+    if not cases:
+        quick = [(case.name, agents or list(case.quick)) for case in CASES.values() if case.quick]
+        return [(name, count) for name, counts in quick for count in counts]
+    found: list[tuple[str, int | None]] = []
+    for name in cases:
+        case = CASES.get(name)
+        if case is None and not Path(name).is_file():
+            raise typer.BadParameter(f"`{name}` is no case and no file; the cases are: {', '.join(CASES)}", param_hint="CASE")
+        if Path(name).suffix == ".ant":
+            raise typer.BadParameter(f"`{name}` is a program; name a scene that uses it", param_hint="CASE")
+        found += [(name, count) for count in agents or (case.agents if case is not None else ()) or (None,)]
+    return found
+
+
+def _openable(name: str) -> None:
+    """Tell what is wrong with a scene before anything is measured."""
+    from antdsl.bench import CASES
+    from antdsl.cli.printing.reports import demand
+    from antdsl.pipeline import open_scene
+
+    if name not in CASES:
+        demand(open_scene(Path(name))[1])
+
+
+def _measured(name: str, count: int | None, backends: list[str], turns: int, steps: int, threads: int, cache: bool) -> Result:
+    from antdsl.bench import CASES, Job
+    from antdsl.bench.tables import Result
+    from antdsl.numerics import compiled
+    from antdsl.resources import benchmark_file
+
+    case = CASES.get(name)
+    bound = case is not None and case.bound and benchmark_file("bound.py") is not None and compiled.available()
+    alone = [_done(Job(name, count, (each,), turns, steps, threads, bound, cache)) for each in backends]
+    together = _done(Job(name, count, tuple(backends), turns, steps, threads)) if len(backends) > 1 else None
+    return Result(tuple(alone), together)
+
+
+def _done(job: Job) -> Measured:
+    from antdsl.bench.processes import Failed, measured
+
+    try:
+        return measured(job)
+    except Failed as why:
+        raise Stop(Exit.FINDINGS, f"error: {job.case}: {why}") from None
+
+
+def _show(result: Result) -> None:
+    from antdsl.cli.printing.bench_tables import show
+
+    show(result)

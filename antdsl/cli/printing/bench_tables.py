@@ -1,0 +1,34 @@
+"""A measured case as tables for a terminal: set-up and the whole step, a column a backend, then its phases."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from antdsl.bench.tables import HEADS, Result, about, between, phases, whole_step
+from antdsl.cli.printing.messages import say
+
+
+def show(result: Result) -> None:
+    """Print it."""
+    console = Console(highlight=False, soft_wrap=True)
+    with console.capture() as told:
+        console.print(Text(about(result)))
+        names, *rows = [list(row) for row in zip(HEADS, *whole_step(result), strict=True)]
+        console.print(_table(names, [row for row in rows if any(row[1:])]))
+        for line in between(result):
+            console.print(Text(line))
+        console.print(_table(*phases(result)))
+    say(told.get())
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="")
+    for number, head in enumerate(heads):
+        table.add_column(head, justify="left" if number == 0 else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table

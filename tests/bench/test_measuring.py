@@ -1,0 +1,145 @@
+"""What a benchmark measures is what it says: cases can be opened, costs add up, the bound does all its work."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from antdsl import resources
+from antdsl.bench import CASES, Job
+from antdsl.bench.cases import NoCase, case_of, opened
+from antdsl.bench.costs import BOUND, Measured
+from antdsl.bench.machine import machine
+from antdsl.bench.measuring import hand_written, measure
+from antdsl.bench.processes import Failed, measured
+from antdsl.bench.programs import BOIDS, NODE
+from antdsl.bench.tables import Result, about, as_json, between, from_json, phases, ratio_text, whole_step
+from antdsl.numerics import compiled
+from antdsl.source import Source
+from antdsl.syntax import format as formatted
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+
+
+@pytest.mark.parametrize("text", [BOIDS, NODE])
+def test_programs_of_cases_are_as_the_formatter_writes_them(text: str) -> None:
+    assert formatted(Source("case.ant", text))[0] == text
+
+
+@pytest.mark.parametrize("name", list(CASES))
+def test_every_case_can_be_opened(name: str) -> None:
+    case = CASES[name]
+    agents = min(case.agents, default=None)
+    shot = case.make(agents)
+    assert agents is None or sum(crowd.count for crowd in shot.setting.crowds) == agents
+    assert set(case.quick) <= set(case.agents)
+
+
+def test_the_valley_of_meshes_is_the_valley_without_its_volume() -> None:
+    with_volume, without = CASES["valley"].make(500).setting, CASES["valley_of_meshes"].make(500).setting
+    assert set(with_volume.solids) == {"hill"} and not without.solids
+    assert set(without.surfaces) == set(with_volume.surfaces) | {"hill"}
+    assert np.array_equal(without.surfaces["hill"].vertices, with_volume.solids["hill"].mesh.vertices)
+    with pytest.raises(NoCase, match="500 ants or 15,000, not 7"):
+        CASES["valley"].make(7)
+
+
+@pytest.mark.parametrize(("name", "least", "most"), [("boids", 7.5, 10.5), ("cluster", 60, 105)])
+def test_boids_see_about_as_many_as_is_said(name: str, least: float, most: float) -> None:
+    found = measure(Job(name, 1000, ("numpy",), turns=1, steps=1))
+    assert found.neighbours is not None and least < found.neighbours < most
+
+
+def test_a_scene_is_scaled_or_told_why_not(tmp_path: Path) -> None:
+    scene = resources.example_file("minimal/scene.yaml")
+    assert sum(crowd.count for crowd in case_of(str(scene)).make(33).setting.crowds) == 33
+    with pytest.raises(NoCase, match="stand still"):
+        opened(resources.example_file("tunnel/scene.yaml"), 10)
+    (tmp_path / "scene.yaml").write_text("antdsl: 1\n")
+    with pytest.raises(NoCase) as why:
+        opened(tmp_path / "scene.yaml", None)
+    assert [found.code for found in why.value.report.errors] == ["no-crowd"]
+
+
+def test_costs_of_phases_add_up_to_those_of_steps() -> None:
+    found = measure(Job("node", 100, ("numpy", "reference"), turns=3, steps=2))
+    assert found.agents == 100 and found.steps == 2
+    for name in ("numpy", "reference"):
+        cost = found.costs[name]
+        assert len(cost.cpu) == len(cost.wall) == 3
+        assert sum(cost.phases_cpu.values()) == pytest.approx(sum(cost.cpu) / 3, rel=0.2)
+        assert sum(cost.phases_wall.values()) == pytest.approx(sum(cost.wall) / 3, rel=0.2)
+    assert len(found.ratios("reference", "numpy")) == 3
+    assert found.set_up.total > found.set_up.first > 0 and found.counts["elements"] > found.agents
+    assert 100 * 100 < found.state < 100 * 1000, "an ant is some hundred bytes"
+    assert Measured.from_json(found.as_json()) == found
+
+
+def test_a_process_of_its_own_finds_out_and_a_cache_costs_more() -> None:
+    found = measured(Job("node", 500, ("numpy",), turns=4, steps=8, cache=True))
+    assert found.cached is not None and found.cached[0] > 0.5 * found.costs["numpy"].cpu_ms / 1000
+    assert found.memory > found.state
+    with pytest.raises(Failed, match="stand still"):
+        measured(Job("tunnel", 7, ("numpy",)))
+
+
+def test_words_of_what_was_measured() -> None:
+    one = measure(Job("node", 60, ("numpy",), turns=20, steps=1))
+    cost = one.costs["numpy"]
+    slower = replace(cost, cpu=[2 * each for each in cost.cpu])
+    together = replace(one, job=replace(one.job, backends=("numpy", "other")), costs={"numpy": cost, "other": slower})
+    result = Result((replace(one, costs={"numpy": cost, BOUND: slower}),), together)
+    assert between(result) == ["other: 2.000 (2.000 to 2.000) of the CPU time of numpy, in turn in one process"]
+    (row,) = whole_step(result)
+    assert row[0] == "numpy" and row[1] == f"{cost.cpu_ms:.2f}" and row[5] == "0.500 (0.500 to 0.500)"
+    assert about(result).startswith("node, 60 agents; 500 points")
+    heads, rows = phases(result)
+    assert heads == ["phase", "numpy: CPU ms", "wall ms"] and {"blend", "move"} <= {each[0] for each in rows}
+    assert ratio_text([1.0, 2.0]) == "1.50 (2 turns)"
+    (again,) = from_json(as_json([result]))
+    assert again == result
+    assert {"date", "machine", "numpy", "antdsl"} <= set(machine())
+
+
+def test_the_hand_written_frame_does_all_its_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    if not compiled.available():
+        pytest.skip("needs numba")
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    bound = importlib.import_module("bound")
+    ants = bound.Bound(2000)
+    x = ants.x.copy()
+    for _ in range(40):
+        ants.frame()
+    far = np.hypot(ants.x - x, ants.z - ants.z)
+    assert np.isfinite(ants.y).all() and far.mean() > 0.5
+    assert (np.hypot(ants.px, ants.pz) > 0).mean() > 0.9, "nearly all have somebody near"
+    assert 0.05 < (np.abs(ants.hit).sum(axis=1) > 0).mean() < 0.95, "feelers meet the ground here and there"
+    assert ants.scent.max() > 0 and len(np.unique(ants.state)) > 1 and ants.field.max() == 2
+    height = 1.5 * np.sin(ants.x / 7.0) + 1.2 * np.sin(ants.z / 5.0 + ants.x / 19.0)
+    assert np.abs(ants.y - height).max() < 0.5, "they keep to the ground"
+    reach = (np.hypot(ants.x[:, None] - ants.x, ants.z[:, None] - ants.z) < ants.radius).sum(axis=1) - 1
+    assert 5 < reach.mean() < 11
+    hand_written(50)()
+    assert "bound" in sys.modules
+
+
+def test_without_a_checkout_there_is_no_hand_written_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("antdsl.bench.measuring.benchmark_file", lambda name: None)
+    with pytest.raises(FileNotFoundError, match="checkout"):
+        hand_written(10)
+
+
+def test_what_the_cases_need_ships() -> None:
+    import tomllib
+
+    text = (Path(__file__).resolve().parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+    packed = tomllib.loads(text)["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    named = {"foraging", "flocking", "tunnel", "moods", "anthill", "thesis"}
+    assert {name.removeprefix("examples/") for name in packed if name.startswith("examples/")} == named
+    for name, place in packed.items():
+        assert place == f"antdsl/_data/{name}" or not name.startswith("examples/")

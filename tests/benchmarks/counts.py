@@ -1,0 +1,79 @@
+"""What a step of some cases is made of, counted exactly, beside what was recorded in `counts.json`.
+
+`python tests/benchmarks/counts.py` prints what differs and leaves with 1 where anything has grown; `--record` writes the counts
+anew, which is to be said in the commit, with why. `--print` prints them. Compiled kernels are turned off."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+RECORDED = Path(__file__).with_suffix(".json")
+COUNTED = (
+    ("foraging", 500),
+    ("boids", 500),
+    ("cluster", 500),
+    ("node", 500),
+    ("moods", 200),
+    ("flocking", 400),
+    ("tunnel", None),
+)
+Counts = dict[str, dict[str, int]]
+
+
+def counted() -> Counts:
+    """Counts by case, in this process."""
+    from antdsl.bench.cases import case_of
+    from antdsl.bench.counting import counts_of
+    from antdsl.runtime.backends import BACKENDS
+
+    found = {}
+    for name, agents in COUNTED:
+        shot = case_of(name).make(agents)
+        for backend in BACKENDS:
+            if backend != "reference":  # the definition: nobody waits for its speed
+                found[f"{name} {agents or ''} {backend}".replace("  ", " ")] = counts_of(shot.plan, shot.setting, backend)
+    return found
+
+
+def grown(found: Mapping[str, Mapping[str, int]], recorded: Mapping[str, Mapping[str, int]]) -> list[str]:
+    """Lines about counts that are greater than recorded, or not recorded."""
+    lines = []
+    for case, counts in found.items():
+        for name, number in counts.items():
+            before = recorded.get(case, {}).get(name)
+            if before is None:
+                lines.append(f"{case}: {name} is {number:,} and not recorded")
+            elif number > before:
+                lines.append(f"{case}: {name} is {number:,}, {number / max(before, 1):.3f} times the {before:,} recorded")
+    return lines
+
+
+def main() -> None:
+    """Compare, print or record."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--record", action="store_true")
+    parser.add_argument("--print", action="store_true")
+    given = parser.parse_args()
+    if os.environ.get("NUMBA_DISABLE_JIT") != "1":  # before numba is imported
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, "NUMBA_DISABLE_JIT": "1"})
+    found = counted()
+    if given.print or given.record:
+        text = json.dumps(found, indent=2, sort_keys=True) + "\n"
+        print(text, end="") if given.print else RECORDED.write_text(text, encoding="utf-8")
+        return
+    recorded = json.loads(RECORDED.read_text(encoding="utf-8"))
+    for case, counts in found.items():
+        for name, number in counts.items():
+            if number < (before := recorded.get(case, {}).get(name, 0)):
+                print(f"{case}: {name} is {number:,}, less than the {before:,} recorded")
+    if lines := grown(found, recorded):
+        raise SystemExit("\n".join([*lines, "where that is meant: python tests/benchmarks/counts.py --record"]))
+
+
+if __name__ == "__main__":
+    main()

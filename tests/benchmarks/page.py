@@ -1,0 +1,203 @@
+"""Measures what `docs/benchmarks.md` tells and puts the tables into it, a row for each backend that there is.
+
+`python tests/benchmarks/page.py` measures all, which takes a quarter of an hour and 6 GiB; with names of cases, those only, and
+the others stay as they were measured before (`page.json`). `--agents N` with them takes one size. `--peers FOLDER` also builds
+krABMaga's boids in a folder and measures them. `--write` measures nothing."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from statistics import mean
+from typing import Any
+
+import peers
+
+from antdsl.bench import CASES, Job, measured
+from antdsl.bench.costs import BOUND
+from antdsl.bench.machine import machine
+from antdsl.bench.tables import Result, as_json, backend_of, between, from_json, markdown, phases, ratio_text
+from antdsl.runtime.backends import BACKENDS
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "benchmarks.md"
+KEPT = Path(__file__).with_suffix(".json")
+SLOWEST = "reference"  # measured where few agents make few steps
+BESIDE_SLOWEST = {("foraging", 125), ("node", 500)}
+CACHED = {("foraging", 1_000), ("foraging", 15_000), ("foraging", 100_000), ("valley", 500), ("valley", 15_000)}
+TOLD = ("node", "valley", "valley_of_meshes")
+PHASED = ("foraging", "boids", "tunnel", "anthill")
+Kept = dict[str, dict[str, Any]]
+
+
+def measure(name: str, agents: int | None) -> dict[str, Any]:
+    """All of a case with so many agents, as JSON, with the machine."""
+    big = agents is not None and agents >= 1_000_000
+    fast = [backend for backend in BACKENDS if backend != SLOWEST]
+    slow = [SLOWEST] if (name, agents) in BESIDE_SLOWEST else []
+    turns, steps = (3, 1) if big else (20, 0)
+    bound, cache = CASES[name].bound, (name, agents) in CACHED
+    alone = [measured(Job(name, agents, (each,), turns, steps, 1, bound, cache)) for each in fast]
+    alone += [measured(Job(name, agents, (each,), 3, 1, 1, bound)) for each in slow]
+    together = measured(Job(name, agents, tuple(fast), turns, steps)) if len(fast) > 1 else None
+    return as_json([Result(tuple(alone), together)])
+
+
+def results(kept: Kept) -> list[Result]:
+    """In the order of the cases and their sizes."""
+    order = list(CASES)
+    found = [from_json(each)[0] for each in kept.values()]
+    return sorted(found, key=lambda each: (order.index(each.alone[0].job.case), each.alone[0].agents))
+
+
+def steps_table(found: Iterable[Result]) -> str:
+    """The whole step."""
+    heads = ("case", "agents", "backend", "CPU ms", "wall ms", "frames/s", "µs per agent", "of the bound", "with a cache, CPU ms")
+    rows = []
+    for result in found:
+        for each in result.alone:
+            name = backend_of(each)
+            cost = each.costs[name]
+            rows.append([
+                each.job.case,
+                f"{each.agents:,}",
+                name,
+                f"{cost.cpu_ms:.1f}",
+                f"{cost.wall_ms:.1f}",
+                f"{1000 / cost.wall_ms:.3g}",
+                f"{1000 * cost.cpu_ms / each.agents:.2f}",
+                ratio_text(each.ratios(name, BOUND)) if BOUND in each.costs else "",
+                "" if each.cached is None else f"{1000 * each.cached[0]:.1f}",
+            ])  # fmt: skip
+    return markdown(heads, rows)
+
+
+def set_up_table(found: Iterable[Result]) -> str:
+    """Set-up and memory."""
+    heads = ("case", "agents", "backend", "start", "compile", "bind", "first step", "bytes per agent", "grew by, MiB")
+    rows = []
+    for result in found:
+        for each in result.alone:
+            one = each.set_up
+            rows.append([
+                each.job.case,
+                f"{each.agents:,}",
+                backend_of(each),
+                *(f"{seconds:.2f}" for seconds in (one.start, one.compile, one.bind, one.first)),
+                f"{each.state / each.agents:,.0f}",
+                f"{each.memory / 2**20:,.0f}",
+            ])  # fmt: skip
+    return markdown(heads, rows)
+
+
+def phase_tables(found: Iterable[Result]) -> str:
+    """Phases, a table a case and size; phases under a hundredth of the step are left out."""
+    parts = []
+    for result in found:
+        if result.alone[0].job.case in PHASED:
+            heads, rows = phases(result)
+            whole = sum(float(row[1]) for row in rows)
+            shown = [row for row in rows if float(row[1]) >= 0.01 * whole]
+            parts.append(f"{result.alone[0].job.case}, {result.alone[0].agents:,} agents:\n\n{markdown(heads, shown)}")
+    return "\n".join(parts)
+
+
+def told_table(found: Iterable[Result]) -> str:
+    """Beside what others have reported."""
+    rows = []
+    for result in found:
+        for each in result.alone:
+            if each.job.case in TOLD:
+                cost = each.costs[backend_of(each)]
+                rows.append([
+                    CASES[each.job.case].about,
+                    f"{each.agents:,}",
+                    backend_of(each),
+                    f"{1000 / (1000 * mean(cost.wall)):.3g}",
+                    "" if each.cached is None else f"{1 / each.cached[1]:.3g}",
+                    CASES[each.job.case].told,
+                ])  # fmt: skip
+    return markdown(("case", "agents", "backend", "frames/s", "with a cache", "reported"), rows)
+
+
+def operations_table(found: Iterable[Result]) -> str:
+    """Operations per agent."""
+    rows = []
+    for result in found:
+        each = result.alone[0]
+        if "elements" in each.counts and each.agents <= 15_000:
+            rows.append([each.job.case, f"{each.agents:,}", f"{each.nodes:,}", f"{each.counts['elements'] / each.agents:,.0f}"])
+    return markdown(("case", "agents", "nodes of the plan", "operations per agent and step"), rows)
+
+
+def beside_table(found: Iterable[Result]) -> str:
+    """Ratios of backends that took turns in one process."""
+    lines = [f"- {one.alone[0].job.case}, {one.alone[0].agents:,} agents: {line}" for one in found for line in between(one)]
+    return "\n".join(lines) + "\n" if lines else "Only one backend was measured.\n"
+
+
+def machines(kept: Kept) -> str:
+    """What was measured on."""
+    lines = []
+    for each in kept.values():
+        words = ", ".join(
+            text if name in ("date", "machine", "system") else f"{name} {text}" for name, text in each["machine"].items()
+        )
+        lines += [f"- {words}"] if f"- {words}" not in lines else []
+    return "\n".join(sorted(lines)) + "\n"
+
+
+def put(text: str, name: str, table: str) -> str:
+    """The text with a table between the marks of its name. Raises ValueError where the page has none."""
+    first, last = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
+    start, end = text.index(first) + len(first), text.index(last)
+    return text[:start] + "\n" + table + "\n" + text[end:]
+
+
+def write(kept: Kept) -> None:
+    """Put all tables into the page."""
+    measured_cases = {name: each for name, each in kept.items() if name != "peers"}
+    found = results(measured_cases)
+    text = PAGE.read_text(encoding="utf-8")
+    tables = {
+        "machine": machines(kept),
+        "steps": steps_table(found),
+        "backends": beside_table(found),
+        "set-up": set_up_table(found),
+        "phases": phase_tables(found),
+        "reported": told_table(found),
+        "operations": operations_table(found),
+    }
+    if "peers" in kept:
+        tables["peers"] = markdown(peers.HEADS, kept["peers"]["rows"])
+    for name, table in tables.items():
+        text = put(text, name, table)
+    PAGE.write_text(text, encoding="utf-8")
+
+
+def main() -> None:
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("cases", nargs="*", help="names of cases")
+    parser.add_argument("--agents", type=int, default=None)
+    parser.add_argument("--peers", type=Path, default=None)
+    parser.add_argument("--write", action="store_true")
+    given = parser.parse_args()
+    kept: Kept = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.is_file() else {}
+    names = [] if given.write else given.cases or ([] if given.peers else list(CASES))
+    for name in names:
+        for agents in CASES[name].agents or (None,):
+            if given.agents in (None, agents):
+                kept[f"{name} {agents}"] = measure(name, agents)
+                print(name, agents, flush=True)
+                KEPT.write_text(json.dumps(kept) + "\n", encoding="utf-8")
+    if given.peers is not None:
+        backends = [backend for backend in BACKENDS if backend != SLOWEST]
+        kept["peers"] = {"machine": machine(), "rows": peers.rows(peers.built(given.peers.resolve()), backends)}
+        KEPT.write_text(json.dumps(kept) + "\n", encoding="utf-8")
+    write(kept)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,68 @@
+"""`antdsl bench`: what it prints, what it writes, and how it says that it cannot."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import commands
+import pytest
+
+from antdsl.bench import CASES
+from antdsl.runtime.backends import BACKENDS
+
+
+def test_cases_are_listed(tmp_path: Path) -> None:
+    done = commands.run("bench", "--list", cwd=tmp_path)
+    assert done.returncode == 0
+    assert [line.split()[0] for line in done.stdout.splitlines()] == list(CASES)
+    assert "125, 1,000, 15,000, 100,000, 1,000,000" in done.stdout
+
+
+def test_backends_are_measured_each_and_in_turn(tmp_path: Path) -> None:
+    words = ["node", "--agents", "40", "--backend", "numpy", "--backend", "reference", "--pairs", "2", "--steps", "1"]
+    done = commands.run("bench", *words, "--json", "found.json", cwd=tmp_path, env={"COLUMNS": "100"})
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("node, 40 agents; 500 points that wander and keep apart")
+    assert next(line for line in lines if line.startswith("backend")).split() == ["backend", "numpy", "reference"]
+    for head in ("CPU ms", "wall ms", "µs per agent", "bytes per agent", "start", "compile", "bind", "first step"):
+        assert any(line.startswith(head) for line in lines), head
+    assert any(line.startswith("reference: ") and "(2 turns) of the CPU time of numpy" in line for line in lines)
+    assert any(line.startswith("blend") and len(line.split()) == 5 for line in lines)
+    found = json.loads((tmp_path / "found.json").read_text())
+    (result,) = found["results"]
+    assert [each["job"]["backends"] for each in result["alone"]] == [["numpy"], ["reference"]]
+    assert list(result["together"]["costs"]) == ["numpy", "reference"] and found["machine"]["numpy"]
+    slow = result["together"]["costs"]
+    assert min(slow["reference"]["cpu"]) > min(slow["numpy"]["cpu"]), "one agent at a time takes longer"
+
+
+def test_a_scene_of_ones_own_is_measured_and_its_cache(tmp_path: Path) -> None:
+    assert commands.run("new", "walkers", cwd=tmp_path).returncode == 0
+    words = ["walkers/scene.yaml", "--backend", "numpy", "--pairs", "2", "--steps", "2", "--cache", "--threads", "2"]
+    done = commands.run("bench", *words, "--json", "-", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (found,) = json.loads(done.stdout)["results"][0]["alone"]
+    assert found["agents"] == 200 and found["cached"][0] > 0 and found["job"]["threads"] == 2 and found["steps"] == 2
+    assert "cache, CPU ms" in done.stderr and "walkers/scene.yaml, 200 agents" in done.stderr
+    assert not (tmp_path / "walkers" / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["none"], 2, "`none` is no case and no file; the cases are: foraging, "),
+        (["node", "--backend", "fortran"], 2, f"there is no backend `fortran`; there are: {', '.join(BACKENDS)}"),
+        (["walkers/walker.ant"], 2, "is a program"),
+        (["tunnel", "--agents", "7"], 1, "tunnel: `scene.yaml` cannot have 7 agents"),
+        (["bad.yaml"], 1, "no-crowd"),
+        (["bad.yaml", "--json", "bad.yaml"], 2, "would be lost"),
+        (["node", "--pairs", "0"], 2, "--pairs"),
+    ],
+)
+def test_what_cannot_be_measured_is_told(tmp_path: Path, words: list[str], code: int, said: str) -> None:
+    assert commands.run("new", "walkers", cwd=tmp_path).returncode == 0
+    (tmp_path / "bad.yaml").write_text("antdsl: 1\n")
+    done = commands.run("bench", *words, cwd=tmp_path, env={"COLUMNS": "250"})
+    assert done.returncode == code and said in " ".join((done.stdout + done.stderr).split()), done.stdout + done.stderr
