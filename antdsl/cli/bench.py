@@ -41,6 +41,9 @@ def bench(
     with keeping_inputs({"--json": json_}) as inputs:
         inputs += [Path(name) for name in cases or [] if name not in CASES]
     names = _backends(backend)
+    from antdsl.cli.run import at_once
+
+    threads = at_once(threads)
     jobs = _jobs(cases or [], agents)
     for name in dict.fromkeys(name for name, _ in jobs):
         _openable(name)
