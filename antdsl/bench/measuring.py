@@ -164,28 +164,28 @@ def _neighbours(world: World, sight: float) -> float:
 
 
 def _cached(shot: Shot, options: Options, steps: int) -> tuple[float, float]:
-    """CPU and wall seconds of a step whose frame is written: of a long run, less those of a short one, which has the set-up."""
-    few, many = (_recorded(shot, options, frames) for frames in (WARM, WARM + steps))
-    return (many[0] - few[0]) / steps, (many[1] - few[1]) / steps
-
-
-def _recorded(shot: Shot, options: Options, frames: int) -> tuple[float, float]:
+    """CPU and wall seconds of a step whose frame is written, after WARM frames; what the process that writes has worked is shared
+    among all frames, and by the clock it is waited for."""
     from antdsl.outputs.recording import begin, record
     from antdsl.scene.values import parse_frames
 
-    shot = replace(shot, scene=shot.scene.changed(frames=parse_frames(f"1..{frames + 1}")))
+    frames = WARM + steps
+    shot = replace(shot, scene=shot.scene.changed(frames=parse_frames(f"1..{frames}")))
     with tempfile.TemporaryDirectory() as folder:
-        worked, passed = _all_processes(), perf_counter()
-        for _ in record(begin(shot, Path(folder, "cache"), options, resume=False, force=False)):
-            pass
-        return _all_processes() - worked, perf_counter() - passed
+        others, began = _of_others(), (0.0, 0.0)
+        recording = begin(shot, Path(folder, "cache"), options, resume=False, force=False)
+        for number, _ in enumerate(record(recording), 1):
+            if number == WARM:
+                began = process_time(), perf_counter()
+        worked, passed = process_time() - began[0], perf_counter() - began[1]
+        return worked / steps + (_of_others() - others) / frames, passed / steps
 
 
-def _all_processes() -> float:
-    """CPU seconds of this process and, where the system tells, of those that it has waited for."""
+def _of_others() -> float:
+    """CPU seconds of the processes that this one has started and waited for; 0 where the system does not tell."""
     try:
         import resource
     except ImportError:
-        return process_time()
-    others = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return process_time() + others.ru_utime + others.ru_stime
+        return 0.0
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
