@@ -128,6 +128,7 @@ OWN_FILES = {
     "outputs/cache/npz.py": "files and folders just written, to see them on the disk",
     "preview/serving/pages.py": "the page that comes with antdsl",
     "preview/serving/returning.py": "its own keys, of the last starts",
+    "runtime/backends/native/object_cache.py": "folders, part by part",
     "scene/paths.py": "folders, part by part",
     "scene/geometry/usd/trial.py": "the null device",
     "syntax/grammar.py": "the grammar",
