@@ -53,7 +53,17 @@ def results(kept: Kept) -> list[Result]:
 
 def steps_table(found: Iterable[Result]) -> str:
     """The whole step."""
-    heads = ("case", "agents", "backend", "CPU ms", "wall ms", "frames a second", "µs per agent", "of the bound", "with a cache, CPU ms")
+    heads = (
+        "case",
+        "agents",
+        "backend",
+        "CPU ms",
+        "wall ms",
+        "frames a second",
+        "µs per agent",
+        "of the bound",
+        "with a cache, CPU ms",
+    )
     rows = []
     for result in found:
         for each in result.alone:
