@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import functools
+import gc
+from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import plans
@@ -17,7 +22,7 @@ from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.pipeline import open_scene
 from antdsl.plan import ir
 from antdsl.runtime import FaultStop, Options, World, bind, state_hash, step
-from antdsl.runtime.backends.native import listing, machine, ready
+from antdsl.runtime.backends.native import listing, machine, object_cache, ready
 from antdsl.runtime.backends.native.block import Writer
 from antdsl.runtime.backends.native.emitter import elementwise
 from antdsl.runtime.backends.native.lanes import BOOL, F32, I32, I64, WIDTH, Lanes, Module
@@ -210,6 +215,97 @@ def test_without_llvmlite_numpy_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     assert world.backend.told() == [
         "NumPy runs instead of machine code, slower and with the same result: llvmlite is not installed: pip install it"
     ]
+
+
+@pytest.fixture
+def afresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], list[str]]:
+    """Begins as a new process would, with a folder for code; gives what is compiled from then on."""
+    compiled: list[str] = []
+    make = machine.object_code
+
+    def noted(text: str, target: machine.Target) -> bytes:
+        compiled.append(text)
+        return make(text, target)
+
+    def begin() -> list[str]:
+        compiled.clear()
+        cache = object_cache.ObjectCache(tmp_path / "code")
+        objects = functools.cache(lambda: cache)
+        objects()
+        monkeypatch.setattr(ready, "_objects", objects)
+        monkeypatch.setattr(ready, "_known", OrderedDict())
+        monkeypatch.setattr(ready, "_plans", WeakKeyDictionary())
+        monkeypatch.setattr(machine, "object_code", noted)
+        return compiled
+
+    return begin
+
+
+EDITED = """
+species a {{
+  pace = 1
+  start first
+  state first {{
+    steer vector(0.5, 0.25, 0)
+    pace = pace * {number}
+    when pace > 3 -> second
+  }}
+  state second {{ pace = pace {sign} 2 }}
+}}
+"""
+
+
+def edited(sign: str = "+", number: str = "1.5") -> World:
+    return play(EDITED.format(number=number, sign=sign), crowd(20, radius=50), steps=3, ways=(NATIVE,)).world
+
+
+def test_code_of_another_run_is_used(afresh: Callable[[], list[str]]) -> None:
+    compiled = afresh()
+    wanted = state_hash(edited())
+    assert len(compiled) > 1
+    compiled = afresh()
+    world = edited()
+    assert state_hash(world) == wanted and compiled == [] and world.backend.told() == []
+
+
+@pytest.mark.parametrize("harm", ["damaged", "others may write to"])
+def test_code_that_may_be_harmful_is_not_loaded_and_the_run_goes_on(
+    harm: str, afresh: Callable[[], list[str]], tmp_path: Path
+) -> None:
+    afresh()
+    wanted = state_hash(edited())
+    if harm == "damaged":
+        for path in (tmp_path / "code").iterdir():
+            path.write_bytes(path.read_bytes()[:-1] + b"?")
+    else:
+        (tmp_path / "code").chmod(0o777)
+    compiled = afresh()
+    world = edited()
+    assert state_hash(world) == wanted and len(compiled) > 1
+    assert world.backend.told() and all(harm in each for each in world.backend.told())
+
+
+def test_an_edit_compiles_what_it_changes_and_a_number_nothing(afresh: Callable[[], list[str]]) -> None:
+    compiled = afresh()
+    edited()
+    assert len(compiled) == len(set(compiled)) > 1
+    compiled.clear()
+    edited(number="2.5")
+    assert compiled == []
+    edited(sign="-")
+    assert len(compiled) == 1 and "@a.act.0" in compiled[0]
+
+
+def test_a_plan_that_is_gone_leaves_no_code_behind(afresh: Callable[[], list[str]]) -> None:
+    afresh()
+    world = edited()
+    same = bind(world.plan, world.setting, Options())
+    step(same)
+    assert same.backend.ready is world.backend.ready is not None  # type: ignore[attr-defined]
+    assert len(ready._plans) == 1
+    del world, same
+    gc.collect()
+    assert len(ready._plans) == 0
 
 
 def text_of(world: World) -> str:

@@ -65,9 +65,9 @@ class NativeBackend(NumpyBackend):
         facts = Facts(moving_geometry.moving(world) is not None, world.detail is not None)
         waits = world.options.wait_for_code
         ready = known(world.plan, facts)
-        if ready is None and self._coming is None:
-            if waits or (self._steps and compiled.pays(len(world), sum(world.worked.values()))):
-                self._coming = beside(world.plan, self.blocks, facts)
+        wanted = waits or (self._steps > 0 and compiled.pays(len(world), sum(world.worked.values())))
+        if ready is None and self._coming is None and wanted:
+            self._coming = beside(world.plan, self.blocks, facts)
         if self._coming is not None and (waits or self._coming.done()):
             try:
                 ready = self._coming.result()
