@@ -7,7 +7,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from statistics import mean
+from statistics import fmean
 from typing import TypeVar
 
 LEAST_PAIRS = 20  # of which a ratio is told with its interval
@@ -37,8 +37,8 @@ def interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
     if not ratios:
         raise ValueError("no ratios were measured")
     draw = random.Random(seed)
-    means = sorted(mean(draw.choices(ratios, k=len(ratios))) for _ in range(_RESAMPLED))
-    return Ratio(mean(ratios), means[round(0.025 * _RESAMPLED)], means[round(0.975 * _RESAMPLED)])
+    means = sorted(fmean(draw.choices(ratios, k=len(ratios))) for _ in range(_RESAMPLED))
+    return Ratio(fmean(ratios), means[round(0.025 * _RESAMPLED)], means[round(0.975 * _RESAMPLED)])
 
 
 def in_turn(measure: Callable[[int], T], runners: int, count: int, warm: int = 1) -> list[tuple[T, ...]]:

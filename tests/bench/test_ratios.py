@@ -48,10 +48,11 @@ def noisy(slower: float, seed: int) -> Ratio:
     return interval(found)
 
 
-def test_what_takes_a_third_longer_is_caught_and_what_is_equal_is_not() -> None:
-    """Of a hundred machines all see 1.3 times as slower than 1.05, and as many as 95 % promises let what is equal pass."""
-    assert all(noisy(1.3, seed).above(1.05) for seed in range(100))
-    assert sum(noisy(1.0, seed).above(1.05) for seed in range(100)) <= 5
+@pytest.mark.parametrize("machines", [8, pytest.param(100, marks=pytest.mark.slow)])
+def test_what_takes_a_third_longer_is_caught_and_what_is_equal_is_not(machines: int) -> None:
+    """All machines see 1.3 times as slower than 1.05, and as many as 95 % promises let what is equal pass."""
+    assert all(noisy(1.3, seed).above(1.05) for seed in range(machines))
+    assert sum(noisy(1.0, seed).above(1.05) for seed in range(machines)) <= machines // 20
 
 
 @pytest.mark.slow
