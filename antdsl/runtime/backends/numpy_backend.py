@@ -32,6 +32,7 @@ from antdsl.runtime.pairs import MOST_PAIRS, NearbySets
 from antdsl.runtime.requests import Effects
 from antdsl.runtime.sensing import constant, uniform_leaf
 from antdsl.runtime.world import DTYPES, Population, World
+from antdsl.scene.setting import Setting
 
 BLOCKS = ("born", "decide", "act", "blend")
 Kept = dict[ir.Node, tuple[NDArray[np.bool_], list[NDArray[Any]]]]
@@ -44,6 +45,7 @@ class NumpyBackend:
 
     def __init__(self, plan: ir.Plan) -> None:
         self._blocks: dict[tuple[str, str], BlockCompiler] = {}
+        self._of_run: dict[str, list[ir.Node]] = {}
         self._uniforms: dict[str, list[ir.Node]] = {}
         self._constants: dict[str, dict[ir.Node, Any]] = {}
         for name, species in plan.species.items():
@@ -56,7 +58,10 @@ class NumpyBackend:
             roots = tuple(node for block in BLOCKS for node in self._blocks[name, block].uniforms)
             every = needed(roots)
             self._constants[name] = constant_values(node for node in every if node.rate is ir.Rate.CONST)
-            self._uniforms[name] = [node for node in every if node.rate is not ir.Rate.CONST]
+            self._of_run[name] = [node for node in every if node.rate is ir.Rate.RUN]
+            self._uniforms[name] = [node for node in every if node.rate > ir.Rate.RUN]
+        self._run: tuple[Setting, dict[str, np.float32]] | None = None  # by what values of the run were worked out
+        self._lasting: dict[str, dict[ir.Node, Any]] = {}  # values of the run, and constants
         self._values: dict[str, dict[ir.Node, Any]] = {}
         self._kept: dict[str, Kept] = {}
         self._pairs: dict[str, dict[tuple[ir.Node, int], Any]] = {}
@@ -93,7 +98,10 @@ class NumpyBackend:
         return []
 
     def _of_step(self, world: World, species: str) -> dict[ir.Node, Any]:
-        return uniform_values(world, self._uniforms[species], self._constants[species])
+        if self._run is None or self._run[0] is not world.setting or self._run[1] != world.params:
+            self._run = (world.setting, dict(world.params))
+            self._lasting = {name: uniform_values(world, nodes, self._constants[name]) for name, nodes in self._of_run.items()}
+        return uniform_values(world, self._uniforms[species], self._lasting[species])
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Run a block for some rows (None: all), and put what they ask for into the population's effects."""

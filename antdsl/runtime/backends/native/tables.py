@@ -5,6 +5,7 @@ into arrays with room, what others own is copied. What has not become another ar
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -33,7 +34,11 @@ def roomy(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def address(array: NDArray[Any]) -> int:
-    """Where an array begins in memory; it has to lie in one piece."""
+    """Where an array begins in memory. ValueError where it does not lie in one piece."""
+    try:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]  # a third of the time of `array.ctypes.data`
+    except (TypeError, ValueError):  # read-only, empty, or not in one piece
+        pass
     if not array.flags.c_contiguous:
         raise ValueError("machine code reads arrays that lie in one piece")
     found: int = array.ctypes.data
@@ -100,8 +105,18 @@ class Tables:
         self._candidates = np.zeros(0, np.int32)
         self._size = -1
         self._views = {np.dtype(kind): self.numbers.view(kind) for kind in (np.int64, np.float64, np.float32, np.int32, np.bool_)}
-        self._constants: Mapping[ir.Node, Any] | None = None
+        self._nodes: list[tuple[ir.Node, int]] = []
+        self._draws: dict[tuple[str, str, int], list[tuple[str, int]]] = {}  # by species, site and block: words and their places
         self._changing: list[tuple[Key, int]] = []
+        for key, place in code.layout.numbers.items():
+            node = key[1] if key[0] == "node" else None
+            if isinstance(node, ir.Node):
+                self._nodes.append((node, place))
+            elif key[0] == "philox":
+                self._draws.setdefault((str(key[1]), str(key[2]), int(str(key[3]))), []).append((str(key[4]), place))
+            else:
+                self._changing.append((key, place))
+        self._last: list[Any] = [None] * len(self._nodes)
         pointers = list(code.layout.pointers.items())
         self._registers = [(str(key[1]), key[0] == "start", place) for key, place in pointers if key[0] in ("start", "now")]
         self._seen: list[Any] = [None] * len(self._registers)
@@ -127,17 +142,19 @@ class Tables:
             self.pointers[place] = find(self, world, population, key)
 
     def _numbers(self, world: World, population: Population, values: Mapping[ir.Node, Any]) -> None:
-        """Constants are put down once."""
-        if self._constants is None:
-            self._constants = values
-            for key, place in self.code.layout.numbers.items():
-                node = key[1] if key[0] == "node" else None
-                if isinstance(node, ir.Node) and node.rate is ir.Rate.CONST:
-                    self._number(place, values[node])
-                else:
-                    self._changing.append((key, place))
+        """What has not become another number since is not put down again."""
+        for number, (node, place) in enumerate(self._nodes):
+            value = values[node]
+            if value is not self._last[number]:
+                self._last[number] = value
+                self._number(place, value)
+        for of, words in self._draws.items():
+            (first, low, last), (k0, k1) = randomness.counters(world.setting.seed, world.frame, *of)
+            told = {"first": first, "low": low, "last": last, "k0": k0, "k1": k1}
+            for word, place in words:
+                self.numbers[place] = told[word]
         for key, place in self._changing:
-            self._number(place, _NUMBERS[str(key[0])](world, population, values, key))
+            self._number(place, _NUMBERS[str(key[0])](world, population, key))
 
     def _number(self, place: int, value: Any) -> None:
         view = self._views[value.dtype]
@@ -249,26 +266,18 @@ _POINTERS: dict[str, Callable[[Tables, World, Population, Key], int]] = {
 }
 
 
-def _philox(world: World, population: Population, values: Mapping[ir.Node, Any], key: Key) -> Any:
-    species, site, block, word = str(key[1]), str(key[2]), int(str(key[3])), str(key[4])
-    (first, low, last), (k0, k1) = randomness.counters(world.setting.seed, world.frame, species, site, block)
-    return np.int64({"first": first, "low": low, "last": last, "k0": k0, "k1": k1}[word])
-
-
 def _half(count: int) -> int:
     """The greatest power of 2 below a count, 0 for 0 and 1."""
     return 1 << ((count - 1).bit_length() - 1) if count > 1 else 0
 
 
-_NUMBERS: dict[str, Callable[[World, Population, Mapping[ir.Node, Any], Key], Any]] = {
-    "node": lambda world, population, values, key: values[key[1]],  # type: ignore[index]
-    "frame": lambda world, population, values, key: np.int64(world.frame),
-    "dt": lambda world, population, values, key: np.float64(world.dt),
-    "items": lambda world, population, values, key: np.int64(len(world.items[str(key[1])])),
-    "agents": lambda world, population, values, key: np.int64(len(world.populations[str(key[1])])),
-    "half": lambda world, population, values, key: np.int64(_half(len(world.populations[str(key[1])]))),
-    "turns": lambda world, population, values, key: np.int64(_half(len(world.populations[str(key[1])])).bit_length()),
-    "cells": lambda world, population, values, key: np.int64(len(world.fields[str(key[1])].cells)),
-    "surface": lambda world, population, values, key: np.int64(world.surface_index.get(str(key[1]), -1)),
-    "philox": _philox,
+_NUMBERS: dict[str, Callable[[World, Population, Key], Any]] = {
+    "frame": lambda world, population, key: np.int64(world.frame),
+    "dt": lambda world, population, key: np.float64(world.dt),
+    "items": lambda world, population, key: np.int64(len(world.items[str(key[1])])),
+    "agents": lambda world, population, key: np.int64(len(world.populations[str(key[1])])),
+    "half": lambda world, population, key: np.int64(_half(len(world.populations[str(key[1])]))),
+    "turns": lambda world, population, key: np.int64(_half(len(world.populations[str(key[1])])).bit_length()),
+    "cells": lambda world, population, key: np.int64(len(world.fields[str(key[1])].cells)),
+    "surface": lambda world, population, key: np.int64(world.surface_index.get(str(key[1]), -1)),
 }
