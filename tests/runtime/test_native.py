@@ -8,6 +8,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from threading import Event
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -191,6 +192,9 @@ def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.
             self.steps += 1
             return self.steps > 4
 
+        def cancelled(self) -> bool:
+            return False
+
         def result(self) -> Any:
             return done
 
@@ -294,6 +298,23 @@ def test_an_edit_compiles_what_it_changes_and_a_number_nothing(afresh: Callable[
     assert compiled == []
     edited(sign="-")
     assert len(compiled) == 1 and "@a.act.0" in compiled[0]
+
+
+def test_what_is_asked_for_last_is_made_first_and_of_many_the_first_are_not_made(
+    afresh: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where a program is saved again and again."""
+    compiled = afresh()
+    worlds = [play(EDITED.format(number=1, sign="+" + k * " pace *"), crowd(3, radius=5), ways=(NUMPY,)).world for k in range(7)]
+    go = Event()
+    ready._worker().submit(go.wait)
+    coming = [ready.beside(each.plan, each.backend.blocks, ready.Facts(False, False)) for each in worlds]  # type: ignore[attr-defined]
+    go.set()
+    made = [each.result() for each in coming[3:]]
+    assert [each.cancelled() for each in coming] == [True] * 3 + [False] * 4
+    blocks = [text for text in compiled if "@a.act.0" in text]
+    assert blocks == [each.program.units["a.act.0"] for each in reversed(made)]
+    assert not ready._asked
 
 
 def test_a_plan_that_is_gone_leaves_no_code_behind(afresh: Callable[[], list[str]]) -> None:

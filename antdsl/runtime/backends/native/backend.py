@@ -65,6 +65,8 @@ class NativeBackend(NumpyBackend):
         facts = Facts(moving_geometry.moving(world) is not None, world.detail is not None)
         waits = world.options.wait_for_code
         ready = known(world.plan, facts)
+        if self._coming is not None and self._coming.cancelled():
+            self._coming = None
         wanted = waits or (self._steps > 0 and compiled.pays(len(world), sum(world.worked.values())))
         if ready is None and self._coming is None and wanted:
             self._coming = beside(world.plan, self.blocks, facts)

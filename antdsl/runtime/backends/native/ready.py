@@ -7,8 +7,9 @@ nothing, and an edit only the stages that it changes."""
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from threading import Lock
@@ -23,8 +24,10 @@ from antdsl.runtime.backends.native.programs import Facts, Program, program
 from antdsl.runtime.sensing import SENSES
 
 _KEPT = 256  # functions whose code stays in memory
+_WAITING = 4  # programs that may wait for their code
 _known: OrderedDict[str, machine.Code] = OrderedDict()
 _plans: WeakKeyDictionary[ir.Plan, dict[Facts, Ready]] = WeakKeyDictionary()
+_asked: list[tuple[Future[Ready], Generator[None, None, Ready]]] = []
 _guard = Lock()
 
 Blocks = Mapping[tuple[str, str], BlockCompiler]
@@ -57,11 +60,12 @@ def known(plan: ir.Plan, facts: Facts) -> Ready | None:
         return _plans.get(plan, {}).get(facts)
 
 
-def prepared(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Ready:
-    """A plan's blocks as machine code for this processor. Raises Unavailable."""
+def _made(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Generator[None, None, Ready]:
+    """A plan's blocks as machine code for this processor, a piece of the work at a time. Raises Unavailable."""
     if why := machine.unavailable():
         raise Unavailable(why)
     made = program(plan, blocks, facts, machine.host())
+    yield
     calls: dict[Instruction, Run] = {}
     together: dict[tuple[str, str, int], list[list[Instruction]]] = {}
     for key, code in made.blocks.items():
@@ -69,15 +73,53 @@ def prepared(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Ready:
             together[(*key, stage)] = _groups(called)
         for each in (*code.requests, *(each for called in code.schedule.calls for each in called)):
             calls[each] = numpy_calls.call(each, blocks[key])(each.out, each.inputs, None)
-    ready = Ready(blocks, made, {name: _loaded(text) for name, text in made.units.items()}, calls, together)
+    codes = {}
+    for name, text in made.units.items():
+        codes[name] = _loaded(text)
+        yield
+    ready = Ready(blocks, made, codes, calls, together)
     with _guard:
         _plans.setdefault(plan, {})[facts] = ready
     return ready
 
 
 def beside(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Future[Ready]:
-    """The same, made in a thread."""
-    return _worker().submit(prepared, plan, blocks, facts)
+    """A plan's blocks as machine code for this processor, made in a thread; Unavailable where it cannot be made. What was asked
+    for last is made first, and what has waited longest of many is cancelled: a program that is saved again before its code has
+    come is mostly not wanted any more."""
+    coming: Future[Ready] = Future()
+    with _guard:
+        _asked.append((coming, _made(plan, blocks, facts)))
+        while len(_asked) > _WAITING:
+            _asked.pop(0)[0].cancel()
+    _worker().submit(_work)
+    return coming
+
+
+def _work() -> None:
+    """Do a piece of what was asked for last."""
+    with _guard:
+        if not _asked:
+            return
+        coming, making = _asked[-1]
+    try:
+        next(making)
+    except StopIteration as made:
+        ready: Ready = made.value
+        _over(coming, lambda: coming.set_result(ready))
+    except Exception as problem:
+        why = problem
+        _over(coming, lambda: coming.set_exception(why))
+    with suppress(RuntimeError):  # the program ends; nobody waits
+        _worker().submit(_work)
+
+
+def _over(coming: Future[Ready], tell: Callable[[], None]) -> None:
+    """One that was asked for has been made, or cannot be."""
+    with _guard:
+        _asked[:] = [each for each in _asked if each[0] is not coming]
+        if not coming.cancelled():
+            tell()
 
 
 def told() -> list[str]:
