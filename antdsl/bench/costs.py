@@ -59,12 +59,13 @@ class Cost:
 @dataclass(frozen=True, slots=True)
 class SetUp:
     """CPU seconds until the first frame: `start` Python and packages, `compile` from the texts to a plan and meshes, `bind` to a
-    world, `first` the first step."""
+    world, `first` the first step. `code`: after it, what it takes to make machine code that no run has kept, 0 without any."""
 
     start: float
     compile: float
     bind: float
     first: float
+    code: float = 0.0
 
     @property
     def total(self) -> float:

@@ -9,7 +9,8 @@
 | `numpy_bytes` | bytes of the arrays that these were given and gave |
 | `python_calls` | functions of antdsl that Python called |
 
-A backend that has counts of its own, such as instructions of what it compiled, offers `counts() -> Mapping[str, int]`."""
+A backend that has counts of its own, such as instructions of what it compiled, offers `counts() -> Mapping[str, int]`:
+`instructions NAME` is of a function of machine code, in LLVM's language."""
 
 from __future__ import annotations
 
@@ -39,7 +40,7 @@ def counts_of(plan: Any, setting: Setting, backend: str = "numpy") -> Counts:
     if backend not in BACKENDS:
         raise KeyError(backend)
     name: Any = backend
-    world = bind(plan, setting, Options(backend=name, threads=1))
+    world = bind(plan, setting, Options(backend=name, threads=1, wait_for_code=True))
     for _ in range(SETTLED):
         step(world)
     return count_step(world)
@@ -62,7 +63,7 @@ def count_step(world: World) -> Counts:
 @contextmanager
 def _instructions_counted(world: World, counts: Counts) -> Iterator[None]:
     backend = world.backend
-    if not isinstance(backend, NumpyBackend):
+    if type(backend) is not NumpyBackend:
         yield
         return
     counts |= {"instructions": 0, "instruction_bytes": 0, "elements": 0}

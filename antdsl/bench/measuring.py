@@ -23,6 +23,7 @@ from antdsl.pipeline import Shot
 from antdsl.plan.traverse import blocks, needed, operands, statements
 from antdsl.resources import benchmark_file
 from antdsl.runtime import Options, World, bind, step
+from antdsl.runtime.backends import NativeBackend
 
 WARM = 4  # steps that are not counted: the rows come into order of place after the first, kernels are loaded
 _TURN = 0.02  # seconds that a turn takes at least, where the number of steps is left open
@@ -38,10 +39,12 @@ def measure(job: Job) -> Measured:
     options = [Options(backend=_any(name), threads=job.threads) for name in job.backends]
     world, bound_s = _timed(lambda: bind(shot.plan, shot.setting, options[0]))
     _, first = _timed(lambda: step(world))
+    _, code = _timed(lambda: with_code(world))
     worlds = {job.backends[0]: world}
     for name, each in zip(job.backends[1:], options[1:], strict=True):
         worlds[name] = bind(shot.plan, shot.setting, each)
         step(worlds[name])
+        with_code(worlds[name])
     agents = len(world)
     runners: dict[str, Callable[[], None]] = {name: _stepper(each) for name, each in worlds.items()}
     _, once = _timed(runners[job.backends[0]])
@@ -55,7 +58,7 @@ def measure(job: Job) -> Measured:
         agents=agents,
         steps=steps,
         costs=costs,
-        set_up=SetUp(start, compile_, bound_s, first),
+        set_up=SetUp(start, compile_, bound_s, first, code),
         memory=most - before,
         state=_state_bytes(world),
         nodes=_nodes(shot),
@@ -88,6 +91,12 @@ def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
 
 def _stepper(world: World) -> Callable[[], None]:
     return lambda: step(world)
+
+
+def with_code(world: World) -> None:
+    """Wait for the machine code of a world's backend, if it has any, so that no step that is measured runs without."""
+    if isinstance(world.backend, NativeBackend):
+        world.backend.have_code(world)
 
 
 def _turns(runners: dict[str, Callable[[], None]], worlds: dict[str, World], steps: int, turns: int) -> dict[str, Cost]:

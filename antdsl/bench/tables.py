@@ -33,7 +33,7 @@ def backend_of(measured: Measured) -> str:
 
 HEADS = (
     "backend", "CPU ms", "wall ms", "frames/s", "µs per agent", "of the bound", "cache, CPU ms", "bytes per agent",
-    "start", "compile", "bind", "first step",
+    "start", "compile", "bind", "first step", "code",
 )  # fmt: skip
 
 
@@ -53,7 +53,7 @@ def whole_step(result: Result) -> list[list[str]]:
                 ratio_text(found.ratios(name, BOUND)) if BOUND in found.costs else "",
                 "" if found.cached is None else f"{1000 * found.cached[0]:.2f}",
                 f"{found.state / max(found.agents, 1):,.0f}, {found.memory / max(found.agents, 1):,.0f}",
-                *(f"{seconds:.2f}" for seconds in (set_up.start, set_up.compile, set_up.bind, set_up.first)),
+                *(f"{seconds:.2f}" for seconds in (set_up.start, set_up.compile, set_up.bind, set_up.first, set_up.code)),
             ]
         )
     return rows

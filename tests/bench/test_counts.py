@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,16 +35,17 @@ def without_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
 def worlds() -> Iterator[tuple[World, World]]:
     """Two worlds alike, under way."""
     shot = case_of("node").make(60)
-    found = bind(shot.plan, shot.setting, Options()), bind(shot.plan, shot.setting, Options())
+    found = bind(shot.plan, shot.setting, Options(backend="numpy")), bind(shot.plan, shot.setting, Options(backend="numpy"))
     for world in found:
         for _ in range(SETTLED):
             step(world)
     yield found
 
 
-def test_nothing_has_grown_beyond_what_is_recorded() -> None:
-    """In a process of its own: what was compiled for other tests would do some of the work."""
-    words = [sys.executable, str(BENCHMARKS / "counts.py"), "--print"]
+@pytest.mark.parametrize("cases", [("foraging", "node"), pytest.param((), marks=pytest.mark.slow)])
+def test_nothing_has_grown_beyond_what_is_recorded(cases: tuple[str, ...]) -> None:
+    """In a process of its own: what was compiled for other tests would do some of the work. Without cases, all of them."""
+    words = [sys.executable, str(BENCHMARKS / "counts.py"), *cases, "--print"]
     done = subprocess.run(words, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     lines = grown(json.loads(done.stdout), json.loads(RECORDED.read_text(encoding="utf-8")))
@@ -81,12 +83,16 @@ def test_one_more_call_of_numpy_is_counted_with_its_bytes(worlds: tuple[World, W
     assert {name for name in after if after[name] != before[name]} == {"numpy_calls", "numpy_bytes"}
 
 
-def test_a_line_more_in_a_program_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("backend", ["numpy", "native"])
+def test_a_line_more_in_a_program_is_counted(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from antdsl.bench import programs
+
+    if backend == "native":
+        pytest.importorskip("llvmlite")
 
     def counts() -> dict[str, int]:
         shot = case_of("node").make(60)
-        return counts_of(shot.plan, shot.setting)
+        return counts_of(shot.plan, shot.setting, backend)
 
     before = counts()
     assert before == counts()
@@ -94,7 +100,30 @@ def test_a_line_more_in_a_program_is_counted(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(programs, "NODE", programs.NODE.replace(push, push + " + wander(swing: 90 deg) * 0.1"))
     after = counts()
     assert grown({"node": after}, {"node": before}) and not grown({"node": before}, {"node": after})
-    assert after["instructions"] > before["instructions"] and after["instruction_bytes"] > before["instruction_bytes"]
+    names = ("instructions", "instruction_bytes") if backend == "numpy" else ("instructions ant.act.0",)
+    assert all(after[name] > before[name] > 0 for name in names)
+
+
+def test_one_more_operation_is_one_more_instruction_of_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    from antdsl.runtime.backends.native import emitter, listing, machine
+
+    def counts() -> dict[str, int]:
+        return listing.counts(listing.of_plan(case_of("node").make(60).plan, machine.ANY))
+
+    before, plain = counts(), emitter.Emitter.splat
+    done: list[bool] = []
+
+    def more(self: emitter.Emitter, *given: Any, **named: Any) -> Any:
+        found = plain(self, *given, **named)
+        if not done:
+            done.append(True)
+            self.one("add i64 1, 1", "i64")
+        return found
+
+    monkeypatch.setattr(emitter.Emitter, "splat", more)
+    after = counts()
+    lines = grown({"node": after}, {"node": before})
+    assert len(lines) == 1 and sum(after.values()) == sum(before.values()) + 1
 
 
 def test_a_backend_tells_its_own_counts(worlds: tuple[World, World], monkeypatch: pytest.MonkeyPatch) -> None:

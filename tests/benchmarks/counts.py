@@ -9,7 +9,7 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 RECORDED = Path(__file__).with_suffix(".json")
@@ -25,17 +25,17 @@ COUNTED = (
 Counts = dict[str, dict[str, int]]
 
 
-def counted() -> Counts:
-    """Counts by case, in this process."""
+def counted(cases: Sequence[str] = ()) -> Counts:
+    """Counts by case, of all without any, in this process."""
     from antdsl.bench.cases import case_of
     from antdsl.bench.counting import counts_of
     from antdsl.runtime.backends import BACKENDS
 
     found = {}
-    for name, agents in COUNTED:
+    for name, agents in ((name, agents) for name, agents in COUNTED if not cases or name in cases):
         shot = case_of(name).make(agents)
         for backend in BACKENDS:
-            if backend == "numpy":  # nobody waits for the definition's speed, and machine code makes few calls
+            if backend != "reference":  # nobody waits for the definition's speed
                 found[f"{name} {agents or ''} {backend}".replace("  ", " ")] = counts_of(shot.plan, shot.setting, backend)
     return found
 
@@ -56,12 +56,15 @@ def grown(found: Mapping[str, Mapping[str, int]], recorded: Mapping[str, Mapping
 def main() -> None:
     """Compare, print or record."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("cases", nargs="*", help="names of cases; all without any")
     parser.add_argument("--record", action="store_true")
     parser.add_argument("--print", action="store_true")
     given = parser.parse_args()
     if os.environ.get("NUMBA_DISABLE_JIT") != "1":  # before numba is imported
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, "NUMBA_DISABLE_JIT": "1"})
-    found = counted()
+    if given.record and given.cases:
+        parser.error("--record takes all cases")
+    found = counted(given.cases)
     if given.print or given.record:
         text = json.dumps(found, indent=2, sort_keys=True) + "\n"
         print(text, end="") if given.print else RECORDED.write_text(text, encoding="utf-8")

@@ -85,7 +85,7 @@ def steps_table(found: Iterable[Result]) -> str:
 
 def set_up_table(found: Iterable[Result]) -> str:
     """Set-up and memory."""
-    heads = ("case", "agents", "backend", "start", "compile", "bind", "first step", "bytes per agent", "grew by, MiB")
+    heads = ("case", "agents", "backend", "start", "compile", "bind", "first step", "code", "bytes per agent", "grew by, MiB")
     rows = []
     for result in found:
         for each in result.alone:
@@ -94,7 +94,7 @@ def set_up_table(found: Iterable[Result]) -> str:
                 each.job.case,
                 f"{each.agents:,}",
                 backend_of(each),
-                *(f"{seconds:.2f}" for seconds in (one.start, one.compile, one.bind, one.first)),
+                *(f"{seconds:.2f}" for seconds in (one.start, one.compile, one.bind, one.first, one.code)),
                 f"{each.state / each.agents:,.0f}",
                 f"{each.memory / 2**20:,.0f}",
             ])  # fmt: skip

@@ -21,4 +21,4 @@ BACKENDS: Mapping[str, Callable[[ir.Plan], Backend]] = {
     "reference": ReferenceBackend,  # one agent at a time: the definition, and the one that explains
 }
 
-__all__ = ["BACKENDS", "NumpyBackend", "ReferenceBackend"]
+__all__ = ["BACKENDS", "NativeBackend", "NumpyBackend", "ReferenceBackend"]

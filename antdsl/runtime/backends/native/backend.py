@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import compiled
 from antdsl.plan import ir
+from antdsl.runtime.backends.native import listing, machine
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.grids import Arrays, Grids
 from antdsl.runtime.backends.native.lanes import WIDTH
-from antdsl.runtime.backends.native.programs import Facts
+from antdsl.runtime.backends.native.programs import Facts, program
 from antdsl.runtime.backends.native.ready import Ready, Unavailable, beside, known, told
 from antdsl.runtime.backends.native.runner import Block, Chunk
 from antdsl.runtime.backends.native.tables import Rooms, Tables
@@ -32,6 +33,7 @@ class NativeBackend(NumpyBackend):
 
     def __init__(self, plan: ir.Plan) -> None:
         super().__init__(plan)
+        self._plan = plan
         self._coming: Future[Ready] | None = None
         self._without: str | None = None  # why there is no machine code and will be none
         self._steps = 0
@@ -45,7 +47,7 @@ class NativeBackend(NumpyBackend):
     def begin(self, world: World) -> None:
         """Values of the step, and nothing sensed yet. Takes machine code in use that has become ready."""
         if self.ready is None and self._without is None:
-            self._look_for_code(world)
+            self._look_for_code(world, world.options.wait_for_code)
         self._steps += 1
         versions = {name: population.version for name, population in world.populations.items()}
         if versions != self._versions:
@@ -60,10 +62,21 @@ class NativeBackend(NumpyBackend):
         found = [] if self._without is None else [self._without]
         return found + (told() if self._coming is not None else [])
 
-    def _look_for_code(self, world: World) -> None:
+    def have_code(self, world: World) -> None:
+        """Wait until the steps from now on run as machine code, or cannot."""
+        if self.ready is None and self._without is None:
+            self._look_for_code(world, True)
+
+    def counts(self) -> dict[str, int]:
+        """Instructions in LLVM's language of each function, as they are made for a processor of no machine in particular."""
+        if self.ready is None:
+            return {}
+        made = program(self._plan, self.blocks, self.ready.facts, machine.ANY)
+        return {f"instructions {name}": number for name, number in listing.counts(made).items()}
+
+    def _look_for_code(self, world: World, waits: bool) -> None:
         """Have code made once steps will pay for it, beginning after the first, which somebody waits for."""
         facts = Facts(moving_geometry.moving(world) is not None, world.detail is not None)
-        waits = world.options.wait_for_code
         ready = known(world.plan, facts)
         if self._coming is not None and self._coming.cancelled():
             self._coming = None

@@ -34,6 +34,9 @@ class Target:
         return "+avx2" in self.features.split(",")
 
 
+ANY = Target("x86_64-unknown-linux-gnu", "x86-64-v3", "+avx2,-fma")  # for what is to be the same on each machine
+
+
 @cache
 def _llvm() -> Any:
     import llvmlite.binding as llvm

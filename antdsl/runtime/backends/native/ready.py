@@ -44,6 +44,7 @@ class Ready:
     name at once."""
 
     blocks: Blocks
+    facts: Facts
     program: Program
     codes: Mapping[str, machine.Code]
     calls: Mapping[Instruction, Run]
@@ -77,7 +78,7 @@ def _made(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Generator[None, None, 
     for name, text in made.units.items():
         codes[name] = _loaded(text)
         yield
-    ready = Ready(blocks, made, codes, calls, together)
+    ready = Ready(blocks, facts, made, codes, calls, together)
     with _guard:
         _plans.setdefault(plan, {})[facts] = ready
     return ready
