@@ -6,7 +6,11 @@
 
 from __future__ import annotations
 
+import atexit
+import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +29,11 @@ LONGEST = (
     "test_program_steering", "test_meaning_programs", "test_thesis", "test_coming_from", "test_preview_hostile",
 )  # fmt: skip
 PLACE = {name: place for place, name in enumerate(LONGEST)}
+
+# What a test compiles is no business of the user's own folder; the tests of one run may share it.
+if "ANTDSL_NATIVE_CACHE" not in os.environ:
+    os.environ["ANTDSL_NATIVE_CACHE"] = tempfile.mkdtemp(prefix="antdsl-code-")
+    atexit.register(shutil.rmtree, os.environ["ANTDSL_NATIVE_CACHE"], ignore_errors=True)
 
 # Time says nothing here: whoever runs the tests may have a slow machine, or a busy one.
 settings.register_profile("few", max_examples=40, deadline=None)

@@ -14,8 +14,8 @@ from antdsl.plan import ir
 from antdsl.runtime import CrowdData, ItemData, Options, PlaceData, Setting, World, bind, state_hash, step
 
 WAYS = (
-    Options(),
-    Options(chunk=7, threads=2, shuffle_rows=3),
+    Options(backend="numpy"),
+    Options(chunk=7, threads=2, shuffle_rows=3, backend="numpy"),
     Options(backend="reference"),
     Options(backend="reference", shuffle_rows=1),
 )

@@ -154,21 +154,21 @@ CASES: Mapping[str, Case] = {
             "500 points that wander and keep apart: the work of one node",
             _node,
             (500,),
-            told="Houdini: 58.8 frames/s in VEX, 3.98 in Python",
+            told="Houdini: 58.8 frames a second in VEX, 3.98 in Python",
         ),
         Case(
             "valley",
             "the thesis' ants, the hill as a volume",
             _valley,
             (500, 15_000),
-            told="the thesis: 9 frames/s with 500, 3 with 15,000",
+            told="the thesis: 9 frames a second with 500, 3 with 15,000",
         ),
         Case(
             "valley_of_meshes",
             "the same, the hill as a mesh that nobody digs",
             _valley_of_meshes,
             (500, 15_000),
-            told="the thesis: about 5 frames/s more without the volume",
+            told="the thesis: about 5 frames a second more without the volume",
         ),
     )
 }

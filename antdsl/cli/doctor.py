@@ -28,6 +28,7 @@ def doctor() -> None:
         _package(package, problems)
     for package, purpose in EXTRAS.items():
         _optional(package, purpose)
+    _machine_code(problems)
     _files(problems)
     if problems:
         raise Stop(Exit.INPUT_OUTPUT, "\n" + "\n".join(f"to do: {problem}" for problem in problems))
@@ -95,6 +96,21 @@ def _optional(package: str, purpose: str) -> None:
         if not compiled.available():
             words = "of no use here: turned off, made for another NumPy, or no folder to keep compiled kernels in"
     typer.echo(f"{'ok     ' if words == 'installed' else '-      '} {package:<16} {words}")
+
+
+def _machine_code(problems: list[str]) -> None:
+    from antdsl.runtime.backends.native import machine
+    from antdsl.runtime.backends.native.object_cache import ObjectCache
+
+    why = machine.unavailable()
+    _tell("machine code", not why, why or f"for {machine.host().cpu}")
+    if why:
+        problems.append(why)
+        return
+    kept = ObjectCache()
+    kept.get("0" * 64)  # there is none of that name; the folder is looked at
+    for sentence in kept.told:
+        typer.echo(f"-       {'compiled code':<16} {sentence}")
 
 
 def _files(problems: list[str]) -> None:

@@ -128,6 +128,8 @@ def _serve(live: Live, scene: Path, listening: Listening, *, open_it: bool, othe
         pass  # the way in which a preview ends
     finally:
         live.stop()
+        for note in live.session.world.backend.told() if live.is_open else ():
+            typer.echo(note, err=True)
 
 
 def _open(address: str) -> None:

@@ -46,9 +46,10 @@ def run(
     resume: bool = typer.Option(False, "--resume", help="Go on with the cache of an earlier run that was stopped."),
     force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
     backend: Backend = typer.Option(
-        Backend.numpy,
+        Backend.native,
         "--backend",
-        help="`native`: as machine code; `reference`: one agent at a time, slow and plain. Changes no result.",
+        help="`native`: as machine code once that is made; `numpy`: without; `reference`: one agent at a time, slow and plain. "
+        "Changes no result.",
     ),
     shuffle: int = typer.Option(
         None, "--shuffle-rows", metavar="N", min=0, help="Put agents into rows in another order. Changes no result."
@@ -199,5 +200,7 @@ def _go(recording: Recording, quiet: bool, again: str) -> None:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        for note in () if quiet else recording.world.backend.told():
+            say(note, err=True)
     if recording.stop and not recording.complete:
         raise Stop(Exit.INTERRUPTED, f"stopped after frame {recording.frame}", f"go on with: {again}")

@@ -35,7 +35,9 @@ def test(
     ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
     threads: int = typer.Option(0, "--threads", min=0, max=256, help="Threads for rays and chunks; 0 takes all cores."),
-    backend: Backend = typer.Option(Backend.numpy, "--backend", help="`reference` is slow and plain: one agent at a time."),
+    backend: Backend = typer.Option(
+        Backend.native, "--backend", help="As of `run`; `reference` is slow and plain: one agent at a time. Changes no verdict."
+    ),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but failures and how many there are."),
 ) -> None:
     """Run the specs of programs and say what was not as expected."""

@@ -49,10 +49,14 @@ def end_step(seconds: float) -> None:
     _spent += seconds
 
 
+def pays(agents: int, spent: float) -> bool:
+    """Whether code that takes about a second to make or load pays for steps of so many agents, after steps that took `spent`
+    seconds without it."""
+    return agents >= (_LEAST_FOR_LONG if _long else LEAST) or spent >= _LOADING
+
+
 def _pays(agents: int) -> bool:
-    if agents >= (_LEAST_FOR_LONG if _long else LEAST):
-        return True
-    return _spent >= _LOADING and (_spent >= _COMPILING or _kept())
+    return pays(agents, _spent) and (pays(agents, 0.0) or _spent >= _COMPILING or _kept())
 
 
 @cache

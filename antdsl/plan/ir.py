@@ -330,7 +330,7 @@ class ParamPlan:
     default: Node  # rate RUN at most
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Plan:
     species: dict[str, SpeciesPlan]
     fields: dict[str, FieldPlan]

@@ -49,7 +49,7 @@ class Options:
     `wait_for_code`: with the native backend, the first step waits for machine code, instead of running in NumPy until it is
     there."""
 
-    backend: Literal["numpy", "native", "reference"] = "numpy"
+    backend: Literal["numpy", "native", "reference"] = "native"
     chunk: int = 16_384
     threads: int = 1
     shuffle_rows: int | None = None
@@ -163,6 +163,9 @@ class Backend(Protocol):
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Runs a block for some agents, all when None."""
+
+    def told(self) -> list[str]:
+        """Sentences for the user on what is otherwise than asked; none of it changes a result."""
 
 
 @dataclass(slots=True, eq=False)

@@ -53,7 +53,17 @@ def results(kept: Kept) -> list[Result]:
 
 def steps_table(found: Iterable[Result]) -> str:
     """The whole step."""
-    heads = ("case", "agents", "backend", "CPU ms", "wall ms", "frames/s", "µs per agent", "of the bound", "with a cache, CPU ms")
+    heads = (
+        "case",
+        "agents",
+        "backend",
+        "CPU ms",
+        "wall ms",
+        "frames a second",
+        "µs per agent",
+        "of the bound",
+        "with a cache, CPU ms",
+    )
     rows = []
     for result in found:
         for each in result.alone:
@@ -118,7 +128,7 @@ def told_table(found: Iterable[Result]) -> str:
                     "" if each.cached is None else f"{1 / each.cached[1]:.3g}",
                     CASES[each.job.case].told,
                 ])  # fmt: skip
-    return markdown(("case", "agents", "backend", "frames/s", "with a cache", "reported"), rows)
+    return markdown(("case", "agents", "backend", "frames a second", "with a cache", "reported"), rows)
 
 
 def operations_table(found: Iterable[Result]) -> str:

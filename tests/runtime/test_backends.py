@@ -35,10 +35,10 @@ def reference() -> list[str]:
 @pytest.mark.parametrize(
     "options",
     [
-        Options(),
-        Options(chunk=7),
-        Options(chunk=1000, shuffle_rows=5),
-        Options(chunk=9, threads=2, shuffle_rows=1),
+        Options(backend="numpy"),
+        Options(chunk=7, backend="numpy"),
+        Options(chunk=1000, shuffle_rows=5, backend="numpy"),
+        Options(chunk=9, threads=2, shuffle_rows=1, backend="numpy"),
         Options(backend="reference", shuffle_rows=2),
         *(Options(backend=name, chunk=11) for name in BACKENDS if name not in ("numpy", "reference")),
     ],
@@ -56,11 +56,11 @@ def test_a_backend_can_be_asked_for_by_its_name():
 
 def test_hashes_tell_states_apart(reference):
     assert len(set(reference)) == len(reference)
-    assert run(plans.rich(), plans.setting(seed=12), Options(), 3) != reference[:4]
+    assert run(plans.rich(), plans.setting(seed=12), Options(backend="numpy"), 3) != reference[:4]
 
 
 def test_things_happen_in_the_rich_plan():
-    world = bind(plans.rich(), plans.setting(), Options())
+    world = bind(plans.rich(), plans.setting(), Options(backend="numpy"))
     alarmed = 0
     for _ in range(STEPS):
         step(world)
@@ -144,7 +144,7 @@ def test_a_crowd_on_one_spot_has_a_capped_number_of_neighbours():
         plans.store("mood", t("reduce.count", near, t.b.true)),
         plans.store("first", t("reduce.max", near, t.b.true, t("number", t("eq", t("other.id"), t.b.agent(299))))),
     )
-    world = bind(plans.bare(act, "mood", "first"), plans.crowd(300, radius=0.0), Options(chunk=50))
+    world = bind(plans.bare(act, "mood", "first"), plans.crowd(300, radius=0.0), Options(chunk=50, backend="numpy"))
     step(world)
     now = world.populations["ant"].now
     assert (now["mood"] == 256).all() and np.count_nonzero(now["first"]) == 0  # the lesser ids of those at the same distance
@@ -155,7 +155,7 @@ def test_sorting_rows_by_place_changes_nothing(reference, monkeypatch):
 
     monkeypatch.setattr(phases, "_SORT_EVERY", 1)
     monkeypatch.setattr(phases, "_SORT_FROM", 2)
-    world = bind(plans.rich(), plans.setting(), Options())
+    world = bind(plans.rich(), plans.setting(), Options(backend="numpy"))
     before = world.populations["ant"].ids.copy()
     for k in range(STEPS):
         step(world)

@@ -46,8 +46,8 @@ def place() -> dict[str, object]:
 def test_backends_agree_on_what_agents_sense_and_do(seed: int, place: dict[str, object]) -> None:
     text = random_sensing.Sensing(seed).text
     ways = (
-        Options(on_fault="quarantine"),
-        Options(on_fault="quarantine", chunk=3, threads=2, shuffle_rows=3),
+        Options(on_fault="quarantine", backend="numpy"),
+        Options(on_fault="quarantine", chunk=3, threads=2, shuffle_rows=3, backend="numpy"),
         Options(on_fault="quarantine", backend="native", wait_for_code=True, chunk=8, shuffle_rows=4),
         Options(on_fault="quarantine", backend="reference", shuffle_rows=2),
     )

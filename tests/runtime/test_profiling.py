@@ -139,11 +139,13 @@ def test_where_threads_go_side_by_side_lines_share_the_time_that_passed(
     """Each chunk takes a quarter second of its thread's own time; by the clock of all, they take half a second together."""
     monkeypatch.setattr(numpy_backend, "perf_counter", lambda: 2.0 * clock.now / 4)
     monkeypatch.setitem(numpy_calls.SENSES, "field.value", clock.slow(numpy_calls.SENSES["field.value"], 0.25))
-    found = measured(bind(shot.plan, shot.setting, Options(chunk=15)), 3)
+    found = measured(bind(shot.plan, shot.setting, Options(chunk=15, backend="numpy")), 3)
     assert [round(each.ms, 6) for each in found.lines] == [500.0]
 
 
-@pytest.mark.parametrize("options", sampled([Options(), Options(threads=2, chunk=64)], [Options()]))
+@pytest.mark.parametrize(
+    "options", sampled([Options(backend="numpy"), Options(threads=2, chunk=64, backend="numpy")], [Options(backend="numpy")])
+)
 def test_the_lines_add_up_to_nearly_all_of_the_blocks(options: Options) -> None:
     """By the real clock; what is left is what a block is set up with, the less of it the more agents there are."""
     shot = opened(FORAGING.with_name("scene.yaml"), 2000)
@@ -157,7 +159,7 @@ def test_the_lines_add_up_to_nearly_all_of_the_blocks(options: Options) -> None:
     assert [each.ms for each in found.lines] == sorted((each.ms for each in found.lines), reverse=True)
 
 
-@pytest.mark.parametrize("options", [Options(), Options(threads=2, chunk=16)])
+@pytest.mark.parametrize("options", [Options(backend="numpy"), Options(threads=2, chunk=16, backend="numpy")])
 def test_a_run_is_the_same_to_the_bit_while_it_is_measured(options: Options) -> None:
     shot = opened(FORAGING, 120)
     plain, watched = (bind(shot.plan, shot.setting, options) for _ in range(2))

@@ -88,6 +88,10 @@ class NumpyBackend:
                 for node in kept_senses(population.plan)
             }
 
+    def told(self) -> list[str]:
+        """Nothing is otherwise than asked."""
+        return []
+
     def _of_step(self, world: World, species: str) -> dict[ir.Node, Any]:
         return uniform_values(world, self._uniforms[species], self._constants[species])
 

@@ -38,6 +38,10 @@ class ReferenceBackend:
     def begin(self, world: World) -> None:
         """Nothing is kept from step to step."""
 
+    def told(self) -> list[str]:
+        """Nothing is otherwise than asked."""
+        return []
+
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Run a block for some rows (None: all), one after the other."""
         rows = np.flatnonzero(~population.quarantined) if rows is None else rows

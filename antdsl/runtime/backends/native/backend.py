@@ -7,13 +7,13 @@ from concurrent.futures import Future
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics import compiled
 from antdsl.plan import ir
-from antdsl.runtime.backends.native import machine
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.grids import Arrays, Grids
 from antdsl.runtime.backends.native.lanes import WIDTH
 from antdsl.runtime.backends.native.programs import Facts
-from antdsl.runtime.backends.native.ready import Ready, beside
+from antdsl.runtime.backends.native.ready import Ready, Unavailable, beside, known, told
 from antdsl.runtime.backends.native.runner import Block, Chunk
 from antdsl.runtime.backends.native.tables import Rooms, Tables
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
@@ -33,6 +33,8 @@ class NativeBackend(NumpyBackend):
     def __init__(self, plan: ir.Plan) -> None:
         super().__init__(plan)
         self._coming: Future[Ready] | None = None
+        self._without: str | None = None  # why there is no machine code and will be none
+        self._steps = 0
         self.ready: Ready | None = None
         self._tables: dict[tuple[str, str], Tables] = {}
         self._rooms = Rooms()
@@ -42,13 +44,9 @@ class NativeBackend(NumpyBackend):
 
     def begin(self, world: World) -> None:
         """Values of the step, and nothing sensed yet. Takes machine code in use that has become ready."""
-        if self.ready is None and machine.available():
-            if self._coming is None:
-                moving = moving_geometry.moving(world) is not None
-                self._coming = beside(world.plan, self.blocks, Facts(moving, world.detail is not None))
-            if self._coming.done() or world.options.wait_for_code:
-                self.ready = self._coming.result()
-                self._grids = Grids(self.ready.code.function)
+        if self.ready is None and self._without is None:
+            self._look_for_code(world)
+        self._steps += 1
         versions = {name: population.version for name, population in world.populations.items()}
         if versions != self._versions:
             self._versions = versions
@@ -56,6 +54,34 @@ class NativeBackend(NumpyBackend):
         if self._grids is not None:
             self._grids.forget()
         super().begin(world)
+
+    def told(self) -> list[str]:
+        """Sentences for the user on what is otherwise than asked; none of it changes a result."""
+        found = [] if self._without is None else [self._without]
+        return found + (told() if self._coming is not None else [])
+
+    def _look_for_code(self, world: World) -> None:
+        """Have code made once steps will pay for it, beginning after the first, which somebody waits for."""
+        facts = Facts(moving_geometry.moving(world) is not None, world.detail is not None)
+        waits = world.options.wait_for_code
+        ready = known(world.plan, facts)
+        if ready is None and self._coming is None:
+            if waits or (self._steps and compiled.pays(len(world), sum(world.worked.values()))):
+                self._coming = beside(world.plan, self.blocks, facts)
+        if self._coming is not None and (waits or self._coming.done()):
+            try:
+                ready = self._coming.result()
+            except Unavailable as why:
+                self._without = f"NumPy runs instead of machine code, slower and with the same result: {why}"
+            except Exception as problem:
+                if waits:
+                    raise
+                self._without = (
+                    "NumPy runs instead of machine code, slower and with the same result: making it failed, which is a mistake "
+                    f"in antdsl ({type(problem).__name__}: {problem})"
+                )
+        if ready is not None:
+            self.ready, self._grids = ready, Grids(ready.function)
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Run a block for some rows (None: all), and put what they ask for into the population's effects. Births are NumPy's, and
@@ -65,7 +91,7 @@ class NativeBackend(NumpyBackend):
         if ready is None or code is None or rows is not None or self.metered:
             super().run(world, population, block, rows)
             return
-        compiler = self._blocks[population.name, block]
+        compiler = ready.blocks[population.name, block]
         size, count = -(-max(WIDTH, world.options.chunk) // WIDTH) * WIDTH, len(population)
         if (population.name, block) not in self._tables:
             self._tables[population.name, block] = Tables(code, self._rooms)

@@ -6,6 +6,7 @@ roundings that NumPy gives them. So each operation has one meaning for both."""
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -152,6 +153,9 @@ class Lanes:
     __hash__ = None  # type: ignore[assignment]
 
 
+_NAMED = re.compile(r"@([\w.]+)")
+
+
 class Module:
     """Functions and declarations of a compilation. `avx2`: the processor has those instructions."""
 
@@ -170,4 +174,21 @@ class Module:
             self.functions[name] = make()
 
     def text(self) -> str:
+        """All of it."""
         return "\n".join((*self._declared.values(), *self.functions.values())) + "\n"
+
+    def entries(self) -> list[str]:
+        """The functions that are called from outside."""
+        return [name for name, text in self.functions.items() if text.startswith("define void")]
+
+    def unit(self, entry: str) -> str:
+        """A function with all that it calls, which can be compiled without the others."""
+        found, coming = {}, [entry]
+        while coming:
+            name = coming.pop()
+            if name not in found and name in self.functions:
+                found[name] = self.functions[name]
+                coming += _NAMED.findall(found[name])
+        named = {name for text in found.values() for name in _NAMED.findall(text)}
+        declared = [text for name, text in self._declared.items() if name in named]
+        return "\n".join((*declared, *(text for name, text in self.functions.items() if name in found))) + "\n"

@@ -5,6 +5,8 @@ No flag lets LLVM change what a float operation gives: none of the fast-math fla
 from __future__ import annotations
 
 import ctypes
+import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -12,6 +14,10 @@ from threading import Lock
 from typing import Any
 
 _LOCK = Lock()  # LLVM's context is shared by all of this process
+if hasattr(os, "register_at_fork"):  # a process that was forked amid LLVM's work would find its locks held for ever
+    os.register_at_fork(before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=_LOCK.release)
+_NUMBERS = re.compile("[0-9]+")
+_OLDEST = (0, 45)  # of llvmlite, which reads what is written here
 _FUSED = ("fma", "fma4", "avx512f")  # what no instruction may come from, so that none can be fused
 
 
@@ -38,13 +44,24 @@ def _llvm() -> Any:
 
 
 @cache
-def available() -> bool:
-    """Whether code can be made here: llvmlite is installed and knows this processor."""
+def unavailable() -> str:
+    """Why no code can be made here, and what to do about it; nothing where it can."""
     try:
+        import llvmlite
+
         host()
-    except (ImportError, OSError, RuntimeError):  # not there, not loadable, or made without this processor
-        return False
-    return True
+    except ImportError:
+        return 'llvmlite is not installed: pip install "llvmlite>=0.45"'
+    except (OSError, RuntimeError, AttributeError) as problem:  # not loadable, or made without this processor
+        return f"llvmlite cannot be used ({problem}): pip install --force-reinstall llvmlite"
+    if tuple(int(part) for part in _NUMBERS.findall(llvmlite.__version__)[:2]) < _OLDEST:
+        return f'llvmlite {llvmlite.__version__} is too old: pip install "llvmlite>=0.45"'
+    return ""
+
+
+def available() -> bool:
+    """Whether code can be made here."""
+    return not unavailable()
 
 
 @cache

@@ -28,10 +28,12 @@ def _reduce(b: BlockWriter, instruction: Instruction) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Program:
-    """`text` of all functions, and that of each by its name; `blocks` by species and block."""
+    """`text` of all functions, that of each by its name, and of those that are called from outside with all that they call: what
+    is compiled by itself; `blocks` by species and block."""
 
     text: str
     functions: Mapping[str, str]
+    units: Mapping[str, str]
     blocks: Mapping[tuple[str, str], BlockCode]
 
 
@@ -75,4 +77,4 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], fact
                 for part, kind in enumerate(ir.TUPLES.get(each.what.op, (each.what.kind,))):
                     code.layout.array(each.out, part, KINDS[kind])
     grids.write(module)
-    return Program(module.text(), module.functions, found)
+    return Program(module.text(), module.functions, {name: module.unit(name) for name in module.entries()}, found)

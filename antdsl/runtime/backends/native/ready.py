@@ -1,7 +1,8 @@
 """Makes a plan's blocks ready to run as machine code: text, code in memory, and the calls between its stages.
 
-Code is made in a thread beside the run; a program that was compiled in this process before, whatever its numbers were, is there
-at once."""
+Each function that is called from outside is compiled by itself, in a thread beside the run, and kept by its text: in memory, and
+in a folder for the next run (`object_cache`). Numbers of a program are no part of the text, so one that was changed compiles
+nothing, and an edit only the stages that it changes."""
 
 from __future__ import annotations
 
@@ -10,37 +11,56 @@ from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from hashlib import blake2b
 from threading import Lock
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from antdsl.plan import ir
 from antdsl.runtime.backends import numpy_calls
 from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Run
-from antdsl.runtime.backends.native import machine
+from antdsl.runtime.backends.native import machine, object_cache
 from antdsl.runtime.backends.native.programs import Facts, Program, program
 from antdsl.runtime.sensing import SENSES
 
-_KEPT = 16  # programs whose code stays in memory
-_known: OrderedDict[bytes, machine.Code] = OrderedDict()
+_KEPT = 256  # functions whose code stays in memory
+_known: OrderedDict[str, machine.Code] = OrderedDict()
+_plans: WeakKeyDictionary[ir.Plan, dict[Facts, Ready]] = WeakKeyDictionary()
 _guard = Lock()
 
 Blocks = Mapping[tuple[str, str], BlockCompiler]
 
 
+class Unavailable(Exception):
+    """No machine code can be made here; the message says why, and what to do about it."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Ready:
-    """`calls` makes each call of an instruction that has no machine code; `together`: by block and stage what is called after it,
-    those of one sense with one name at once."""
+    """`blocks` as they were compiled, which the rest refers to; `codes` by the name of a function; `calls` makes each call of an
+    instruction that has no machine code; `together`: by block and stage what is called after it, those of one sense with one
+    name at once."""
 
+    blocks: Blocks
     program: Program
-    code: machine.Code
+    codes: Mapping[str, machine.Code]
     calls: Mapping[Instruction, Run]
     together: Mapping[tuple[str, str, int], list[list[Instruction]]]
 
+    def function(self, name: str) -> Any:
+        """A function of the program, as `machine.Code` gives it."""
+        return self.codes[name].function(name)
+
+
+def known(plan: ir.Plan, facts: Facts) -> Ready | None:
+    """What was made of a plan before, while that is in use somewhere."""
+    with _guard:
+        return _plans.get(plan, {}).get(facts)
+
 
 def prepared(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Ready:
-    """A plan's blocks as machine code for this processor."""
+    """A plan's blocks as machine code for this processor. Raises Unavailable."""
+    if why := machine.unavailable():
+        raise Unavailable(why)
     made = program(plan, blocks, facts, machine.host())
     calls: dict[Instruction, Run] = {}
     together: dict[tuple[str, str, int], list[list[Instruction]]] = {}
@@ -49,7 +69,10 @@ def prepared(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Ready:
             together[(*key, stage)] = _groups(called)
         for each in (*code.requests, *(each for called in code.schedule.calls for each in called)):
             calls[each] = numpy_calls.call(each, blocks[key])(each.out, each.inputs, None)
-    return Ready(made, _loaded(made.text), calls, together)
+    ready = Ready(blocks, made, {name: _loaded(text) for name, text in made.units.items()}, calls, together)
+    with _guard:
+        _plans.setdefault(plan, {})[facts] = ready
+    return ready
 
 
 def beside(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Future[Ready]:
@@ -57,18 +80,34 @@ def beside(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Future[Ready]:
     return _worker().submit(prepared, plan, blocks, facts)
 
 
+def told() -> list[str]:
+    """Sentences for the user on why compiled code of other runs was not used, or that of this one is not kept."""
+    return list(_objects().told) if _objects.cache_info().currsize else []
+
+
 @cache
 def _worker() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, "machine code")
 
 
+@cache
+def _objects() -> object_cache.ObjectCache:
+    return object_cache.ObjectCache()
+
+
 def _loaded(text: str) -> machine.Code:
-    key = blake2b(text.encode(), digest_size=16).digest()
+    """The code of one function: that in memory, that which another run has kept, or new code."""
+    target = machine.host()
+    key = object_cache.key(text, target, versions=object_cache.versions())
     with _guard:
         if key in _known:
             _known.move_to_end(key)
             return _known[key]
-    code = machine.load(machine.object_code(text, machine.host()))
+    kept = _objects().get(key)
+    made = machine.object_code(text, target) if kept is None else kept
+    code = machine.load(made)
+    if kept is None:
+        _objects().put(key, made)
     with _guard:
         _known[key] = code
         while len(_known) > _KEPT:

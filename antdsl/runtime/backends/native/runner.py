@@ -49,7 +49,7 @@ class Chunk:
         block, tables = self.block, self.block.tables
         tables.notes[0] = tables.crowded[0] = 0
         for stage, name in enumerate(block.code.names):
-            block.ready.code.function(name)(tables.address, self.begin, self.end)
+            block.ready.function(name)(tables.address, self.begin, self.end)
             for some in block.ready.together[block.population.name, block.compiler.name, stage]:
                 self._call(some)
         if tables.crowded[0]:
