@@ -10,6 +10,7 @@ from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
 from antdsl.runtime.backends.native.emitter import Emitter, elementwise
+from antdsl.runtime.backends.native.entries import entry
 from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes, Module
 from antdsl.runtime.backends.native.layout import KINDS, Key, Layout
 from antdsl.runtime.backends.native.schedule import Schedule, operands_of
@@ -59,11 +60,16 @@ class Writer:
         name = elementwise(self.module, f"f.{op}", tuple(each.kind for each in args), formula)
         return self.e.call(name, F32, *args)
 
-    def function(self, name: str, arguments: str) -> str:
-        """The text of the function."""
-        e = self.e
-        body = "\n".join((*e.allocas, *e.entry, *e.lines))
-        return f"define void @{name}(ptr %t{arguments}) {{\nentry:\n{body}\n  ret void\n}}"
+    def _body(self) -> str:
+        return "\n".join((*self.e.allocas, *self.e.entry, *self.e.lines))
+
+    def function(self, name: str) -> str:
+        """The text of a function that is called from outside."""
+        return entry(self.module, name, self._body())
+
+    def inner(self, name: str, arguments: str) -> str:
+        """The text of a function that others of the module call."""
+        return f"define internal void @{name}(ptr %t, {arguments}) {{\nentry:\n{self._body()}\n  ret void\n}}"
 
 
 @dataclass(slots=True, eq=False)
@@ -159,7 +165,7 @@ class BlockWriter(Writer):
             for do in self.at_top:
                 do()
             e.lines = rest[:top] + e.lines + rest[top:]
-        self.module.functions[name] = self.function(name, ", i64 %begin, i64 %end")
+        self.module.functions[name] = self.function(name)
 
     # --- instructions --------------------------------------------------------------------------------------------------
 

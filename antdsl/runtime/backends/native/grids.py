@@ -56,7 +56,7 @@ def _count(w: Writer) -> None:
         key = e.convert(e.load_one(w.base("keys"), at, I32), I64)
         place = e.address(w.base("starts"), e.one(f"add i64 {key.name}, 2", I64), I32)
         e.put(place.name, e.one(f"add i32 {e.get(place.name, I32, one=True).name}, 1", I32))
-    w.module.functions[NAMES[0]] = w.function(NAMES[0], ", i64 %begin, i64 %end")
+    w.module.functions[NAMES[0]] = w.function(NAMES[0])
 
 
 def _place(w: Writer) -> None:
@@ -74,7 +74,7 @@ def _place(w: Writer) -> None:
             e.put(e.address(w.base(f"sorted {axis}"), to, F32).name, value)
             e.put(e.field(four.name, 4 * k), value)
         e.put(e.field(four.name, 12), e.convert(at, I32))
-    w.module.functions[NAMES[1]] = w.function(NAMES[1], ", i64 %begin, i64 %end")
+    w.module.functions[NAMES[1]] = w.function(NAMES[1])
 
 
 @dataclass(slots=True, eq=False)

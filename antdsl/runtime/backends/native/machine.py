@@ -31,7 +31,18 @@ class Target:
 
     @property
     def avx2(self) -> bool:
+        """Whether it has these instructions."""
         return "+avx2" in self.features.split(",")
+
+    @property
+    def x86(self) -> bool:
+        """Whether it is an x86 of 64 bits."""
+        return self.triple.partition("-")[0] in ("x86_64", "amd64")
+
+    @property
+    def arm(self) -> bool:
+        """Whether it is an ARM of 64 bits."""
+        return self.triple.partition("-")[0] in ("aarch64", "arm64")
 
 
 @cache
