@@ -19,7 +19,12 @@ from plan_text import program_of
 from antdsl.passes import optimise
 from antdsl.plan import ir, lower, verify
 from antdsl.plan.traverse import blocks, statements
+from antdsl.program import typed
 from antdsl.program.model import Program
+from antdsl.program.tables.effects import EFFECTS
+from antdsl.program.tables.senses import GIVES_SET, SET_SENSES
+from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, OTHER_OPS, REDUCERS, SIGN_OPS
+from antdsl.program.traverse import parts
 from antdsl.runtime import FieldStart, MeshData, Setting, World, set_param
 from antdsl.scene.setting import DetailData, Moves, Painted, SolidData, SpreadFlow, Target
 from antdsl.scene.staging.moves import MeshMoves
@@ -85,6 +90,8 @@ NUMBERS = (
     "load_of_all",
     "time / 1 s",
     "group",
+    "radius / clearance",
+    "max_turn / 1 rad/s",
 )
 PUSHES = (
     *random_sensing.PUSHES,
@@ -106,6 +113,8 @@ CONDITIONS = (
     "touching(ground)",
     "touching(hill)",
     "odd == odd",
+    "fear <= odd",
+    "luck >= tiny",
     "fear * odd > luck",
     "pal is not none",
     "meal == nearest(food)",
@@ -212,7 +221,7 @@ def spoil(world: World, frame: int, seed: int) -> None:
     set_param(world, "a.odd", float(draw.choice(ODD)))
     if frame % 5:
         return
-    for name, population in sorted(world.populations.items()):
+    for _, population in sorted(world.populations.items()):
         rows = population.in_id_order()
         for register in SPOILED:
             hit, value = draw.integers(0, 12, len(rows)) == 0, draw.choice(ODD, len(rows)).astype(np.float32)
@@ -228,11 +237,40 @@ def spoil(world: World, frame: int, seed: int) -> None:
             field.values[cells] = draw.choice(np.abs(ODD), 9)
 
 
-def operations(plan: ir.Plan) -> Iterator[str]:
-    """What of the closed table a plan has: operations of nodes, kinds of statements, effects asked for."""
+def one_nan(world: World) -> None:
+    """After a step: every NaN gets the same bits. Which sign one has hangs on the order of operands that a processor is given."""
+    arrays = [array for p in world.populations.values() for held in (p.now, p.start) for array in held.values()]
+    arrays += [p.position for p in world.populations.values()] + [p.normal for p in world.populations.values()]
+    arrays += [amounts for items in world.items.values() for amounts in items.amounts.values()]
+    arrays += [field.values for field in world.fields.values()]
+    for array in arrays:
+        if array.dtype.kind == "f":
+            array[np.isnan(array)] = np.nan
+
+
+def constructs(plan: ir.Plan, program: Program) -> Iterator[str]:
+    """What of the language's tables a program has: words and reductions as checked, operations and statements of its plan."""
+    for part in parts(program):
+        if isinstance(part, typed.Op):
+            yield f"word {part.name}"
+        elif isinstance(part, typed.Reduce):
+            yield f"reduce {part.how}"
+        elif isinstance(part, typed.SetOf):
+            yield f"set {part.source}"
+        elif isinstance(part, typed.Attribute) and part.name in GIVEN:
+            yield f"given {part.name}"
     for node in plan.nodes:
-        yield node.op
+        yield f"operation {node.op}"
     for species in plan.species.values():
         for _, block in blocks(species):
             for _, statement in statements(block):
-                yield f"request {statement.op}" if isinstance(statement, ir.Request) else type(statement).__name__
+                yield f"effect {statement.op}" if isinstance(statement, ir.Request) else f"statement {type(statement).__name__}"
+
+
+def every_construct() -> set[str]:
+    """All that `constructs` may tell of, by the tables."""
+    words = {row.op for rows in BUILTINS.values() for row in rows} - set(SET_SENSES)
+    found = {f"word {op}" for op in words | set(OTHER_OPS) | set(SIGN_OPS.values())}
+    found |= {f"reduce {how}" for how in REDUCERS} | {f"set {name}" for name in GIVES_SET} | {f"given {name}" for name in GIVEN}
+    found |= {f"operation {op}" for op in ir.OPS} | {f"effect {op}" for op in EFFECTS}
+    return found | {f"statement {each.__name__}" for each in (ir.If, ir.Store, ir.Claim, ir.Give)}

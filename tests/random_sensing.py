@@ -173,6 +173,14 @@ class Sensing:
         actions = self.lines(body=False)
         return f"when {what} -> {rng.choice(TARGETS)}" + (f" {{ {actions} }}" if actions else "")
 
+    def _latch(self) -> str:
+        """Its thresholds do not hang on the latch itself."""
+        every = self.conditions
+        self.conditions = tuple(each for each in every if each != "scared")
+        found = f"latch scared = {self.number(1)} > 1.5 until {self.number(1)} < 0.5"
+        self.conditions = every
+        return found
+
     def _program(self) -> str:
         rng = self.rng
         text = f"""use steering
@@ -188,7 +196,7 @@ luck = uniform(0, 1)
 pal = none of a
 let meal = nearest(food, with: load > 0, within: 80 mm)
 let around_me = count(neighbours({rng.choice((20, 35))} mm))
-{self.declared}latch scared = {self.number(1)} > 1.5 until {self.number(1)} < 0.5
+{self.declared}{self._latch()}
 on ping {{ fear += {self.bounded()} }}
 on spawn {{ pal = nearest(a); luck = luck * {self.bounded()} }}
 machine moving {{

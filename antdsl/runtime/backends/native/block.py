@@ -353,14 +353,13 @@ class BlockWriter(Writer):
         """Write down for which of the eight rows something rare has come up: (first row, sort and number of what, bits)."""
         e = self.e
         with e.inside(e.some(rows)):
-            if name not in names:
-                names.append(name)
+            names.append(name)  # one for each place that notes: there is room for one of each by eight rows
             notes = self.base("notes")
             count = e.load_one(notes, e.constant(0, I64, one=True), I64)
             place = e.op(f"mul i64 {count.name}, 2", I64, one=True)
             first = e.op(f"getelementptr i64, ptr {notes.name}, i64 {place.name}", PTR, one=True)
             bits = e.op(f"zext i8 {e.mask_bits(rows).name} to i64", I64, one=True)
-            told = e.op(f"or i64 {bits.name}, {(names.index(name) << 16) | (sort << 8)}", I64, one=True)
+            told = e.op(f"or i64 {bits.name}, {((len(names) - 1) << 16) | (sort << 8)}", I64, one=True)
             for k, value in enumerate((self.row, told)):
                 at = e.op(f"getelementptr i64, ptr {first.name}, i64 {k + 1}", PTR, one=True)
                 e.do(f"store {value.typed}, ptr {at.name}")
@@ -380,7 +379,7 @@ class BlockWriter(Writer):
         zero = e.constant(0.0, F32)
         most = e.where(had > zero, had, zero)
         cut = e.where(amount > zero, amount, zero)
-        left = had - e.where(cut < most, cut, most)
+        left = had - e.where(cut < most, cut, most) + zero
         e.store_where(there, own, self.row, left)
         slot = -1 - len(self.code.gives)
         self.code.gives.append((each, slot))
