@@ -77,6 +77,12 @@ def _place(w: Writer) -> None:
     w.module.functions[NAMES[1]] = w.function(NAMES[1])
 
 
+def _has_room(array: NDArray[Any]) -> bool:
+    """Whether an array is the beginning of one with eight more."""
+    whole = array.base
+    return isinstance(whole, np.ndarray) and len(whole) >= len(array) + WIDTH and whole.ctypes.data == array.ctypes.data
+
+
 @dataclass(slots=True, eq=False)
 class Grids:
     """Sorts crowds into cells; arrays are kept from step to step."""
@@ -123,6 +129,8 @@ class Grids:
         numbers = np.array([values[k] for values in (shape.low, inverse, shape.size) for k in range(3)], np.float64)
         pointers = [numbers, *(places[axis] for axis in shape.axes), kept["keys"], starts]
         pointers += [*(kept[AXES[axis]] for axis in shape.axes), kept["places"]]
+        if not all(_has_room(place) for place in places):
+            raise ValueError("machine code reads eight places at once, so that there has to be room behind the last one")
         table = np.array([each.ctypes.data for each in pointers], np.int64)
         self.functions(NAMES[0])(table.ctypes.data, 0, count)
         np.cumsum(starts, out=starts)
