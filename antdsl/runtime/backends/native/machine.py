@@ -86,33 +86,36 @@ def host() -> Target:
 
 def object_code(text: str, target: Target, *, effort: int = 2) -> bytes:
     """An object file with the functions of a text. Raises RuntimeError where the text is wrong, which is our mistake."""
-    llvm = _llvm()
     with _LOCK:
-        machine = _machine(target, effort)
-        module = llvm.parse_assembly(text)
-        module.triple, module.data_layout = target.triple, str(machine.target_data)
-        module.verify()
-        options = llvm.create_pipeline_tuning_options(speed_level=0)
-        builder = llvm.create_pass_builder(machine, options)
-        passes = builder.getFunctionPassManager()
-        passes.add_sroa_pass()
-        passes.add_simplify_cfg_pass()
-        for function in module.functions:
-            if not function.is_declaration:
-                passes.run(function, builder)
+        machine, module = _passed(text, target, effort)
         code: bytes = machine.emit_object(module)
         return code
 
 
 def assembly(text: str, target: Target) -> str:
     """The same as text of the processor's instructions."""
-    llvm = _llvm()
     with _LOCK:
-        machine = _machine(target, 2)
-        module = llvm.parse_assembly(text)
-        module.triple, module.data_layout = target.triple, str(machine.target_data)
+        machine, module = _passed(text, target, 2)
         found: str = machine.emit_assembly(module)
         return found
+
+
+def _passed(text: str, target: Target, effort: int) -> tuple[Any, Any]:
+    """What makes code, and the functions of a text as it gets them."""
+    llvm = _llvm()
+    machine = _machine(target, effort)
+    module = llvm.parse_assembly(text)
+    module.triple, module.data_layout = target.triple, str(machine.target_data)
+    module.verify()
+    options = llvm.create_pipeline_tuning_options(speed_level=0)
+    builder = llvm.create_pass_builder(machine, options)
+    passes = builder.getFunctionPassManager()
+    passes.add_sroa_pass()
+    passes.add_simplify_cfg_pass()
+    for function in module.functions:
+        if not function.is_declaration:
+            passes.run(function, builder)
+    return machine, module
 
 
 def _machine(target: Target, effort: int) -> Any:
