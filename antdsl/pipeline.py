@@ -13,6 +13,7 @@ from antdsl import __version__
 from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
 from antdsl.loading import CheckedOnce, Loaded, Parsed
+from antdsl.numerics.float_environment import standard
 
 if TYPE_CHECKING:
     from antdsl.plan.ir import Plan
@@ -85,6 +86,7 @@ def _checked(loaded: Loaded, strict: bool, memo: Memo | None = None) -> tuple[Pr
     return program, report
 
 
+@standard()
 def open_scene(
     path: Path | str, choices: Choices | None = None, *, parsed: Parsed | None = None, thorough: bool = True
 ) -> tuple[Shot | None, Report]:

@@ -104,6 +104,8 @@ TARGETS = ("p", "q", "r", "previous", "choose { p: 1; q: luck + 1; r: count(neig
 class Sensing:
     """`text` is a program with the species `a` and `other`."""
 
+    numbers, pushes, conditions, declared = NUMBERS, PUSHES, CONDITIONS, ""
+
     def __init__(self, seed: int) -> None:
         self.rng = random.Random(seed)
         self.text = self._program()
@@ -111,7 +113,7 @@ class Sensing:
     def number(self, depth: int = 2) -> str:
         rng = self.rng
         if depth == 0 or rng.random() < 0.3:
-            word = rng.choice(NUMBERS)
+            word = rng.choice(self.numbers)
             return f"({word})" if " " in word else word
         a, b = self.number(depth - 1), self.number(depth - 1)
         form = rng.choice(
@@ -139,8 +141,8 @@ class Sensing:
 
     def condition(self) -> str:
         rng = self.rng
-        first = rng.choice(CONDITIONS) if rng.random() < 0.6 else f"{self.number(1)} > {rng.choice((0, 0.5, 1, 2))}"
-        return first if rng.random() < 0.7 else f"({first} {rng.choice(('and', 'or'))} not ({rng.choice(CONDITIONS)}))"
+        first = rng.choice(self.conditions) if rng.random() < 0.6 else f"{self.number(1)} > {rng.choice((0, 0.5, 1, 2))}"
+        return first if rng.random() < 0.7 else f"({first} {rng.choice(('and', 'or'))} not ({rng.choice(self.conditions)}))"
 
     def lines(self, body: bool) -> str:
         rng, found = self.rng, []
@@ -171,6 +173,14 @@ class Sensing:
         actions = self.lines(body=False)
         return f"when {what} -> {rng.choice(TARGETS)}" + (f" {{ {actions} }}" if actions else "")
 
+    def _latch(self) -> str:
+        """Its thresholds do not hang on the latch itself."""
+        every = self.conditions
+        self.conditions = tuple(each for each in every if each != "scared")
+        found = f"latch scared = {self.number(1)} > 1.5 until {self.number(1)} < 0.5"
+        self.conditions = every
+        return found
+
     def _program(self) -> str:
         rng = self.rng
         text = f"""use steering
@@ -186,7 +196,7 @@ luck = uniform(0, 1)
 pal = none of a
 let meal = nearest(food, with: load > 0, within: 80 mm)
 let around_me = count(neighbours({rng.choice((20, 35))} mm))
-latch scared = {self.number(1)} > 1.5 until {self.number(1)} < 0.5
+{self.declared}{self._latch()}
 on ping {{ fear += {self.bounded()} }}
 on spawn {{ pal = nearest(a); luck = luck * {self.bounded()} }}
 machine moving {{
@@ -197,7 +207,7 @@ start p
         for name, following in (("p", "q"), ("q", "r"), ("r", "p")):
             text += f"state {name}" + rng.choice(("", "", " for at least 0.2 s")) + " {\n"
             if rng.random() < 0.5:
-                text += f"  steer {rng.choice(PUSHES)}\n"
+                text += f"  steer {rng.choice(self.pushes)}\n"
             for part in ("enter", "exit"):
                 lines = self.lines(body=False) if rng.random() < 0.2 else ""
                 text += f"  {part} {{ {lines} }}\n" if lines else ""
@@ -208,7 +218,7 @@ start p
             text += (f"  {lines}\n" if lines else "") + "}\n"
         text += "}\nmachine other_mood { start calm\nstate calm { when fear > 1 -> upset }\n"
         text += "state upset { when chance 50 %/s -> calm } }\n"
-        layers = rng.sample(PUSHES, rng.randint(0, 3))
+        layers = rng.sample(self.pushes, rng.randint(0, 3))
         layers = [f"{push} when {self.condition()}" if rng.random() < 0.3 else push for push in layers] + ["state"]
         rng.shuffle(layers)
         text += f"layers {rng.choice(('', 'sum ', 'first '))}{{ {'; '.join(layers)} }}\n}}\n"

@@ -60,7 +60,7 @@ class DistanceGrid:
         outside: NDArray[Any] | float = 0.0
         for axis, place in enumerate((x, y, z)):
             low, high, size = self._low[axis], self._high[axis], int(self._size[axis])
-            inside = np.minimum(np.maximum(place, low), high)
+            inside = np.fmin(np.fmax(place, low), high)  # what is no place has to lie in some cell too
             gap = place - inside
             outside = outside + gap * gap
             step = ((inside - low) * (1.0 / self._width)).astype(np.int32)

@@ -277,7 +277,7 @@ class RayScene:
         """The face that Open3D names as nearest to places as the scene counts them."""
         if self._exact is None:
             self._exact = self._scene if self._brief else self._built(self._faces.corners.reshape(-1, 3).astype(np.float32))
-        near = np.clip(points, -_FARTHEST, _FARTHEST).astype(np.float32)
+        near = np.fmin(np.fmax(points, -_FARTHEST), _FARTHEST).astype(np.float32)  # NaN is nowhere, and has a nearest face too
         answer = self._exact.compute_closest_points(self._tensor(near), nthreads=threads)
         face: Index = answer["primitive_ids"].numpy().astype(np.int64)
         return face

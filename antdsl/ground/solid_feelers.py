@@ -60,10 +60,13 @@ class SolidFeelers:
         n = len(origin)
         far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
         voxel, through = self.volume.voxel, -_THROUGH * self.volume.voxel
-        free, shut, gone = np.zeros(n), np.full(n, np.inf), np.zeros(n)
-        rows = np.flatnonzero(far > 0)
-        before = self.volume.sample(origin[rows]).astype(np.float64)
-        for _ in range(_MARCHES + int(far.max(initial=0.0) / self.volume.band[1])):
+        first, last = self._through_box(origin, way)
+        far = np.minimum(far, last)  # or a reach without measure would march on for ever
+        gone = np.where(first > _MARCHES * self.volume.band[1], first, 0.0)
+        free, shut = np.zeros(n), np.full(n, np.inf)
+        rows = np.flatnonzero((far > 0) & (first <= far))
+        before = self.volume.sample(origin[rows] + gone[rows, None] * way[rows]).astype(np.float64)
+        for _ in range(_MARCHES + int((far - gone)[rows].max(initial=0.0) / self.volume.band[1])):
             step = np.maximum(np.abs(before), _LEAST * voxel)
             ahead = np.minimum(gone[rows] + step, far[rows])
             here = self.volume.sample(origin[rows] + ahead[:, None] * way[rows]).astype(np.float64)
@@ -96,6 +99,12 @@ class SolidFeelers:
         hit = t <= reach
         t[~hit], normal[~hit] = np.inf, 0
         return FeelerHits(hit, t, *np.ascontiguousarray(normal.T))
+
+    def _through_box(self, origin: Floats, way: Floats) -> tuple[Floats, Floats]:
+        """Between which lengths each ray is where something solid may be; the second is the lesser one where it never is."""
+        with np.errstate(all="ignore"):
+            ends = [(side - origin) / way for side in (self.volume.low - self.volume.voxel, self.volume.high + self.volume.voxel)]
+        return np.fmax.reduce(np.fmin(*ends), axis=1), np.fmin.reduce(np.fmax(*ends), axis=1)
 
     def _entry(self, origin: Floats, way: Floats, free: Floats, inside: Floats) -> Floats:
         """Where between two lengths rays go in, to a 256th of the step."""

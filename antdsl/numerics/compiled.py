@@ -19,6 +19,8 @@ from typing import Any, TypeVar
 
 from numpy.typing import NDArray
 
+from antdsl.numerics.float_environment import be_standard
+
 T = TypeVar("T")
 PART = 4_096  # agents for whom a thread pays
 LEAST = 2_000  # agents; a step of these without kernels takes so long that a few make up for loading them
@@ -98,7 +100,7 @@ def plain(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
 @cache
 def workers(threads: int) -> ThreadPoolExecutor:
     """Threads that are kept for the next step; kernels run side by side in them."""
-    return ThreadPoolExecutor(threads, "kernels")
+    return ThreadPoolExecutor(threads, "kernels", be_standard)
 
 
 def in_parts(work: Callable[[int, int], T], count: int, threads: int) -> list[T]:

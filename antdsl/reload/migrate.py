@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.float_environment import standard
 from antdsl.plan import ir
 from antdsl.reload.agents import MigratedSpecies, complete, migrate_agents
 from antdsl.reload.footing import same_solid
@@ -40,6 +41,7 @@ class Migration:
         return sum(migrated.agents for migrated in self.species)
 
 
+@standard()
 def take_over(old: World, plan: ir.Plan, setting: Setting, built: Built | None = None) -> tuple[World, Migration]:
     """The world of an edited plan and setting at the frame of a running one. BindError as in `bind`.
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from time import perf_counter, process_time
 
 from antdsl.numerics import compiled
+from antdsl.numerics.float_environment import standard
 from antdsl.runtime.faults import FaultStop
 from antdsl.runtime.phases import PHASES
 from antdsl.runtime.world import World
 
 
+@standard()
 def step(world: World) -> None:
     """Go on by one frame. Raises FaultStop after a whole step in which a value was at fault, if the options say `stop`,
     and LimitStop in the middle of one that would take more than the limits allow."""

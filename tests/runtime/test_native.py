@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import functools
-import gc
-from collections import OrderedDict
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from threading import Event
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import plans
 import pytest
-from meaning import crowd, play
-from sampling import sampled
+from meaning import crowd, item, play
 
 from antdsl import limits
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.pipeline import open_scene
 from antdsl.plan import ir
 from antdsl.runtime import FaultStop, Options, World, bind, state_hash, step
-from antdsl.runtime.backends.native import listing, machine, object_cache, ready
+from antdsl.runtime.backends.native import listing, machine, ready
 from antdsl.runtime.backends.native.block import Writer
 from antdsl.runtime.backends.native.emitter import elementwise
 from antdsl.runtime.backends.native.lanes import BOOL, F32, I32, I64, WIDTH, Lanes, Module
@@ -35,7 +28,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SCENES = sorted(path.relative_to(EXAMPLES).as_posix() for path in EXAMPLES.rglob("*.yaml"))
 NUMPY = Options(backend="numpy")
 NATIVE = Options(backend="native", wait_for_code=True)
-WAYS = (NUMPY, NATIVE, replace(NATIVE, chunk=8, shuffle_rows=3), replace(NATIVE, chunk=1000, threads=2))
+WAYS = (NUMPY, NATIVE, replace(NATIVE, chunk=8, shuffle_rows=3), replace(NATIVE, chunk=100, threads=5))
 KINDS = {"f": F32, "b": BOOL, "x": F32}
 DTYPES = {F32: np.float32, BOOL: np.bool_, I32: np.int32}
 SPECIAL = (0.0, -0.0, np.inf, -np.inf, np.nan, 1e30, -1e30, 1e-40, 1.0, -1.0, 0.5, 2.0, 3.0, 1e6, 1e7, 6.2831855, 3.4e38, 1e-45)
@@ -44,14 +37,14 @@ SPECIAL = (0.0, -0.0, np.inf, -np.inf, np.nan, 1e30, -1e30, 1e-40, 1.0, -1.0, 0.
 def loop(op: str) -> tuple[str, tuple[str, ...], str]:
     """A module that applies an operation to arrays: its text, the kinds of its operands and of its result."""
     kinds = (I32,) if op == "number" else tuple(KINDS[letter] for letter in ir.OPS[op].args)
-    module = Module(machine.host().avx2)
+    module = Module(machine.host())
     w = Writer(module, Layout({(k,): k for k in range(len(kinds) + 1)}))
     name = elementwise(module, "of_lanes", kinds, ELEMENTWISE[op])
     kind = F32 if module.functions[name].startswith("define internal <8 x float>") else BOOL
     with w.e.loop(Lanes(w.e, I64, "%end", one=True), WIDTH) as at:
         found = w.e.call(name, kind, *(w.e.load(w.base(k), at, each) for k, each in enumerate(kinds)))
         w.e.store(w.base(len(kinds)), at, found)
-    module.functions["of_arrays"] = w.function("of_arrays", ", i64 %begin, i64 %end")
+    module.functions["of_arrays"] = w.function("of_arrays")
     return module.text(), kinds, kind
 
 
@@ -97,10 +90,25 @@ def hashes(scene: str, frames: int, options: Options, most: int = 2000) -> list[
     return found
 
 
-@pytest.mark.parametrize("scene", sampled(SCENES, ["foraging/scene.yaml", "moods/scene.yaml", "tunnel/scene.yaml"]))
+MANY_CHUNKS, SOME_CHUNKS, ONE_CHUNK = (
+    replace(NATIVE, chunk=8, shuffle_rows=5),
+    replace(NATIVE, chunk=104, threads=2),
+    replace(NATIVE, chunk=100_000, threads=5),
+)
+
+
+@pytest.mark.parametrize(
+    ("scene", "way"), [("foraging/scene.yaml", SOME_CHUNKS), ("moods/scene.yaml", MANY_CHUNKS), ("tunnel/scene.yaml", ONE_CHUNK)]
+)
+def test_examples_have_the_states_that_numpy_gives_them(scene: str, way: Options) -> None:
+    assert hashes(scene, 6, way, 250) == hashes(scene, 6, NUMPY, 250)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", SCENES)
 def test_an_example_has_the_states_that_numpy_gives_it(scene: str) -> None:
     wanted = hashes(scene, 18, NUMPY)
-    for way in (NATIVE, replace(NATIVE, chunk=8, shuffle_rows=5), replace(NATIVE, chunk=100_000, threads=2)):
+    for way in (MANY_CHUNKS, SOME_CHUNKS, ONE_CHUNK):
         assert hashes(scene, 18, way) == wanted
 
 
@@ -135,7 +143,7 @@ species a {
 @pytest.mark.parametrize("radius", [2.0, 0.0])
 def test_of_many_neighbours_the_nearest_count(radius: float) -> None:
     """More than the cap within the radius of each; with a radius of 0 all in one place, where ids decide."""
-    seen = play(DENSE, crowd(700, radius=radius), steps=2, ways=WAYS)
+    seen = play(DENSE, crowd(700, radius=radius), steps=2, ways=(*WAYS[:2], replace(NATIVE, chunk=200, shuffle_rows=3)))
     counts = np.array(seen["near_by"])
     assert counts.max() == limits.NEIGHBOURS and (radius == 0 or len(set(seen["mood"])) > 1)
 
@@ -169,6 +177,13 @@ def test_refused_values_are_told_as_the_reference_tells_them() -> None:
         log = seen.world.faults
         told.append((log.count, [str(fault) for fault in log.reported], seen["late"], seen["mood"]))
     assert told[0] == told[1] == told[2] and told[0][0] > 2
+
+
+def test_who_has_given_all_has_0_whatever_the_sign_of_its_zero() -> None:
+    text = "species a { load = -(id * 0)\n state only { when true -> only { give all load to nest } } }"
+    ways = (Options(backend="reference"), NUMPY, NATIVE)
+    seen = play(text, crowd(9, radius=5), steps=2, ways=ways, items={"nest": (item("n", 0, 0, 9),)})
+    assert np.signbit(seen.at("load", 0)).all() and not np.signbit(seen["load"]).any()
 
 
 def rich(options: Options) -> World:
@@ -221,120 +236,6 @@ def test_without_llvmlite_numpy_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
 
 
-@pytest.fixture
-def afresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], list[str]]:
-    """Begins as a new process would, with a folder for code; gives what is compiled from then on."""
-    compiled: list[str] = []
-    make = machine.object_code
-
-    def noted(text: str, target: machine.Target) -> bytes:
-        compiled.append(text)
-        return make(text, target)
-
-    def begin() -> list[str]:
-        compiled.clear()
-        cache = object_cache.ObjectCache(tmp_path / "code")
-        objects = functools.cache(lambda: cache)
-        objects()
-        monkeypatch.setattr(ready, "_objects", objects)
-        monkeypatch.setattr(ready, "_known", OrderedDict())
-        monkeypatch.setattr(ready, "_plans", WeakKeyDictionary())
-        monkeypatch.setattr(machine, "object_code", noted)
-        return compiled
-
-    return begin
-
-
-EDITED = """
-species a {{
-  pace = 1
-  start first
-  state first {{
-    steer vector(0.5, 0.25, 0)
-    pace = pace * {number}
-    when pace > 3 -> second
-  }}
-  state second {{ pace = pace {sign} 2 }}
-}}
-"""
-
-
-def edited(sign: str = "+", number: str = "1.5") -> World:
-    return play(EDITED.format(number=number, sign=sign), crowd(20, radius=50), steps=3, ways=(NATIVE,)).world
-
-
-def test_code_of_another_run_is_used(afresh: Callable[[], list[str]]) -> None:
-    compiled = afresh()
-    wanted = state_hash(edited())
-    assert len(compiled) > 1
-    compiled = afresh()
-    world = edited()
-    assert state_hash(world) == wanted and compiled == [] and world.backend.told() == []
-
-
-@pytest.mark.parametrize("harm", ["damaged", "others may write to"])
-def test_code_that_may_be_harmful_is_not_loaded_and_the_run_goes_on(
-    harm: str, afresh: Callable[[], list[str]], tmp_path: Path
-) -> None:
-    afresh()
-    wanted = state_hash(edited())
-    if harm == "damaged":
-        for path in (tmp_path / "code").iterdir():
-            path.write_bytes(path.read_bytes()[:-1] + b"?")
-    else:
-        (tmp_path / "code").chmod(0o777)
-    compiled = afresh()
-    world = edited()
-    assert state_hash(world) == wanted and len(compiled) > 1
-    assert world.backend.told() and all(harm in each for each in world.backend.told())
-
-
-def test_an_edit_compiles_what_it_changes_and_a_number_nothing(afresh: Callable[[], list[str]]) -> None:
-    compiled = afresh()
-    edited()
-    assert len(compiled) == len(set(compiled)) > 1
-    compiled.clear()
-    edited(number="2.5")
-    assert compiled == []
-    edited(sign="-")
-    assert len(compiled) == 1 and "@a.act.0" in compiled[0]
-
-
-def test_what_is_asked_for_last_is_made_first_and_of_many_the_first_are_not_made(
-    afresh: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As where a program is saved again and again."""
-    compiled = afresh()
-    worlds = [play(EDITED.format(number=1, sign="+" + k * " pace *"), crowd(3, radius=5), ways=(NUMPY,)).world for k in range(7)]
-    go = Event()
-    ready._worker().submit(go.wait)
-    coming = [ready.beside(each.plan, each.backend.blocks, ready.Facts(False, False)) for each in worlds]  # type: ignore[attr-defined]
-    go.set()
-    made = [each.result() for each in coming[3:]]
-    assert [each.cancelled() for each in coming] == [True] * 3 + [False] * 4
-    blocks = [text for text in compiled if "@a.act.0" in text]
-    assert blocks == [each.program.units["a.act.0"] for each in reversed(made)]
-    assert not ready._asked
-
-
-def test_a_plan_that_is_gone_leaves_no_code_behind(afresh: Callable[[], list[str]]) -> None:
-    afresh()
-    world = edited()
-    same = bind(world.plan, world.setting, Options())
-    step(same)
-    assert same.backend.ready is world.backend.ready is not None  # type: ignore[attr-defined]
-    assert len(ready._plans) == 1
-    del world, same
-    gc.collect()
-    assert len(ready._plans) == 0
-
-
-def text_of(world: World) -> str:
-    step(world)
-    found: str = world.backend.ready.program.text  # type: ignore[attr-defined]
-    return found
-
-
 TARGETS = {
     "host": machine.host,
     "with fma": lambda: replace(machine.host(), features=machine.host().features.replace("-fma", "+fma")),
@@ -346,15 +247,8 @@ FUSED = ("fmadd", "fmsub", "fnmadd", "fnmsub", "fmla", "fmls")
 @pytest.mark.parametrize("target", TARGETS)
 def test_no_operations_are_fused(target: str) -> None:
     """A fused multiply-add rounds once instead of twice; not even a processor that has one is given it."""
-    shot, _ = open_scene(EXAMPLES / "foraging" / "scene.yaml")
-    assert shot is not None
-    text = text_of(bind(shot.plan, shot.setting, NATIVE))
-    if target == "arm":
-        text = "\n".join(
-            line
-            for line in text.replace("@llvm.x86.avx2.permd", "@permd").replace("@llvm.x86.avx2.permps", "@permps").splitlines()
-        )
-    code = machine.assembly(text, TARGETS[target]())
+    chosen = TARGETS[target]()
+    code = machine.assembly(listing.of_plan(plans.rich(), chosen).text, chosen)
     assert len(code.splitlines()) > 2000
     assert not [line for line in code.splitlines() if any(word in line for word in FUSED)]
 

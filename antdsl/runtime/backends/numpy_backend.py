@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics.elementwise import ELEMENTWISE
+from antdsl.numerics.float_environment import be_standard
 from antdsl.plan import ir
 from antdsl.plan.register_reads import kept_senses, places
 from antdsl.plan.traverse import needed
@@ -120,7 +121,7 @@ class NumpyBackend:
             for chunk, into, times in zip(chunks, effects, spent, strict=True):
                 self._chunk(world, population, compiler, chunk, into, times, 0, True)
         else:
-            self._pool = self._pool or ThreadPoolExecutor(world.options.threads)
+            self._pool = self._pool or ThreadPoolExecutor(world.options.threads, "chunks", be_standard)
             lanes = [range(k, len(chunks), threads) for k in range(threads)]
 
             def lane(number: int) -> None:

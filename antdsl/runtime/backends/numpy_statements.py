@@ -97,7 +97,7 @@ def _give(statement: ir.Give, block: str, scope: Scope) -> Make:
             there = (item >= 0) & (item < len(v[WORLD].items[statement.items]))
             rows, amount, item = rows[there], amount[there], item[there]
             had = own[rows]
-            left = had - np.clip(amount, np.float32(0), np.maximum(had, np.float32(0)))
+            left = had - np.clip(amount, np.float32(0), np.maximum(had, np.float32(0))) + np.float32(0)  # never -0
             own[rows] = left
             v[EFFECTS].gives.append(GiveEntry(statement, item, had.astype(np.float64) - left.astype(np.float64)))
 

@@ -123,7 +123,7 @@ class Agent:
         amount = had if s.amount is None else self._finite(s.amount, f"give {s.own}", s.span)
         if amount is None or not 0 <= item < len(self.world.items[s.items]):
             return
-        left = had - min(max(amount, np.float32(0)), max(had, np.float32(0)))
+        left = had - min(max(amount, np.float32(0)), max(had, np.float32(0))) + np.float32(0)  # or -0 where it had -0
         self.now[s.own][self.at] = left
         self.effects.gives.append(GiveEntry(s, np.array([item]), np.array([float(had) - float(left)])))
 

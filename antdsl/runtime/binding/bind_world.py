@@ -18,6 +18,7 @@ from antdsl.ground.plane import Plane
 from antdsl.ground.protocol import Ground
 from antdsl.ground.solid import Unusable, Volume
 from antdsl.ground.solid_feelers import SolidFeelers
+from antdsl.numerics.float_environment import standard
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed
 from antdsl.runtime.backends import BACKENDS
@@ -41,6 +42,7 @@ class BindError(ValueError):
         self.report = report
 
 
+@standard()
 def bind(plan: ir.Plan, setting: Setting, options: Options | None = None, *, built: Built | None = None) -> World:
     """The world at `setting.first_frame`, everybody born and nobody moved. `plan` has been optimised and verified. `built` keeps
     what is made of meshes for other worlds.
@@ -52,6 +54,7 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None, *, bui
     return world
 
 
+@standard()
 def unpeopled(
     plan: ir.Plan,
     setting: Setting,

@@ -21,7 +21,7 @@ from antdsl.runtime.backends.numpy_backend import NumpyBackend
 from antdsl.runtime.backends.reference import Agent
 from antdsl.runtime.moving import moving_geometry
 from antdsl.runtime.requests import Effects
-from antdsl.runtime.world import Population, World
+from antdsl.runtime.world import AXES, Population, World
 
 _SAMPLED = 8  # agents whose radius is worked out before the first search, to choose cells by
 
@@ -140,5 +140,7 @@ class NativeBackend(NumpyBackend):
                 agent = Agent(world, population, int(row), population.now, int(row), Effects(), {})
                 found += [float(agent.value(chosen.args[0])) for chosen in near.sets]
             self._widest[key] = max((each for each in found if np.isfinite(each)), default=0.0)
-        widest = self._widest[key]
-        return self._grids.of(world, world.populations[near.species], widest if widest > 0 else 1.0)
+        widest, other = self._widest[key], world.populations[near.species]
+        for axis in AXES:
+            self._rooms.moved(other.start, f"position.{axis}")
+        return self._grids.of(world, other, widest if widest > 0 else 1.0)

@@ -10,6 +10,7 @@ from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
 from antdsl.runtime.backends.native.emitter import Emitter, elementwise
+from antdsl.runtime.backends.native.entries import entry
 from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes, Module
 from antdsl.runtime.backends.native.layout import KINDS, Key, Layout
 from antdsl.runtime.backends.native.schedule import Schedule, operands_of
@@ -59,11 +60,16 @@ class Writer:
         name = elementwise(self.module, f"f.{op}", tuple(each.kind for each in args), formula)
         return self.e.call(name, F32, *args)
 
-    def function(self, name: str, arguments: str) -> str:
-        """The text of the function."""
-        e = self.e
-        body = "\n".join((*e.allocas, *e.entry, *e.lines))
-        return f"define void @{name}(ptr %t{arguments}) {{\nentry:\n{body}\n  ret void\n}}"
+    def _body(self) -> str:
+        return "\n".join((*self.e.allocas, *self.e.entry, *self.e.lines))
+
+    def function(self, name: str) -> str:
+        """The text of a function that is called from outside."""
+        return entry(self.module, name, self._body())
+
+    def inner(self, name: str, arguments: str) -> str:
+        """The text of a function that others of the module call."""
+        return f"define internal void @{name}(ptr %t, {arguments}) {{\nentry:\n{self._body()}\n  ret void\n}}"
 
 
 @dataclass(slots=True, eq=False)
@@ -159,7 +165,7 @@ class BlockWriter(Writer):
             for do in self.at_top:
                 do()
             e.lines = rest[:top] + e.lines + rest[top:]
-        self.module.functions[name] = self.function(name, ", i64 %begin, i64 %end")
+        self.module.functions[name] = self.function(name)
 
     # --- instructions --------------------------------------------------------------------------------------------------
 
@@ -347,14 +353,13 @@ class BlockWriter(Writer):
         """Write down for which of the eight rows something rare has come up: (first row, sort and number of what, bits)."""
         e = self.e
         with e.inside(e.some(rows)):
-            if name not in names:
-                names.append(name)
+            names.append(name)  # one for each place that notes: there is room for one of each by eight rows
             notes = self.base("notes")
             count = e.load_one(notes, e.constant(0, I64, one=True), I64)
             place = e.op(f"mul i64 {count.name}, 2", I64, one=True)
             first = e.op(f"getelementptr i64, ptr {notes.name}, i64 {place.name}", PTR, one=True)
             bits = e.op(f"zext i8 {e.mask_bits(rows).name} to i64", I64, one=True)
-            told = e.op(f"or i64 {bits.name}, {(names.index(name) << 16) | (sort << 8)}", I64, one=True)
+            told = e.op(f"or i64 {bits.name}, {((len(names) - 1) << 16) | (sort << 8)}", I64, one=True)
             for k, value in enumerate((self.row, told)):
                 at = e.op(f"getelementptr i64, ptr {first.name}, i64 {k + 1}", PTR, one=True)
                 e.do(f"store {value.typed}, ptr {at.name}")
@@ -374,7 +379,7 @@ class BlockWriter(Writer):
         zero = e.constant(0.0, F32)
         most = e.where(had > zero, had, zero)
         cut = e.where(amount > zero, amount, zero)
-        left = had - e.where(cut < most, cut, most)
+        left = had - e.where(cut < most, cut, most) + zero
         e.store_where(there, own, self.row, left)
         slot = -1 - len(self.code.gives)
         self.code.gives.append((each, slot))

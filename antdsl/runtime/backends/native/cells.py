@@ -146,7 +146,7 @@ def write_down(e: Emitter, buffer: Lanes, total: str, at: Lanes, inside: Lanes) 
     count = e.get(total, I64, one=True)
     numbers = e.splat(at) + e.convert(e.iota(), I32)
     place = e.address(buffer, count, I32).name
-    if e.module.avx2:
+    if e.module.target.avx2:
         order = e.load(
             e.address(Lanes(e, PTR, _orders(e.module), one=True), e.one(f"shl i64 {bits.name}, 3", I64), I8), zero_of(e), I8
         )

@@ -63,9 +63,7 @@ def write_many(b: BlockWriter, near: Search) -> None:
                 stored = e.convert(value, I8) if KINDS[node.kind] == BOOL else value
                 single = e.one(f"extractelement {stored.typed}, i64 0", stored.kind)
                 e.put(e.address(Lanes(e, PTR, e.field("%out", STRIDE * k), one=True), lane, stored.kind).name, single)
-    b.module.functions[f"{near.name}.many"] = w.function(
-        f"{near.name}.many", ", i64 %row, i64 %mask, ptr %own, ptr %out"
-    ).replace("define void", "define internal void")
+    b.module.functions[f"{near.name}.many"] = w.inner(f"{near.name}.many", "i64 %row, i64 %mask, ptr %own, ptr %out")
 
 
 def _all(w: Writer, near: Search, place: list[Lanes], radii: list[Lanes]) -> tuple[Lanes, Lanes]:

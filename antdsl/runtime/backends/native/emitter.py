@@ -314,7 +314,7 @@ class Emitter:
             return value
         if value.kind == BOOL:
             return self.permuted(self.convert(value, I32), order) != 0
-        if value.kind in (F32, I32) and self.module.avx2:
+        if value.kind in (F32, I32) and self.module.target.avx2:
             name = "llvm.x86.avx2.permps" if value.kind == F32 else "llvm.x86.avx2.permd"
             self.module.declare(name, value.type, [value.type, f"<{WIDTH} x i32>"])
             return self.call(name, value.kind, value, order)

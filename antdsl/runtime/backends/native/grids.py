@@ -56,7 +56,7 @@ def _count(w: Writer) -> None:
         key = e.convert(e.load_one(w.base("keys"), at, I32), I64)
         place = e.address(w.base("starts"), e.one(f"add i64 {key.name}, 2", I64), I32)
         e.put(place.name, e.one(f"add i32 {e.get(place.name, I32, one=True).name}, 1", I32))
-    w.module.functions[NAMES[0]] = w.function(NAMES[0], ", i64 %begin, i64 %end")
+    w.module.functions[NAMES[0]] = w.function(NAMES[0])
 
 
 def _place(w: Writer) -> None:
@@ -74,7 +74,13 @@ def _place(w: Writer) -> None:
             e.put(e.address(w.base(f"sorted {axis}"), to, F32).name, value)
             e.put(e.field(four.name, 4 * k), value)
         e.put(e.field(four.name, 12), e.convert(at, I32))
-    w.module.functions[NAMES[1]] = w.function(NAMES[1], ", i64 %begin, i64 %end")
+    w.module.functions[NAMES[1]] = w.function(NAMES[1])
+
+
+def _has_room(array: NDArray[Any]) -> bool:
+    """Whether an array is the beginning of one with eight more."""
+    whole = array.base
+    return isinstance(whole, np.ndarray) and len(whole) >= len(array) + WIDTH and whole.ctypes.data == array.ctypes.data
 
 
 @dataclass(slots=True, eq=False)
@@ -123,6 +129,8 @@ class Grids:
         numbers = np.array([values[k] for values in (shape.low, inverse, shape.size) for k in range(3)], np.float64)
         pointers = [numbers, *(places[axis] for axis in shape.axes), kept["keys"], starts]
         pointers += [*(kept[AXES[axis]] for axis in shape.axes), kept["places"]]
+        if not all(_has_room(place) for place in places):
+            raise ValueError("machine code reads eight places at once, so that there has to be room behind the last one")
         table = np.array([each.ctypes.data for each in pointers], np.int64)
         self.functions(NAMES[0])(table.ctypes.data, 0, count)
         np.cumsum(starts, out=starts)

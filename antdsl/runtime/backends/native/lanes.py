@@ -9,9 +9,12 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from antdsl.runtime.backends.native.machine import Target
 
 WIDTH = 8
 F32, F64, BOOL, I8, I32, I64, PTR = "float", "double", "i1", "i8", "i32", "i64", "ptr"
@@ -157,10 +160,10 @@ _NAMED = re.compile(r"@([\w.]+)")
 
 
 class Module:
-    """Functions and declarations of a compilation. `avx2`: the processor has those instructions."""
+    """Functions and declarations of a compilation for a processor."""
 
-    def __init__(self, avx2: bool = False) -> None:
-        self.avx2 = avx2
+    def __init__(self, target: Target) -> None:
+        self.target = target
         self._declared: dict[str, str] = {}
         self.functions: dict[str, str] = {}
 

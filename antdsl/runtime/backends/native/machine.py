@@ -31,7 +31,18 @@ class Target:
 
     @property
     def avx2(self) -> bool:
+        """Whether it has these instructions."""
         return "+avx2" in self.features.split(",")
+
+    @property
+    def x86(self) -> bool:
+        """Whether it is an x86 of 64 bits."""
+        return self.triple.partition("-")[0] in ("x86_64", "amd64")
+
+    @property
+    def arm(self) -> bool:
+        """Whether it is an ARM of 64 bits."""
+        return self.triple.partition("-")[0] in ("aarch64", "arm64")
 
 
 ANY = Target("x86_64-unknown-linux-gnu", "x86-64-v3", "+avx2,-fma")  # for what is to be the same on each machine
@@ -78,33 +89,36 @@ def host() -> Target:
 
 def object_code(text: str, target: Target, *, effort: int = 2) -> bytes:
     """An object file with the functions of a text. Raises RuntimeError where the text is wrong, which is our mistake."""
-    llvm = _llvm()
     with _LOCK:
-        machine = _machine(target, effort)
-        module = llvm.parse_assembly(text)
-        module.triple, module.data_layout = target.triple, str(machine.target_data)
-        module.verify()
-        options = llvm.create_pipeline_tuning_options(speed_level=0)
-        builder = llvm.create_pass_builder(machine, options)
-        passes = builder.getFunctionPassManager()
-        passes.add_sroa_pass()
-        passes.add_simplify_cfg_pass()
-        for function in module.functions:
-            if not function.is_declaration:
-                passes.run(function, builder)
+        machine, module = _passed(text, target, effort)
         code: bytes = machine.emit_object(module)
         return code
 
 
 def assembly(text: str, target: Target) -> str:
     """The same as text of the processor's instructions."""
-    llvm = _llvm()
     with _LOCK:
-        machine = _machine(target, 2)
-        module = llvm.parse_assembly(text)
-        module.triple, module.data_layout = target.triple, str(machine.target_data)
+        machine, module = _passed(text, target, 2)
         found: str = machine.emit_assembly(module)
         return found
+
+
+def _passed(text: str, target: Target, effort: int) -> tuple[Any, Any]:
+    """What makes code, and the functions of a text as it gets them."""
+    llvm = _llvm()
+    machine = _machine(target, effort)
+    module = llvm.parse_assembly(text)
+    module.triple, module.data_layout = target.triple, str(machine.target_data)
+    module.verify()
+    options = llvm.create_pipeline_tuning_options(speed_level=0)
+    builder = llvm.create_pass_builder(machine, options)
+    passes = builder.getFunctionPassManager()
+    passes.add_sroa_pass()
+    passes.add_simplify_cfg_pass()
+    for function in module.functions:
+        if not function.is_declaration:
+            passes.run(function, builder)
+    return machine, module
 
 
 def _machine(target: Target, effort: int) -> Any:

@@ -61,7 +61,7 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], fact
     def combine(field: str) -> str:
         return plan.fields[field].combine
 
-    module = Module(target.avx2)
+    module = Module(target)
     found: dict[tuple[str, str], BlockCode] = {}
     for (species, block), compiler in blocks.items():
         if block not in _RUNS or not compiler.root.code:

@@ -188,9 +188,7 @@ def _write(b: BlockWriter, near: Search) -> None:
     with e.inside(e.some(over)):
         bits = e.one(f"zext i8 {e.mask_bits(over).name} to i64", I64)
         e.do(f"call void @{near.name}.many(ptr %t, i64 %row, i64 {bits.name}, ptr %own, ptr %out)")
-    b.module.functions[near.name] = w.function(near.name, ", i64 %row, i8 %mask, ptr %own, ptr %out").replace(
-        "define void", "define internal void"
-    )
+    b.module.functions[near.name] = w.inner(near.name, "i64 %row, i8 %mask, ptr %own, ptr %out")
     write_many(b, near)
 
 

@@ -1,0 +1,38 @@
+"""Functions that are called from outside: each sets how the processor works with floats, and puts it back as it was.
+
+A host may have denormal numbers flushed to zero, or results rounded upward; a thread has that from the one that began it. The
+function called sets the register of that and calls another one with the work, so that no operation can be moved past it."""
+
+from __future__ import annotations
+
+from antdsl.runtime.backends.native.lanes import I32, I64, PTR, Module
+
+ARGUMENTS = "ptr %t, i64 %begin, i64 %end"
+_USUAL = 0x1F80  # of MXCSR: nothing is flushed, to nearest, no operation traps
+
+
+def entry(module: Module, name: str, body: str) -> str:
+    """The text of a function of (table of addresses, first row, row after the last) that does what a body says."""
+    before, after = _x86(module) if module.target.x86 else _arm(module) if module.target.arm else ("", "")
+    call = f"  call void @{name}.inside({ARGUMENTS})"
+    return (
+        f"define void @{name}({ARGUMENTS}) {{\nentry:\n{before}{call}\n{after}  ret void\n}}\n"
+        f"define internal void @{name}.inside({ARGUMENTS}) noinline {{\nentry:\n{body}\n  ret void\n}}"
+    )
+
+
+def _x86(module: Module) -> tuple[str, str]:
+    module.declare("llvm.x86.sse.stmxcsr", "void", [PTR])
+    module.declare("llvm.x86.sse.ldmxcsr", "void", [PTR])
+    before = (
+        f"  %kept = alloca {I32}\n  %usual = alloca {I32}\n  store {I32} {_USUAL}, ptr %usual\n"
+        "  call void @llvm.x86.sse.stmxcsr(ptr %kept)\n  call void @llvm.x86.sse.ldmxcsr(ptr %usual)\n"
+    )
+    return before, "  call void @llvm.x86.sse.ldmxcsr(ptr %kept)\n"
+
+
+def _arm(module: Module) -> tuple[str, str]:
+    module.declare("llvm.aarch64.get.fpcr", I64, [])
+    module.declare("llvm.aarch64.set.fpcr", "void", [I64])
+    before = f"  %kept = call {I64} @llvm.aarch64.get.fpcr()\n  call void @llvm.aarch64.set.fpcr({I64} 0)\n"
+    return before, f"  call void @llvm.aarch64.set.fpcr({I64} %kept)\n"

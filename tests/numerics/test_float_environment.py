@@ -1,0 +1,155 @@
+"""A host that flushes denormal numbers, or rounds upward, changes no result: not that of machine code, and not that of a step."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from meaning import crowd
+from plan_text import plan_of
+
+from antdsl.numerics.float_environment import be_standard, is_standard, standard
+from antdsl.passes import optimise
+from antdsl.plan import ir
+from antdsl.runtime import Options, Setting, bind, state_hash, step
+from antdsl.runtime.backends.native import machine
+from antdsl.runtime.backends.native.entries import entry
+from antdsl.runtime.backends.native.lanes import Module
+
+pytestmark = pytest.mark.skipif(not machine.available(), reason="a host's flags are set by machine code")
+
+FLUSHED, UPWARD = 0x8040, 0x4000  # bits of MXCSR
+HOSTS = {"flushes": FLUSHED, "rounds upward": UPWARD}
+X86 = """
+declare void @llvm.x86.sse.stmxcsr(ptr)
+declare void @llvm.x86.sse.ldmxcsr(ptr)
+define void @host(ptr %t, i64 %bits, i64 %none) {
+  %now = alloca i32
+  call void @llvm.x86.sse.stmxcsr(ptr %now)
+  %old = load i32, ptr %now
+  %more = trunc i64 %bits to i32
+  %new = or i32 %old, %more
+  store i32 %new, ptr %now
+  call void @llvm.x86.sse.ldmxcsr(ptr %now)
+  ret void
+}
+"""
+
+
+def hosted(bits: int, work: Callable[[], Any]) -> Any:
+    """What a thread of a host gives that has such bits set; they are still set when the work is done."""
+    if not machine.host().x86:
+        pytest.skip("the bits are those of x86")
+    found: list[Any] = []
+    code = machine.load(machine.object_code(X86, machine.host()))
+
+    def run() -> None:
+        code.function("host")(None, bits, 0)
+        try:
+            assert not is_standard()
+            result = work()
+            assert not is_standard()
+            found.append(result)
+        except BaseException as problem:
+            found.append(problem)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    if isinstance(found[0], BaseException):
+        raise found[0]
+    return found[0]
+
+
+@pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
+def test_within_standard_a_thread_works_as_the_standard_says(bits: int) -> None:
+    small, third = np.full(99, 1e-45, np.float32), np.full(99, -3.0, np.float32)
+
+    def work() -> tuple[bytes, bytes]:
+        before = (small * small.dtype.type(1)).tobytes() + (1 / third).tobytes()
+        with standard():
+            assert is_standard()
+            within = (small * small.dtype.type(1)).tobytes() + (1 / third).tobytes()
+        return before, within
+
+    before, within = hosted(bits, work)
+    assert within == small.tobytes() + (1 / third).tobytes() != before
+    assert hosted(bits, lambda: threading_is_standard(be_standard)) is True
+
+
+def threading_is_standard(begin: Callable[[], None]) -> bool:
+    """Whether a thread that begins so works as the standard says; it takes over what the one has that begins it."""
+    found = []
+
+    def run() -> None:
+        assert not is_standard()
+        begin()
+        found.append(is_standard())
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    return found == [True]
+
+
+@pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
+def test_machine_code_works_as_the_standard_says(bits: int) -> None:
+    """Called outside of any step: a product of denormal numbers, and a quotient."""
+    module = Module(machine.host())
+    body = """  %first = load ptr, ptr %t
+  %values = load <8 x float>, ptr %first, align 4
+  %same = fmul <8 x float> %values, splat (float 1.0)
+  %parts = fdiv <8 x float> %same, splat (float 3.0)
+  store <8 x float> %parts, ptr %first, align 4"""
+    module.functions["thirds"] = entry(module, "thirds", body)
+    code = machine.load(machine.object_code(module.text(), machine.host()))
+    given = np.array([1e-44, -1e-40, 1.0, -2.0, 1e-38, -3.0, 7e-45, -10.0], np.float32)
+
+    def work() -> bytes:
+        values = given.copy()
+        pointers = np.array([values.ctypes.data], np.int64)
+        code.function("thirds")(pointers.ctypes.data, 0, 8)
+        return values.tobytes()
+
+    assert hosted(bits, work) == work()
+
+
+SMALL = """
+species a {
+  low = 1e-30
+  lower = 1e-20
+  heard = 0
+  drift = 0
+  state only {
+    low = low * 0.01 + uniform(0, 1) * lower * lower
+    lower = lower * 0.0003
+    heard = sum(n in neighbours(30 mm): n.low * 1e-5) + low / 3
+    drift = drift + lower * uniform(-1, 1)
+  }
+}
+"""
+
+
+def run(plan: ir.Plan, backend: str, threads: int, steps: int = 6) -> list[str]:
+    """The states of a crowd whose values become denormal, then zero."""
+    options = Options(backend=backend, threads=threads, chunk=40, wait_for_code=True)  # type: ignore[arg-type]
+    world = bind(plan, Setting(fps=Fraction(10), crowds=(crowd(90, radius=40),)), options)
+    found, denormal = [state_hash(world)], False
+    for _ in range(steps):
+        step(world)
+        found.append(state_hash(world))
+        bits = np.abs(world.populations["a"].now["low"]).view(np.int32)
+        denormal |= bool(((bits > 0) & (bits < 0x800000)).any())
+    assert denormal
+    return found
+
+
+@pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
+@pytest.mark.parametrize(("backend", "threads"), [("numpy", 2), ("native", 1), ("reference", 1)])
+def test_a_host_changes_no_state(backend: str, threads: int, bits: int) -> None:
+    plan = optimise(plan_of(SMALL))
+    assert hosted(bits, lambda: run(plan, backend, threads)) == run(plan, "numpy", 1)

@@ -1,0 +1,123 @@
+"""Machine code on other hosts: without instructions, without llvmlite, at the end of memory, and what it calls from outside."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import native_states
+import plans
+import pytest
+
+from antdsl.runtime.backends.native import listing, machine
+
+pytestmark = pytest.mark.skipif(not machine.available(), reason="llvmlite is not installed")
+
+# What object files may look for: functions of C whose results IEEE 754 fixes to the last bit, and those that move bytes.
+FROM_C = {"fmod", "fmodf", "floor", "floorf", "rint", "rintf", "memcpy", "memset"}
+TARGETS = {
+    "host": machine.host,
+    "oldest x86": lambda: native_states.PLAIN,
+    "arm": lambda: machine.Target("aarch64-unknown-linux-gnu", "generic", ""),
+}
+WITHOUT = {
+    "NPY_DISABLE_CPU_FEATURES": "",
+    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX,-AVX2,-FMA,-FMA4,-AVX2_Usable,-FMA_Usable",
+    "OPENBLAS_CORETYPE": "Prescott",
+}
+NO_LLVMLITE = "import sys\nsys.modules['llvmlite'] = sys.modules['llvmlite.binding'] = None\n"
+TESTS = Path(__file__).resolve().parents[1]
+
+
+def ran(script: str, *arguments: str, **settings: str) -> subprocess.CompletedProcess[str]:
+    """A script of the tests in a process of its own."""
+    usual = {k: v for k, v in os.environ.items() if not k.startswith(("NPY_", "GLIBC_", "OPENBLAS_"))}
+    made = {"PYTHONPATH": os.pathsep.join((str(TESTS.parent), str(TESTS))), "NUMBA_DISABLE_JIT": "1"}
+    return subprocess.run(
+        [sys.executable, str(TESTS / script), *arguments], env={**usual, **made, **settings}, capture_output=True, text=True
+    )
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the pages are those of Linux")
+def test_a_byte_behind_an_array_is_noticed() -> None:
+    found = ran("guarded_memory.py", "--past")
+    assert found.returncode < 0 and found.stdout == f"{bytes(5)!r}\n"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the pages are those of Linux")
+@pytest.mark.parametrize("what", ["2 0 9 100", pytest.param("2 2 1 7 8 9 70", marks=pytest.mark.slow)])
+def test_nothing_behind_the_spare_rows_is_touched(what: str) -> None:
+    found = ran("guarded_memory.py", *what.split(), ANTDSL_NATIVE_CACHE="")
+    assert (found.returncode, found.stdout) == (0, "same\n"), found.stderr[-2000:]
+
+
+def undefined(code: bytes) -> set[str]:
+    """Names that an object file (ELF of 64 bits) looks for elsewhere."""
+    (table,), (_, count) = struct.unpack_from("<Q", code, 40), struct.unpack_from("<HH", code, 58)
+    heads = [struct.unpack_from("<IIQQQQIIQQ", code, table + 64 * k) for k in range(count)]
+    symbols = next(head for head in heads if head[1] == 2)
+    names, begin, size = heads[symbols[6]][4], symbols[4], symbols[5]
+    found = set()
+    for name, _, _, section, _, _ in struct.iter_unpack("<IBBHQQ", code[begin : begin + size]):
+        if name and not section:
+            found.add(code[names + name : code.index(0, names + name)].decode())
+    return found
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="object files are those of ELF")
+@pytest.mark.parametrize("name", TARGETS)
+def test_machine_code_calls_nothing_whose_bits_may_differ(name: str) -> None:
+    """Without some instruction LLVM makes a call of it; none of them may be one that libraries round in different ways."""
+    target = TARGETS[name]()
+    found = undefined(machine.object_code(listing.of_plan(plans.rich(), target).text, target))
+    assert "fmod" in found and found <= FROM_C
+
+
+def test_intrinsics_of_a_processor_are_not_asked_for_where_it_has_none() -> None:
+    plan = plans.rich()
+    assert "@llvm.x86.avx2" not in listing.of_plan(plan, native_states.PLAIN).text
+    assert "@llvm.x86" not in listing.of_plan(plan, TARGETS["arm"]()).text
+
+
+@pytest.fixture(scope="module")
+def wanted() -> str:
+    """What every host has to give, as NumPy gives it."""
+    return " ".join(native_states.of_plan("numpy"))
+
+
+def lacking(*names: str) -> dict[str, str]:
+    from numpy._core._multiarray_umath import __cpu_dispatch__
+
+    return {name: WITHOUT[name] or " ".join(__cpu_dispatch__) for name in names}
+
+
+@pytest.mark.skipif(not machine.available() or not machine.host().x86, reason="the instructions are those of x86")
+@pytest.mark.parametrize(
+    ("plain", "names"),
+    [
+        (True, tuple(WITHOUT)),
+        *(pytest.param(False, (name,), marks=pytest.mark.slow) for name in WITHOUT),
+        pytest.param(True, (), marks=pytest.mark.slow),
+    ],
+)
+def test_instructions_change_no_state(plain: bool, names: tuple[str, ...], wanted: str) -> None:
+    """Those that LLVM may use, that NumPy, libm and BLAS choose between."""
+    found = ran("native_states.py", *["--plain"] * plain, ANTDSL_NATIVE_CACHE="", **lacking(*names))
+    assert found.stdout.splitlines() == ["as machine code", wanted], found.stderr[-2000:]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["moods/scene.yaml", "tunnel/scene.yaml", "worth/scene.yaml", "alarm/scene.yaml"])
+def test_instructions_change_no_state_of_an_example(scene: str, wanted: str) -> None:
+    found = ran("native_states.py", "--plain", scene, ANTDSL_NATIVE_CACHE="", **lacking(*WITHOUT))
+    assert found.stdout.splitlines()[2] == " ".join(native_states.of_scene(scene, "numpy")), found.stderr[-2000:]
+
+
+def test_without_llvmlite_a_run_has_the_same_states(wanted: str, tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text(NO_LLVMLITE, encoding="utf-8")
+    found = ran("native_states.py", PYTHONPATH=os.pathsep.join(map(str, (tmp_path, TESTS.parent, TESTS))))
+    told, *states = found.stdout.splitlines()
+    assert "llvmlite is not installed" in told and states == [wanted], found.stderr[-2000:]

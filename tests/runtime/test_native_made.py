@@ -1,0 +1,131 @@
+"""When machine code is made and what becomes of it: kept for other runs, made anew where it may be harmful, made for what an edit
+changes and for nothing else."""
+
+from __future__ import annotations
+
+import functools
+import gc
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from threading import Event
+from weakref import WeakKeyDictionary
+
+import pytest
+from meaning import crowd, play
+
+from antdsl.runtime import Options, World, bind, state_hash, step
+from antdsl.runtime.backends.native import machine, object_cache, ready
+
+pytestmark = pytest.mark.skipif(not machine.available(), reason="llvmlite is not installed")
+
+NUMPY = Options(backend="numpy")
+NATIVE = Options(backend="native", wait_for_code=True)
+
+
+@pytest.fixture
+def afresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], list[str]]:
+    """Begins as a new process would, with a folder for code; gives what is compiled from then on."""
+    compiled: list[str] = []
+    make = machine.object_code
+
+    def noted(text: str, target: machine.Target) -> bytes:
+        compiled.append(text)
+        return make(text, target)
+
+    def begin() -> list[str]:
+        compiled.clear()
+        cache = object_cache.ObjectCache(tmp_path / "code")
+        objects = functools.cache(lambda: cache)
+        objects()
+        monkeypatch.setattr(ready, "_objects", objects)
+        monkeypatch.setattr(ready, "_known", OrderedDict())
+        monkeypatch.setattr(ready, "_plans", WeakKeyDictionary())
+        monkeypatch.setattr(machine, "object_code", noted)
+        return compiled
+
+    return begin
+
+
+EDITED = """
+species a {{
+  pace = 1
+  start first
+  state first {{
+    steer vector(0.5, 0.25, 0)
+    pace = pace * {number}
+    when pace > 3 -> second
+  }}
+  state second {{ pace = pace {sign} 2 }}
+}}
+"""
+
+
+def edited(sign: str = "+", number: str = "1.5") -> World:
+    return play(EDITED.format(number=number, sign=sign), crowd(20, radius=50), steps=3, ways=(NATIVE,)).world
+
+
+def test_code_of_another_run_is_used(afresh: Callable[[], list[str]]) -> None:
+    compiled = afresh()
+    wanted = state_hash(edited())
+    assert len(compiled) > 1
+    compiled = afresh()
+    world = edited()
+    assert state_hash(world) == wanted and compiled == [] and world.backend.told() == []
+
+
+@pytest.mark.parametrize("harm", ["damaged", "others may write to"])
+def test_code_that_may_be_harmful_is_not_loaded_and_the_run_goes_on(
+    harm: str, afresh: Callable[[], list[str]], tmp_path: Path
+) -> None:
+    afresh()
+    wanted = state_hash(edited())
+    if harm == "damaged":
+        for path in (tmp_path / "code").iterdir():
+            path.write_bytes(path.read_bytes()[:-1] + b"?")
+    else:
+        (tmp_path / "code").chmod(0o777)
+    compiled = afresh()
+    world = edited()
+    assert state_hash(world) == wanted and len(compiled) > 1
+    assert world.backend.told() and all(harm in each for each in world.backend.told())
+
+
+def test_an_edit_compiles_what_it_changes_and_a_number_nothing(afresh: Callable[[], list[str]]) -> None:
+    compiled = afresh()
+    edited()
+    assert len(compiled) == len(set(compiled)) > 1
+    compiled.clear()
+    edited(number="2.5")
+    assert compiled == []
+    edited(sign="-")
+    assert len(compiled) == 1 and "@a.act.0" in compiled[0]
+
+
+def test_what_is_asked_for_last_is_made_first_and_of_many_the_first_are_not_made(
+    afresh: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where a program is saved again and again."""
+    compiled = afresh()
+    worlds = [play(EDITED.format(number=1, sign="+" + k * " pace *"), crowd(3, radius=5), ways=(NUMPY,)).world for k in range(7)]
+    go = Event()
+    ready._worker().submit(go.wait)
+    coming = [ready.beside(each.plan, each.backend.blocks, ready.Facts(False, False)) for each in worlds]  # type: ignore[attr-defined]
+    go.set()
+    made = [each.result() for each in coming[3:]]
+    assert [each.cancelled() for each in coming] == [True] * 3 + [False] * 4
+    blocks = [text for text in compiled if "@a.act.0" in text]
+    assert blocks == [each.program.units["a.act.0"] for each in reversed(made)]
+    assert not ready._asked
+
+
+def test_a_plan_that_is_gone_leaves_no_code_behind(afresh: Callable[[], list[str]]) -> None:
+    afresh()
+    world = edited()
+    same = bind(world.plan, world.setting, Options())
+    step(same)
+    assert same.backend.ready is world.backend.ready is not None  # type: ignore[attr-defined]
+    assert len(ready._plans) == 1
+    del world, same
+    gc.collect()
+    assert len(ready._plans) == 0
