@@ -1,11 +1,10 @@
 """Random programs of every construct, in worlds of every kind, fed with what is no number, endless, huge and denormal.
 
-`Extremes(seed)` writes a program and the world it runs in; `spoil` puts such values into the registers, items and fields of a run,
+`Extremes(seed)` writes a program and the world it runs in; `spoil` puts such values into registers, items and fields of a run,
 the same for every backend and order of rows."""
 
 from __future__ import annotations
 
-import random
 from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any

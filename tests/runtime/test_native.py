@@ -94,7 +94,11 @@ def hashes(scene: str, frames: int, options: Options, most: int = 2000) -> list[
 @pytest.mark.parametrize("scene", sampled(SCENES, ["foraging/scene.yaml", "moods/scene.yaml", "tunnel/scene.yaml"]))
 def test_an_example_has_the_states_that_numpy_gives_it(scene: str) -> None:
     wanted = hashes(scene, 18, NUMPY)
-    ways = replace(NATIVE, chunk=8, shuffle_rows=5), replace(NATIVE, chunk=500, threads=2), replace(NATIVE, chunk=100_000, threads=5)
+    ways = (
+        replace(NATIVE, chunk=8, shuffle_rows=5),
+        replace(NATIVE, chunk=500, threads=2),
+        replace(NATIVE, chunk=100_000, threads=5),
+    )
     for way in ways:
         assert hashes(scene, 18, way) == wanted
 
