@@ -114,6 +114,7 @@ def test_a_kept_object_file_runs(folder: Path) -> None:
 
 def test_a_key_is_of_all_that_code_depends_on() -> None:
     pytest.importorskip("llvmlite")
+
     def of(text: str, triple: str, cpu: str, features: str, *versions: str) -> str:
         return key(text, Target(triple, cpu, features), versions=versions)
 
