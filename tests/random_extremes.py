@@ -147,7 +147,7 @@ LINES = (
 
 
 class Extremes(random_sensing.Sensing):
-    """`text` is a program with the species `a` and `other`, `world` what it begins with, `kind` what is special about its world."""
+    """`text` is a program with the species `a` and `other`, `kind` what is special about its world."""
 
     numbers, pushes, conditions, statements, declared = NUMBERS, PUSHES, CONDITIONS, LINES, DECLARED
     KINDS = ("still", "moving", "detail", "loose")
