@@ -24,6 +24,7 @@ from antdsl.runtime.motion_measures import Motion
 from antdsl.runtime.profiling import Meter, Profile
 
 ROOT = Path(__file__).parents[2]
+NUMPY, NATIVE = Options(backend="numpy"), Options(backend="native", wait_for_code=True)
 FORAGING = ROOT / "examples" / "foraging" / "scene.yaml"
 BLOCKS = ("decide", "act", "blend", "births")
 PROGRAM = """ant 1
@@ -118,7 +119,7 @@ def test_what_a_behaviour_takes_is_told_of_its_own_line_and_of_the_layer_that_ca
 ) -> None:
     monkeypatch.setitem(numpy_calls.SENSES, "ray", clock.slow(numpy_calls.SENSES["ray"], 0.25))
     monkeypatch.setitem(numpy_calls.SENSES, "field.value", clock.slow(numpy_calls.SENSES["field.value"], 0.05))
-    found = measured(bind(shot.plan, shot.setting), 4)
+    found = measured(bind(shot.plan, shot.setting, NUMPY), 4)
     assert found.frames == 4
     assert [(each.line, each.text, round(each.ms, 6)) for each in found.lines] == [
         (4, "let seen = feelers(on, count: 1, reach: reach)", 250.0),

@@ -30,6 +30,11 @@ class Target:
     features: str
 
     @property
+    def counts(self) -> bool:
+        """Whether each program may read how much time has passed from a register of the processor."""
+        return self.triple.startswith("x86_64")
+
+    @property
     def avx2(self) -> bool:
         return "+avx2" in self.features.split(",")
 
