@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +12,7 @@ from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Sc
 from antdsl.runtime.backends.native.emitter import Emitter, elementwise
 from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes, Module
 from antdsl.runtime.backends.native.layout import KINDS, Key, Layout
-from antdsl.runtime.backends.native.marks import Lines, Marks
+from antdsl.runtime.backends.native.marks import Lines, marks_of
 from antdsl.runtime.backends.native.schedule import Schedule, operands_of
 
 _LONG = frozenset(("sin", "cos", "exp", "log", "pow", "atan2"))  # functions of the module rather than inlined
@@ -143,7 +142,7 @@ class BlockWriter(Writer):
     def write(self, name: str) -> None:
         """Add the function to the module."""
         e = self.e
-        marks = self._marks = None if self.code.lines is None else Marks(self, self.code.lines)
+        self._marks = marks_of(self, self.code.lines)
         rows = e.op("sub i64 %end, %begin", I64, one=True)
         with e.loop(rows, WIDTH) as offset:
             self.offset = offset
@@ -158,41 +157,33 @@ class BlockWriter(Writer):
             top = len(e.lines)
             self._scope(root)
             rest, e.lines = e.lines, []
-            with nullcontext() if marks is None else marks.elsewhere():
+            with self._marks.elsewhere():
                 for slot in self._nobody:
                     e.store(self.array(slot, 0, BOOL), offset, e.constant(False, BOOL))
                 for do in self.at_top:
                     do()
             e.lines = rest[:top] + e.lines + rest[top:]
-        if marks is not None:
-            marks.count()
+        self._marks.count()
         self.module.functions[name] = self.function(name, ", i64 %begin, i64 %end")
 
     # --- instructions --------------------------------------------------------------------------------------------------
 
     def _scope(self, scope: Scope) -> None:
         for each in scope.code:
-            with self._of(each):
-                self._instruction(each)
-
-    def _of(self, each: Instruction) -> AbstractContextManager[None]:
-        """What is emitted within is timed as an instruction's, where lines are timed."""
-        return nullcontext() if self._marks is None else self._marks.of(each)
-
-    def _instruction(self, each: Instruction) -> None:
-        match each.does:
-            case Does.REGION:
-                self._region(each)
-            case Does.KEEP:
-                self._keep(each)
-            case Does.STATEMENT:
-                if self.schedule.at[each] == self.stage:
-                    self._statement(each)
-            case Does.VALUE if each in self.schedule.calls[self.stage]:
-                self._guard(each)
-            case Does.VALUE | Does.REDUCE if each in self.schedule.native:
-                if self.schedule.home.get(each.out) == self.stage:
-                    self.slot(each.out)
+            with self._marks.of(each):
+                match each.does:
+                    case Does.REGION:
+                        self._region(each)
+                    case Does.KEEP:
+                        self._keep(each)
+                    case Does.STATEMENT:
+                        if self.schedule.at[each] == self.stage:
+                            self._statement(each)
+                    case Does.VALUE if each in self.schedule.calls[self.stage]:
+                        self._guard(each)
+                    case Does.VALUE | Does.REDUCE if each in self.schedule.native:
+                        if self.schedule.home.get(each.out) == self.stage:
+                            self.slot(each.out)
 
     def _guard(self, each: Instruction) -> None:
         """Note who needs a call, where that can be told, and leave what the others get."""
@@ -278,21 +269,17 @@ class BlockWriter(Writer):
         if each is None or each not in self.schedule.native or (self.schedule.home[slot] != self.stage and not anew):
             parts = tuple(self.e.load(self.array(slot, k, kind), self.offset, kind) for k, kind in enumerate(self._kinds[slot]))
             return parts if len(parts) > 1 else parts[0]
-        with self._of(each):
-            return self._worked_out(slot, each)
-
-    def _worked_out(self, slot: int, each: Instruction) -> Any:
-        node = each.what
-        if each.does is Does.REDUCE:
-            self._reduce(self, each)
-            return self.e.known[-1][slot]
-        assert isinstance(node, ir.Node)
-        if node.op == "get":
-            value = self.slot(each.inputs[0])[node.attrs[0]]
-        else:
-            args = tuple(self.slot(k) for k in each.inputs)
-            value = self.apply(node.op, *args) if node.op in ELEMENTWISE else self.senses[node.op](self, node, args)
-        self._leave(slot, value)
+        with self._marks.of(each):
+            if each.does is Does.REDUCE:
+                self._reduce(self, each)
+                return self.e.known[-1][slot]
+            assert isinstance(node, ir.Node)
+            if node.op == "get":
+                value = self.slot(each.inputs[0])[node.attrs[0]]
+            else:
+                args = tuple(self.slot(k) for k in each.inputs)
+                value = self.apply(node.op, *args) if node.op in ELEMENTWISE else self.senses[node.op](self, node, args)
+            self._leave(slot, value)
         return value
 
     def known(self, slot: int, value: Any) -> None:

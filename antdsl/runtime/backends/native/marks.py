@@ -7,7 +7,7 @@ finds what several lines ask, counts for the line where it stands in the code.""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -42,6 +42,19 @@ class Lines:
             self._counters[key] = len(self.told)
             self.told.append(self.numbers[instruction])
         return self._counters[key]
+
+
+class NoMarks:
+    """As `Marks` for code that is not timed: nothing is written."""
+
+    def of(self, instruction: Instruction) -> AbstractContextManager[None]:
+        return nullcontext()
+
+    def elsewhere(self) -> AbstractContextManager[None]:
+        return nullcontext()
+
+    def count(self) -> None:
+        pass
 
 
 class Marks:
@@ -84,6 +97,11 @@ class Marks:
         place = e.one(f"getelementptr i64, ptr {self._ticks}, i64 {number}", PTR).name
         e.put(place, e.one(f"add i64 {e.get(place, I64, one=True).name}, {passed.name}", I64))
         e.put(self._last, now)
+
+
+def marks_of(w: Writer, lines: Lines | None) -> Marks | NoMarks:
+    """The marks of a function, where its lines are counted."""
+    return NoMarks() if lines is None else Marks(w, lines)
 
 
 @dataclass(slots=True, eq=False)
