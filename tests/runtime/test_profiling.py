@@ -30,7 +30,7 @@ from antdsl.runtime.profiling import Meter, Profile
 ROOT = Path(__file__).parents[2]
 NUMPY, NATIVE = Options(backend="numpy"), Options(backend="native", wait_for_code=True)
 FORAGING = ROOT / "examples" / "foraging" / "scene.yaml"
-in_code = pytest.mark.skipif(not (machine.available() and machine.host().counts), reason="no machine code whose lines are timed")
+in_code = pytest.mark.skipif(not (machine.available() and machine.host().x86), reason="no machine code whose lines are timed")
 BLOCKS = ("decide", "act", "blend", "births")
 PROGRAM = """ant 1
 use steering
