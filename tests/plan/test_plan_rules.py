@@ -8,9 +8,11 @@ import pytest
 from plan_agent import Agent
 from plan_text import codes, lowered, plan_of
 
+from antdsl.plan.lowering import expressions
 from antdsl.plan.lowering.rules import OPERATIONS
 from antdsl.plan.lowering.sets import quantum
 from antdsl.plan.traverse import needed, operands, statements
+from antdsl.program import model
 from antdsl.program.model import Dim
 from antdsl.program.tables import vocabulary
 from antdsl.program.tables.senses import SET_SENSES
@@ -212,3 +214,12 @@ def test_an_order_that_does_not_fit_is_refused(order, word):
     _, report = lowered(LAYERS, orders={"a": order})
     assert codes(report) == ["layer-order"]
     assert word in report.diagnostics[0].message
+
+
+@pytest.mark.parametrize("sign", ["+", "*", "/", "-"])
+def test_what_stands_deep_in_an_expression_is_lowered_once(sign: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    plain = expressions._param
+    monkeypatch.setitem(expressions._LOWER, model.ParamRef, lambda w, e: found.append(e) or plain(w, e))
+    plan_of(f"species a {{\nparam deep = 2\nx = 0\nstart s\nstate s {{ x = {f' {sign} '.join(['deep'] * 24)} }}\n}}\n")
+    assert len(found) == 24

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -128,7 +129,7 @@ def test_an_effect_is_a_row_and_a_function(monkeypatch: pytest.MonkeyPatch) -> N
     t = plans.Text()
     amount = t("sub", t("number", t("id")), 2.0)
     plan = plans.bare(plans.block(ir.Request("mark", "", (amount,), None, own="marks")), "marks")
-    plan = ir.Plan(**{name: getattr(plan, name) for name in plan.__slots__} | {"nodes": tuple(t.b.nodes)})
+    plan = replace(plan, nodes=tuple(t.b.nodes))
     verify(plan)
     assert "mark number(id) - 2" in show(plan)
     for backend in ("reference", "numpy"):

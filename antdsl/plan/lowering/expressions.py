@@ -25,7 +25,11 @@ def lower(w: Writer, expr: model.Expr) -> Value:
 
 def scalar(w: Writer, expr: model.Expr) -> Node:
     """An expression that is one node: a number, a truth, a state, or a reference's row or id."""
-    value = lower(w, expr)
+    return single(w, expr, lower(w, expr))
+
+
+def single(w: Writer, expr: model.Expr, value: Value) -> Node:
+    """What an expression was lowered to, as one node."""
     if isinstance(value, Ref):
         return value.node
     if isinstance(value, Element):

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.expressions import lower, scalar
+from antdsl.plan.lowering.expressions import lower, scalar, single
 from antdsl.plan.lowering.values import Value, Vec
 from antdsl.plan.lowering.writer import Writer
 from antdsl.plan.simplify import value
@@ -21,38 +21,46 @@ def args(w: Writer, e: model.Op) -> list[Node]:
     return [scalar(w, a) for a in e.args if a is not None]
 
 
+def _two(w: Writer, e: model.Op) -> tuple[Value, Value, Callable[[], list[Node]]]:
+    """Both operands, and what gives them as scalars. Each is lowered once: twice, a sum would take twice as long by each term."""
+    first, second = (a for a in e.args if a is not None)
+    left, right = lower(w, first), lower(w, second)
+    return left, right, lambda: [single(w, first, left), single(w, second, right)]
+
+
 def _both(op: str) -> Rule:
     def rule(w: Writer, e: model.Op) -> Value:
-        left, right = (lower(w, a) for a in e.args if a is not None)
+        left, right, scalars = _two(w, e)
         if isinstance(left, Vec) and isinstance(right, Vec):
             return values.zip_with(lambda p, q: w.b(op, p, q), left, right)
-        return w.b(op, *args(w, e))
+        return w.b(op, *scalars())
 
     return rule
 
 
 def _mul(w: Writer, e: model.Op) -> Value:
-    left, right = (lower(w, a) for a in e.args if a is not None)
+    left, right, scalars = _two(w, e)
     if isinstance(left, Vec) and isinstance(right, Node):
         return values.scale(w.b, left, right)
     if isinstance(right, Vec) and isinstance(left, Node):
         return values.scale(w.b, right, left)
-    return w.b("mul", *args(w, e))
+    return w.b("mul", *scalars())
 
 
 def _div(w: Writer, e: model.Op) -> Value:
-    left = lower(w, e.args[0])  # type: ignore[arg-type]
-    right = scalar(w, e.args[1])  # type: ignore[arg-type]
+    dividend, divisor = (a for a in e.args if a is not None)
+    left, right = lower(w, dividend), scalar(w, divisor)
     if isinstance(left, Vec):
         return values.zip_with(lambda p: w.b("div", p, right), left)
-    return w.b("div", *args(w, e))
+    return w.b("div", single(w, dividend, left), right)
 
 
 def _neg(w: Writer, e: model.Op) -> Value:
-    inner = lower(w, e.args[0])  # type: ignore[arg-type]
+    (operand,) = (a for a in e.args if a is not None)
+    inner = lower(w, operand)
     if isinstance(inner, Vec):
         return values.neg(w.b, inner)
-    return w.b("neg", *args(w, e))
+    return w.b("neg", single(w, operand, inner))
 
 
 def _pow(w: Writer, e: model.Op) -> Value:
@@ -127,11 +135,11 @@ def _around(w: Writer, e: model.Op) -> Value:
 
 def _compared(op: str) -> Rule:
     def rule(w: Writer, e: model.Op) -> Value:
-        left, right = (lower(w, a) for a in e.args if a is not None)
+        left, right, scalars = _two(w, e)
         if isinstance(left, Vec) and isinstance(right, Vec):
             same = w.b.all(*(w.b("eq", p, q) for p, q in zip(left, right, strict=True)))
             return same if op == "eq" else w.b("not", same)
-        first, second = args(w, e)
+        first, second = scalars()
         if first.kind is not second.kind:  # a truth beside a number: both as numbers
             first, second = (n if n.kind is Kind.F32 else w.b("number", n) for n in (first, second))
         return w.b(op, first, second)
