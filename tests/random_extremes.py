@@ -1,7 +1,7 @@
 """Random programs of every construct, in worlds of every kind, fed with what is no number, endless, huge and denormal.
 
-`Extremes(seed)` writes a program and the world it runs in; `spoil` puts such values into the registers, items and fields of a
-run, the same for every backend and order of rows."""
+`Extremes(seed)` writes a program and the world it runs in; `spoil` puts such values into registers, items and fields of a run,
+the same for every backend and order of rows."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ LINES = (
 
 
 class Extremes(random_sensing.Sensing):
-    """`text` is a program with species `a` and `other`, `world` what it begins with, `kind` what is special about its world."""
+    """`text` is a program with the species `a` and `other`, `kind` what is special about its world."""
 
     numbers, pushes, conditions, statements, declared = NUMBERS, PUSHES, CONDITIONS, LINES, DECLARED
     KINDS = ("still", "moving", "detail", "loose")

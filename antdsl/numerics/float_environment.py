@@ -19,7 +19,8 @@ def is_standard() -> bool:
 
 
 def be_standard() -> None:
-    """Have this thread work as the standard says from now on; for one's own threads. Nothing where the C library has no way."""
+    """Have this thread work as the standard says from now on: for threads of one's own. Where the C library has no way it
+    stays as it is."""
     if not is_standard() and (library := _library()) is not None:
         library.fesetenv(_usual())
 

@@ -13,6 +13,7 @@ from antdsl.ground.protocol import Footing
 from antdsl.plan import ir
 from antdsl.plan.traverse import needed, operands, placed
 from antdsl.runtime.claims import give
+from antdsl.runtime.digging import dig
 from antdsl.runtime.moving.moving_geometry import rest_places
 from antdsl.runtime.requests import Asked
 from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows, shares_start, stored_registers
@@ -46,6 +47,7 @@ def settle_newborn(world: World) -> None:
     """What agents ask for at their birth happens before the next step: nothing is left over between two steps."""
     raise_events(world)
     give(world)
+    dig(world)
     laying = [p for p in world.populations.values() if "deposit" in p.effects.asked]
     for population in laying:
         find_cells(world, population)

@@ -114,6 +114,16 @@ def test_the_distance_grid_never_promises_too_much_and_promises_something(mesh):
     assert np.mean(least > 0.5 * true) > 0.8
 
 
+def test_places_that_are_none_and_places_without_measure_are_answered():
+    mesh = ball(20.0, (5, 1, 2))
+    odd = np.array([[np.nan, 0, 0], [np.nan] * 3, [np.inf, -np.inf, 0], [1e30, 1e38, -1e30], [0, 0, 0]])
+    with np.errstate(all="ignore"):
+        least = DistanceGrid(mesh[0][mesh[1]], cells=20_000).at_least(*odd.T)
+        _, face, _, distance = RayScene(*mesh).closest(odd)
+    assert (least[2:4] > 1e29).all() and least[4] < 20
+    assert ((face >= 0) & (face < len(mesh[1]))).all() and np.isnan(distance[:2]).all() and distance[4] < 20
+
+
 def test_nearest_point_of_a_triangle_against_many_samples():
     rng = np.random.default_rng(6)
     corners = rng.normal(size=(60, 3, 3))

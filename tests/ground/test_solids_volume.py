@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from antdsl.ground.solid import Unusable, Volume
+from antdsl.ground.solid_feelers import SolidFeelers
 from antdsl.numerics import compiled
 
 Dig = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -279,3 +280,16 @@ def test_memory_is_that_of_the_surface() -> None:
     solid = ball(60.0)
     assert solid.nbytes < 0.6 * np.prod(solid.bricks.nodes) * 4
     assert solid.sample(np.full((1, 3), np.nan)).shape == (1,)
+
+
+def test_a_ray_without_measure_ends_where_nothing_solid_is_left() -> None:
+    """From within reach the same hits to the bit as with a short reach; from far away the one that stands in the way."""
+    feelers = SolidFeelers(ball())
+    start, way = 30 * ways(200, 4), -ways(200, 4) + 0.6 * ways(200, 5)
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    short, endless = (feelers.feelers(*start.T, *way.T, reach) for reach in (90.0, 3e38))
+    assert 50 < short.hit.sum() < 200
+    for name in ("hit", "t", "nx", "ny", "nz"):
+        assert np.array_equal(getattr(short, name), getattr(endless, name))
+    far = feelers.feelers(*np.array([[1e6, 0, 0], [1e6, 90, 0]]).T, *np.array([[-1.0, 0, 0]] * 2).T, 3e38)
+    assert far.hit.tolist() == [True, False] and abs(far.t[0] - (1e6 - 12)) < 0.5

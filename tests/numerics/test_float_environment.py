@@ -148,8 +148,18 @@ def run(plan: ir.Plan, backend: str, threads: int, steps: int = 6) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
-@pytest.mark.parametrize(("backend", "threads"), [("numpy", 2), ("native", 1), ("reference", 1)])
+@pytest.mark.parametrize(
+    ("backend", "threads", "bits"),
+    [
+        ("numpy", 2, FLUSHED),
+        ("native", 1, FLUSHED | UPWARD),
+        *(
+            pytest.param(backend, 1, bits, marks=pytest.mark.slow)
+            for backend in ("numpy", "native", "reference")
+            for bits in HOSTS.values()
+        ),
+    ],
+)
 def test_a_host_changes_no_state(backend: str, threads: int, bits: int) -> None:
     plan = optimise(plan_of(SMALL))
     assert hosted(bits, lambda: run(plan, backend, threads)) == run(plan, "numpy", 1)

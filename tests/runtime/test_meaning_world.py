@@ -261,6 +261,23 @@ state q { when age > 100 s -> p } }"""
     assert seen["at_birth"] == [0] * 8 and seen["group"] == [3] * 8 and seen["now"] == [7, 9] + [7] * 6
 
 
+def test_who_dies_at_birth_has_given_and_raised_what_it_said_before():
+    text = """field trail on ground { cell 8 mm }
+species a { load = 1
+start p
+state p { enter { give all load to nest; emit ping(within: 500 mm); deposit trail 1; die }; when age > 100 s -> q }
+state q { when age > 100 s -> p } }
+species b { heard = 0
+on ping { heard += 1 }
+start p
+state p { when age > 100 s -> q }
+state q { when age > 100 s -> p } }"""
+    given = {"surfaces": {"ground": MeshData(*meshes.terrain(100.0, 4))}, "items": {"nest": (item("n", 0, 0),)}}
+    seen = play(text, crowd(3, radius=5), crowd(2, species="b", radius=5), steps=1, **given)
+    assert seen.at("id", 0) == [] and seen.amounts("nest") == [3] and seen.at("heard", 1, "b") == [1, 1]
+    assert seen.world.fields["trail"].values.sum() == 3
+
+
 def test_references_to_the_dead_become_none_and_all_may_die():
     text = """species a {
 pal = none of a

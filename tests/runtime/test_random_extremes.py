@@ -38,7 +38,7 @@ def states(plan: ir.Plan, setting: Setting, seed: int, options: Options, frames:
 
 @pytest.mark.skipif(not machine.available(), reason="llvmlite is not installed")
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize("seed", sampled(range(PROGRAMS), (5, 6, 7)))
+@pytest.mark.parametrize("seed", sampled(range(PROGRAMS), (6, 7)))
 def test_backends_agree_on_whatever_comes(seed: int) -> None:
     made, built = Extremes(seed), Built()
     plan, _ = random_extremes.plan_and_program(made)

@@ -132,10 +132,11 @@ def begin(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
     for name, rows in joined.items():
         _set_out(world, world.populations[name], rows)
         settle(world, world.populations[name], rows)
+    settle_newborn(world)  # while rows are theirs: who dies at birth has asked for it all the same
     births = set(settled_in("births"))
     if any(births & p.effects.asked.keys() for p in world.populations.values()):
         deaths_and_births(world)
-    settle_newborn(world)
+        settle_newborn(world)
     for population in world.populations.values():
         for name in population.events:
             population.events[name] |= population.raised[name]

@@ -142,5 +142,5 @@ class NativeBackend(NumpyBackend):
             self._widest[key] = max((each for each in found if np.isfinite(each)), default=0.0)
         widest, other = self._widest[key], world.populations[near.species]
         for axis in AXES:
-            self._rooms.moved(other.start, f"position.{axis}")
+            self._rooms.moved(other, f"position.{axis}", start=True)
         return self._grids.of(world, other, widest if widest > 0 else 1.0)

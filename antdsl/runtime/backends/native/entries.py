@@ -1,7 +1,7 @@
 """Functions that are called from outside: each sets how the processor works with floats, and puts it back as it was.
 
 A host may have denormal numbers flushed to zero, or results rounded upward; a thread has that from the one that began it. The
-function called sets the register of that and calls another one with the work, so that no operation can be moved past it."""
+function that is called sets the register of that and calls another one with the work: no operation can be moved past it."""
 
 from __future__ import annotations
 

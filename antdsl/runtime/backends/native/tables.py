@@ -52,16 +52,19 @@ class Rooms:
         self._moved: dict[int, tuple[NDArray[Any], NDArray[Any], int]] = {}  # by identity: an array, that with room, its address
         self._copies: dict[Key, tuple[Any, NDArray[Any], int]] = {}
 
-    def moved(self, holder: dict[str, NDArray[Any]], name: str) -> tuple[NDArray[Any], int]:
-        """A register's array with its address, moved into one with room unless it is in one. Start and now may share an array,
-        and share the new one then."""
-        array = holder[name]
+    def moved(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
+        """A register's array with its address, moved into one with room unless it is in one. Start and now share the new one
+        where they shared the old one: else it would be copied at the end of each step."""
+        holders = population.start, population.now
+        array = holders[not start][name]
         known = self._moved.get(id(array))
         if known is None:
             new = roomy(array)
             known = self._moved[id(array)] = (array, new, address(new))
             self._moved[id(new)] = (new, *known[1:])
-        holder[name] = known[1]
+        for holder in holders:
+            if holder.get(name) is array:
+                holder[name] = known[1]
         return known[1:]
 
     def forget(self) -> None:
@@ -132,7 +135,7 @@ class Tables:
         for number, (name, start, place) in enumerate(self._registers):
             holder = population.start if start else population.now
             if holder[name] is not self._seen[number]:
-                self._seen[number], self.pointers[place] = self._rooms.moved(holder, name)
+                self._seen[number], self.pointers[place] = self._rooms.moved(population, name, start=start)
         for number, part, place in self._kept:
             has, parts = kept[self.code.kept[number]]
             self.pointers[place] = address(has if part == "has" else parts[int(str(part))])
@@ -200,7 +203,7 @@ class Tables:
             return self._rooms.copied(key, other.sorted_ids()[name == "order"], np.int64, stamp)
         if name == "ids":
             return self._rooms.copied((other.name, "ids"), other.ids, np.int64, stamp)
-        return self._rooms.moved(other.start, name)[1]
+        return self._rooms.moved(other, name, start=True)[1]
 
     def _beside(self, world: World, population: Population, key: Key) -> int:
         """Up to four registers of others at the start of the step, side by side."""

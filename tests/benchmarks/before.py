@@ -1,0 +1,170 @@
+"""Steps of another tree and of this one, phase by phase, in turn in one run.
+
+`python tests/benchmarks/before.py ../other foraging --agents 15000` tells for a case of `antdsl bench` what a step takes there by
+its own default, here with NumPy, and here as machine code: milliseconds of CPU time by phase, and the ratio of each to the other
+tree with where it lies with 95 %. Blocks are decide, act and blend without the time that rays take. Each tree runs in a process
+of its own; all take a turn of some steps, `--pairs` times. Scenes are each tree's own; texts that make a case are this tree's, since
+the other one may be older."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from statistics import mean
+from typing import Any
+
+from pairs import of_this_tree, ratios, scaled
+
+ROOT = Path(__file__).resolve().parents[2]
+BLOCKS = ("decide", "act", "blend")
+WARM = 6  # steps that are not counted: the rows come into order of place after the first, kernels are loaded
+WAYS = (("before", ""), ("NumPy", "numpy"), ("native", "native"))
+
+
+def shot_of(case: str, agents: int | None) -> tuple[Any, Any]:
+    """Plan and setting of a case, by the package that is imported."""
+    from antdsl.pipeline import open_scene
+
+    if case == "foraging":
+        name = "scene.yaml" if agents is not None and agents <= 2000 else "many.yaml"
+        shot, report = open_scene(Path.cwd() / "examples" / "foraging" / name)
+    elif case == "boids":
+        import tempfile
+
+        texts = of_this_tree("programs")
+        with tempfile.TemporaryDirectory() as folder:
+            count = agents or 15_000
+            Path(folder, "scene.yaml").write_text(texts.plane_scene("boid", count, texts.boid_radius(count)))
+            Path(folder, "boid.ant").write_text(texts.BOIDS)
+            shot, report = open_scene(Path(folder, "scene.yaml"))
+        agents = None
+    else:
+        shot, report = open_scene(Path.cwd() / case)
+    if shot is None:
+        raise SystemExit("\n".join(found.message for found in report.errors))
+    return shot.plan, shot.setting if agents is None else scaled(shot.setting, agents)
+
+
+@contextmanager
+def rays_timed() -> Iterator[list[float]]:
+    """Seconds that senses of rays take, summed up."""
+    from antdsl.runtime import sensing
+
+    spent = [0.0]
+
+    def timed(work: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*given: Any, **named: Any) -> Any:
+            began = time.process_time()
+            try:
+                return work(*given, **named)
+            finally:
+                spent[0] += time.process_time() - began
+
+        return run
+
+    senses: Any = sensing.SENSES
+    plain = senses["ray"]
+    senses["ray"] = timed(plain)
+    try:
+        from antdsl.runtime.backends.native import tables
+    except ImportError:
+        yield spent
+    else:
+        tables.clearance = timed(tables.clearance)  # who may hit is asked before, not in the sense itself
+        yield spent
+    senses["ray"] = plain
+
+
+def serve(case: str, agents: int | None, backend: str, steps: int) -> None:
+    """Make turns of steps as they are asked for, a line each; tells CPU seconds of a step by phase."""
+    from antdsl.runtime import Options, bind, step
+
+    more: dict[str, Any] = {"backend": backend} if backend else {}
+    if backend == "native":
+        more["wait_for_code"] = True
+    with rays_timed() as rays:
+        world = bind(*shot_of(case, agents), Options(threads=1, **more))
+        for _ in range(WARM):
+            step(world)
+        print("ready", flush=True)
+        for _ in sys.stdin:
+            world.worked.clear()
+            rays[0] = 0.0
+            for _ in range(steps):
+                step(world)
+            told = {phase: seconds / steps for phase, seconds in world.worked.items()}
+            told["blocks"] = sum(told[phase] for phase in BLOCKS) - rays[0] / steps
+            told["step"] = sum(world.worked.values()) / steps
+            print(json.dumps(told), flush=True)
+
+
+def started(tree: Path, words: list[str]) -> subprocess.Popen[str]:
+    """A process of a tree that has bound its world."""
+    child = subprocess.Popen(
+        [sys.executable, __file__, *words, "--serve"],
+        env={**os.environ, "PYTHONPATH": str(tree)},
+        cwd=tree,
+        text=True,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    assert child.stdout is not None
+    if child.stdout.readline() != "ready\n":
+        raise SystemExit(f"{tree}: the process ended with {child.wait()}")
+    return child
+
+
+def turn(children: list[subprocess.Popen[str]], number: int) -> dict[str, float]:
+    """What a turn of one of them has cost."""
+    child = children[number]
+    assert child.stdin is not None and child.stdout is not None
+    child.stdin.write("\n")
+    child.stdin.flush()
+    found: dict[str, float] = json.loads(child.stdout.readline())
+    return found
+
+
+def main() -> None:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("other", type=Path, help="the tree to compare with")
+    parser.add_argument("case", help="`foraging`, `boids`, or a scene by its path in either tree")
+    parser.add_argument("--agents", type=int, default=None)
+    parser.add_argument("--pairs", type=int, default=20)
+    parser.add_argument("--steps", type=int, default=1, help="of a turn")
+    parser.add_argument("--backend", default="", help=argparse.SUPPRESS)
+    parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.serve:
+        serve(given.case, given.agents, given.backend, given.steps)
+        return
+    words = [str(given.other), given.case, "--steps", str(given.steps)]
+    words += [] if given.agents is None else ["--agents", str(given.agents)]
+    trees = (given.other.resolve(), ROOT, ROOT)
+    children = [started(tree, [*words, "--backend", way]) for tree, (_, way) in zip(trees, WAYS, strict=True)]
+    found = ratios.in_turn(partial(turn, children), len(WAYS), given.pairs)
+    for child in children:
+        child.kill()
+    print(f"{given.case}, {given.agents or 'its own'} agents, {given.pairs} turns of {given.steps} steps; CPU ms a step")
+    print("| phase | " + " | ".join(name for name, _ in WAYS) + " | NumPy / before | native / before | native / NumPy |")
+    print("|---|" + "---|" * (len(WAYS) + 3))
+    for phase in found[0][0]:
+        costs = [[each[way].get(phase, 0.0) for each in found] for way in range(len(WAYS))]
+        if mean(costs[0]) < 1e-5 and phase != "step":
+            continue
+        row = [f"{1000 * mean(each):.2f}" for each in costs]
+        for one, two in ((1, 0), (2, 0), (2, 1)):
+            row.append(str(ratios.interval([a / b for a, b in zip(costs[one], costs[two], strict=True) if b])))
+        print(f"| {phase} | " + " | ".join(row) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
