@@ -67,7 +67,7 @@ def _instructions_counted(world: World, counts: Counts) -> Iterator[None]:
         yield
         return
     counts |= {"instructions": 0, "instruction_bytes": 0, "elements": 0}
-    backend.measure(True)
+    NumpyBackend.measure(backend, True)  # also where the backend would go on with code of its own
     scopes = {id(each.scope): each.scope for block in backend.metered.values() for each in block.instructions}
     plain = [(scope, scope.calls) for scope in scopes.values()]
     for scope, calls in plain:
@@ -77,7 +77,7 @@ def _instructions_counted(world: World, counts: Counts) -> Iterator[None]:
     finally:
         for scope, calls in plain:
             scope.calls = calls
-        backend.measure(False)
+        NumpyBackend.measure(backend, False)
 
 
 def _counted(call: Run, instruction: Instruction, counts: Counts) -> Run:

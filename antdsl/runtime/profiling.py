@@ -44,7 +44,8 @@ class Profile:
     """Milliseconds a frame, over `frames` frames: what passed, and for the phases what processors `worked`.
 
     `lines` have the dearest first. They add up to less than the phases, as what is done for all agents at once (grids of
-    neighbours, settling claims, moving) is of no line."""
+    neighbours, settling claims, moving) is of no line. `by`: how many of the frames each has run that runs lines; none of the
+    reference backend, which tells of no lines."""
 
     frames: int = 0
     total: float = 0.0
@@ -52,6 +53,7 @@ class Profile:
     worked: dict[str, float] = field(default_factory=dict)
     layers: tuple[LayerTime, ...] = ()
     lines: tuple[LineTime, ...] = ()
+    by: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -63,6 +65,7 @@ class _Measured:
     phases: dict[str, float]
     worked: dict[str, float]
     calls: dict[Key, list[float]]
+    by: dict[str, int]
 
     def add(self, other: _Measured) -> None:
         self.steps += other.steps
@@ -70,6 +73,8 @@ class _Measured:
         for mine, theirs in ((self.phases, other.phases), (self.worked, other.worked)):
             for name, seconds in theirs.items():
                 mine[name] = mine.get(name, 0.0) + seconds
+        for name, frames in other.by.items():
+            self.by[name] = self.by.get(name, 0) + frames
         for key, times in other.calls.items():
             known = self.calls.get(key)
             self.calls[key] = times if known is None else [a + b for a, b in zip(known, times, strict=True)]
@@ -111,7 +116,8 @@ class Meter:
             for before, after in zip(self._before, (world.timings, world.worked), strict=True)
         )
         calls = {key: metered.seconds for key, metered in _metered(world).items()}
-        now = _Measured(1, self._clock(), phases, worked, calls)
+        by = {world.backend.by: 1} if isinstance(world.backend, NumpyBackend) else {}
+        now = _Measured(1, self._clock(), phases, worked, calls, by)
         if self._seconds is None and self._measured:
             self._measured[0].add(now)
             return
@@ -129,14 +135,15 @@ class Meter:
         """What was measured; nothing before the first step."""
         if not self._measured or self._plan is None:
             return Profile()
-        whole = _Measured(0, 0.0, {}, {}, {})
+        whole = _Measured(0, 0.0, {}, {}, {}, {})
         for each in self._measured:
             whole.add(each)
         to_ms = 1000 / whole.steps
         phases = {name: seconds * to_ms for name, seconds in whole.phases.items()}
         worked = {name: seconds * to_ms for name, seconds in whole.worked.items()}
         lines = sorted(_lines(self._spent(whole), to_ms), key=lambda each: (-each.ms, each.file, each.line))
-        return Profile(whole.steps, sum(phases.values()), phases, worked, self._layers(self._plan, whole, to_ms), tuple(lines))
+        layers = self._layers(self._plan, whole, to_ms)
+        return Profile(whole.steps, sum(phases.values()), phases, worked, layers, tuple(lines), whole.by)
 
     def _spent(self, whole: _Measured) -> Iterator[tuple[Instruction, float]]:
         for key, times in whole.calls.items():

@@ -3,8 +3,8 @@
 `python tests/benchmarks/before.py ../other foraging --agents 15000` tells for a case of `antdsl bench` what a step takes there by
 its own default, here with NumPy, and here as machine code: milliseconds of CPU time by phase, and the ratio of each to the other
 tree with where it lies with 95 %. Blocks are decide, act and blend without the time that rays take. Each tree runs in a process
-of its own; all take a turn of some steps, `--pairs` times. Scenes are each tree's own; texts that make a case are this tree's, since
-the other one may be older."""
+of its own; all take a turn of some steps, `--pairs` times. Scenes are each tree's own; texts that make a case are this tree's,
+since the other one may be older."""
 
 from __future__ import annotations
 

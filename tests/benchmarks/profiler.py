@@ -29,14 +29,16 @@ def main() -> None:
     print("| threads | a step, ms of work | measured | of it | lines, of their phases | layers, of `blend` |")
     print("|---|---|---|---|---|---|")
     for threads in (1, 2):
-        plain, watched = (bind(shot.plan, shot.setting, Options(threads=threads)) for _ in range(2))
+        options = Options(threads=threads, wait_for_code=True)
+        plain, watched = (bind(shot.plan, shot.setting, options) for _ in range(2))
         meter, alone, measured = Meter(None), [], []
         for number in range(asked.steps + 8):
             began = process_time()
             step(plain)
             turn = process_time()
-            if number >= 8:  # kernels are loaded
-                meter.begin(watched)
+            if number == 8:  # kernels are loaded, and code is made
+                meter = Meter(None)
+            meter.begin(watched)
             step(watched)
             meter.end(watched)
             if number >= 8:

@@ -8,11 +8,13 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from meaning import crowd, play
 from sampling import sampled
 
 from antdsl.cli.printing.profile_table import MOST, show
@@ -20,11 +22,15 @@ from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.preview import Session
 from antdsl.runtime import Options, World, bind, state_hash, step, stepping
 from antdsl.runtime.backends import metering, numpy_backend, numpy_calls
+from antdsl.runtime.backends.native import backend as native_backend
+from antdsl.runtime.backends.native import machine, ready, runner
 from antdsl.runtime.motion_measures import Motion
 from antdsl.runtime.profiling import Meter, Profile
 
 ROOT = Path(__file__).parents[2]
+NUMPY, NATIVE = Options(backend="numpy"), Options(backend="native", wait_for_code=True)
 FORAGING = ROOT / "examples" / "foraging" / "scene.yaml"
+in_code = pytest.mark.skipif(not (machine.available() and machine.host().x86), reason="no machine code whose lines are timed")
 BLOCKS = ("decide", "act", "blend", "births")
 PROGRAM = """ant 1
 use steering
@@ -118,7 +124,7 @@ def test_what_a_behaviour_takes_is_told_of_its_own_line_and_of_the_layer_that_ca
 ) -> None:
     monkeypatch.setitem(numpy_calls.SENSES, "ray", clock.slow(numpy_calls.SENSES["ray"], 0.25))
     monkeypatch.setitem(numpy_calls.SENSES, "field.value", clock.slow(numpy_calls.SENSES["field.value"], 0.05))
-    found = measured(bind(shot.plan, shot.setting), 4)
+    found = measured(bind(shot.plan, shot.setting, NUMPY), 4)
     assert found.frames == 4
     assert [(each.line, each.text, round(each.ms, 6)) for each in found.lines] == [
         (4, "let seen = feelers(on, count: 1, reach: reach)", 250.0),
@@ -253,7 +259,8 @@ def test_run_tells_where_the_time_went(shot: Shot, tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr
         hashes.append([line for line in (tmp_path / "summary.json").read_text().splitlines() if "state_hash" in line])
     assert hashes[0] == hashes[1] and hashes[0]
-    assert re.match(r"[0-9.]+ ms a frame, [0-9.]+ ms of processors, over 4 frames\n", done.stdout)
+    by = r"(by NumPy|by machine code|\d by machine code)"
+    assert re.match(r"[0-9.]+ ms a frame, [0-9.]+ ms of processors, over 4 frames, " + by + "\n", done.stdout)
     parts = done.stdout.split("\n\n")
     heads = [re.split(r"  +", part.splitlines()[0].strip()) for part in parts[1:]]
     assert heads == [["ms", "cpu ms", "%", "phase"], ["ms", "%", "of", "layer"], ["ms", "%", "in", "line"]]
@@ -280,3 +287,144 @@ def test_measuring_motion_is_no_part_of_births(shot: Shot, clock: Clock, monkeyp
     monkeypatch.setattr(Motion, "observe", clock.slow(Motion.observe, 0.5))
     found = measured(world, 2)
     assert {name: round(ms) for name, ms in found.phases.items() if ms} == {"motion": 500}
+
+
+# --- machine code ------------------------------------------------------------------------------------------------------
+
+WEIGHTS = " + ".join(f"sqrt(abs(pace - {k}.5)) / (abs(mood) + {k}.25)" for k in range(7))
+WEIGHED = f"""
+species a {{
+  pace = 1
+  mood = 2
+  few = 0
+  many = 0
+  alone = 0
+  start only
+  state only {{
+    few = few + 1
+    many = {WEIGHTS}
+    alone = sum(n in neighbours(4 mm): n.few)
+    pace = pace * 0.9 + id * 0.01
+    when id < 0 -> never
+  }}
+  state never {{
+    mood = mood + 3
+  }}
+}}
+"""
+
+
+def lines_of(world: World, meter: Meter) -> dict[str, float]:
+    """A step's lines by their text."""
+    meter.begin(world)
+    step(world)
+    meter.end(world)
+    return {each.text: each.ms for each in meter.profile().lines}
+
+
+@in_code
+def test_lines_of_machine_code_have_the_time_that_they_take() -> None:
+    world = play(WEIGHED, crowd(2000, radius=300), ways=(NATIVE,)).world
+    least: dict[str, float] = {}
+    for _ in range(12):  # what else the machine does is not in the least of them
+        meter = Meter(None)
+        found = lines_of(world, meter)
+        least = {name: min(ms, least.get(name, ms)) for name, ms in found.items()}
+        profile = meter.profile()
+        assert profile.by == {"machine code": 1}
+        assert 0 < sum(found.values()) <= sum(profile.phases[name] for name in BLOCKS) + 1e-9
+    few, many, alone = "few = few + 1", f"many = {WEIGHTS}", "alone = sum(n in neighbours(4 mm): n.few)"
+    assert {few, many, alone, "pace = pace * 0.9 + id * 0.01", "when id < 0 -> never"} <= set(least)
+    assert min(least.values()) > 0
+    assert "mood = mood + 3" not in least, "nobody was there"
+    assert least[many] > least[few] and least[alone] > least[few]
+
+
+@in_code
+def test_machine_code_is_the_same_to_the_bit_while_it_is_measured_and_has_marks_only_then(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is called between its stages is told of its own line, and functions share what they take among theirs."""
+    clock = Clock()
+    monkeypatch.setattr(runner, "perf_counter", clock)
+    monkeypatch.setitem(runner.SENSES, "ray", clock.slow(runner.SENSES["ray"], 0.25))
+    function = ready.Ready.function
+    monkeypatch.setattr(ready.Ready, "function", lambda self, name: clock.slow(function(self, name), 0.01))
+    plain, watched = (bind(shot.plan, shot.setting, way) for way in (Options(backend="numpy"), NATIVE))
+    meter = Meter(None)
+    codes = []
+    for frame in range(15):
+        step(plain)
+        if frame // 5 % 2:
+            meter.begin(watched)
+        else:
+            meter.stop()
+        step(watched)
+        meter.end(watched)
+        codes.append(watched.backend.ready)  # type: ignore[union-attr]
+        assert state_hash(watched) == state_hash(plain)
+    usual, timed = codes[0], codes[5]
+    assert codes == [usual] * 5 + [timed] * 5 + [usual] * 5
+    assert "readcyclecounter" in timed.program.text and "readcyclecounter" not in usual.program.text
+    assert [name for name in ("grid.count", "grid.place") if timed.program.functions[name] != usual.program.functions[name]] == []
+    found = meter.profile()
+    assert found.frames == 5 and found.by == {"machine code": 5}
+    stages = sum(len(code.names) for code in timed.program.blocks.values())
+    spent = sum(each.ms for each in found.lines)
+    assert (
+        found.lines[0].text == "let seen = feelers(on, count: 1, reach: reach)" and 250 <= found.lines[0].ms < 250 + 10 * stages
+    )
+    assert 250 < spent <= 250 + 10 * stages + 1e-6
+    assert {"when scent > 0.5 -> rest", "steer wander()"} <= {each.text for each in found.lines}
+    assert [each.span.text for each in found.layers if each.ms >= 250] == ["mine.keep_off(stones, reach: 8 mm)"]
+
+
+@in_code
+def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = play(WEIGHED, crowd(20, radius=30), ways=(NATIVE,)).world
+    usual = world.backend.ready  # type: ignore[union-attr]
+    world.options = Options(backend="native")
+    coming: list[tuple[Future[Any], Future[Any]]] = []
+
+    def later(*what: Any) -> Future[Any]:
+        coming.append((Future(), ready.beside(*what)))
+        return coming[-1][0]
+
+    monkeypatch.setattr(native_backend, "beside", later)
+    monkeypatch.setattr(native_backend.compiled, "pays", lambda agents, spent: True)
+    monkeypatch.setattr(native_backend, "known", lambda plan, facts: None)
+    meter, found = Meter(None), []
+    for frame in range(5):
+        if frame == 3:
+            coming[0][0].set_result(coming[0][1].result())
+        found.append(lines_of(world, meter))
+    assert len(coming) == 1 and all(f"many = {WEIGHTS}" in lines for lines in found)
+    assert meter.profile().by == {"NumPy": 3, "machine code": 2}
+    meter.stop()
+    step(world)
+    assert world.backend.ready is usual is not coming[0][0].result()  # type: ignore[union-attr]
+
+
+@in_code
+def test_where_no_counter_can_be_read_numpy_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = play(WEIGHED, crowd(20, radius=30), ways=(NATIVE,)).world
+    monkeypatch.setattr(machine.Target, "counts", False)
+    meter = Meter(None)
+    assert lines_of(world, meter)[f"many = {WEIGHTS}"] > 0 and meter.profile().by == {"NumPy": 1}
+    meter.stop()
+    step(world)
+    assert world.backend.by == "machine code"  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("by", "told"),
+    [
+        ({"NumPy": 4}, ", by NumPy"),
+        ({"machine code": 4}, ", by machine code"),
+        ({"NumPy": 1, "machine code": 3}, ", 3 by machine code"),
+        ({}, ""),
+    ],
+)
+def test_a_profile_says_what_ran_the_lines(by: dict[str, int], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    show(Profile(frames=4, phases={"act": 1.0}, total=1.0, by=by), lines=True)
+    assert capsys.readouterr().out.splitlines()[0] == f"1.00 ms a frame, 0.00 ms of processors, over 4 frames{told}"

@@ -33,17 +33,24 @@ def _tell(console: Console, profile: Profile, lines: bool) -> None:
         return
     frames = "1 frame" if profile.frames == 1 else f"{profile.frames:,} frames"
     worked = sum(profile.worked.values())
-    console.print(f"{profile.total:.2f} ms a frame, {worked:.2f} ms of processors, over {frames}")
+    console.print(f"{profile.total:.2f} ms a frame, {worked:.2f} ms of processors, over {frames}{_by(profile)}")
     whole = profile.total
     phases = sorted(profile.phases.items(), key=lambda each: -each[1])
     _table(console, "phase", ((name, "", ms) for name, ms in phases), whole, profile.worked)
     if not lines:
-        console.print("layers and lines are told for the backend `numpy`")
+        console.print("layers and lines are told for the backends `native` and `numpy`")
         return
     layers = sorted(profile.layers, key=lambda each: -each.ms)
     _table(console, "layer", ((each.span.text, each.species, each.ms) for each in layers), whole)
     dearest = profile.lines[:MOST]
     _table(console, "line", ((each.text, f"{_short(each.file)}:{each.line}", each.ms) for each in dearest), whole)
+
+
+def _by(profile: Profile) -> str:
+    """What ran the lines."""
+    if len(profile.by) < 2:
+        return "".join(f", by {name}" for name in profile.by)
+    return f", {profile.by['machine code']:,} by machine code"
 
 
 def _short(file: str) -> str:

@@ -18,7 +18,7 @@ class Metered:
         self._plain: list[tuple[Scope, list[Run]]] = []
         for scope in _scopes(compiler.root):
             first = len(self.instructions)
-            self.instructions += scope.code
+            self.instructions += scope.code  # in the order of `instructions_of`
             self._plain.append((scope, scope.calls))
             scope.calls = [_timed(call, first + k) for k, call in enumerate(scope.calls)]
         self.forget()
@@ -42,6 +42,11 @@ class Metered:
         """The block's own calls again."""
         for scope, calls in self._plain:
             scope.calls = calls
+
+
+def instructions_of(root: Scope) -> list[Instruction]:
+    """The instructions of a scope and of those in it, in the order in which `Metered` has them."""
+    return [each for scope in _scopes(root) for each in scope.code]
 
 
 def _scopes(root: Scope) -> Iterator[Scope]:

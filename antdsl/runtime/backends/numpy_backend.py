@@ -75,6 +75,11 @@ class NumpyBackend:
         """The instructions of each block, by species and block."""
         return self._blocks
 
+    @property
+    def by(self) -> str:
+        """What runs the blocks of this step, in a word for the user."""
+        return "NumPy"
+
     def measure(self, on: bool) -> None:
         """Time each call from the next step on, or no longer. No call gives another result by it."""
         if on == bool(self.metered):

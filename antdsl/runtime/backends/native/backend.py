@@ -13,6 +13,7 @@ from antdsl.runtime.backends.native import listing, machine
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.grids import Arrays, Grids
 from antdsl.runtime.backends.native.lanes import WIDTH
+from antdsl.runtime.backends.native.marks import Times
 from antdsl.runtime.backends.native.programs import Facts, program
 from antdsl.runtime.backends.native.ready import Ready, Unavailable, beside, known, told
 from antdsl.runtime.backends.native.runner import Block, Chunk
@@ -39,10 +40,24 @@ class NativeBackend(NumpyBackend):
         self._steps = 0
         self.ready: Ready | None = None
         self._tables: dict[tuple[str, str], Tables] = {}
+        self._timed = False  # what is run or wanted is code that is timed by line
+        self._aside: tuple[Ready | None, Future[Ready] | None, dict[tuple[str, str], Tables]] = (None, None, {})  # the other code
         self._rooms = Rooms()
         self._versions: dict[str, int] = {}
         self._widest: dict[tuple[str, str, int], float] = {}
         self._grids: Grids | None = None
+
+    @property
+    def by(self) -> str:
+        return super().by if self.ready is None else "machine code"
+
+    def measure(self, on: bool) -> None:
+        """Time lines from the next step on, or no longer: in code that is made for it. Until that has come NumPy runs."""
+        if on != self._timed:
+            self._timed = on
+            here = (self.ready, self._coming, self._tables)
+            (self.ready, self._coming, self._tables), self._aside = self._aside, here
+        super().measure(on)
 
     def begin(self, world: World) -> None:
         """Values of the step, and nothing sensed yet. Takes machine code in use that has become ready."""
@@ -76,7 +91,9 @@ class NativeBackend(NumpyBackend):
 
     def _look_for_code(self, world: World, waits: bool) -> None:
         """Have code made once steps will pay for it, beginning after the first, which somebody waits for."""
-        facts = Facts(moving_geometry.moving(world) is not None, world.detail is not None)
+        if self._timed and machine.available() and not machine.host().x86:
+            return  # elsewhere a program may not be allowed to read the counter
+        facts = Facts(moving_geometry.moving(world) is not None, world.detail is not None, self._timed)
         ready = known(world.plan, facts)
         if self._coming is not None and self._coming.cancelled():
             self._coming = None
@@ -99,11 +116,11 @@ class NativeBackend(NumpyBackend):
             self.ready, self._grids = ready, Grids(ready.function)
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
-        """Run a block for some rows (None: all), and put what they ask for into the population's effects. Births are NumPy's, and
-        steps whose lines are timed."""
+        """Run a block for some rows (None: all), and put what they ask for into the population's effects. Births are NumPy's."""
         ready = self.ready
         code = None if ready is None else ready.program.blocks.get((population.name, block))
-        if ready is None or code is None or rows is not None or self.metered:
+        metered = self.metered.get((population.name, block))
+        if ready is None or code is None or rows is not None or (code.lines is None) != (metered is None):
             super().run(world, population, block, rows)
             return
         compiler = ready.blocks[population.name, block]
@@ -115,12 +132,17 @@ class NativeBackend(NumpyBackend):
         values = self._values[population.name]
         tables.fill(world, population, values, self._kept[population.name], grids)
         tables.room(min(size, count))
-        made = Block(ready, code, compiler, tables, world, population, values)
+        lines = code.lines
+        times = None if metered is None or lines is None else Times(lines, tables.ticks, metered.lane())
+        made = Block(ready, code, compiler, tables, world, population, values, times)
         with np.errstate(all="ignore"):
             for begin in range(0, count, size):
                 end = min(begin + size, count)
                 if not Chunk(made, begin, end, population.effects).run():
                     super().run(world, population, block, np.arange(begin, end))  # which stops, and says where
+        if metered is not None and times is not None:
+            times.end()
+            metered.take([times.lane], times.lane[-1])
         for field, laid in tables.laid.items():
             if laid[0]:
                 world.fields[field].touch()

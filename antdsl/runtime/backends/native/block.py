@@ -13,6 +13,7 @@ from antdsl.runtime.backends.native.emitter import Emitter, elementwise
 from antdsl.runtime.backends.native.entries import entry
 from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, PTR, WIDTH, Lanes, Module
 from antdsl.runtime.backends.native.layout import KINDS, Key, Layout
+from antdsl.runtime.backends.native.marks import Lines, marks_of
 from antdsl.runtime.backends.native.schedule import Schedule, operands_of
 
 _LONG = frozenset(("sin", "cos", "exp", "log", "pow", "atan2"))  # functions of the module rather than inlined
@@ -88,6 +89,7 @@ class BlockCode:
     names: list[str]
     layout: Layout
     schedule: Schedule
+    lines: Lines | None = None  # of code that is timed by line
     faults: list[tuple[str, Any]] = field(default_factory=list)  # of refused values: what is refused, where in the text
     near: list[Near] = field(default_factory=list)
     kept: list[ir.Node] = field(default_factory=list)
@@ -146,6 +148,7 @@ class BlockWriter(Writer):
     def write(self, name: str) -> None:
         """Add the function to the module."""
         e = self.e
+        self._marks = marks_of(self, self.code.lines)
         rows = e.op("sub i64 %end, %begin", I64, one=True)
         with e.loop(rows, WIDTH) as offset:
             self.offset = offset
@@ -160,30 +163,33 @@ class BlockWriter(Writer):
             top = len(e.lines)
             self._scope(root)
             rest, e.lines = e.lines, []
-            for slot in self._nobody:
-                e.store(self.array(slot, 0, BOOL), offset, e.constant(False, BOOL))
-            for do in self.at_top:
-                do()
+            with self._marks.elsewhere():
+                for slot in self._nobody:
+                    e.store(self.array(slot, 0, BOOL), offset, e.constant(False, BOOL))
+                for do in self.at_top:
+                    do()
             e.lines = rest[:top] + e.lines + rest[top:]
+        self._marks.count()
         self.module.functions[name] = self.function(name)
 
     # --- instructions --------------------------------------------------------------------------------------------------
 
     def _scope(self, scope: Scope) -> None:
         for each in scope.code:
-            match each.does:
-                case Does.REGION:
-                    self._region(each)
-                case Does.KEEP:
-                    self._keep(each)
-                case Does.STATEMENT:
-                    if self.schedule.at[each] == self.stage:
-                        self._statement(each)
-                case Does.VALUE if each in self.schedule.calls[self.stage]:
-                    self._guard(each)
-                case Does.VALUE | Does.REDUCE if each in self.schedule.native:
-                    if self.schedule.home.get(each.out) == self.stage:
-                        self.slot(each.out)
+            with self._marks.of(each):
+                match each.does:
+                    case Does.REGION:
+                        self._region(each)
+                    case Does.KEEP:
+                        self._keep(each)
+                    case Does.STATEMENT:
+                        if self.schedule.at[each] == self.stage:
+                            self._statement(each)
+                    case Does.VALUE if each in self.schedule.calls[self.stage]:
+                        self._guard(each)
+                    case Does.VALUE | Does.REDUCE if each in self.schedule.native:
+                        if self.schedule.home.get(each.out) == self.stage:
+                            self.slot(each.out)
 
     def _guard(self, each: Instruction) -> None:
         """Note who needs a call, where that can be told, and leave what the others get."""
@@ -269,16 +275,17 @@ class BlockWriter(Writer):
         if each is None or each not in self.schedule.native or (self.schedule.home[slot] != self.stage and not anew):
             parts = tuple(self.e.load(self.array(slot, k, kind), self.offset, kind) for k, kind in enumerate(self._kinds[slot]))
             return parts if len(parts) > 1 else parts[0]
-        if each.does is Does.REDUCE:
-            self._reduce(self, each)
-            return self.e.known[-1][slot]
-        assert isinstance(node, ir.Node)
-        if node.op == "get":
-            value = self.slot(each.inputs[0])[node.attrs[0]]
-        else:
-            args = tuple(self.slot(k) for k in each.inputs)
-            value = self.apply(node.op, *args) if node.op in ELEMENTWISE else self.senses[node.op](self, node, args)
-        self._leave(slot, value)
+        with self._marks.of(each):
+            if each.does is Does.REDUCE:
+                self._reduce(self, each)
+                return self.e.known[-1][slot]
+            assert isinstance(node, ir.Node)
+            if node.op == "get":
+                value = self.slot(each.inputs[0])[node.attrs[0]]
+            else:
+                args = tuple(self.slot(k) for k in each.inputs)
+                value = self.apply(node.op, *args) if node.op in ELEMENTWISE else self.senses[node.op](self, node, args)
+            self._leave(slot, value)
         return value
 
     def known(self, slot: int, value: Any) -> None:

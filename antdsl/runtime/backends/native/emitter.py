@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from antdsl.runtime.backends.native.lanes import (
 )
 from antdsl.runtime.backends.native.meanings import MEANINGS
 
+if TYPE_CHECKING:
+    from antdsl.runtime.backends.native.marks import Marks
+
 
 class Emitter:
     """Writes one function. Blocks nest: what an inner block names is not known outside it, so `known` is a stack."""
@@ -38,6 +41,7 @@ class Emitter:
         self.lines: list[str] = []
         self.block = "entry"
         self.known: list[dict[Any, Any]] = [{}]
+        self.marks: Marks | None = None  # of code that is timed by line
         self._numbers = 0
 
     # --- text ----------------------------------------------------------------------------------------------------------
@@ -48,11 +52,15 @@ class Emitter:
 
     def op(self, text: str, kind: str, *, one: bool = False) -> Lanes:
         """One instruction and its result."""
+        if self.marks is not None:
+            self.marks.before()
         name = self.name()
         self.lines.append(f"  {name} = {text}")
         return Lanes(self, kind, name, one=one)
 
     def do(self, text: str) -> None:
+        if self.marks is not None:
+            self.marks.before()
         self.lines.append(f"  {text}")
 
     def at_entry(self, text: str, kind: str) -> Lanes:

@@ -14,6 +14,7 @@ from antdsl.runtime.backends.native.block import BlockCode, BlockWriter
 from antdsl.runtime.backends.native.lanes import Module
 from antdsl.runtime.backends.native.layout import KINDS, Layout
 from antdsl.runtime.backends.native.machine import Target
+from antdsl.runtime.backends.native.marks import Lines
 from antdsl.runtime.backends.native.schedule import PAIRED, schedule
 from antdsl.runtime.backends.native.senses import GUARDS, NATIVE, OF_PAIRS, ON_MOVING_GROUND
 
@@ -39,10 +40,12 @@ class Program:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What code depends on of a world: whether some of its ground moves, and whether agents may see boxes for obstacles."""
+    """What code depends on of a world: whether some of its ground moves, and whether agents may see boxes for obstacles;
+    `timed`: it is measured by line (`marks`)."""
 
     moving: bool
     detail: bool
+    timed: bool = False
 
 
 def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], facts: Facts, target: Target) -> Program:
@@ -67,7 +70,8 @@ def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], fact
         if block not in _RUNS or not compiler.root.code:
             continue
         order = schedule(compiler, lowers, costly, frozenset(ASKING))
-        code = found[species, block] = BlockCode(plan.species[species], [], Layout(), order)
+        lines = Lines(compiler) if facts.timed else None
+        code = found[species, block] = BlockCode(plan.species[species], [], Layout(), order, lines)
         for stage in range(order.stages):
             name = f"{species}.{block}.{stage}"
             BlockWriter(module, code, compiler, stage, senses, _reduce, guards, ASKING, combine).write(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from antdsl.plan import ir
 from antdsl.runtime.backends.compile import EFFECTS, NEARBY, PAIRS, POPULATION, WORLD, BlockCompiler, Instruction, Scope
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.lanes import WIDTH
+from antdsl.runtime.backends.native.marks import Times
 from antdsl.runtime.backends.native.ready import Ready
 from antdsl.runtime.backends.native.tables import Tables
 from antdsl.runtime.pairs import NearbySets
@@ -22,7 +24,8 @@ from antdsl.runtime.world import Population, World
 
 @dataclass(slots=True, eq=False)
 class Block:
-    """A block of one species in one step; `values` are those that are the same for all agents."""
+    """A block of one species in one step; `values` are those that are the same for all agents, `times` is there while lines are
+    timed."""
 
     ready: Ready
     code: BlockCode
@@ -31,6 +34,7 @@ class Block:
     world: World
     population: Population
     values: dict[ir.Node, Any]
+    times: Times | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -49,7 +53,10 @@ class Chunk:
         block, tables = self.block, self.block.tables
         tables.notes[0] = tables.crowded[0] = 0
         for stage, name in enumerate(block.code.names):
-            block.ready.function(name)(tables.address, self.begin, self.end)
+            function, began = block.ready.function(name), perf_counter()
+            function(tables.address, self.begin, self.end)
+            if block.times is not None:
+                block.times.seconds += perf_counter() - began
             for some in block.ready.together[block.population.name, block.compiler.name, stage]:
                 self._call(some)
         if tables.crowded[0]:
@@ -57,10 +64,19 @@ class Chunk:
         for each in block.code.requests:
             rows = self._enter(each.scope)
             if len(rows):
+                began = perf_counter()
                 self._made(each, rows)
+                self._took(began, [each], [len(rows)])
         self._gifts()
         self._faults()
         return True
+
+    def _took(self, began: float, some: list[Instruction], rows: list[int]) -> None:
+        """Calls have come to their end; each has its share of the time by the rows that it was made for."""
+        if self.block.times is not None:
+            each_row = (perf_counter() - began) / sum(rows)
+            for each, count in zip(some, rows, strict=True):
+                self.block.times.called(each, count * each_row)
 
     def _gifts(self) -> None:
         """What agents have given to items."""
@@ -124,11 +140,12 @@ class Chunk:
 
     def _call(self, some: list[Instruction]) -> None:
         """Make a call, or several of one sense with one name at once: who asks is named as often as it asks."""
-        code = self.block.code
+        code, began = self.block.code, perf_counter()
         if len(some) == 1 and some[0] not in code.guarded:
             rows = self._enter(some[0].scope)
             if len(rows):
                 self._leave(some[0], rows, self._made(some[0], rows))
+                self._took(began, some, [len(rows)])
             return
         chosen = [self._rows_of(code.guarded.get(each, code.schedule.slot(each.scope.rows))) for each in some]
         ends = np.cumsum([len(rows) for rows in chosen])
@@ -146,6 +163,7 @@ class Chunk:
         parts_of = [np.split(part, ends[:-1]) for part in (found if isinstance(found, tuple) else (found,))]
         for k, (each, rows) in enumerate(zip(some, chosen, strict=True)):
             self._leave(each, rows, tuple(part[k] for part in parts_of))
+        self._took(began, some, [len(rows) for rows in chosen])
 
     def _leave(self, each: Instruction, rows: NDArray[np.intp], found: Any) -> None:
         """Put the results of a call where the next stage looks for them."""

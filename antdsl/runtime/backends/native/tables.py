@@ -103,6 +103,7 @@ class Tables:
         self.arrays: dict[tuple[int, int], NDArray[Any]] = {}
         self.notes = np.zeros(1, np.int64)
         self.crowded = np.zeros(1, np.int64)
+        self.ticks = np.zeros(0 if code.lines is None else len(code.lines.told), np.int64)  # by line, of code that is timed
         self.laid: dict[str, NDArray[np.bool_]] = {}  # by field, whether anything was
         self.widest = [np.zeros(WIDTH, np.float32) for _ in code.near]
         self._candidates = np.zeros(0, np.int32)
@@ -238,6 +239,9 @@ class Tables:
     def _crowded(self, world: World, population: Population, key: Key) -> int:
         return address(self.crowded)
 
+    def _ticks(self, world: World, population: Population, key: Key) -> int:
+        return address(self.ticks)
+
     def _candidate(self, world: World, population: Population, key: Key) -> int:
         most = max(len(other) for other in world.populations.values()) + (WIDTH + 1) * MOST
         if len(self._candidates) < most:
@@ -265,6 +269,7 @@ _POINTERS: dict[str, Callable[[Tables, World, Population, Key], int]] = {
     "field": Tables._field,
     "crowded": Tables._crowded,
     "laid": Tables._laid,
+    "ticks": Tables._ticks,
     "candidates": Tables._candidate,
 }
 

@@ -1,0 +1,134 @@
+"""Times machine code by line: marks in it read the processor's counter where the line that is worked out changes.
+
+Only code that somebody measures has them (`programs.Facts.timed`). What passes between two marks is added to the counter of the
+line before the later one; counters become seconds by the time that the functions took. What a line calls, such as a search that
+finds what several lines ask, counts for the line where it stands in the code."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.backends.compile import BlockCompiler, Instruction
+from antdsl.runtime.backends.metering import instructions_of
+from antdsl.runtime.backends.native.lanes import I64, PTR
+
+if TYPE_CHECKING:
+    from antdsl.runtime.backends.native.block import Writer
+
+_COUNTER = "llvm.readcyclecounter"
+
+
+class Lines:
+    """Counters of a block: one for each line of the text within each layer, the first for what belongs to none. `numbers` are the
+    places of instructions among those of `Metered`; `told` has for each counter that of one whose line it is, -1 for none."""
+
+    def __init__(self, compiler: BlockCompiler) -> None:
+        self.numbers = {each: k for k, each in enumerate(instructions_of(compiler.root))}
+        self.told = [-1]
+        self._counters: dict[tuple[str, int, int], int] = {}
+
+    def counter(self, instruction: Instruction) -> int:
+        """That of an instruction's line."""
+        span = instruction.span
+        place = ("", 0) if span is None else (span.source.path, span.source.line_column(span.start)[0])
+        key = (*place, instruction.layer)
+        if key not in self._counters:
+            self._counters[key] = len(self.told)
+            self.told.append(self.numbers[instruction])
+        return self._counters[key]
+
+
+class NoMarks:
+    """As `Marks` for code that is not timed: nothing is written."""
+
+    def of(self, instruction: Instruction) -> AbstractContextManager[None]:
+        return nullcontext()
+
+    def elsewhere(self) -> AbstractContextManager[None]:
+        return nullcontext()
+
+    def count(self) -> None:
+        pass
+
+
+class Marks:
+    """Writes the marks of a function. `current` is the counter of what the text has come to; a mark is written before the next
+    instruction of another one, so that lines which need no instruction of their own have none."""
+
+    def __init__(self, w: Writer, lines: Lines) -> None:
+        self.e, self.lines, self.current = w.e, lines, 0
+        self._wanted = 0
+        self._ticks = w.base("ticks").name
+        self._last = w.e.slot(I64, one=True)
+        w.module.declare(_COUNTER, I64, [])
+        w.e.put(self._last, w.e.one(f"call i64 @{_COUNTER}()", I64))
+        w.e.marks = self
+
+    @contextmanager
+    def of(self, instruction: Instruction) -> Iterator[None]:
+        """What is emitted within belongs to an instruction."""
+        before, self._wanted = self._wanted, self.lines.counter(instruction)
+        yield
+        self._wanted = before
+
+    @contextmanager
+    def elsewhere(self) -> Iterator[None]:
+        """What is emitted within belongs to no line, and is put where no line has begun."""
+        before, self.current = self.current, 0
+        yield
+        self.current = before
+
+    def before(self) -> None:
+        """An instruction is emitted next."""
+        if self._wanted != self.current:
+            self.count()
+
+    def count(self) -> None:
+        """Add what has passed since the last mark."""
+        e, number, self.current = self.e, self.current, self._wanted
+        now = e.one(f"call i64 @{_COUNTER}()", I64)
+        passed = e.one(f"sub i64 {now.name}, {e.get(self._last, I64, one=True).name}", I64)
+        place = e.one(f"getelementptr i64, ptr {self._ticks}, i64 {number}", PTR).name
+        e.put(place, e.one(f"add i64 {e.get(place, I64, one=True).name}, {passed.name}", I64))
+        e.put(self._last, now)
+
+
+def marks_of(w: Writer, lines: Lines | None) -> Marks | NoMarks:
+    """The marks of a function, where its lines are counted."""
+    return NoMarks() if lines is None else Marks(w, lines)
+
+
+@dataclass(slots=True, eq=False)
+class Times:
+    """What the parts of a block take in one run of it: `ticks` are the counters that its code adds to, `lane` is as
+    `Metered.lane` gives it, `seconds` what the functions took."""
+
+    lines: Lines
+    ticks: NDArray[np.int64]
+    lane: list[float]
+    seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.ticks[:] = 0
+
+    def called(self, instruction: Instruction, seconds: float) -> None:
+        """An instruction that has no machine code took so long."""
+        self._add(self.lines.numbers[instruction], seconds)
+
+    def end(self) -> None:
+        """Share what the functions took among their lines."""
+        ticks = np.maximum(self.ticks, 0)  # counters of two processors may differ
+        to_seconds = self.seconds / max(int(ticks.sum()), 1)
+        for number, count in zip(self.lines.told, ticks.tolist(), strict=True):
+            if number >= 0:
+                self._add(number, count * to_seconds)
+
+    def _add(self, number: int, seconds: float) -> None:
+        self.lane[number] += seconds
+        self.lane[-1] += seconds
