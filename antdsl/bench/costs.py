@@ -59,13 +59,16 @@ class Cost:
 @dataclass(frozen=True, slots=True)
 class SetUp:
     """CPU seconds until the first frame: `start` Python and packages, `compile` from the texts to a plan and meshes, `bind` to a
-    world, `first` the first step. `code`: after it, what it takes to make machine code that no run has kept, 0 without any."""
+    world, `first` the first step. After it: `code` to make machine code that no run has kept, `kept` to load what one has kept
+    (None of a backend without any, or where no folder can keep it), `second` the second step, the first of machine code."""
 
     start: float
     compile: float
     bind: float
     first: float
-    code: float = 0.0
+    code: float | None = None
+    kept: float | None = None
+    second: float | None = None
 
     @property
     def total(self) -> float:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from math import ceil
 from pathlib import Path
@@ -24,6 +26,8 @@ from antdsl.plan.traverse import blocks, needed, operands, statements
 from antdsl.resources import benchmark_file
 from antdsl.runtime import Options, World, bind, step
 from antdsl.runtime.backends import NativeBackend
+from antdsl.runtime.backends.native import machine, ready
+from antdsl.runtime.backends.native.object_cache import VARIABLE
 
 WARM = 4  # steps that are not counted: the rows come into order of place after the first, kernels are loaded
 _TURN = 0.02  # seconds that a turn takes at least, where the number of steps is left open
@@ -32,14 +36,19 @@ _MOST_STEPS = 64
 
 def measure(job: Job) -> Measured:
     """Do a job. Raises NoCase for a scene that cannot be opened or scaled."""
-    start = _packages()
+    with _folder_for_code():
+        return _measure(job)
+
+
+def _measure(job: Job) -> Measured:
+    start = _packages("native" in job.backends)
     case = case_of(job.case)
     shot, compile_ = _timed(lambda: case.make(job.agents))
     before, _ = memory()
     options = [Options(backend=_any(name), threads=job.threads) for name in job.backends]
     world, bound_s = _timed(lambda: bind(shot.plan, shot.setting, options[0]))
     _, first = _timed(lambda: step(world))
-    _, code = _timed(lambda: with_code(world))
+    has_code, code = _timed(lambda: with_code(world))
     worlds = {job.backends[0]: world}
     for name, each in zip(job.backends[1:], options[1:], strict=True):
         worlds[name] = bind(shot.plan, shot.setting, each)
@@ -47,6 +56,7 @@ def measure(job: Job) -> Measured:
         with_code(worlds[name])
     agents = len(world)
     runners: dict[str, Callable[[], None]] = {name: _stepper(each) for name, each in worlds.items()}
+    _, second = _timed(runners[job.backends[0]])
     _, once = _timed(runners[job.backends[0]])
     steps = job.steps or max(1, min(_MOST_STEPS, ceil(_TURN / max(once, 1e-6))))
     most = memory()[1]  # before the hand-written frame is there
@@ -58,7 +68,7 @@ def measure(job: Job) -> Measured:
         agents=agents,
         steps=steps,
         costs=costs,
-        set_up=SetUp(start, compile_, bound_s, first, code),
+        set_up=SetUp(start, compile_, bound_s, first, code if has_code else None, _code_kept(world), second),
         memory=most - before,
         state=_state_bytes(world),
         nodes=_nodes(shot),
@@ -73,13 +83,31 @@ def _any(name: str) -> Any:
     return name
 
 
-def _packages() -> float:
-    """CPU seconds of this process once all is imported that steps need."""
+@contextmanager
+def _folder_for_code() -> Iterator[None]:
+    """An empty folder keeps the machine code that is made within; what other runs have kept is not looked for."""
+    before = os.environ.get(VARIABLE)
+    with tempfile.TemporaryDirectory(prefix="antdsl-code-") as folder:
+        os.environ[VARIABLE] = folder
+        ready.forget()
+        try:
+            yield
+        finally:
+            os.environ.pop(VARIABLE)
+            if before is not None:
+                os.environ[VARIABLE] = before
+            ready.forget()
+
+
+def _packages(llvm: bool) -> float:
+    """CPU seconds of this process once all is imported that steps need, what makes machine code too if it is asked for."""
     import antdsl.casting.rays
     import antdsl.runtime.backends  # noqa: F401
     from antdsl.numerics import compiled
 
     compiled.available()
+    if llvm:
+        machine.available()
     return process_time()
 
 
@@ -93,10 +121,22 @@ def _stepper(world: World) -> Callable[[], None]:
     return lambda: step(world)
 
 
-def with_code(world: World) -> None:
-    """Wait for the machine code of a world's backend, if it has any, so that no step that is measured runs without."""
-    if isinstance(world.backend, NativeBackend):
-        world.backend.have_code(world)
+def with_code(world: World) -> bool:
+    """Wait for the machine code of a world's backend, so that no step that is measured runs without. Whether there is any."""
+    if not isinstance(world.backend, NativeBackend):
+        return False
+    world.backend.have_code(world)
+    return world.backend.ready is not None
+
+
+def _code_kept(world: World) -> float | None:
+    """CPU seconds until a world has machine code that another run has kept; None without any, or where nothing can be kept."""
+    if not with_code(world):
+        return None
+    ready.forget()
+    again = NativeBackend(world.plan)
+    _, seconds = _timed(lambda: again.have_code(world))
+    return None if again.told() else seconds
 
 
 def _turns(runners: dict[str, Callable[[], None]], worlds: dict[str, World], steps: int, turns: int) -> dict[str, Cost]:
@@ -185,6 +225,7 @@ def _cached(shot: Shot, options: Options, steps: int) -> tuple[float, float]:
         recording = begin(shot, Path(folder, "cache"), options, resume=False, force=False)
         for number, _ in enumerate(record(recording), 1):
             if number == WARM:
+                with_code(recording.world)
                 began = process_time(), perf_counter()
         worked, passed = process_time() - began[0], perf_counter() - began[1]
         return worked / steps + (_of_others() - others) / frames, passed / steps

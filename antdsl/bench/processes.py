@@ -17,11 +17,9 @@ class Failed(Exception):
 
 def measured(job: Job) -> Measured:
     """What the process finds out. Raises Failed."""
-    from antdsl.runtime.backends.native.object_cache import VARIABLE
-
     words = [sys.executable, "-m", "antdsl.bench", json.dumps(job.as_json())]
     around = Path(__file__).resolve().parents[2]
-    env = {**os.environ, VARIABLE: ""}  # machine code is made, whatever an earlier run has kept
+    env = dict(os.environ)
     if around.name not in ("site-packages", "dist-packages"):  # a checkout: the child is to take the package from it, too
         env["PYTHONPATH"] = os.pathsep.join([str(around), *filter(None, [env.get("PYTHONPATH")])])
     done = subprocess.run(words, capture_output=True, text=True, env=env)

@@ -31,17 +31,25 @@ def backend_of(measured: Measured) -> str:
     return measured.job.backends[0]
 
 
+SET_UP = ("start", "compile", "bind", "first step", "code", "code kept", "second step")
 HEADS = (
     "backend", "CPU ms", "wall ms", "frames/s", "µs per agent", "of the bound", "cache, CPU ms", "bytes per agent",
-    "start", "compile", "bind", "first step", "code",
+    *SET_UP,
 )  # fmt: skip
+
+
+def set_up_of(found: Measured) -> list[str]:
+    """What SET_UP names, nothing for what there is none of."""
+    one = found.set_up
+    seconds = (one.start, one.compile, one.bind, one.first, one.code, one.kept, one.second)
+    return ["" if each is None else f"{each:.2f}" if each >= 0.1 else f"{each:.4f}" for each in seconds]
 
 
 def whole_step(result: Result) -> list[list[str]]:
     """A row of HEADS for each backend. Set-up in CPU seconds; bytes: of what is kept, and by how much the process grew."""
     rows = []
     for found in result.alone:
-        name, set_up = backend_of(found), found.set_up
+        name = backend_of(found)
         cost = found.costs[name]
         rows.append(
             [
@@ -53,7 +61,7 @@ def whole_step(result: Result) -> list[list[str]]:
                 ratio_text(found.ratios(name, BOUND)) if BOUND in found.costs else "",
                 "" if found.cached is None else f"{1000 * found.cached[0]:.2f}",
                 f"{found.state / max(found.agents, 1):,.0f}, {found.memory / max(found.agents, 1):,.0f}",
-                *(f"{seconds:.2f}" for seconds in (set_up.start, set_up.compile, set_up.bind, set_up.first, set_up.code)),
+                *set_up_of(found),
             ]
         )
     return rows

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,8 +20,12 @@ from antdsl.bench.machine import machine
 from antdsl.bench.measuring import hand_written, measure
 from antdsl.bench.processes import Failed, measured
 from antdsl.bench.programs import BOIDS, NODE
-from antdsl.bench.tables import Result, about, as_json, between, from_json, phases, ratio_text, whole_step
+from antdsl.bench.tables import HEADS, Result, about, as_json, between, from_json, phases, ratio_text, whole_step
 from antdsl.numerics import compiled
+from antdsl.runtime.backends import NumpyBackend
+from antdsl.runtime.backends.native import machine as native_machine
+from antdsl.runtime.backends.native.object_cache import VARIABLE
+from antdsl.runtime.world import Population, World
 from antdsl.source import Source
 from antdsl.syntax import format as formatted
 
@@ -86,6 +92,48 @@ def test_a_process_of_its_own_finds_out_and_a_cache_costs_more() -> None:
     assert found.memory > found.state
     with pytest.raises(Failed, match="stand still"):
         measured(Job("tunnel", 7, ("numpy",)))
+
+
+def test_machine_code_is_there_before_steps_are_measured_and_its_making_and_loading_are_told(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Whatever earlier runs have kept: each function is made once, and loaded once from the folder that then has it."""
+    pytest.importorskip("llvmlite")
+    made: list[str] = []
+    by_numpy: list[str] = []
+    plain, make = NumpyBackend.run, native_machine.object_code
+
+    def run(self: NumpyBackend, world: World, population: Population, block: str, *rows: Any) -> None:
+        by_numpy.append(block)
+        plain(self, world, population, block, *rows)
+
+    def object_code(text: str, target: native_machine.Target) -> bytes:
+        made.append(text)
+        return make(text, target)
+
+    monkeypatch.setattr(NumpyBackend, "run", run)
+    monkeypatch.setattr(native_machine, "object_code", object_code)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    before = os.environ.get(VARIABLE)
+    found = measure(Job("node", 60, ("native",), turns=2, steps=1, cache=True))
+    assert len(made) == len(set(made)) > 2, "none again for what is loaded, nor for the run with a cache"
+    assert [block for block in by_numpy if block in ("act", "blend")] == ["act", "blend"], "the first step, and no other"
+    assert found.set_up.code and found.set_up.kept and found.set_up.second
+    assert os.environ.get(VARIABLE) == before and list(tmp_path.iterdir()) == []
+    (row,) = whole_step(Result((found,)))
+    assert "" not in row[-3:] and row[HEADS.index("code")] != ""
+    other = measure(Job("node", 60, ("numpy",), turns=1, steps=1))
+    assert (other.set_up.code, other.set_up.kept) == (None, None)
+    (row,) = whole_step(Result((other,)))
+    assert row[-3:-1] == ["", ""]
+
+
+def test_code_that_no_folder_keeps_has_no_time_to_be_loaded_in(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    pytest.importorskip("llvmlite")
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.chdir(tmp_path)  # a folder within it is not trusted
+    found = measure(Job("node", 60, ("native",), turns=1, steps=1))
+    assert found.set_up.code and found.set_up.kept is None
 
 
 def test_words_of_what_was_measured() -> None:

@@ -18,7 +18,18 @@ import peers
 from antdsl.bench import CASES, Job, measured
 from antdsl.bench.costs import BOUND
 from antdsl.bench.machine import machine
-from antdsl.bench.tables import Result, as_json, backend_of, between, from_json, markdown, phases, ratio_text
+from antdsl.bench.tables import (
+    SET_UP,
+    Result,
+    as_json,
+    backend_of,
+    between,
+    from_json,
+    markdown,
+    phases,
+    ratio_text,
+    set_up_of,
+)
 from antdsl.runtime.backends import BACKENDS
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "benchmarks.md"
@@ -85,16 +96,15 @@ def steps_table(found: Iterable[Result]) -> str:
 
 def set_up_table(found: Iterable[Result]) -> str:
     """Set-up and memory."""
-    heads = ("case", "agents", "backend", "start", "compile", "bind", "first step", "code", "bytes per agent", "grew by, MiB")
+    heads = ("case", "agents", "backend", *SET_UP, "bytes per agent", "grew by, MiB")
     rows = []
     for result in found:
         for each in result.alone:
-            one = each.set_up
             rows.append([
                 each.job.case,
                 f"{each.agents:,}",
                 backend_of(each),
-                *(f"{seconds:.2f}" for seconds in (one.start, one.compile, one.bind, one.first, one.code)),
+                *set_up_of(each),
                 f"{each.state / each.agents:,.0f}",
                 f"{each.memory / 2**20:,.0f}",
             ])  # fmt: skip

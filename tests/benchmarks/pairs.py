@@ -15,7 +15,7 @@ import os
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from statistics import mean
@@ -55,7 +55,8 @@ def once(scene: Path, steps: int, agents: int | None) -> Cost:
         raise SystemExit("\n".join(found.message for found in report.errors))
     setting = shot.setting if agents is None else scaled(shot.setting, agents)
     begun = time.process_time()
-    world = bind(shot.plan, setting, Options(threads=1))
+    waits: dict[str, Any] = {"wait_for_code": True} if "wait_for_code" in {each.name for each in fields(Options)} else {}
+    world = bind(shot.plan, setting, Options(threads=1, **waits))  # an older tree may have no machine code to wait for
     step(world)
     ready = time.process_time()
     for _ in range(steps):

@@ -128,6 +128,14 @@ def told() -> list[str]:
     return list(_objects().told) if _objects.cache_info().currsize else []
 
 
+def forget() -> None:
+    """Let go of all code in memory that no backend has in use, as in a process that begins; what a folder keeps stays there."""
+    with _guard:
+        _known.clear()
+        _plans.clear()
+    _objects.cache_clear()
+
+
 @cache
 def _worker() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, "machine code")
