@@ -23,7 +23,7 @@ from antdsl.preview import Session
 from antdsl.runtime import Options, World, bind, state_hash, step, stepping
 from antdsl.runtime.backends import metering, numpy_backend, numpy_calls
 from antdsl.runtime.backends.native import backend as native_backend
-from antdsl.runtime.backends.native import machine, ready, runner
+from antdsl.runtime.backends.native import machine, programs, ready, runner
 from antdsl.runtime.motion_measures import Motion
 from antdsl.runtime.profiling import Meter, Profile
 
@@ -340,6 +340,49 @@ def test_lines_of_machine_code_have_the_time_that_they_take() -> None:
     assert least[many] > least[few] and least[alone] > least[few]
 
 
+def roots(count: int, of: str) -> str:
+    return " + ".join(f"sqrt({of} + {k}.5)" for k in range(count))
+
+
+ROOTS = f"""
+species a {{
+  pace = 1
+  sum_of_all = 0
+  state only {{
+    let few = {roots(3, "pace")}
+    let many = {roots(11, "(pace + id)")}
+    let some = {roots(6, "(pace + age / 1 s)")}
+    pace = pace + 1
+    sum_of_all = few + many + some
+  }}
+}}
+"""
+
+
+def between(lines: list[str], mark: str, word: str) -> list[int]:
+    """How often a word stands between two lines with a mark, without those where it does not."""
+    found = [0]
+    for line in lines:
+        if mark in line:
+            found.append(0)
+        found[-1] += word in line
+    return sorted(filter(None, found))
+
+
+@in_code
+@pytest.mark.parametrize("target", [machine.ANY, replace(machine.ANY, cpu="x86-64", features="-avx2,-fma")])
+def test_what_a_line_works_out_is_worked_out_between_its_marks(target: machine.Target) -> None:
+    """Though all of it is read in another line, and LLVM would work it out there, or beside what another line works out."""
+    world = play(ROOTS, crowd(3, radius=3), ways=(NUMPY,)).world
+    made = programs.program(world.plan, world.backend.blocks, programs.Facts(False, False, True), target)  # type: ignore[union-attr]
+    text = made.units["a.act.0"]
+    body = text[text.index("@a.act.0.inside(ptr %t, i64 %begin, i64 %end) noinline") :].splitlines()
+    assert between(body, "@llvm.readcyclecounter()", "@llvm.sqrt") == [3, 6, 11]
+    code = machine.assembly(text, target).splitlines()
+    registers = 1 if target.avx2 else 2  # of eight floats
+    assert between(code, "\trdtsc", "sqrtps") == [registers * each for each in (3, 6, 11)]
+
+
 @in_code
 def test_machine_code_is_the_same_to_the_bit_while_it_is_measured_and_has_marks_only_then(
     shot: Shot, monkeypatch: pytest.MonkeyPatch
@@ -408,7 +451,7 @@ def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.Mo
 @in_code
 def test_where_no_counter_can_be_read_numpy_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     world = play(WEIGHED, crowd(20, radius=30), ways=(NATIVE,)).world
-    monkeypatch.setattr(machine.Target, "counts", False)
+    monkeypatch.setattr(machine.Target, "x86", False)
     meter = Meter(None)
     assert lines_of(world, meter)[f"many = {WEIGHTS}"] > 0 and meter.profile().by == {"NumPy": 1}
     meter.stop()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +25,8 @@ from antdsl.runtime.backends.native.lanes import (
     Module,
     literal,
 )
+from antdsl.runtime.backends.native.marks import NO_MARKS, Marks, NoMarks
 from antdsl.runtime.backends.native.meanings import MEANINGS
-
-if TYPE_CHECKING:
-    from antdsl.runtime.backends.native.marks import Marks
 
 
 class Emitter:
@@ -41,7 +39,7 @@ class Emitter:
         self.lines: list[str] = []
         self.block = "entry"
         self.known: list[dict[Any, Any]] = [{}]
-        self.marks: Marks | None = None  # of code that is timed by line
+        self.marks: Marks | NoMarks = NO_MARKS  # of code that is timed by line
         self._numbers = 0
 
     # --- text ----------------------------------------------------------------------------------------------------------
@@ -52,16 +50,17 @@ class Emitter:
 
     def op(self, text: str, kind: str, *, one: bool = False) -> Lanes:
         """One instruction and its result."""
-        if self.marks is not None:
-            self.marks.before()
+        self.marks.before()
         name = self.name()
         self.lines.append(f"  {name} = {text}")
-        return Lanes(self, kind, name, one=one)
+        value = Lanes(self, kind, name, one=one)
+        self.marks.emitted(text, value)
+        return value
 
     def do(self, text: str) -> None:
-        if self.marks is not None:
-            self.marks.before()
+        self.marks.before()
         self.lines.append(f"  {text}")
+        self.marks.emitted(text)
 
     def at_entry(self, text: str, kind: str) -> Lanes:
         """One instruction where the function begins; gives a single value."""
@@ -83,6 +82,7 @@ class Emitter:
     def begin(self, label: str) -> None:
         self.lines.append(f"{label}:")
         self.block = label
+        self.marks.block()
 
     def jump(self, label: str) -> None:
         self.do(f"br label %{label}")
@@ -106,6 +106,7 @@ class Emitter:
     def loop(self, count: Lanes, step: int = 1) -> Iterator[Lanes]:
         """Runs for numbers from 0 to below a single i64, by `step`; gives the number."""
         head, body, done = self.label("head"), self.label("body"), self.label("done")
+        self.marks.before()
         before = self.block
         number, following = self.name("i"), self.name("n")
         self.jump(head)
@@ -118,6 +119,7 @@ class Emitter:
         self.known.append({})
         yield Lanes(self, I64, number, one=True)
         self.known.pop()
+        self.marks.before()
         self.lines.append(f"  {following} = add i64 {number}, {step}")
         self.lines[place] = f"  {number} = phi i64 [ 0, %{before} ], [ {following}, %{self.block} ]"
         self.jump(head)

@@ -6,6 +6,7 @@ finds what several lines ask, counts for the line where it stands in the code.""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -16,12 +17,13 @@ from numpy.typing import NDArray
 
 from antdsl.runtime.backends.compile import BlockCompiler, Instruction
 from antdsl.runtime.backends.metering import instructions_of
-from antdsl.runtime.backends.native.lanes import I64, PTR
+from antdsl.runtime.backends.native.lanes import BOOL, I64, PTR, Lanes
 
 if TYPE_CHECKING:
     from antdsl.runtime.backends.native.block import Writer
 
 _COUNTER = "llvm.readcyclecounter"
+_NAMES = re.compile(r"%[\w.]+")
 
 
 class Lines:
@@ -56,6 +58,18 @@ class NoMarks:
     def count(self) -> None:
         pass
 
+    def before(self) -> None:
+        pass
+
+    def emitted(self, text: str, value: Lanes | None = None) -> None:
+        pass
+
+    def block(self) -> None:
+        pass
+
+
+NO_MARKS = NoMarks()
+
 
 class Marks:
     """Writes the marks of a function. `current` is the counter of what the text has come to; a mark is written before the next
@@ -66,6 +80,9 @@ class Marks:
         self._wanted = 0
         self._ticks = w.base("ticks").name
         self._last = w.e.slot(I64, one=True)
+        self._kept: dict[str, str] = {}  # places on the stack that values are kept in, by type
+        self._values: list[Lanes] = []  # worked out since the last mark in the block that the text has come to
+        self._texts: list[str] = []  # what has been emitted since
         w.module.declare(_COUNTER, I64, [])
         w.e.put(self._last, w.e.one(f"call i64 @{_COUNTER}()", I64))
         w.e.marks = self
@@ -83,6 +100,18 @@ class Marks:
         before, self.current = self.current, 0
         yield
         self.current = before
+        self.block()
+
+    def emitted(self, text: str, value: Lanes | None = None) -> None:
+        """An instruction has been emitted, with the value that it gives."""
+        self._texts.append(text)
+        if value is not None:
+            self._values.append(value)
+
+    def block(self) -> None:
+        """Another block begins."""
+        self._texts.clear()
+        self._values.clear()
 
     def before(self) -> None:
         """An instruction is emitted next."""
@@ -92,16 +121,38 @@ class Marks:
     def count(self) -> None:
         """Add what has passed since the last mark."""
         e, number, self.current = self.e, self.current, self._wanted
+        self._keep()
+        last = e.get(self._last, I64, one=True)
         now = e.one(f"call i64 @{_COUNTER}()", I64)
-        passed = e.one(f"sub i64 {now.name}, {e.get(self._last, I64, one=True).name}", I64)
+        passed = e.one(f"sub i64 {now.name}, {last.name}", I64)
         place = e.one(f"getelementptr i64, ptr {self._ticks}, i64 {number}", PTR).name
         e.put(place, e.one(f"add i64 {e.get(place, I64, one=True).name}, {passed.name}", I64))
         e.put(self._last, now)
+        self._border(now)
+
+    def _keep(self) -> None:
+        """Have the values that nothing has read yet stored, which is not moved past the counter: else LLVM works them out where
+        they are read, in another line."""
+        read = set(_NAMES.findall(" ".join(self._texts)))
+        for value in [each for each in self._values if each.name not in read]:
+            if value.type not in self._kept:
+                self._kept[value.type] = self.e.slot(value.kind, one=value.one)
+            self.e.do(f"store volatile {value.typed}, ptr {self._kept[value.type]}")
+
+    def _border(self, count: Lanes) -> None:
+        """Operations that follow are not moved before this: LLVM puts those of a block in an order of its own, and another block
+        begins where there is a branch that it cannot know to be always taken. No count is 0."""
+        e, never, following = self.e, self.e.label("never"), self.e.label("marked")
+        e.branch(e.one(f"icmp ne i64 {count.name}, 0", BOOL), following, never)
+        e.begin(never)
+        e.do('call void asm sideeffect "", ""()')
+        e.jump(following)
+        e.begin(following)
 
 
 def marks_of(w: Writer, lines: Lines | None) -> Marks | NoMarks:
     """The marks of a function, where its lines are counted."""
-    return NoMarks() if lines is None else Marks(w, lines)
+    return NO_MARKS if lines is None else Marks(w, lines)
 
 
 @dataclass(slots=True, eq=False)
