@@ -44,8 +44,9 @@ class Profile:
     """Milliseconds a frame, over `frames` frames: what passed, and for the phases what processors `worked`.
 
     `lines` have the dearest first. They add up to less than the phases, as what is done for all agents at once (grids of
-    neighbours, settling claims, moving) is of no line. `by`: how many of the frames each has run that runs lines; none of the
-    reference backend, which tells of no lines."""
+    neighbours, settling claims, moving) is of no line. `by`: how many frames each has run that runs lines, those
+    that NumPy ran before machine code too, which nothing else here tells of; none of the reference backend, which tells of no
+    lines."""
 
     frames: int = 0
     total: float = 0.0
@@ -65,7 +66,6 @@ class _Measured:
     phases: dict[str, float]
     worked: dict[str, float]
     calls: dict[Key, list[float]]
-    by: dict[str, int]
 
     def add(self, other: _Measured) -> None:
         self.steps += other.steps
@@ -73,8 +73,6 @@ class _Measured:
         for mine, theirs in ((self.phases, other.phases), (self.worked, other.worked)):
             for name, seconds in theirs.items():
                 mine[name] = mine.get(name, 0.0) + seconds
-        for name, frames in other.by.items():
-            self.by[name] = self.by.get(name, 0) + frames
         for key, times in other.calls.items():
             known = self.calls.get(key)
             self.calls[key] = times if known is None else [a + b for a, b in zip(known, times, strict=True)]
@@ -82,7 +80,8 @@ class _Measured:
 
 class Meter:
     """Averages over the frames of the last `seconds`, or over all of them (None). Call `begin` before a step and `end` after it;
-    the world may be another each time, and what was measured of another program is forgotten."""
+    the world may be another each time. What was measured of another program is forgotten, and of steps that NumPy ran once
+    machine code runs them."""
 
     def __init__(self, seconds: float | None = 1.0, *, clock: Callable[[], float] = monotonic) -> None:
         self._seconds, self._clock = seconds, clock
@@ -90,6 +89,8 @@ class Meter:
         self._plan: Plan | None = None
         self._instructions: dict[Key, list[Instruction]] = {}
         self._world: World | None = None
+        self._by = ""  # what ran the last step
+        self._ran: dict[str, int] = {}
         self._before: tuple[dict[str, float], dict[str, float]] = ({}, {})
 
     def begin(self, world: World) -> None:
@@ -102,6 +103,7 @@ class Meter:
         if world.plan is not self._plan:
             self._plan = world.plan
             self._measured.clear()
+            self._ran.clear()
             self._instructions = {key: metered.instructions for key, metered in _metered(world).items()}
         self._before = dict(world.timings), dict(world.worked)
         for metered in _metered(world).values():
@@ -116,8 +118,12 @@ class Meter:
             for before, after in zip(self._before, (world.timings, world.worked), strict=True)
         )
         calls = {key: metered.seconds for key, metered in _metered(world).items()}
-        by = {world.backend.by: 1} if isinstance(world.backend, NumpyBackend) else {}
-        now = _Measured(1, self._clock(), phases, worked, calls, by)
+        now = _Measured(1, self._clock(), phases, worked, calls)
+        if isinstance(world.backend, NumpyBackend):
+            by = world.backend.by
+            if by != self._by:
+                self._measured.clear()
+            self._by, self._ran[by] = by, self._ran.get(by, 0) + 1
         if self._seconds is None and self._measured:
             self._measured[0].add(now)
             return
@@ -135,7 +141,7 @@ class Meter:
         """What was measured; nothing before the first step."""
         if not self._measured or self._plan is None:
             return Profile()
-        whole = _Measured(0, 0.0, {}, {}, {}, {})
+        whole = _Measured(0, 0.0, {}, {}, {})
         for each in self._measured:
             whole.add(each)
         to_ms = 1000 / whole.steps
@@ -143,7 +149,7 @@ class Meter:
         worked = {name: seconds * to_ms for name, seconds in whole.worked.items()}
         lines = sorted(_lines(self._spent(whole), to_ms), key=lambda each: (-each.ms, each.file, each.line))
         layers = self._layers(self._plan, whole, to_ms)
-        return Profile(whole.steps, sum(phases.values()), phases, worked, layers, tuple(lines), whole.by)
+        return Profile(whole.steps, sum(phases.values()), phases, worked, layers, tuple(lines), dict(self._ran))
 
     def _spent(self, whole: _Measured) -> Iterator[tuple[Instruction, float]]:
         for key, times in whole.calls.items():

@@ -47,10 +47,10 @@ def _tell(console: Console, profile: Profile, lines: bool) -> None:
 
 
 def _by(profile: Profile) -> str:
-    """What ran the lines."""
+    """What ran the lines, and what is left out."""
     if len(profile.by) < 2:
         return "".join(f", by {name}" for name in profile.by)
-    return f", {profile.by['machine code']:,} by machine code"
+    return f", by machine code; left out: {profile.by['NumPy']:,} by NumPy before"
 
 
 def _short(file: str) -> str:
