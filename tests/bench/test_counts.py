@@ -42,7 +42,7 @@ def worlds() -> Iterator[tuple[World, World]]:
     yield found
 
 
-@pytest.mark.parametrize("cases", [("foraging",), pytest.param((), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [("boids",), pytest.param((), marks=pytest.mark.slow)])
 def test_nothing_has_grown_beyond_what_is_recorded(cases: tuple[str, ...]) -> None:
     """In a process of its own: what was compiled for other tests would do some of the work. Without cases, all of them."""
     words = [sys.executable, str(BENCHMARKS / "counts.py"), *cases, "--print"]

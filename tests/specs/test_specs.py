@@ -108,7 +108,12 @@ LINES = [
 ]
 
 
-WAYS = ({"backend": "numpy"}, {"backend": "numpy", "chunk": 2, "threads": 2, "shuffle_rows": 3}, {"backend": "reference"})
+WAYS = (
+    {"backend": "numpy"},
+    {"backend": "native", "wait_for_code": True},
+    {"backend": "numpy", "chunk": 2, "threads": 2, "shuffle_rows": 3},
+    {"backend": "reference"},
+)
 
 
 def told(case: Case) -> str:

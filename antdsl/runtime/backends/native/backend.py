@@ -68,6 +68,7 @@ class NativeBackend(NumpyBackend):
         if versions != self._versions:
             self._versions = versions
             self._rooms.forget()
+        self._rooms.settle(world.populations.values())
         if self._grids is not None:
             self._grids.forget()
         super().begin(world)

@@ -6,7 +6,7 @@ into arrays with room, what others own is copied. What has not become another ar
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -62,10 +62,19 @@ class Rooms:
             new = roomy(array)
             known = self._moved[id(array)] = (array, new, address(new))
             self._moved[id(new)] = (new, *known[1:])
+        elif known[1] is not array:  # somebody goes on with the one without room, as who asks specs does: it may have changed
+            np.copyto(known[1], array)
         for holder in holders:
             if holder.get(name) is array:
                 holder[name] = known[1]
         return known[1:]
+
+    def settle(self, populations: Iterable[Population]) -> None:
+        """Let go of arrays that nobody has any more, once they are more than those in use."""
+        held = [array for each in populations for holder in (each.start, each.now) for array in holder.values()]
+        if len(self._moved) > 4 * len(held):
+            names = set(map(id, held))
+            self._moved = {key: known for key, known in self._moved.items() if id(known[1]) in names}
 
     def forget(self) -> None:
         """Rows are others now: let go of arrays that are no longer in use."""
