@@ -25,6 +25,9 @@ from antdsl.runtime.world import AXES, Population, World
 DTYPES = {F32: np.float32, F64: np.float64, BOOL: np.bool_, I32: np.int32, I64: np.int64}
 
 
+_FEW = 64
+
+
 def roomy(array: NDArray[Any]) -> NDArray[Any]:
     """A copy with eight spare rows behind it, zeros."""
     whole = np.zeros((len(array) + WIDTH, *array.shape[1:]), array.dtype)
@@ -50,6 +53,7 @@ class Rooms:
 
     def __init__(self) -> None:
         self._moved: dict[int, tuple[NDArray[Any], NDArray[Any], int]] = {}  # by identity: an array, that with room, its address
+        self._most = _FEW  # arrays, above which it is looked who still has them
         self._copies: dict[Key, tuple[Any, NDArray[Any], int]] = {}
 
     def moved(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
@@ -70,11 +74,11 @@ class Rooms:
         return known[1:]
 
     def settle(self, populations: Iterable[Population]) -> None:
-        """Let go of arrays that nobody has any more, once they are more than those in use."""
-        held = [array for each in populations for holder in (each.start, each.now) for array in holder.values()]
-        if len(self._moved) > 4 * len(held):
-            names = set(map(id, held))
-            self._moved = {key: known for key, known in self._moved.items() if id(known[1]) in names}
+        """Let go of arrays that nobody has any more, once they may be more than those in use."""
+        if len(self._moved) > self._most:
+            held = {id(array) for each in populations for holder in (each.start, each.now) for array in holder.values()}
+            self._moved = {key: known for key, known in self._moved.items() if id(known[1]) in held}
+            self._most = max(_FEW, 2 * len(self._moved))
 
     def forget(self) -> None:
         """Rows are others now: let go of arrays that are no longer in use."""
