@@ -54,11 +54,15 @@ def end_step(seconds: float) -> None:
 def pays(agents: int, spent: float) -> bool:
     """Whether code that takes about a second to make or load pays for steps of so many agents, after steps that took `spent`
     seconds without it."""
-    return agents >= (_LEAST_FOR_LONG if _long else LEAST) or spent >= _LOADING
+    return _many(agents) or spent >= _LOADING
+
+
+def _many(agents: int) -> bool:
+    return agents >= (_LEAST_FOR_LONG if _long else LEAST)
 
 
 def _pays(agents: int) -> bool:
-    return pays(agents, _spent) and (pays(agents, 0.0) or _spent >= _COMPILING or _kept())
+    return _many(agents) or (_spent >= _LOADING and (_spent >= _COMPILING or _kept()))
 
 
 @cache

@@ -14,8 +14,8 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from statistics import mean
@@ -25,7 +25,11 @@ from pairs import of_this_tree, ratios, scaled
 
 ROOT = Path(__file__).resolve().parents[2]
 BLOCKS = ("decide", "act", "blend")
-WARM = 6  # steps that are not counted: the rows come into order of place after the first, kernels are loaded
+WARM, WARM_FOR = (
+    6,
+    1.0,
+)  # steps that are not counted, and s of them: rows come into order of place after the first, and kernels are
+# loaded once steps have taken a third of a second
 WAYS = (("before", ""), ("NumPy", "numpy"), ("native", "native"))
 
 
@@ -53,9 +57,8 @@ def shot_of(case: str, agents: int | None) -> tuple[Any, Any]:
     return shot.plan, shot.setting if agents is None else scaled(shot.setting, agents)
 
 
-@contextmanager
-def rays_timed() -> Iterator[list[float]]:
-    """Seconds that senses of rays take, summed up."""
+def rays_timed() -> list[float]:
+    """Seconds that senses of rays take from now on, summed up."""
     from antdsl.runtime import sensing
 
     spent = [0.0]
@@ -71,16 +74,12 @@ def rays_timed() -> Iterator[list[float]]:
         return run
 
     senses: Any = sensing.SENSES
-    plain = senses["ray"]
-    senses["ray"] = timed(plain)
-    try:
+    senses["ray"] = timed(senses["ray"])
+    with suppress(ImportError):  # an older tree has NumPy only
         from antdsl.runtime.backends.native import tables
-    except ImportError:
-        yield spent
-    else:
+
         tables.clearance = timed(tables.clearance)  # who may hit is asked before, not in the sense itself
-        yield spent
-    senses["ray"] = plain
+    return spent
 
 
 def serve(case: str, agents: int | None, backend: str, steps: int) -> None:
@@ -90,20 +89,22 @@ def serve(case: str, agents: int | None, backend: str, steps: int) -> None:
     more: dict[str, Any] = {"backend": backend} if backend else {}
     if backend == "native":
         more["wait_for_code"] = True
-    with rays_timed() as rays:
-        world = bind(*shot_of(case, agents), Options(threads=1, **more))
-        for _ in range(WARM):
+    rays = rays_timed()
+    world = bind(*shot_of(case, agents), Options(threads=1, **more))
+    taken = 0
+    while taken < WARM or sum(world.worked.values()) < WARM_FOR:
+        step(world)
+        taken += 1
+    print("ready", flush=True)
+    for _ in sys.stdin:
+        world.worked.clear()
+        rays[0] = 0.0
+        for _ in range(steps):
             step(world)
-        print("ready", flush=True)
-        for _ in sys.stdin:
-            world.worked.clear()
-            rays[0] = 0.0
-            for _ in range(steps):
-                step(world)
-            told = {phase: seconds / steps for phase, seconds in world.worked.items()}
-            told["blocks"] = sum(told[phase] for phase in BLOCKS) - rays[0] / steps
-            told["step"] = sum(world.worked.values()) / steps
-            print(json.dumps(told), flush=True)
+        told = {phase: seconds / steps for phase, seconds in world.worked.items()}
+        told["blocks"] = sum(told[phase] for phase in BLOCKS) - rays[0] / steps
+        told["step"] = sum(world.worked.values()) / steps
+        print(json.dumps(told), flush=True)
 
 
 def started(tree: Path, words: list[str]) -> subprocess.Popen[str]:

@@ -37,7 +37,7 @@ class NativeBackend(NumpyBackend):
         self._plan = plan
         self._coming: Future[Ready] | None = None
         self._without: str | None = None  # why there is no machine code and will be none
-        self._steps = 0
+        self._begun = False
         self.ready: Ready | None = None
         self._tables: dict[tuple[str, str], Tables] = {}
         self._timed = False  # what is run or wanted is code that is timed by line
@@ -61,9 +61,8 @@ class NativeBackend(NumpyBackend):
 
     def begin(self, world: World) -> None:
         """Values of the step, and nothing sensed yet. Takes machine code in use that has become ready."""
-        if self.ready is None and self._without is None:
-            self._look_for_code(world, world.options.wait_for_code)
-        self._steps += 1
+        self._look_for_code(world, world.options.wait_for_code)
+        self._begun = True
         versions = {name: population.version for name, population in world.populations.items()}
         if versions != self._versions:
             self._versions = versions
@@ -80,8 +79,7 @@ class NativeBackend(NumpyBackend):
 
     def have_code(self, world: World) -> None:
         """Wait until the steps from now on run as machine code, or cannot."""
-        if self.ready is None and self._without is None:
-            self._look_for_code(world, True)
+        self._look_for_code(world, True)
 
     def counts(self) -> dict[str, int]:
         """Instructions in LLVM's language of each function, as they are made for a processor of no machine in particular."""
@@ -91,14 +89,16 @@ class NativeBackend(NumpyBackend):
         return {f"instructions {name}": number for name, number in listing.counts(made).items()}
 
     def _look_for_code(self, world: World, waits: bool) -> None:
-        """Have code made once steps will pay for it, beginning after the first, which somebody waits for."""
+        """Have code made once steps will pay for it, unless it is there: after the first step, which somebody waits for."""
+        if self.ready is not None or self._without is not None:
+            return
         if self._timed and machine.available() and not machine.host().x86:
             return  # elsewhere a program may not be allowed to read the counter
         facts = Facts(moving_geometry.moving(world) is not None, world.detail is not None, self._timed)
         ready = known(world.plan, facts)
         if self._coming is not None and self._coming.cancelled():
             self._coming = None
-        wanted = waits or (self._steps > 0 and compiled.pays(len(world), sum(world.worked.values())))
+        wanted = waits or (self._begun and compiled.pays(len(world), sum(world.worked.values())))
         if ready is None and self._coming is None and wanted:
             self._coming = beside(world.plan, self.blocks, facts)
         if self._coming is not None and (waits or self._coming.done()):

@@ -22,10 +22,8 @@ from antdsl.runtime.backends.native.search import MOST
 from antdsl.runtime.moving.obstacle_clearance import clearance
 from antdsl.runtime.world import AXES, Population, World
 
+_FEW = 64  # arrays that nobody looks for whether they are still in use
 DTYPES = {F32: np.float32, F64: np.float64, BOOL: np.bool_, I32: np.int32, I64: np.int64}
-
-
-_FEW = 64
 
 
 def roomy(array: NDArray[Any]) -> NDArray[Any]:
