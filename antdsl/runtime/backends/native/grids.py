@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from antdsl.runtime.backends.native.block import Writer
 from antdsl.runtime.backends.native.lanes import F32, F64, I32, I64, PTR, WIDTH, Lanes, Module
 from antdsl.runtime.backends.native.layout import Layout
+from antdsl.runtime.backends.native.memory import Addresses, address
 from antdsl.runtime.pairs import grid_for
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.neighbours import Shape
@@ -24,6 +26,7 @@ NAMES = ("grid.count", "grid.place")
 _KEYS = ("numbers", "x", "y", "z", "keys", "starts", "sorted x", "sorted y", "sorted z", "places")
 _AGAIN = 16  # searches of a crowd after which it is asked anew whether it lies in one sheet
 _FEW = 64  # agents; fewer are sorted by NumPy
+_NO_KEYS = np.zeros(1, np.int64)  # cells are listed
 
 Arrays = Mapping[str, NDArray[Any] | None]
 
@@ -77,10 +80,11 @@ def _place(w: Writer) -> None:
     w.module.functions[NAMES[1]] = w.function(NAMES[1])
 
 
-def _has_room(array: NDArray[Any]) -> bool:
-    """Whether an array is the beginning of one with eight more."""
+def _with_room(array: NDArray[Any]) -> None:
+    """ValueError where an array is not the beginning of one with eight more."""
     whole = array.base
-    return isinstance(whole, np.ndarray) and len(whole) >= len(array) + WIDTH and whole.ctypes.data == array.ctypes.data
+    if not isinstance(whole, np.ndarray) or len(whole) < len(array) + WIDTH or whole.ctypes.data != array.ctypes.data:
+        raise ValueError("machine code reads eight places at once, so that there has to be room behind the last one")
 
 
 @dataclass(slots=True, eq=False)
@@ -90,6 +94,7 @@ class Grids:
     functions: Callable[[str], Callable[[int, int, int], None]]
     _found: dict[tuple[str, float], Arrays] = field(default_factory=dict)  # of this step
     _kept: dict[tuple[str, float], dict[str, NDArray[Any]]] = field(default_factory=dict)
+    _lies: Addresses = field(default_factory=Addresses)
     _sheets: dict[str, tuple[int, int, bool]] = field(default_factory=dict)  # agents, searches since, whether
 
     def forget(self) -> None:
@@ -110,8 +115,8 @@ class Grids:
         if count < _FEW:
             return None
         places = [other.start[f"position.{axis}"] for axis in AXES]
-        low, high = [float(p.min()) for p in places], [float(p.max()) for p in places]
-        if not np.isfinite([*low, *high]).all():
+        low, high = [float(np.minimum.reduce(p)) for p in places], [float(np.maximum.reduce(p)) for p in places]
+        if not all(map(isfinite, (*low, *high))):
             return None
         cell = float(2.0 ** (size / 4))
         shape = Shape.of(low, high, cell)
@@ -123,23 +128,27 @@ class Grids:
         if kept is None or len(kept["keys"]) != count + WIDTH:
             kept = {name: np.zeros(count + WIDTH, np.float32) for name in AXES}
             kept |= {"keys": np.zeros(count + WIDTH, np.int32), "places": np.zeros((count + WIDTH, 4), np.float32)}
+            kept |= {"floats": np.zeros(9), "whole": np.zeros(7, np.int64), "table": np.zeros(len(_KEYS), np.int64)}
+            kept["numbers"] = np.zeros(9)
             self._kept[other.name, size] = kept
         starts = np.zeros(shape.cells + 2, np.int32)
         inverse = [1 / width for width in shape.width]
-        numbers = np.array([values[k] for values in (shape.low, inverse, shape.size) for k in range(3)], np.float64)
-        pointers = [numbers, *(places[axis] for axis in shape.axes), kept["keys"], starts]
-        pointers += [*(kept[AXES[axis]] for axis in shape.axes), kept["places"]]
-        if not all(_has_room(place) for place in places):
-            raise ValueError("machine code reads eight places at once, so that there has to be room behind the last one")
-        table = np.array([each.ctypes.data for each in pointers], np.int64)
-        self.functions(NAMES[0])(table.ctypes.data, 0, count)
+        floats, table = kept["floats"], kept["table"]
+        floats[:] = (*shape.low, *shape.width, *inverse)
+        kept["numbers"][:] = (*shape.low, *inverse, *shape.size)
+        kept["whole"][:] = (*shape.axes, *shape.size, count)
+        lies = self._lies.of
+        at = [lies((other.name, axis), places[axis], _with_room) for axis in range(3)]
+        own = {name: lies((other.name, size, name), kept[name]) for name in (*AXES, "numbers", "keys", "places", "table")}
+        table[0], table[4], table[5], table[9] = own["numbers"], own["keys"], address(starts), own["places"]
+        table[1:4] = [at[axis] for axis in shape.axes]
+        table[6:9] = [own[AXES[axis]] for axis in shape.axes]
+        self.functions(NAMES[0])(own["table"], 0, count)
         np.cumsum(starts, out=starts)
-        table[1:4] = [each.ctypes.data for each in places]
-        table[6:9] = [kept[axis].ctypes.data for axis in AXES]
-        self.functions(NAMES[1])(table.ctypes.data, 0, count)
-        whole = np.array([*shape.axes, *shape.size, count], np.int64)
-        floats = np.array([*shape.low, *shape.width, *inverse])
-        return {**kept, "keys": np.zeros(1, np.int64), "starts": starts, "floats": floats, "whole": whole}
+        table[1:4] = at
+        table[6:9] = [own[axis] for axis in AXES]
+        self.functions(NAMES[1])(own["table"], 0, count)
+        return {**kept, "keys": _NO_KEYS, "starts": starts}
 
     def _sheet(self, other: Population, places: list[NDArray[np.float32]], shape: Shape) -> bool:
         """Whether a crowd lies in one sheet: only speed hangs on it, so it is not asked each time."""

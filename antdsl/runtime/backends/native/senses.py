@@ -176,6 +176,27 @@ def _field_value(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     return found
 
 
+def _greater(e: Emitter, one: Lanes, other: Lanes, then: Lanes, otherwise: Lanes) -> Lanes:
+    """The first of two single values where one number is greater than another, else the second."""
+    more = e.one(f"fcmp ogt double {one.name}, {other.name}", BOOL)
+    return e.one(f"select i1 {more.name}, {then.typed}, {otherwise.typed}", then.kind)
+
+
+def _fetch_ahead(w: Any, field: str, block: Lanes, count: int) -> None:
+    """Have the rows of cells around the next eight agents brought into the cache meanwhile."""
+    e: Emitter = w.e
+    e.module.declare("llvm.prefetch.p0", "void", ["ptr", "i32", "i32", "i32"])
+    base = w.base("cell", field)
+    later = e.one(f"add i64 {w.row.name}, {WIDTH}", I64)
+    more = e.one(f"icmp slt i64 {later.name}, %end", BOOL)
+    cells = e.load(base, e.one(f"select i1 {more.name}, {later.typed}, {w.row.typed}", I64), I32)
+    known = e.where((cells >= 0) & (cells < w.number(I32, "cells", field)), cells, e.constant(0, I32))
+    for lane in range(WIDTH):
+        cell = e.convert(e.one(f"extractelement {known.typed}, i64 {lane}", I32), I64)
+        place = e.address(block, e.one(f"mul i64 {cell.name}, {count}", I64), I32)
+        e.do(f"call void @llvm.prefetch.p0(ptr {place.name}, i32 0, i32 3, i32 1)")
+
+
 def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
     e: Emitter = w.e
     field, count = node.attrs
@@ -185,6 +206,7 @@ def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
     e.put(most, e.constant(0.0, F64))
     e.put(where, own)
     e.put(whose, e.where(there, own, e.constant(0, I32)))
+    _fetch_ahead(w, field, block, int(count))
     asks = e.one(f"zext i8 {e.mask_bits(w.mask[-1] & there).name} to i64", I64)
     with e.loop(e.constant(WIDTH, I64, one=True)) as lane:  # cells of one agent lie side by side
         bit = e.one(f"lshr i64 {asks.name}, {lane.name}", I64)
@@ -192,13 +214,20 @@ def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
             mine = e.load_one(Lanes(e, PTR, whose, one=True), lane, I32)
             start = e.one(f"mul i64 {e.convert(mine, I64).name}, {int(count)}", I64)
             cells = e.address(block, start, I32)
-            best, at = e.constant(0.0, F64, one=True), mine
+            none = e.constant(0.0, F64, one=True)
+            found = []
             for k in range(int(count)):
                 cell = e.load_one(cells, e.constant(k, I64, one=True), I32)
                 amount = e.load_one(held, e.convert(cell, I64), F64)
-                more = e.one(f"fcmp ogt double {amount.name}, {best.name}", BOOL)
-                best = e.one(f"select i1 {more.name}, double {amount.name}, double {best.name}", F64)
-                at = e.one(f"select i1 {more.name}, i32 {cell.name}, i32 {at.name}", I32)
+                found.append((_greater(e, amount, none, amount, none), cell))  # 0 for what is no number, too
+            while len(found) > 1:  # in pairs, so that few wait for others; of equal ones the first
+                pairs = [
+                    (_greater(e, two[0], one[0], two[0], one[0]), _greater(e, two[0], one[0], two[1], one[1]))
+                    for one, two in zip(found[::2], found[1::2], strict=False)
+                ]
+                found = pairs + found[2 * len(pairs) :]
+            best = found[0][0]
+            at = _greater(e, best, none, found[0][1], mine)
             e.put(e.address(Lanes(e, PTR, most, one=True), lane, F64).name, best)
             e.put(e.address(Lanes(e, PTR, where, one=True), lane, I32).name, at)
     value, cell = e.get(most, F64), e.get(where, I32)

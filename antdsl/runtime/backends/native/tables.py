@@ -5,7 +5,6 @@ into arrays with room, what others own is copied. What has not become another ar
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -18,32 +17,13 @@ from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.grids import Arrays
 from antdsl.runtime.backends.native.lanes import BOOL, F32, F64, I32, I64, WIDTH
 from antdsl.runtime.backends.native.layout import Key
+from antdsl.runtime.backends.native.memory import Addresses, address, roomy
 from antdsl.runtime.backends.native.search import MOST
 from antdsl.runtime.moving.obstacle_clearance import clearance
 from antdsl.runtime.world import AXES, Population, World
 
 _FEW = 64  # arrays that nobody looks for whether they are still in use
 DTYPES = {F32: np.float32, F64: np.float64, BOOL: np.bool_, I32: np.int32, I64: np.int64}
-
-
-def roomy(array: NDArray[Any]) -> NDArray[Any]:
-    """A copy with eight spare rows behind it, zeros."""
-    whole = np.zeros((len(array) + WIDTH, *array.shape[1:]), array.dtype)
-    whole[: len(array)] = array
-    found: NDArray[Any] = whole[: len(array)]
-    return found
-
-
-def address(array: NDArray[Any]) -> int:
-    """Where an array begins in memory. ValueError where it does not lie in one piece."""
-    try:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]  # a third of the time of `array.ctypes.data`
-    except (TypeError, ValueError):  # read-only, empty, or not in one piece
-        pass
-    if not array.flags.c_contiguous:
-        raise ValueError("machine code reads arrays that lie in one piece")
-    found: int = array.ctypes.data
-    return found
 
 
 class Rooms:
@@ -53,6 +33,7 @@ class Rooms:
         self._moved: dict[int, tuple[NDArray[Any], NDArray[Any], int]] = {}  # by identity: an array, that with room, its address
         self._most = _FEW  # arrays, above which it is looked who still has them
         self._copies: dict[Key, tuple[Any, NDArray[Any], int]] = {}
+        self.step = 0  # goes up with each: what stays while one lasts is copied once
 
     def moved(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
         """A register's array with its address, moved into one with room unless it is in one. Start and now share the new one
@@ -72,7 +53,8 @@ class Rooms:
         return known[1:]
 
     def settle(self, populations: Iterable[Population]) -> None:
-        """Let go of arrays that nobody has any more, once they may be more than those in use."""
+        """A step begins. Let go of arrays that nobody has any more, once they may be more than those in use."""
+        self.step += 1
         if len(self._moved) > self._most:
             held = {id(array) for each in populations for holder in (each.start, each.now) for array in holder.values()}
             self._moved = {key: known for key, known in self._moved.items() if id(known[1]) in held}
@@ -83,9 +65,9 @@ class Rooms:
         self._moved.clear()
 
     def copied(self, key: Key, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
-        """The address of a copy. `stamp`: as long as it stays, so does what was copied; without one it is copied each time."""
-        known = self._copies.get(key)
-        if known is not None and stamp is not None and known[0] == stamp:
+        """The address of a copy. `stamp`: as long as it stays, so does what was copied; without one that is a step."""
+        known, stamp = self._copies.get(key), self.step if stamp is None else stamp
+        if known is not None and known[0] == stamp and len(known[1]) == len(array) + WIDTH:
             return known[2]
         if known is None or len(known[1]) != len(array) + WIDTH:
             whole = np.zeros(len(array) + WIDTH, dtype)
@@ -94,14 +76,18 @@ class Rooms:
         self._copies[key] = (stamp, known[1], known[2])
         return known[2]
 
-    def fours(self, key: Key, rows: int) -> NDArray[np.float32]:
-        """An array of four floats a row."""
-        known = self._copies.get(key)
+    def fours(self, key: Key, columns: list[NDArray[np.float32]]) -> int:
+        """The address of up to four columns side by side, four floats a row, as they are in this step."""
+        known, rows = self._copies.get(key), len(columns[0])
+        if known is not None and known[0] == self.step and len(known[1]) == rows + WIDTH:
+            return known[2]
         if known is None or len(known[1]) != rows + WIDTH:
             whole = np.zeros((rows + WIDTH, 4), np.float32)
-            known = self._copies[key] = (None, whole, address(whole))
-        found: NDArray[np.float32] = known[1]
-        return found
+            known = (self.step, whole, address(whole))
+        for k, column in enumerate(columns):
+            known[1][:rows, k] = column
+        self._copies[key] = (self.step, known[1], known[2])
+        return known[2]
 
 
 class Tables:
@@ -118,6 +104,7 @@ class Tables:
         self.laid: dict[str, NDArray[np.bool_]] = {}  # by field, whether anything was
         self.widest = [np.zeros(WIDTH, np.float32) for _ in code.near]
         self._candidates = np.zeros(0, np.int32)
+        self._lies = Addresses()
         self._size = -1
         self._views = {np.dtype(kind): self.numbers.view(kind) for kind in (np.int64, np.float64, np.float32, np.int32, np.bool_)}
         self._nodes: list[tuple[ir.Node, int]] = []
@@ -204,8 +191,9 @@ class Tables:
 
     def _event(self, world: World, population: Population, key: Key) -> int:
         flags = population.events.get(str(key[1]))
-        nobody = np.zeros(len(population), np.bool_)
-        return self._rooms.copied((population.name, *key), nobody if flags is None else flags, np.bool_)
+        return self._rooms.copied(
+            (population.name, *key), np.zeros(len(population), np.bool_) if flags is None else flags, np.bool_
+        )
 
     def _other(self, world: World, population: Population, key: Key) -> int:
         """What is another one's: registers at the start of the step, ids, and these in order with their rows."""
@@ -219,11 +207,8 @@ class Tables:
 
     def _beside(self, world: World, population: Population, key: Key) -> int:
         """Up to four registers of others at the start of the step, side by side."""
-        other = world.populations[str(key[1])]
-        whole = self._rooms.fours(key, len(other))
-        for k, name in enumerate(key[2:]):
-            whole[: len(other), k] = other.start[str(name)]
-        return address(whole)
+        start = world.populations[str(key[1])].start
+        return self._rooms.fours(key, [start[str(name)] for name in key[2:]])
 
     def _item(self, world: World, population: Population, key: Key) -> int:
         return self._rooms.copied(key, world.items[str(key[1])].seen[str(key[2])], np.float32)
@@ -237,33 +222,37 @@ class Tables:
     def _field(self, world: World, population: Population, key: Key) -> int:
         field = world.fields[str(key[1])]
         if key[2] == "held":
-            return address(field.held)
+            return self._lies.of(key, field.held)
         if key[2] == "pending":
-            return address(field.pending)
+            return self._lies.of(key, field.pending)
         if key[2] == "block":
-            return address(field.cells.nearest(int(str(key[3]))))
-        return address(field.seen_places[AXES.index(str(key[2]))])
+            return self._lies.of(key, field.cells.nearest(int(str(key[3]))))
+        places = field.seen_places
+        return self._lies.of(key, places) + AXES.index(str(key[2])) * places.strides[0]
 
     def _laid(self, world: World, population: Population, key: Key) -> int:
-        return address(self.laid.setdefault(str(key[1]), np.zeros(1, np.bool_)))
+        laid = self.laid.get(str(key[1]))
+        if laid is None:
+            laid = self.laid[str(key[1])] = np.zeros(1, np.bool_)
+        return self._lies.of(key, laid)
 
     def _crowded(self, world: World, population: Population, key: Key) -> int:
-        return address(self.crowded)
+        return self._lies.of(key, self.crowded)
 
     def _ticks(self, world: World, population: Population, key: Key) -> int:
-        return address(self.ticks)
+        return self._lies.of(key, self.ticks)
 
     def _candidate(self, world: World, population: Population, key: Key) -> int:
         most = max(len(other) for other in world.populations.values()) + (WIDTH + 1) * MOST
         if len(self._candidates) < most:
             self._candidates = np.zeros(most, np.int32)
-        return address(self._candidates)
+        return self._lies.of(key, self._candidates)
 
     def _grid(self, grid: Arrays, number: int, name: str) -> int:
         if name == "widest":
-            return address(self.widest[number])
+            return self._lies.of((name, number), self.widest[number])
         array = grid[name]
-        return 0 if array is None else address(array)
+        return 0 if array is None else self._lies.of((name, number), array)
 
 
 _POINTERS: dict[str, Callable[[Tables, World, Population, Key], int]] = {
