@@ -133,6 +133,7 @@ OPS: dict[str, Operation] = {
     "agent.get": Operation(
         "l", ("species", "register"), F, _A, "another agent's register as it was; 0 for none; kind of the register"
     ),
+    "agent.age": Operation("l", ("species",), F, _A, "another agent's seconds since birth; 0 for none"),
     "agent.alive": Operation("l", ("species",), B, _A, "there is such an agent"),
     "item.get": Operation("i", ("items", "attribute"), F, _A, "x y z radius or a declared attribute of an item; 0 for none"),
     "item.alive": Operation("i", ("items",), B, _A, "there is such an item"),

@@ -269,7 +269,7 @@ def _attribute(w: Writer, e: model.Attribute) -> Value:
     if e.name == "id" and owner.what is model.Kind.AGENT:
         return w.b("number", w.b("other.id") if isinstance(owner, Element) else owner.node)
     if e.name == "age":
-        raise NotYet("the age of another agent", e.span, "give the species an attribute of its own for it")
+        return w.b("agent.age", w.b("other.id") if isinstance(owner, Element) else owner.node, attrs=(owner.of,))
     if e.type.kind is model.Kind.VECTOR:
         prefix = "" if owner.what is model.Kind.ITEM and e.name == "position" else f"{e.name}."
         return Vec(*(_others(w, owner, f"{prefix}{axis}", Kind.F32) for axis in AXES))

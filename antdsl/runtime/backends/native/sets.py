@@ -91,7 +91,7 @@ def one_by_one(b: BlockWriter, first: Instruction) -> None:
             if node.op == "other.row":
                 return e.splat(e.convert(number, I32))
             if node.op == "other.id":
-                return read("ids", I64)
+                return read("unsorted ids", I64)
             return read(node.attrs[0], KINDS[node.kind])
 
         pairs = PairValues(b, lambda node: own[node](), leaf, b.senses)
@@ -100,8 +100,8 @@ def one_by_one(b: BlockWriter, first: Instruction) -> None:
             if of_items:
                 near = near & (distance <= reach[node.args[0]])
             elif itself is not None:
-                near = near & (read("ids", I64) != itself)
-            take(each, node, pairs, near, (lambda: e.splat(number)) if of_items else (lambda: read("ids", I64)))
+                near = near & (read("unsorted ids", I64) != itself)
+            take(each, node, pairs, near, (lambda: e.splat(number)) if of_items else (lambda: read("unsorted ids", I64)))
     for each, instruction in zip(sums, instructions, strict=True):
         b.known(instruction.out, each.result())
 
