@@ -39,6 +39,7 @@ NUMBERS = (
     "meal.load",
     "pal.fear",
     "pal.speed / 10 mm/s",
+    "pal.age / 1 s",
     "falloff(meal, floor: size)",
     "falloff(pal, floor: 5 mm)",
     "distance(way_in) / 40 mm",
@@ -156,7 +157,9 @@ class Sensing:
                     "lay": f"deposit trail max(0, {self.bounded()}){rate}",
                     "mark": f"deposit alarm_mark abs({self.bounded()}){rate}",
                     "give": "give 2 /s load to nearest(nest)" if body else "give all load to nest",
-                    "emit": rng.choice(("emit ping", "emit ping(within: 30 mm)")),
+                    "emit": rng.choice(
+                        ("emit ping", "emit ping(within: 30 mm)", "emit ping to pal", "emit ping(within: 20 mm) to nearest(a)")
+                    ),
                     "pal": rng.choice(("pal = nearest(a)", "pal = random(a)", "pal = nearest(neighbours(40 mm, 200 deg))")),
                     "spawn": "spawn a",
                     "die": "die",

@@ -82,5 +82,11 @@ def _told(row: Effect, entry: Asked) -> str:
     """One request in the words of its row; nothing, where it comes to nothing."""
     if row.quiet_at_0 and not float(entry.arg(0)[0]):
         return ""
-    values = {name: None if arg is None else f"{float(arg[0]):.4g}" for name, arg in zip(row.operands, entry.args, strict=True)}
-    return phrase(row.trace, {**values, "of": entry.request.of, "own": entry.request.own})
+    args = dict(zip(row.operands, entry.args, strict=True))
+    if any(arg is not None and arg[0] < 0 for name, arg in args.items() if name in row.agents):
+        return ""
+    values = {
+        name: None if arg is None else str(int(arg[0])) if name in row.agents else f"{float(arg[0]):.4g}"
+        for name, arg in args.items()
+    }
+    return phrase(row.trace, {**values, "of": entry.request.of, "own": entry.request.own, "whom": entry.request.whom})

@@ -239,7 +239,8 @@ class Give:
 @dataclass(frozen=True, slots=True, eq=False)
 class Request:
     """Asks something of the rest of the world: `op` is a row of `program.effects`, `of` the name of what it is asked about, `args`
-    the row's operands (None: absent), `own` the agent's register that what comes of it is added to after the step's blocks."""
+    the row's operands (None: absent), `own` the agent's register that what comes of it is added to after the step's blocks, `whom` the
+    species of the one agent (an I64 operand) that it is for."""
 
     op: str
     of: str
@@ -247,6 +248,7 @@ class Request:
     span: Span | None
     own: str | None = None
     site: str = ""
+    whom: str | None = None
 
 
 Statement = If | Store | Claim | Give | Request

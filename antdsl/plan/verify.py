@@ -204,8 +204,10 @@ def _request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iterator[s
     for name, node in zip(row.operands, statement.args, strict=False):
         if node is None and name not in row.optional:
             yield f"{word} without {name}"
-        elif node is not None and node.kind is not Kind.F32:
+        elif node is not None and node.kind is not (Kind.I64 if name in row.agents else Kind.F32):
             yield f"{word} with {node!r} for {name}"
+        elif node is not None and name in row.agents and statement.whom is None:
+            yield f"{word} of an agent of no species for {name}"
 
 
 class _Seen:

@@ -224,12 +224,13 @@ class Assign:
 @node
 class Ask:
     """A line that begins with a verb of `antdsl.syntax.verbs`: `die`, `spawn worker`, `carve hill(radius: 2 mm)` (`arguments`),
-    `deposit trail 2 /s` (`amount`)."""
+    `deposit trail 2 /s` (`amount`), `emit hit to other` (`to`)."""
 
     verb: str
     name: Name | None
     amount: Expr | None
     arguments: tuple[Argument | Comprehension, ...]
+    to: Expr | None
     span: Span
 
 

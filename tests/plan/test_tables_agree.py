@@ -103,11 +103,11 @@ def test_every_effect_is_lowered_and_settled() -> None:
     names = {name for name, _ in phases.PHASES}
     for op, row in EFFECTS.items():
         assert op == row.op and row.phase in names and row.optional <= set(row.operands)
-        given = {**dict.fromkeys(row.operands, "1"), "of": "it", "own": "soil"}
+        given = {**dict.fromkeys(row.operands, "1"), "of": "it", "own": "soil", "whom": "ant"}
         assert "{" not in effects.phrase(row.shown, given) + effects.phrase(row.trace, given)
         assert not row.above_0 or row.refused
         assert bool(row.computed) == (op in OPERANDS) and len(row.args) - len(row.numbers) <= 1
-        assert row.computed or all(argument_type(arg).kind is Kind.NUMBER for arg in row.numbers)
+        assert row.computed or all(argument_type(arg).kind in (Kind.NUMBER, Kind.AGENT) for arg in row.numbers)
         assert [VERBS[op].shape == "amount"][: len(row.args)] == [arg.type.startswith("added ") for arg in row.args[:1]]
         assert (VERBS[op].shape == "alone") == (not row.target)
 

@@ -1,4 +1,4 @@
-"""What agents ask of other agents: their age, the nearest few of a set, an event for one of them. All backends agree to the bit."""
+"""What agents ask of other agents: their age, the nearest few of a set, an event for one of them."""
 
 from __future__ import annotations
 
@@ -25,3 +25,50 @@ def test_the_age_of_others_is_counted_from_their_birth_and_0_for_none() -> None:
     assert [round(v, 4) for v in seen["eldest"]] == [0.7] * 4
     assert [round(v, 4) for v in seen["friend"]] == [0.4, 0.7, 0.7, 0.7]
     assert [round(v, 4) for v in seen["near_by"]] == [0.4, 0, 0, 0.7]  # the child stands where its parent does; nobody near is 0
+
+
+WORLD = "ant 1\nworld { surface ground }\n"
+FIGHT = f"""
+species b {{ hp = 5
+  {STILL}
+  on hit {{ hp -= 1 }}
+  start s
+  state s {{ when hp < 3 -> gone {{ die }} }}
+  state gone {{ when false -> s }}
+}}
+species a {{ hurt = 0
+  {STILL}
+  start s
+  state s {{
+    when true -> s {{ emit hit(within: 6 mm) to nearest(b) }}
+    when false -> t
+  }}
+  state t {{ when false -> s }}
+  on hit {{ hurt += 1 }}
+}}"""
+
+
+def test_an_event_for_one_reaches_that_one_alone_and_none_beyond_reach() -> None:
+    seen = play(
+        FIGHT, crowd(at=[(0, 0), (1, 0), (5, 0), (40, 0)]), crowd(species="b", at=[(0, 3), (0, -2.5), (50, 0)]),
+        world=WORLD, steps=4, ways=EVERY_WAY,
+    )  # fmt: skip
+    # 0 and 1 hit b 1; 2 (5.59 mm from b 1, 5.83 from b 0) too; 3 stands 10 mm from b 2, out of its reach
+    assert [seen.at("hp", k, "b") for k in range(5)] == [[5, 5, 5], [5, 5, 5], [5, 4, 5], [5, 3, 5], [5, 5]]
+    assert seen["hurt"] == [0, 0, 0, 0]
+
+
+def test_an_event_for_none_or_for_the_dead_reaches_nobody_and_for_oneself_only_oneself() -> None:
+    text = f"""species a {{ hits = 0; woken = 0
+      {STILL}
+      on hit {{ hits += 1 }}
+      on wake {{ woken += 1 }}
+      start s
+      state s {{
+        emit hit to nearest(neighbours(2 mm))
+        when id > 1.5 -> s {{ emit wake to self }}
+        when id < 0.5 and time > 0.25 s -> t {{ die }}
+      }}
+      state t {{ when false -> s }} }}"""
+    seen = play(text, crowd(at=[(0, 0), (1, 0), (9, 0)]), steps=4, ways=EVERY_WAY)
+    assert seen["id"] == [1, 2] and seen["hits"] == [2, 0] and seen["woken"] == [0, 3]

@@ -263,6 +263,7 @@ def _handler(scope: Scope, node: nodes.On, events: dict[str, Keys]) -> model.Han
         scope = scope.inside(locals={node.variable.text: bad(node.variable.span)})
     if event not in EVENTS:
         scope.use("on", event)
+        scope.use("heard", f"{event} {scope.species.name if scope.species else ''}")
     return model.Handler(event, other, statements(scope, node.actions, ACTION if event == "spawn" else HANDLER), node.span)
 
 

@@ -211,6 +211,7 @@ def _of_world(scope: Scope, name: str, span: Span) -> Expr | None:
         return Thing(Type(Kind(thing.kind), of=name), Rate.CONST, span, name)
     if name in declared.events and scope.species is not None:
         scope.use("event", name)
+        scope.use("heard", f"{name} {scope.species.name}")
         scope.bind(span, "event", name)
         return Op(BOOL, Rate.AGENT, span, "event", (Thing(BOOL, Rate.CONST, span, name),))
     return None

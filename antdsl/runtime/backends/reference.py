@@ -137,7 +137,7 @@ class Agent:
             return
         if row.above_0 and not (values[0] or 0) > 0:
             return
-        args = tuple(None if value is None else np.array([value], np.float32) for value in values)
+        args = tuple(None if value is None else np.array([value]) for value in values)
         self.effects.ask(Asked(s, self.order[s], self.rows, args))
 
     # --- values --------------------------------------------------------------------------------------------------------
