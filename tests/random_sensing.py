@@ -50,6 +50,8 @@ NUMBERS = (
     "mean(n in neighbours(30 mm): n.load + fear)",
     "max(0, max(n in neighbours(40 mm): n.luck))",
     "sum(n in other: n.mood)",
+    "sum(n in neighbours(60 mm, most: 2): n.luck)",
+    "sum(f in all(food, with: load > 0, most: 1): f.load)",
     "count(n in neighbours(60 mm, of: other): distance(n) > size)",
     "best(n in neighbours(40 mm): n.luck - distance(n) / 90 mm).luck",
     "sum(f in all(food, within: 80 mm): f.load * f.ripe)",

@@ -105,8 +105,8 @@ OPS: dict[str, Operation] = {
     "log": Operation("f", (), F, _C, "own kernel, natural"),
     "pow": Operation("ff", (), F, _C, "own kernel: exp(b log a), whole-number powers of negative a exact in sign"),
     "atan2": Operation("ff", (), F, _C, "own kernel"),
-    "lt": Operation("ff", (), B, _C, "a < b"),
-    "le": Operation("ff", (), B, _C, "a <= b"),
+    "lt": Operation("xx", (), B, _C, "a < b, both of one kind"),
+    "le": Operation("xx", (), B, _C, "a <= b, both of one kind"),
     "gt": Operation("ff", (), B, _C, "a > b"),
     "ge": Operation("ff", (), B, _C, "a >= b"),
     "eq": Operation("xx", (), B, _C, "a == b, both of one kind"),
@@ -171,6 +171,15 @@ OPS: dict[str, Operation] = {
     "reduce.count": Operation("sb", (), F, _A, "how many"),
     "reduce.any": Operation("sb", (), B, _A, "at least one"),
     "reduce.agent": Operation("sbf", (), L, _A, "id of the agent with the least body, the lesser id at a tie; -1 for none"),
+    "reduce.nth_agent": Operation(
+        "sbff",
+        (),
+        L,
+        _A,
+        "id of the agent with the n-th least body, the lesser id before the greater at a tie; n is the whole number below the last "
+        "operand; -1 where there are fewer, or n is below 1",
+    ),
+    "reduce.nth_item": Operation("sbff", (), I, _A, "row of the item with the n-th least body, likewise"),
     "reduce.item": Operation("sbf", (), I, _A, "row of the item with the least body, the lesser row at a tie; -1 for none"),
 }
 

@@ -375,6 +375,9 @@ class Builder:
     def index(self, parts: list[Any]) -> n.Index:
         return n.Index(parts[0], parts[1], self.over(parts))
 
+    def index_all(self, parts: list[Any]) -> n.IndexAll:
+        return n.IndexAll(parts[0], self.word(parts[1]), parts[2], self.over(parts))
+
     def unreadable(self, parts: list[Any]) -> n.BadExpr:
         return n.BadExpr(self.at(parts[0]))
 

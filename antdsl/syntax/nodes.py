@@ -87,6 +87,16 @@ class Index:
 
 
 @node
+class IndexAll:
+    """`likes[n in SET]`, where a line adds to a value about each of a set."""
+
+    owner: Expr
+    variable: Name
+    over: Expr
+    span: Span
+
+
+@node
 class Argument:
     """One argument. `name` is there for `reach: 3`; the value may be a `RangeExpr`."""
 
@@ -213,7 +223,7 @@ class Steer:
 
 @node
 class Assign:
-    """`x = e`, `x += e`, `x -= e`. `target` is NameRef, Member or Index."""
+    """`x = e`, `x += e`, `x -= e`. `target` is NameRef, Member, Index or IndexAll."""
 
     target: Expr
     op: str

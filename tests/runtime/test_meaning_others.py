@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from meaning import WAYS, crowd, play
+from meaning import WAYS, crowd, item, play
 
 from antdsl.runtime import Options
 
@@ -72,3 +72,34 @@ def test_an_event_for_none_or_for_the_dead_reaches_nobody_and_for_oneself_only_o
       state t {{ when false -> s }} }}"""
     seen = play(text, crowd(at=[(0, 0), (1, 0), (9, 0)]), steps=4, ways=EVERY_WAY)
     assert seen["id"] == [1, 2] and seen["hits"] == [2, 0] and seen["woken"] == [0, 3]
+
+
+def test_most_takes_the_nearest_and_at_a_tie_the_lesser_id() -> None:
+    places = [(0, 0), (3, 0), (-3, 0), (0, 3), (0, 5), (8, 0)]
+    text = f"""species a {{ param few = 2 in 0 .. 9
+      two = 0; ids = 0; three = 0; ahead = 0; odd = 0; many = 0; none_of = 0; meals = 0; own = 0; part = 1
+      {STILL}
+      start s
+      let near = neighbours(20 mm, most: few)
+      state s {{
+        two = count(near); ids = sum(n in near: n.id); three = sum(n in neighbours(20 mm, most: 3): n.id)
+        ahead = sum(n in neighbours(20 mm, 100 deg, most: 1): n.id); odd = sum(n in all(a, with: id == 1 or id == 3 or id == 5, most: 2): n.id)
+        many = count(neighbours(20 mm, most: 100)); none_of = count(all(a, most: part - 1))
+        meals = sum(f in all(food, with: load > 0, most: 2): f.load); own = count(all(a, within: 4 mm, most: id))
+      }}
+    }}"""
+    food = (
+        item("f", 1, 0, load=8),
+        item("g", 2, 0, load=0),
+        item("h", 9, 0, load=4),
+        item("i", -9, 0, load=2),
+        item("j", 0, 9, load=1),
+    )
+    seen = play(text, crowd(at=places), ways=EVERY_WAY, items={"food": food, "nest": ()})
+    assert seen["two"] == [2] * 6 and seen["many"] == [5] * 6 and seen["none_of"] == [0] * 6
+    assert seen["ids"] == [1 + 2, 0 + 3, 0 + 3, 4 + 0, 3 + 0, 1 + 0]  # 1 2 3 are all 3 mm from 0
+    assert seen["three"] == [6, 0 + 3 + 5, 0 + 3 + 4, 4 + 0 + 1, 3 + 0 + 1, 1 + 0 + 3]
+    assert seen["ahead"] == [1, 5, 0, 1, 5, 0]
+    assert seen["odd"] == [1 + 3, 3 + 5, 3 + 1, 1 + 5, 3 + 1, 1 + 3]
+    assert seen["own"] == [0, 1, 1, 2, 1, 0]
+    assert seen["meals"][0] == 12 and seen["meals"][5] == 12

@@ -27,7 +27,7 @@ from antdsl.program.tables.other_words import NAMES
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import constant, number
 from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
-from antdsl.program.types.descriptions import fits, mismatch, quoted, type_words
+from antdsl.program.types.descriptions import mismatch, quoted, type_words
 from antdsl.program.types.states import STATE_WORDS, machine_named, of_machine, state_word
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -343,29 +343,6 @@ def _param_of(scope: Scope, owner: Expr, node: nodes.Member) -> Expr:
     return bad(node.span)
 
 
-def index_of(scope: Scope, node: nodes.Index, want: Type | None) -> Expr:
-    """`likes[other]`: the agent's own value about another agent."""
-    species, owner = scope.species, node.owner
-    index = scope.typed(node.index)
-    if isinstance(owner, nodes.NameRef) and species is not None and scope.behaviour is None and owner.name.text in species.each:
-        name = owner.name.text
-        scope.use("attribute", f"{species.name}.{name}")
-        scope.bind(owner.span, "own", species.name, name)
-        wanted = Type(Kind.AGENT, of=species.each[name])
-        if not fits(index.type, wanted):
-            mismatch(scope.report, node.index, index.type, wanted, f"`{name}[…]`")
-        return Attribute(species.attributes[name], max(index.rate, Rate.AGENT), node.span, index, name)
-    if scope.typed(owner).type.kind is Kind.BAD:
-        return bad(node.span)
-    scope.report.error(
-        "wrong-kind",
-        f"{quoted(owner.span)} has no value per agent",
-        node.span,
-        "a value per pair is declared so: `likes = 0 for each roach, strongest 8`",
-    )
-    return bad(node.span)
-
-
 @dataclass(frozen=True, slots=True)
 class Known:
     """Stands in the place of an argument whose type was needed before it was its turn, so that nothing is worked out twice."""
@@ -390,12 +367,5 @@ def range_of(scope: Scope, node: nodes.RangeExpr, want: Type | None) -> Expr:
         f"a range {quoted(node.span)} cannot stand here",
         node.span,
         "ranges are for arguments such as `from: 0 mm .. 5 mm`",
-    )
-    return bad(node.span)
-
-
-def pair_of(scope: Scope, node: nodes.PairOf, want: Type | None) -> Expr:
-    scope.report.error(
-        "not-yet", "`… to …` as a pair of two things does not work yet", node.span, "a value per pair is written `likes[other]`"
     )
     return bad(node.span)

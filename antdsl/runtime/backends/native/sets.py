@@ -16,7 +16,7 @@ from antdsl.runtime.backends.native.block import BlockWriter, Writer
 from antdsl.runtime.backends.native.lanes import F32, I32, I64, Lanes
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.backends.native.schedule import PAIRED
-from antdsl.runtime.backends.native.sums import Sum
+from antdsl.runtime.backends.native.sums import START, Sum
 from antdsl.runtime.world import AXES
 
 
@@ -24,7 +24,7 @@ def lowers(node: ir.Node, leaves: frozenset[str]) -> bool:
     """Whether a reduction has machine code: all that hangs on the other one is an operation or a leaf that has."""
     known = {"pair.x", "pair.y", "pair.z", "pair.distance", "other", "other.id", "other.row"} | leaves
     pairs = [each for each in needed(node.args[1:]) if each.rate is ir.Rate.PAIR]
-    return all(each.op in ELEMENTWISE or each.op in known for each in pairs)
+    return node.op in START and all(each.op in ELEMENTWISE or each.op in known for each in pairs)
 
 
 # --- values of a pair ------------------------------------------------------------------------------------------------
