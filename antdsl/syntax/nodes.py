@@ -225,7 +225,7 @@ class Steer:
 class Assign:
     """`x = e`, `x += e`, `x -= e`. `target` is NameRef, Member, Index or IndexAll."""
 
-    target: Expr
+    target: Expr | IndexAll
     op: str
     value: Expr
     span: Span

@@ -8,7 +8,7 @@ from typing import Any
 from antdsl.plan import ir
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
-from antdsl.plan.lowering import values
+from antdsl.plan.lowering import pair_values, values
 from antdsl.plan.lowering.expressions import lower, own, scalar, single, vector
 from antdsl.plan.lowering.values import Named, Own, Ref, Vec
 from antdsl.plan.lowering.writer import AXES, NotYet, Writer
@@ -46,10 +46,10 @@ def _steer(w: Writer, s: model.Steer, site: str) -> None:
 
 
 def _assign(w: Writer, s: model.Assign, site: str) -> None:
-    if s.of is not None and not isinstance(lower(w, s.of), Own):
-        raise NotYet("a value per pair of agents", s.span, "leave the line out")
-    if any(d.name == s.attribute and d.each for d in w.species.attributes):
-        raise NotYet("a value per pair of agents", s.span, "leave the line out")
+    about = pair_values.declared(w, s.attribute)
+    if about is not None:
+        pair_values.assign(w, s, about)
+        return
     b = w.b
     value = lower(w, s.value)
     if s.op != "=":

@@ -255,8 +255,9 @@ def _referable(w: Writer, value: Value) -> Value:
 
 
 def _attribute(w: Writer, e: model.Attribute) -> Value:
-    if any(a.name == e.name and a.each for a in w.species.attributes):
-        raise NotYet("a value per pair of agents", e.span, "leave the line out")
+    about = next((a for a in w.species.attributes if a.name == e.name and a.each), None)
+    if about is not None and e.of is not None:
+        return w.rules.about(w, about, e.of)
     owner = None if e.of is None else lower(w, e.of)
     if owner is None or isinstance(owner, Own):
         return own(w, e.name, e.type)

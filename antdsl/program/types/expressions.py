@@ -27,7 +27,7 @@ from antdsl.program.tables.other_words import NAMES
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import constant, number
 from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
-from antdsl.program.types.descriptions import mismatch, quoted, type_words
+from antdsl.program.types.descriptions import quoted, type_words
 from antdsl.program.types.states import STATE_WORDS, machine_named, of_machine, state_word
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -133,6 +133,13 @@ def _too_early(scope: Scope, name: str, span: Span) -> None:
     scope.report.error("let-too-early", f"`{name}` cannot be read here: {scope.no_let}", span, "set it in `on spawn { … }`")
 
 
+def about_whom(scope: Scope, node: nodes.Name, owner: str = "") -> Expr:
+    """The complaint about a value per pair that is named as if it were a value of one."""
+    help = f"it is read by the one whose it is: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
+    scope.report.error("wrong-kind", f"`{node.text}` is a value per pair: say about whom", node.span, help)
+    return bad(node.span)
+
+
 def _of_element(scope: Scope, name: str, span: Span) -> Expr | None:
     if scope.element is None:
         return None
@@ -166,6 +173,8 @@ def _own(scope: Scope, name: str, span: Span) -> Expr | None:
     if name in species.params:
         scope.use("param", f"{species.name}.{name}")
         return ParamRef(species.params[name], Rate.RUN, span, f"{species.name}.{name}")
+    if name in species.each:
+        return about_whom(scope, nodes.Name(name, span))
     if name in species.attributes:
         scope.use("attribute", f"{species.name}.{name}")
         return Attribute(species.attributes[name], Rate.AGENT, span, None, name)
@@ -298,6 +307,9 @@ def member_of(scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
     known = attributes_of(scope.declared, owner.type)
     if name in known:
         scope.bind_value(node.name.span, owner.type, name)
+        species = scope.declared.species.get(owner.type.of or "") if kind is Kind.AGENT else None
+        if species is not None and name in species.each:
+            return about_whom(scope, node.name, owner.type.of or "")
         return value_of(scope, owner, name, known[name], node.span)
     scope.bind_unreadable(node.name, owner.type)
     _no_member(scope, owner, node, known)

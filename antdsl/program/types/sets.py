@@ -180,7 +180,7 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
     if isinstance(argument, nodes.Comprehension):
         over = scope.typed(argument.over)
         if over.type.kind in _THINGS:
-            over = _whole(over)
+            over = whole(over)
         variable: nodes.Name | None = argument.variable
     else:
         over, variable = scope.typed(argument.value), None
@@ -205,16 +205,21 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
         element = over.element
         body: Expr = Const(BOOL, Rate.CONST, node.span, 1.0)
     else:
-        element = element_of(over.element.type, variable.text, variable)
-        _check_shadow(scope, variable)
-        inner = _within_set(scope, element).inside(locals={**scope.locals, variable.text: element})
+        element, inner = for_each(scope, over, variable)
         body = body_of(inner, how, argument.body)
     made = Reduce(_result(how, body, element), Rate.AGENT, node.span, how, over, element, body)
     _check_nesting(scope, made, node)
     return made
 
 
-def _whole(things: Expr) -> SetOf:
+def for_each(scope: Scope, over: SetOf, variable: nodes.Name) -> tuple[Binding, Scope]:
+    """What stands for each of a set by a name, and the scope in which it does."""
+    element = element_of(over.element.type, variable.text, variable)
+    _check_shadow(scope, variable)
+    return element, _within_set(scope, element).inside(locals={**scope.locals, variable.text: element})
+
+
+def whole(things: Expr) -> SetOf:
     """`food` where a set is wanted: all of it."""
     element = Binding("it", "element", one_of(things.type), Rate.ELEMENT, things.span)
     return SetOf(
