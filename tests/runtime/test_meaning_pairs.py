@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from meaning import WAYS, crowd, play
+from plan_text import plan_of
 
+from antdsl.passes import optimise
 from antdsl.plan.pair_registers import slot_names
-from antdsl.runtime import Options
-from antdsl.runtime.world import World
+from antdsl.runtime import FaultStop, Options, Setting, World, bind, checkpoint, restore, state_hash, step
 
 NATIVE = Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5)
 EVERY_WAY = (*WAYS, NATIVE)
@@ -106,3 +109,51 @@ def test_a_crowd_keeps_the_strongest_and_forgets_the_dead() -> None:
     assert 5 in seen[5] and 5 not in seen[-1] and 10 in seen[-1] and not any(5 in about for about in seen[-1].values())
     assert sum(len(about) == 3 for about in seen[-1].values()) == 10 and any(10 in about for about in seen[-1].values())
     assert any(v < 0 for about in seen[-1].values() for v in about.values()) and end["fears"] != [0.0] * 10
+
+
+def test_a_value_begins_and_rests_where_it_says_and_events_add_to_it() -> None:
+    text = f"""species a {{ param calm = 0.5 in 0 .. 1
+      trusts = calm relax to calm over 1 s for each a, strongest 2
+      told = 0; none_of = 0; fell = 0
+      {STILL}
+      on shout {{ trusts[nearest(a)] -= 0.25 }}
+      start s
+      state s {{
+        told = trusts[nearest(a)]; none_of = trusts[nearest(neighbours(0.01 mm))]; fell = trusts[best(n in a: distance(n))]
+        when frame == 2 and id == 0 -> s {{ emit shout to nearest(a); trusts[n in a] = n.id / 2 }}
+      }} }}"""
+    seen = play(text, crowd(at=[(0, 0), (1, 0), (5, 0)]), steps=24, ways=EVERY_WAY)
+    assert seen.at("told", 1) == [0.5] * 3 and seen.every("none_of") == [0.0] + [0.5] * 24
+    frames = [round(v, 4) for v in (seen.at("told", 3)[1], seen.at("told", 13)[1])]
+    assert frames == [0.25, round(0.5 - 0.25 * np.exp(-1), 4)]
+    # 0 has set 0.5 about 1, which is the value of rest, and 1 about 2
+    assert kept(play(text, crowd(at=[(0, 0), (1, 0), (5, 0)]), steps=3, ways=WAYS[:1]).world, "trusts", count=2)[0].keys() == {2}
+    assert round(seen.at("fell", 13)[0], 4) == round(0.5 + 0.5 * np.exp(-1.1), 4)
+
+
+def test_what_is_no_number_is_refused_by_its_name() -> None:
+    for line in ("likes[nearest(a)] += zero / zero * 1 /s", "likes[n in a] += 1 / zero * 1 /s", "likes[n in a] = zero / zero"):
+        text = f"""species a {{ zero = 0
+          likes = 0 for each a, strongest 3
+          start s
+          state s {{ {line}; when zero > 1 -> s {{ zero += 1 }} }} }}"""
+        with pytest.raises(FaultStop) as stopped:
+            play(text, crowd(at=[(0, 0), (1, 0)]), ways=WAYS[:1])
+        assert "`likes`" in str(stopped.value) or "likes" in stopped.value.fault.register, line
+
+
+def test_a_checkpoint_goes_on_to_the_same_values() -> None:
+    plan = optimise(plan_of(CROWD))
+    setting = Setting(fps=Fraction(10), crowds=(crowd(at=TEN.tolist()),))
+    world, hashes = bind(plan, setting, Options(backend="numpy")), []
+    for number in range(14):
+        if number == 7:
+            saved = checkpoint(world)
+        step(world)
+        hashes.append(state_hash(world))
+    again = bind(plan, setting, Options(backend="numpy", shuffle_rows=2))
+    restore(again, saved)
+    for number in range(7, 14):
+        step(again)
+        assert state_hash(again) == hashes[number]
+    assert kept(again) == kept(world)

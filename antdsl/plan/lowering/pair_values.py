@@ -20,7 +20,7 @@ NEAR_REST = 1e-9  # base units from the value of rest: so near, it is told by no
 
 
 def declare(w: Writer, attribute: model.AttributeDecl) -> None:
-    """The registers of a value per pair, and one of the step that what is to be kept goes through: it refuses what is no number."""
+    """The registers of a value per pair, and one of the step by its name: what is to be kept goes through it, if it is a number."""
     holds = (attribute.type.kind.value, *attribute.type.dim, attribute.each)
     for who, value in slot_names(attribute.name, attribute.strongest):
         w.declare(who, Kind.I64, "pair", -1, attribute.each, holds)
@@ -74,8 +74,8 @@ def assign(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
 
 
 def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
-    """Those whom a slot tells of change where they stand; of the others the strongest come in one after the other, as many at most
-    as there are slots. All is worked out before anything changes: the value may be made of such values itself."""
+    """Those whom a slot tells of change where they stand; of the others the strongest come in, as many at most as there are slots.
+    All is worked out before anything changes: the value may be made of such values itself."""
     b = w.b
     assert s.over is not None and s.element is not None
     over = gather(w, s.over)
@@ -93,9 +93,9 @@ def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> N
     for k, (who, value) in enumerate(slots):
         met = b("reduce.max", over.nodes, b("and", holds, b("eq", other, who)), amount)
         changed = b("where", b("gt", met, b.number(-inf)), met if s.op == "=" else b("add", value, met), value)
-        told.append(_hold(w, f"~{attribute.name}[{k}]", changed, s))
+        told.append(_hold(w, f"~{attribute.name}.{k}", changed, s))
     new = b.all(holds, b("gt", strength, b.number(NEAR_REST)), *(b("ne", other, who) for who, _ in slots))
-    coming = [(f"~{attribute.name}[{k}].new.id", f"~{attribute.name}[{k}].new") for k in range(attribute.strongest)]
+    coming = [(f"~{attribute.name}.new.{k}.id", f"~{attribute.name}.new.{k}") for k in range(attribute.strongest)]
     for who, value in coming:
         w.declare(who, Kind.I64, "temp", -1)
         w.declare(value, Kind.F32, "temp")
