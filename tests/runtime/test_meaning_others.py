@@ -83,7 +83,8 @@ def test_most_takes_the_nearest_and_at_a_tie_the_lesser_id() -> None:
       let near = neighbours(20 mm, most: few)
       state s {{
         two = count(near); ids = sum(n in near: n.id); three = sum(n in neighbours(20 mm, most: 3): n.id)
-        ahead = sum(n in neighbours(20 mm, 100 deg, most: 1): n.id); odd = sum(n in all(a, with: id == 1 or id == 3 or id == 5, most: 2): n.id)
+        ahead = sum(n in neighbours(20 mm, 100 deg, most: 1): n.id)
+        odd = sum(n in all(a, with: id == 1 or id == 3 or id == 5, most: 2): n.id)
         many = count(neighbours(20 mm, most: 100)); none_of = count(all(a, most: part - 1))
         meals = sum(f in all(food, with: load > 0, most: 2): f.load); own = count(all(a, within: 4 mm, most: id))
       }}

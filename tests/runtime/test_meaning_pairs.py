@@ -1,4 +1,4 @@
-"""Values per pair: what each agent keeps about a few others, against a plain reading of the rules; all backends agree to the bit."""
+"""Values per pair: what each agent keeps about a few others, against a plain reading of the rules; all backends agree."""
 
 from __future__ import annotations
 

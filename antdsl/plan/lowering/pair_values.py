@@ -20,7 +20,7 @@ NEAR_REST = 1e-9  # base units from the value of rest: so near, it is told by no
 
 
 def declare(w: Writer, attribute: model.AttributeDecl) -> None:
-    """The registers of a value per pair, and one of the step by its name: what is to be kept goes through it, if it is a number."""
+    """The registers of a value per pair, and one of the step by its name, which what is to be kept goes through."""
     holds = (attribute.type.kind.value, *attribute.type.dim, attribute.each)
     for who, value in slot_names(attribute.name, attribute.strongest):
         w.declare(who, Kind.I64, "pair", -1, attribute.each, holds)
@@ -74,7 +74,7 @@ def assign(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
 
 
 def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
-    """Those whom a slot tells of change where they stand; of the others the strongest come in, as many at most as there are slots.
+    """Those whom a slot tells of change where they stand; of the others the strongest come in, as many as there are slots.
     All is worked out before anything changes: the value may be made of such values itself."""
     b = w.b
     assert s.over is not None and s.element is not None
@@ -96,10 +96,10 @@ def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> N
         told.append(_hold(w, f"~{attribute.name}.{k}", changed, s))
     new = b.all(holds, b("gt", strength, b.number(NEAR_REST)), *(b("ne", other, who) for who, _ in slots))
     coming = [(f"~{attribute.name}.new.{k}.id", f"~{attribute.name}.new.{k}") for k in range(attribute.strongest)]
-    for who, value in coming:
-        w.declare(who, Kind.I64, "temp", -1)
-        w.declare(value, Kind.F32, "temp")
-        w.store(who, b.agent(-1), s.span)
+    for names in coming:
+        w.declare(names[0], Kind.I64, "temp", -1)
+        w.declare(names[1], Kind.F32, "temp")
+        w.store(names[0], b.agent(-1), s.span)
 
     def find(new: Node, left: int) -> None:
         """The strongest of those that no slot tells of, and inside of that the next."""

@@ -64,8 +64,8 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
         found = each_of(scope, target)
         if found is None:
             return None
-        checked, over, element, inner = found
-        name, type = checked.name, checked.type
+        about, over, element, inner = found
+        name, type = about.name, about.type
     elif isinstance(target, nodes.Index) and isinstance(target.owner, nodes.NameRef):
         checked = scope.typed(target)
         if not isinstance(checked, model.Attribute):

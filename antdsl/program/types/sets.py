@@ -92,7 +92,7 @@ def _most(scope: Scope, called: str, row: Builtin, found: dict[str, list[nodes.A
     known = constant_behind(most) if most is not None else None
     if known is not None and (known.number < 1 or known.number != int(known.number)):
         scope.report.error(
-            "out-of-range", f"`most` of `{called}` says how many count, and {quoted(found['most'][0].value.span)} is no such number",
+            "out-of-range", f"`most` of `{called}` is how many count, not {quoted(found['most'][0].value.span)}",
             found["most"][0].value.span, "write a whole number, 1 or more: `most: 3`",
         )  # fmt: skip
     return most
