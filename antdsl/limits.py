@@ -28,6 +28,7 @@ LAYERS: Final = 32
 RULES: Final = 64  # of one `fuzzy`
 ATTRIBUTES: Final = 256
 FIELDS: Final = 64
+STRONGEST: Final = 16  # others whom one agent keeps a value per pair about
 
 # scene
 SCENE_BYTES: Final = 1 * MIB

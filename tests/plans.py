@@ -142,7 +142,7 @@ def rich() -> ir.Plan:
             store("main.time_in_state", t.b.number(0)),
             store("source", meal),
             store("friend", t("draw.agent", attrs=("pick", "ant"))),
-            ir.Request("emit", "alarm", (t("mul", t.snap("size"), 4.0),), None),
+            ir.Request("emit", "alarm", (t("mul", t.snap("size"), 4.0), None), None),
         ),
         when(
             t("eq", pending, t.b.row(2)),
@@ -151,7 +151,7 @@ def rich() -> ir.Plan:
             store("main.state", t.b.row(0)),
             when(t("lt", t.draw("child"), 0.3), ir.Request("spawn", "ant", (), None, site="child")),
             when(t("gt", t.draw("child", 3), 0.8), ir.Request("die", "", (), None)),
-            ir.Request("emit", "alarm", (None,), None),
+            ir.Request("emit", "alarm", (None, None), None),
         ),
         when(
             t("gt", t("abs", t("sub", t("load", attrs=("load", 3)), t.snap("load"))), 0.0),

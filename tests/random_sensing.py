@@ -39,6 +39,7 @@ NUMBERS = (
     "meal.load",
     "pal.fear",
     "pal.speed / 10 mm/s",
+    "pal.age / 1 s",
     "falloff(meal, floor: size)",
     "falloff(pal, floor: 5 mm)",
     "distance(way_in) / 40 mm",
@@ -49,6 +50,8 @@ NUMBERS = (
     "mean(n in neighbours(30 mm): n.load + fear)",
     "max(0, max(n in neighbours(40 mm): n.luck))",
     "sum(n in other: n.mood)",
+    "sum(n in neighbours(60 mm, most: 2): n.luck)",
+    "sum(f in all(food, with: load > 0, most: 1): f.load)",
     "count(n in neighbours(60 mm, of: other): distance(n) > size)",
     "best(n in neighbours(40 mm): n.luck - distance(n) / 90 mm).luck",
     "sum(f in all(food, within: 80 mm): f.load * f.ripe)",
@@ -156,7 +159,9 @@ class Sensing:
                     "lay": f"deposit trail max(0, {self.bounded()}){rate}",
                     "mark": f"deposit alarm_mark abs({self.bounded()}){rate}",
                     "give": "give 2 /s load to nearest(nest)" if body else "give all load to nest",
-                    "emit": rng.choice(("emit ping", "emit ping(within: 30 mm)")),
+                    "emit": rng.choice(
+                        ("emit ping", "emit ping(within: 30 mm)", "emit ping to pal", "emit ping(within: 20 mm) to nearest(a)")
+                    ),
                     "pal": rng.choice(("pal = nearest(a)", "pal = random(a)", "pal = nearest(neighbours(40 mm, 200 deg))")),
                     "spawn": "spawn a",
                     "die": "die",

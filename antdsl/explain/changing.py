@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from antdsl.explain.model import Changed
+from antdsl.explain.model import Changed, Value
 from antdsl.explain.tracing import Trace
 from antdsl.explain.value_text import in_unit, said, triple, value
 from antdsl.plan.ir import Register
+from antdsl.plan.pair_registers import pair_values
 from antdsl.program.model import Dim, Kind, Species, Type
 from antdsl.program.tables.effects import EFFECTS, Effect, phrase
 from antdsl.program.tables.units import unit_of
@@ -29,7 +30,7 @@ def changes(world: World, population: Population, species: Species, trace: Trace
 def _changes(world: World, population: Population, species: Species, trace: Trace, row: int) -> Iterator[Changed]:
     types = {a.name: a.type for a in species.attributes}
     for name, register in population.plan.registers.items():
-        if register.role == "temp" or name.endswith((".y", ".z", ".next")):
+        if register.role in ("temp", "pair") or name.endswith((".y", ".z", ".next")):
             continue
         stem = name.removesuffix(".x")
         memory = register.role == "memory"
@@ -44,6 +45,23 @@ def _changes(world: World, population: Population, species: Species, trace: Trac
             unit = unit_of(type.dim) if type.kind is Kind.NUMBER else ""
             told = [(value(world, each, type, unit), said(world, each, type, unit)) for each in (before, after)]
             yield Changed(name, told[0][0], told[1][0], unit, (told[0][1], told[1][1]), memory)
+
+    for name, slots in pair_values(population.plan.registers).items():
+        kept = [_kept(registers, slots) for registers in (trace.before, {n: a[row] for n, a in population.now.items()})]
+        unit = unit_of(types[name].dim)
+        for other in sorted(kept[0].keys() | kept[1].keys()):
+            if kept[0].get(other) != kept[1].get(other):
+                told = [_about(world, each.get(other), types[name], unit) for each in kept]
+                yield Changed(f"{name}[{other}]", told[0][0], told[1][0], unit, (told[0][1], told[1][1]), False)
+
+
+def _kept(registers: Mapping[str, Any], slots: list[tuple[str, str]]) -> dict[int, Any]:
+    """The values per pair of an agent by the other's id."""
+    return {int(registers[who]): registers[held] for who, held in slots if registers[who] >= 0}
+
+
+def _about(world: World, held: Any, type: Type, unit: str) -> tuple[Value, str]:
+    return ("nothing", "nothing") if held is None else (value(world, held, type, unit), said(world, held, type, unit))
 
 
 def _row(population: Population, stem: str, row: int) -> dict[str, Any]:
@@ -82,5 +100,11 @@ def _told(row: Effect, entry: Asked) -> str:
     """One request in the words of its row; nothing, where it comes to nothing."""
     if row.quiet_at_0 and not float(entry.arg(0)[0]):
         return ""
-    values = {name: None if arg is None else f"{float(arg[0]):.4g}" for name, arg in zip(row.operands, entry.args, strict=True)}
-    return phrase(row.trace, {**values, "of": entry.request.of, "own": entry.request.own})
+    args = dict(zip(row.operands, entry.args, strict=True))
+    if any(arg is not None and arg[0] < 0 for name, arg in args.items() if name in row.agents):
+        return ""
+    values = {
+        name: None if arg is None else str(int(arg[0])) if name in row.agents else f"{float(arg[0]):.4g}"
+        for name, arg in args.items()
+    }
+    return phrase(row.trace, {**values, "of": entry.request.of, "own": entry.request.own, "whom": entry.request.whom})

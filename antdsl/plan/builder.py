@@ -44,7 +44,7 @@ def _misfit(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | No
                 return f"operand {position} of {op} is a {arg.kind.value}"
         elif arg.kind is not LETTERS[letter]:
             return f"operand {position} of {op} is a {arg.kind.value}, not a {LETTERS[letter].value}"
-    if op in ("eq", "ne") and args[0].kind is not args[1].kind:
+    if op in ("eq", "ne", "lt", "le") and args[0].kind is not args[1].kind:
         return f"{op} compares a {args[0].kind.value} with a {args[1].kind.value}"
     if op == "where" and args[1].kind is not args[2].kind:
         return f"where chooses between a {args[1].kind.value} and a {args[2].kind.value}"

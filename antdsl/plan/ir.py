@@ -105,8 +105,8 @@ OPS: dict[str, Operation] = {
     "log": Operation("f", (), F, _C, "own kernel, natural"),
     "pow": Operation("ff", (), F, _C, "own kernel: exp(b log a), whole-number powers of negative a exact in sign"),
     "atan2": Operation("ff", (), F, _C, "own kernel"),
-    "lt": Operation("ff", (), B, _C, "a < b"),
-    "le": Operation("ff", (), B, _C, "a <= b"),
+    "lt": Operation("xx", (), B, _C, "a < b, both of one kind"),
+    "le": Operation("xx", (), B, _C, "a <= b, both of one kind"),
     "gt": Operation("ff", (), B, _C, "a > b"),
     "ge": Operation("ff", (), B, _C, "a >= b"),
     "eq": Operation("xx", (), B, _C, "a == b, both of one kind"),
@@ -133,6 +133,7 @@ OPS: dict[str, Operation] = {
     "agent.get": Operation(
         "l", ("species", "register"), F, _A, "another agent's register as it was; 0 for none; kind of the register"
     ),
+    "agent.age": Operation("l", ("species",), F, _A, "another agent's seconds since birth; 0 for none"),
     "agent.alive": Operation("l", ("species",), B, _A, "there is such an agent"),
     "item.get": Operation("i", ("items", "attribute"), F, _A, "x y z radius or a declared attribute of an item; 0 for none"),
     "item.alive": Operation("i", ("items",), B, _A, "there is such an item"),
@@ -170,6 +171,15 @@ OPS: dict[str, Operation] = {
     "reduce.count": Operation("sb", (), F, _A, "how many"),
     "reduce.any": Operation("sb", (), B, _A, "at least one"),
     "reduce.agent": Operation("sbf", (), L, _A, "id of the agent with the least body, the lesser id at a tie; -1 for none"),
+    "reduce.nth_agent": Operation(
+        "sbff",
+        (),
+        L,
+        _A,
+        "id of the agent with the n-th least body, the lesser id before the greater at a tie; n is the whole number below the last "
+        "operand; -1 where there are fewer, or n is below 1",
+    ),
+    "reduce.nth_item": Operation("sbff", (), I, _A, "row of the item with the n-th least body, likewise"),
     "reduce.item": Operation("sbf", (), I, _A, "row of the item with the least body, the lesser row at a tie; -1 for none"),
 }
 
@@ -238,7 +248,8 @@ class Give:
 @dataclass(frozen=True, slots=True, eq=False)
 class Request:
     """Asks something of the rest of the world: `op` is a row of `program.effects`, `of` the name of what it is asked about, `args`
-    the row's operands (None: absent), `own` the agent's register that what comes of it is added to after the step's blocks."""
+    the row's operands (None: absent), `own` the agent's register that what comes of it is added to after the step's blocks, `whom` the
+    species of the one agent (an I64 operand) that it is for."""
 
     op: str
     of: str
@@ -246,6 +257,7 @@ class Request:
     span: Span | None
     own: str | None = None
     site: str = ""
+    whom: str | None = None
 
 
 Statement = If | Store | Claim | Give | Request
@@ -256,8 +268,8 @@ Statement = If | Store | Claim | Give | Request
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Register:
-    """A value per agent. role: attribute (the author's or given), memory (keep, latch, held, machines' bookkeeping), temp (this step only,
-    starts each step at `zero`). All but temp are kept from step to step and hashed. `holds` is the type behind it, where the language
+    """A value per agent. role: attribute (the author's or given), memory (keep, latch, held, machines' bookkeeping), pair (a slot of a value
+    per pair: `pair_registers`), temp (this step only, starts each step at `zero`). All but temp are kept from step to step and hashed. `holds` is the type behind it, where the language
     has one: what an edited program declares under this name is the same value only if that is the same."""
 
     name: str

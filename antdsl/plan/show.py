@@ -60,7 +60,7 @@ def _head(plan: Plan) -> str:
 
 def _species(species: SpeciesPlan) -> list[str]:
     lines = [f"species {species.name}"]
-    for role in ("attribute", "memory", "temp"):
+    for role in ("attribute", "pair", "memory", "temp"):
         mine = [r for r in species.registers.values() if r.role == role]
         names = [r.name if r.kind is Kind.F32 else f"{r.name}:{r.kind.value}" for r in mine]
         if names:

@@ -26,6 +26,7 @@ from antdsl.program.tables.senses import SENSES
 from antdsl.program.tables.things import KINDS_OF_THINGS
 
 _READS = ("snap", "load")
+_LABELS = {"reduce.agent": False, "reduce.nth_agent": False, "reduce.item": True, "reduce.nth_item": True}  # of items
 _OWN = {"position", "velocity", "heading", "up"}
 
 
@@ -99,7 +100,8 @@ def _elements(plan: Plan, reduce: Node) -> Iterator[str]:
     """A reduction reads of its elements only what such elements have."""
     source = reduce.args[0]
     of_items = source.op == "set.items"
-    if (reduce.op == "reduce.item" and not of_items) or (reduce.op == "reduce.agent" and of_items):
+    labels = _LABELS.get(reduce.op)
+    if labels is not None and labels != of_items:
         yield f"{reduce!r} over {source.op}"
     for node in _per_pair(reduce.args[1:]):
         if node.op == ("other.id" if of_items else "other.row"):
@@ -204,8 +206,10 @@ def _request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iterator[s
     for name, node in zip(row.operands, statement.args, strict=False):
         if node is None and name not in row.optional:
             yield f"{word} without {name}"
-        elif node is not None and node.kind is not Kind.F32:
+        elif node is not None and node.kind is not (Kind.I64 if name in row.agents else Kind.F32):
             yield f"{word} with {node!r} for {name}"
+        elif node is not None and name in row.agents and statement.whom is None:
+            yield f"{word} of an agent of no species for {name}"
 
 
 class _Seen:

@@ -54,6 +54,8 @@ class Assign:
     per_second: bool
     span: Span
     of: Expr | None = None  # `likes[other]`: the other agent
+    over: SetOf | None = None  # `likes[n in SET]`: the set, and what stands for each of it in the value
+    element: Binding | None = None
 
 
 @value

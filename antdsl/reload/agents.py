@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.vector_rows import length
 from antdsl.plan import ir
+from antdsl.plan.pair_registers import pair_values
 from antdsl.reload.footing import TOLD, stand, turn
 from antdsl.runtime.binding.birth_values import birth_values, params_at_birth
 from antdsl.runtime.lifecycle import come_alive
@@ -52,6 +53,7 @@ def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Mig
     values = {register: before.now[register][rows] for register in _same(old, world, before.plan, after.plan, migrated)}
     _states(before.plan, after.plan, values, migrated)
     _items(old, world, after.plan, values)
+    _pairs(before, after.plan, rows, values)
     _put(after, values)
     turn(world, after, moved[rows])
     migrated.moved = int(np.count_nonzero(length(after.position - before.position[rows]) > TOLD))
@@ -93,6 +95,12 @@ def _same(old: World, world: World, before: ir.SpeciesPlan, after: ir.SpeciesPla
         if register.role == "attribute" and name not in lasting:
             known = name in before.registers and before.registers[name].role == "attribute"
             _note(migrated.other if known else migrated.new, name)
+    for name, slots in pair_values(after.registers).items():
+        known = slots[0][1] in before.registers
+        if not known or slots[0][1] not in lasting:
+            _note(migrated.other if known else migrated.new, name)
+    gone = pair_values(before.registers).keys() - pair_values(after.registers).keys()
+    migrated.gone += sorted(gone)
     for name, register in before.registers.items():
         if register.role == "attribute" and name not in after.registers:
             _note(migrated.gone, name)
@@ -153,6 +161,20 @@ def _states(before: ir.SpeciesPlan, after: ir.SpeciesPlan, values: dict[str, NDA
             values[f"{machine.name}.{part}"] = np.where(lost | (other < 0), state, other).astype(now.dtype)
         time = values[f"{machine.name}.time_in_state"]
         values[f"{machine.name}.time_in_state"] = np.where(lost, 0, time).astype(time.dtype)
+
+
+def _pairs(before: Population, after: ir.SpeciesPlan, rows: Rows, values: dict[str, NDArray[Any]]) -> None:
+    """Values per pair of which fewer are kept by now: of each agent the strongest, those farthest from 0, the lesser id first."""
+    old = pair_values(before.plan.registers)
+    for name, slots in pair_values(after.registers).items():
+        if len(slots) >= len(old.get(name, ())) or slots[0][0] not in values:
+            continue
+        who, value = (np.stack([before.now[each[part]][rows] for each in old[name]], axis=1) for part in (0, 1))
+        strength = np.where(who < 0, np.float32(-1), np.abs(value))
+        order = np.lexsort((who, -strength), axis=1)[:, : len(slots)]
+        for k, names in enumerate(slots):
+            for register, array in zip(names, (who, value), strict=True):
+                values[register] = np.take_along_axis(array, order, axis=1)[:, k].copy()
 
 
 def _renumbered(before: ir.MachinePlan, after: ir.MachinePlan) -> NDArray[np.int64]:

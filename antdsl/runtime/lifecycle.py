@@ -64,6 +64,9 @@ def raise_events(world: World) -> None:
     for population in world.populations.values():
         for entry in population.effects.drained("emit"):
             event = entry.request.of
+            if entry.args[1] is not None:
+                _tell(world, population, entry)
+                continue
             if entry.args[0] is None:
                 if event in population.raised:
                     population.raised[event][entry.rows] = True
@@ -71,6 +74,20 @@ def raise_events(world: World) -> None:
             for other in world.populations.values():
                 if event in other.raised and len(other):
                     _reach(population, entry, other, other.raised[event])
+
+
+def _tell(world: World, population: Population, entry: Asked) -> None:
+    """Flag the one agent that each emitter names, where there is one and it is in reach."""
+    other = world.populations.get(entry.request.whom or "")
+    if other is None or not len(other) or entry.request.of not in other.raised:
+        return
+    rows, told = entry.rows, other.rows_of(entry.arg(1))
+    there = told >= 0
+    if entry.args[0] is not None:
+        at = np.where(there, told, 0)
+        dx, dy, dz = (other.start[f"position.{a}"][at] - population.start[f"position.{a}"][rows] for a in AXES)
+        there &= np.sqrt((dx * dx + dy * dy) + dz * dz) <= entry.arg(0)
+    other.raised[entry.request.of][told[there]] = True
 
 
 def _reach(population: Population, entry: Asked, other: Population, flags: NDArray[np.bool_]) -> None:

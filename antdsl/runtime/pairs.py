@@ -334,6 +334,32 @@ def _item(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
     return _first(pairs, condition, body, pairs.j.astype(np.int32), NO_ITEM)
 
 
+def _nth(pairs: PairRows, condition: Any, body: Any, number: Any, label: NDArray[Any], none: Any) -> Any:
+    """Label of the pair with the n-th least body, the lesser label before the greater at a tie."""
+    result = np.full(pairs.count, none)
+    i, keep = _held(pairs, condition)
+    body, number = _body(pairs, body, keep), np.floor(_body(pairs, number, keep))
+    label = label if keep is None else label.take(keep)
+    order = np.lexsort((label, body, i))
+    order = order[body[order] == body[order]]
+    if not len(order):
+        return result
+    i, starts = i.take(order), _starts(i.take(order))
+    place = np.arange(len(i)) - np.repeat(starts, np.diff(np.append(starts, len(i))))
+    those = np.flatnonzero(place == number.take(order) - 1)
+    result[i.take(those)] = label.take(order.take(those))
+    return result
+
+
+def _nth_agent(pairs: PairRows, node: ir.Node, condition: Any, body: Any, number: Any) -> Any:
+    assert isinstance(pairs.of, Population)
+    return _nth(pairs, condition, body, number, pairs.of.ids.take(pairs.j), NO_AGENT)
+
+
+def _nth_item(pairs: PairRows, node: ir.Node, condition: Any, body: Any, number: Any) -> Any:
+    return _nth(pairs, condition, body, number, pairs.j.astype(np.int32), NO_ITEM)
+
+
 REDUCTIONS: Mapping[str, Callable[..., Any]] = {
     "reduce.sum": _sum,
     "reduce.count": _count,
@@ -342,6 +368,8 @@ REDUCTIONS: Mapping[str, Callable[..., Any]] = {
     "reduce.max": _max,
     "reduce.agent": _agent,
     "reduce.item": _item,
+    "reduce.nth_agent": _nth_agent,
+    "reduce.nth_item": _nth_item,
 }
 
 

@@ -6,6 +6,7 @@ Every entry holds the rows of one statement in one chunk; applying them in anoth
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,9 +42,9 @@ class Asked:
     request: ir.Request
     order: int  # place of the statement in the text of its species
     rows: Rows
-    args: tuple[NDArray[np.float32] | None, ...]
+    args: tuple[NDArray[np.float32] | NDArray[np.int64] | None, ...]  # ids of agents are int64
 
-    def arg(self, index: int) -> NDArray[np.float32]:
+    def arg(self, index: int) -> NDArray[Any]:
         """An operand that is there."""
         value = self.args[index]
         assert value is not None

@@ -74,7 +74,11 @@ def _id(world: World, population: Population, node: ir.Node, rows: Rows) -> Valu
 
 
 def _age(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
-    steps = np.maximum(world.frame - population.born[rows], 0)  # at birth itself it is the frame before
+    return _age_of(world, population.born[rows])
+
+
+def _age_of(world: World, born: NDArray[np.int64]) -> Value:
+    steps = np.maximum(world.frame - born, 0)  # at birth itself it is the frame before
     return (steps * world.dt).astype(np.float32)
 
 
@@ -107,6 +111,14 @@ def _agent_get(world: World, population: Population, node: ir.Node, rows: Rows, 
     return (
         np.where(found, source[np.where(found, at, 0)], source.dtype.type(0)) if len(source) else np.zeros(len(at), source.dtype)
     )
+
+
+def _agent_age(world: World, population: Population, node: ir.Node, rows: Rows, ids: Value) -> Value:
+    other = world.populations[node.attrs[0]]
+    at = other.rows_of(_spread(ids, rows))
+    if not len(other):
+        return np.zeros(len(at), np.float32)
+    return np.where(at >= 0, _age_of(world, other.born[np.where(at >= 0, at, 0)]), np.float32(0))
 
 
 def _agent_alive(world: World, population: Population, node: ir.Node, rows: Rows, ids: Value) -> Value:
@@ -212,6 +224,7 @@ SENSES: Mapping[str, Callable[..., Value]] = {
     "event": _event,
     "surface.touching": _surface_touching,
     "agent.get": _agent_get,
+    "agent.age": _agent_age,
     "agent.alive": _agent_alive,
     "item.get": _item_get,
     "item.alive": _item_alive,

@@ -268,10 +268,13 @@ class Builder:
 
     def ask(self, parts: list[Any]) -> n.Ask:
         name = self.word(parts[1]) if len(parts) > 1 else None
-        return n.Ask(str(parts[0].value), name, None, _given(parts[3:-1]), self.over(parts))
+        return n.Ask(str(parts[0].value), name, None, _given(parts[3:-1]), None, self.over(parts))
+
+    def ask_open(self, parts: list[Any]) -> n.Ask:
+        return n.Ask(str(parts[0].value), self.word(parts[1]), None, _given(parts[3:-2]), parts[-1], self.over(parts))
 
     def ask_amount(self, parts: list[Any]) -> n.Ask:
-        return n.Ask(str(parts[0].value), self.word(parts[1]), parts[2], (), self.over(parts))
+        return n.Ask(str(parts[0].value), self.word(parts[1]), parts[2], (), None, self.over(parts))
 
     def give(self, parts: list[Any]) -> n.Give:
         _, amount, attribute, to = parts
@@ -371,6 +374,9 @@ class Builder:
 
     def index(self, parts: list[Any]) -> n.Index:
         return n.Index(parts[0], parts[1], self.over(parts))
+
+    def index_all(self, parts: list[Any]) -> n.IndexAll:
+        return n.IndexAll(parts[0], self.word(parts[1]), parts[2], self.over(parts))
 
     def unreadable(self, parts: list[Any]) -> n.BadExpr:
         return n.BadExpr(self.at(parts[0]))

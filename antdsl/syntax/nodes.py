@@ -87,6 +87,16 @@ class Index:
 
 
 @node
+class IndexAll:
+    """`likes[n in SET]`, where a line adds to a value about each of a set."""
+
+    owner: Expr
+    variable: Name
+    over: Expr
+    span: Span
+
+
+@node
 class Argument:
     """One argument. `name` is there for `reach: 3`; the value may be a `RangeExpr`."""
 
@@ -213,9 +223,9 @@ class Steer:
 
 @node
 class Assign:
-    """`x = e`, `x += e`, `x -= e`. `target` is NameRef, Member or Index."""
+    """`x = e`, `x += e`, `x -= e`. `target` is NameRef, Member, Index or IndexAll."""
 
-    target: Expr
+    target: Expr | IndexAll
     op: str
     value: Expr
     span: Span
@@ -224,12 +234,13 @@ class Assign:
 @node
 class Ask:
     """A line that begins with a verb of `antdsl.syntax.verbs`: `die`, `spawn worker`, `carve hill(radius: 2 mm)` (`arguments`),
-    `deposit trail 2 /s` (`amount`)."""
+    `deposit trail 2 /s` (`amount`), `emit hit to other` (`to`)."""
 
     verb: str
     name: Name | None
     amount: Expr | None
     arguments: tuple[Argument | Comprehension, ...]
+    to: Expr | None
     span: Span
 
 

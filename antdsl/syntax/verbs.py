@@ -13,7 +13,7 @@ from dataclasses import dataclass
 SHAPES: dict[str, str] = {
     "alone": "",
     "name": "NAME",
-    "open": "NAME [LPAR [_arguments] RPAR]",
+    "open": "NAME [LPAR [_arguments] RPAR] [_TO expr] -> ask_open",
     "arguments": "NAME LPAR [_arguments] RPAR",
     "amount": "NAME expr -> ask_amount",
     "own": "",

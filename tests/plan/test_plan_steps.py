@@ -229,7 +229,7 @@ def test_events_reach_handlers_before_the_changes(agent):
         event=True,
     )
     assert a.step().state == "q"
-    assert a.done == [("emit", "alarm", 5)]
+    assert a.done == [("emit", "alarm", 5, None)]
     assert a.species.handles == ("alarm",)
     assert a.step().state == "p"
 

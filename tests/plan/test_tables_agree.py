@@ -35,7 +35,7 @@ from antdsl.syntax.verbs import VERBS
 from antdsl.syntax.words import WORLD_KINDS
 
 OF_THE_AGENT = {"id", "age", "draw", "draw.agent", "event", "surface.touching"}  # what a step knows of it already
-OF_OTHERS = {"agent.get", "agent.alive", "item.get", "item.alive"}  # references, asked by the way
+OF_OTHERS = {"agent.get", "agent.age", "agent.alive", "item.get", "item.alive"}  # references, asked by the way
 
 
 def test_every_sense_has_an_operation_and_a_function() -> None:
@@ -103,11 +103,11 @@ def test_every_effect_is_lowered_and_settled() -> None:
     names = {name for name, _ in phases.PHASES}
     for op, row in EFFECTS.items():
         assert op == row.op and row.phase in names and row.optional <= set(row.operands)
-        given = {**dict.fromkeys(row.operands, "1"), "of": "it", "own": "soil"}
+        given = {**dict.fromkeys(row.operands, "1"), "of": "it", "own": "soil", "whom": "ant"}
         assert "{" not in effects.phrase(row.shown, given) + effects.phrase(row.trace, given)
         assert not row.above_0 or row.refused
         assert bool(row.computed) == (op in OPERANDS) and len(row.args) - len(row.numbers) <= 1
-        assert row.computed or all(argument_type(arg).kind is Kind.NUMBER for arg in row.numbers)
+        assert row.computed or all(argument_type(arg).kind in (Kind.NUMBER, Kind.AGENT) for arg in row.numbers)
         assert [VERBS[op].shape == "amount"][: len(row.args)] == [arg.type.startswith("added ") for arg in row.args[:1]]
         assert (VERBS[op].shape == "alone") == (not row.target)
 

@@ -14,6 +14,7 @@ from meshes import grid
 from sampling import sampled
 
 from antdsl.pipeline import Shot, open_scene
+from antdsl.plan.pair_registers import slot_names
 from antdsl.reload import Migration, migration_line, take_over
 from antdsl.runtime import BindError, Built, World, bind, state_hash, step
 
@@ -270,3 +271,52 @@ def test_what_cannot_be_bound_leaves_the_old_world_alone(scene: Path) -> None:
         take_over(world, shot.plan, replace(shot.setting, fps=Fraction(1)))
     assert state_hash(world) == before
     step(world)
+
+
+LIKING = PROGRAM.replace("load   = 1", "load   = 1\n  likes  = 0 relax to 0 over 3 s for each ant, strongest 5").replace(
+    "steer heading * 0", "steer heading * 0; likes[n in neighbours(200 mm)] += (n.id - 9) * distance(n) / 1 m * 1 /s"
+)
+
+
+def likings(world: World, count: int) -> dict[int, list[tuple[int, float]]]:
+    """What each ant keeps about whom, the strongest first."""
+    ants, found = world.populations["ant"], {}
+    for row, agent in enumerate(ants.ids.tolist()):
+        pairs = [(int(ants.now[who][row]), float(ants.now[value][row])) for who, value in slot_names("likes", count)]
+        found[agent] = sorted((pair for pair in pairs if pair[0] >= 0), key=lambda pair: (-abs(pair[1]), pair[0]))
+    return found
+
+
+def test_values_per_pair_go_on_by_name_and_type_the_strongest_where_fewer_are_kept(scene: Path) -> None:
+    scene.with_name("life.ant").write_text(LIKING)
+    world = started(scene, 12)
+    before = likings(world, 5)
+    assert sum(len(pairs) == 5 for pairs in before.values()) == 20
+    fewer, what = taken(world, scene, life="strongest 5 => strongest 2")
+    assert migration_line(what) == "kept 20 agents"
+    assert likings(fewer, 2) == {agent: pairs[:2] for agent, pairs in before.items()}
+    more, _ = taken(world, scene, life="strongest 2 => strongest 7")
+    assert likings(more, 7) == before
+    for _ in range(9):
+        step(more)
+        step(fewer)
+    assert all(len(pairs) <= 2 for pairs in likings(fewer, 2).values())
+    assert any(len(pairs) > 5 for pairs in likings(more, 7).values())
+    lengths = LIKING.replace("0 relax to 0", "0 mm relax to 0 mm").replace("strongest 5", "strongest 7").replace("/ 1 m *", "*")
+    scene.with_name("life.ant").write_text(lengths)
+    anew, what = taken(world, scene)
+    assert migration_line(what) == "kept 20 agents · `likes` is another type, begun anew"
+    assert not any(likings(anew, 7).values())
+    scene.with_name("life.ant").write_text(PROGRAM)
+    _, what = taken(world, scene)
+    assert migration_line(what) == "kept 20 agents · `likes` is gone"
+
+
+def test_values_about_those_who_go_go_with_them(scene: Path) -> None:
+    scene.with_name("life.ant").write_text(LIKING)
+    world = started(scene, 12)
+    assert any(other >= 10 for pairs in likings(world, 5).values() for other, _ in pairs)
+    now, _ = taken(world, scene, scene="count: 20 => count: 10")
+    step(now)
+    told = likings(now, 5)
+    assert len(told) == 10 and not any(other >= 10 for pairs in told.values() for other, _ in pairs)

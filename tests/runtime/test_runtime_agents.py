@@ -108,7 +108,9 @@ def test_an_event_is_seen_once_a_step_later_by_those_in_reach():
     t = plans.Text()
     first = t("and", t("eq", t("step", attrs=("frame",)), 1.0), t("eq", t("id"), t.b.agent(0)))
     act = plans.block(
-        plans.when(first, ir.Request("emit", "alarm", (t.b.number(20),), None), ir.Request("emit", "self", (None,), None)),
+        plans.when(
+            first, ir.Request("emit", "alarm", (t.b.number(20), None), None), ir.Request("emit", "self", (None, None), None)
+        ),
         plans.when(t("event", attrs=("alarm",)), plans.store("heard", t("add", t.snap("heard"), 1.0))),
         plans.when(t("event", attrs=("self",)), plans.store("felt", t("add", t.snap("felt"), 1.0))),
     )

@@ -24,6 +24,7 @@ from antdsl.outputs.cache.manifest import (
 )
 from antdsl.outputs.cache.solid_pieces import PieceMaker, start_pieces
 from antdsl.outputs.flow_arrows import arrows
+from antdsl.plan.pair_registers import pair_values
 from antdsl.program.model import Dim, Kind, Program
 from antdsl.runtime.moving.moving_geometry import ground_velocity, vertices_at
 from antdsl.runtime.world import Population, World
@@ -40,7 +41,11 @@ class FrameMaker:
     def __init__(self, world: World, program: Program, attributes: tuple[str, ...], pieces: PieceMaker | None = None) -> None:
         self.pieces = pieces
         self.scale = 1.0 / world.setting.unit_mm
-        self.attributes = attributes if len(world.populations) == 1 or "species" in attributes else (*attributes, "species")
+        pairs = {name: pair_values(population.plan.registers) for name, population in world.populations.items()}
+        self.pairs = {name: {each: slots[each] for each in attributes if each in slots} for name, slots in pairs.items()}
+        only = {each for slots in self.pairs.values() for each in slots} - _plain_numbers(program)
+        told = tuple(each for each in attributes if each not in only)
+        self.attributes = told if len(world.populations) == 1 or "species" in told else (*told, "species")
         self.colours = {name: _colours(p) for name, p in world.populations.items()}
         self.factors = {
             (species.name, a.name): self.scale ** _length_power(a.type.dim)
@@ -56,6 +61,8 @@ class FrameMaker:
         for attribute in self.attributes:
             parts = [self._attribute(world, attribute, number, name, rows[name]) for number, name in enumerate(rows)]
             arrays[attribute] = np.concatenate(parts)
+        for name in rows:
+            arrays |= self._pairs(world.populations[name], rows[name])
         for name, field in world.fields.items():
             values = np.asarray(field.values)
             cells = np.flatnonzero(values)
@@ -69,6 +76,20 @@ class FrameMaker:
                 arrays[f"items.{name}.{attribute}"] = amount.copy()
         arrays |= self._moved(world, rows)
         return arrays if self.pieces is None else arrays | self.pieces.frame(world)
+
+    def _pairs(self, population: Population, rows: NDArray[np.intp]) -> Arrays:
+        """Values per pair: whose, about whom and what, by both ids."""
+        arrays: Arrays = {}
+        for name, slots in self.pairs[population.name].items():
+            who, value = (np.stack([population.now[each[part]][rows] for each in slots], axis=1) for part in (0, 1))
+            order = np.argsort(who, axis=1, kind="stable")
+            who, value = (np.take_along_axis(each, order, axis=1) for each in (who, value))
+            there = who >= 0
+            factor = np.float32(self.factors.get((population.name, name), 1.0))
+            of = f"pairs.{population.name}.{name}"
+            arrays[f"{of}.id"] = np.broadcast_to(population.ids[rows, None], who.shape)[there]
+            arrays[f"{of}.other"], arrays[f"{of}.value"] = who[there], value[there] * factor
+        return arrays
 
     def _moved(self, world: World, rows: Mapping[str, NDArray[np.intp]]) -> Arrays:
         """Where what moves is in this frame, and how fast the ground went that agents stand on."""
@@ -108,9 +129,14 @@ class FrameMaker:
             return np.full(len(rows), number, np.int16)
         if attribute == "age":
             return ((world.frame - population.born[rows]) * world.dt).astype(np.float32)
-        if attribute not in population.plan.registers:
+        if attribute not in population.plan.registers or attribute in self.pairs[name]:
             return np.full(len(rows), np.nan, np.float32)
         return _register(population, attribute, rows) * np.float32(self.factors.get((name, attribute), 1.0))
+
+
+def _plain_numbers(program: Program) -> set[str]:
+    """Names of numbers that some species has one of for each agent."""
+    return {a.name for species in program.species.values() for a in species.attributes if a.each is None}
 
 
 def orientation(heading: NDArray[np.float32], up: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -8,8 +8,8 @@ from typing import Any
 from antdsl.plan import ir
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
-from antdsl.plan.lowering import values
-from antdsl.plan.lowering.expressions import lower, own, scalar, vector
+from antdsl.plan.lowering import pair_values, values
+from antdsl.plan.lowering.expressions import lower, own, scalar, single, vector
 from antdsl.plan.lowering.values import Named, Own, Ref, Vec
 from antdsl.plan.lowering.writer import AXES, NotYet, Writer
 from antdsl.program import model
@@ -46,10 +46,10 @@ def _steer(w: Writer, s: model.Steer, site: str) -> None:
 
 
 def _assign(w: Writer, s: model.Assign, site: str) -> None:
-    if s.of is not None and not isinstance(lower(w, s.of), Own):
-        raise NotYet("a value per pair of agents", s.span, "leave the line out")
-    if any(d.name == s.attribute and d.each for d in w.species.attributes):
-        raise NotYet("a value per pair of agents", s.span, "leave the line out")
+    about = pair_values.declared(w, s.attribute)
+    if about is not None:
+        pair_values.assign(w, s, about)
+        return
     b = w.b
     value = lower(w, s.value)
     if s.op != "=":
@@ -85,8 +85,17 @@ def _ask(w: Writer, s: model.Ask, site: str) -> None:
     if rule is not None:
         operands = rule(w, *s.args)
     else:
-        operands = tuple(None if arg is None else _rate(w, scalar(w, arg), s.per_second) for arg in s.args)
-    w.add(ir.Request(s.op, s.of, operands, s.span, own=s.own, site=s.key))
+        operands = tuple(None if arg is None else _operand(w, arg, s.per_second) for arg in s.args)
+    whom = next((arg.type.of for arg in s.args if arg is not None and arg.type.kind is model.Kind.AGENT), None)
+    w.add(ir.Request(s.op, s.of, operands, s.span, own=s.own, site=s.key, whom=whom))
+
+
+def _operand(w: Writer, arg: model.Expr, per_second: bool) -> Node:
+    value = lower(w, arg)
+    if isinstance(value, Own):
+        return w.b("id")
+    node = single(w, arg, value)
+    return _rate(w, node, per_second) if node.kind is Kind.F32 else node
 
 
 def _ball(w: Writer, size_of: model.Expr | None, toward: model.Expr | None) -> Operands:

@@ -7,6 +7,7 @@ from math import inf
 
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Kind, Node
+from antdsl.plan.lowering import pair_values
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.expressions import as_truth, lower
 from antdsl.plan.lowering.machines import MachineWriter
@@ -29,7 +30,7 @@ def declare(w: Writer) -> None:
         w.declare(name, Kind.F32, "attribute")
     for attribute in w.species.attributes:
         if attribute.each:
-            complain(w, NotYet("a value per pair of agents", attribute.span, f"write `{attribute.name} = …` without `for each`"))
+            pair_values.declare(w, attribute)
             continue
         if attribute.name == "push":
             w.report.error("reserved-name", "`push` is the plan's own name", attribute.span, "call the attribute something else")

@@ -255,8 +255,9 @@ def _referable(w: Writer, value: Value) -> Value:
 
 
 def _attribute(w: Writer, e: model.Attribute) -> Value:
-    if any(a.name == e.name and a.each for a in w.species.attributes):
-        raise NotYet("a value per pair of agents", e.span, "leave the line out")
+    about = next((a for a in w.species.attributes if a.name == e.name and a.each), None)
+    if about is not None and e.of is not None:
+        return w.rules.about(w, about, e.of)
     owner = None if e.of is None else lower(w, e.of)
     if owner is None or isinstance(owner, Own):
         return own(w, e.name, e.type)
@@ -269,7 +270,7 @@ def _attribute(w: Writer, e: model.Attribute) -> Value:
     if e.name == "id" and owner.what is model.Kind.AGENT:
         return w.b("number", w.b("other.id") if isinstance(owner, Element) else owner.node)
     if e.name == "age":
-        raise NotYet("the age of another agent", e.span, "give the species an attribute of its own for it")
+        return w.b("agent.age", w.b("other.id") if isinstance(owner, Element) else owner.node, attrs=(owner.of,))
     if e.type.kind is model.Kind.VECTOR:
         prefix = "" if owner.what is model.Kind.ITEM and e.name == "position" else f"{e.name}."
         return Vec(*(_others(w, owner, f"{prefix}{axis}", Kind.F32) for axis in AXES))

@@ -11,7 +11,7 @@ from antdsl.diagnostics import Report
 from antdsl.plan import ir
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Block, Kind, Node
-from antdsl.plan.lowering import birth, blending
+from antdsl.plan.lowering import birth, blending, pair_values
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.expressions import own, scalar, truth, vector
 from antdsl.plan.lowering.lazy import lazy
@@ -110,7 +110,9 @@ def _born(w: Writer, machines: list[MachineWriter]) -> Block:
 
 def _decide(w: Writer, machines: list[MachineWriter]) -> None:
     for attribute in w.species.attributes:
-        if attribute.relax_to is not None and not attribute.each:
+        if attribute.each:
+            pair_values.relax(w, attribute)
+        elif attribute.relax_to is not None:
             _relax(w, attribute)
     for latch in w.species.latches:
         _latch(w, latch)

@@ -19,6 +19,7 @@ from antdsl.program.model import Dim
 T = TypeVar("T")
 BACKWARD = -2.0  # a cosine that every direction reaches
 FULL_TURN = 2 * pi - 1e-5
+_MOST = {"neighbours": 2, "all": 1}  # which of a set's arguments says how many count at most
 
 
 def quantum(dim: Dim) -> int:
@@ -52,7 +53,24 @@ def gather(w: Writer, e: model.SetOf) -> Group | Hits:
     else:
         nodes = b("set.agents", scalar_of_agent(w, e.args[0], e), b.number(BACKWARD), attrs=(e.of, True))
     element = Element(kind, e.of)
-    return Group(nodes, bound(w, e.element, element, lambda: b.true if e.where is None else truth(w, e.where)), element)
+    condition = bound(w, e.element, element, lambda: b.true if e.where is None else truth(w, e.where))
+    most = e.args[_MOST[e.source]] if len(e.args) > _MOST[e.source] else None
+    if most is not None:
+        condition = b("and", condition, _among_nearest(w, nodes, condition, kind, scalar_of_agent(w, most, e)))
+    return Group(nodes, condition, element)
+
+
+def _among_nearest(w: Writer, nodes: Node, condition: Node, kind: model.Kind, most: Node) -> Node:
+    """Whether an element is one of the nearest of those that a condition holds for, the lesser id or row first at a tie: all are
+    where there are no more, else those not behind the last of them."""
+    b, away = w.b, w.b("pair.distance")
+    of_items = kind is model.Kind.ITEM
+    last = b("reduce.nth_item" if of_items else "reduce.nth_agent", nodes, condition, away, most)
+    label = b("other.row") if of_items else b("other.id")
+    far = b("reduce.min", nodes, b("eq", label, last), away)
+    nearer = b("or", b("lt", away, far), b("and", b("eq", away, far), b("le", label, last)))
+    every = b("eq", last, b.zero(last.kind, -1))
+    return b("and", b("ge", most, b.number(1)), b("or", every, nearer))
 
 
 def _is_items(w: Writer, name: str) -> bool:

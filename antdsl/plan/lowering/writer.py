@@ -43,6 +43,7 @@ class Rules(NamedTuple):
     operations: Mapping[str, Callable[[Writer, model.Op], values.Value]]
     gather: Callable[[Writer, model.SetOf], values.Value]
     reduce: Callable[[Writer, model.Reduce], values.Value]
+    about: Callable[[Writer, model.AttributeDecl, model.Expr], Node]
 
 
 class Writer:

@@ -6,6 +6,7 @@ from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.checks.analysis.checked import Checked
 from antdsl.program.tables.effects import feeding
+from antdsl.source import Span
 
 
 def events(checked: Checked, report: Report) -> None:
@@ -13,6 +14,7 @@ def events(checked: Checked, report: Report) -> None:
     if any(species.node is None for species in declared.species.values()):
         return  # a species of another file may raise or notice what this one does not
     for event, span in declared.events.items():
+        _told(checked, event, span, report)
         raised = any(checked.uses(op, event) for op in feeding("event"))
         noticed = checked.uses("on", event) or checked.uses("event", event)
         others = [name for name in declared.events if name != event]
@@ -31,3 +33,13 @@ def events(checked: Checked, report: Report) -> None:
                 span,
                 f"did you mean `{near}`?" if near else f"write `emit {event}(within: 20 mm)` where it happens",
             )
+
+
+def _told(checked: Checked, event: str, span: Span, report: Report) -> None:
+    """Species of whom one agent is told of an event that such agents do not notice."""
+    for name in checked.declared.species:
+        if checked.uses("told", f"{event} {name}") and not checked.uses("heard", f"{event} {name}"):
+            report.warning(
+                "unheard-event", f"a `{name}` is told of the event `{event}`, and does not notice it", span,
+                f"write `on {event} {{ … }}` in `species {name}`, or ask for it there: `when {event} -> …`",
+            )  # fmt: skip

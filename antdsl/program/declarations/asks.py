@@ -15,7 +15,7 @@ from antdsl.program.typed import Expr
 from antdsl.program.types.arguments import Slot, arranged, type_all
 from antdsl.program.types.calls import within_row
 from antdsl.program.types.descriptions import mismatch, quoted
-from antdsl.program.types.operators import wanted
+from antdsl.program.types.operators import value, wanted
 from antdsl.syntax import nodes
 
 Written = dict[str, nodes.Expr]
@@ -65,14 +65,15 @@ def _written(scope: Scope, row: Effect, line: nodes.Ask, form: str) -> Written |
     """What is written for the arguments, by their names; None after a complaint."""
     if line.amount is not None:
         return {row.args[0].name: line.amount}
+    behind = {} if line.to is None else {"to": line.to}
     if not line.arguments:
-        return {}
-    slots = [Slot(arg.name, required=arg.default is None and not arg.optional) for arg in row.args]
+        return behind
+    slots = [Slot(arg.name, required=arg.default is None and not arg.optional) for arg in row.args if arg.type != "agent"]
     found = arranged(scope, row.op, slots, line, form)
     if found is None:
         type_all(scope, line)
         return None
-    return {name: arguments[0].value for name, arguments in found.items()}
+    return {name: arguments[0].value for name, arguments in found.items()} | behind
 
 
 def _number(scope: Scope, row: Effect, line: nodes.Ask, arg: Arg, written: Written, block: Block, form: str) -> Expr | None:
@@ -80,10 +81,38 @@ def _number(scope: Scope, row: Effect, line: nodes.Ask, arg: Arg, written: Writt
     node = written.get(arg.name)
     if node is None:
         return None if arg.default is None else default_of(scope, arg.default, line.span)[0]
+    if arg.type == "agent":
+        return _whom(scope, row, line, node)
     if not arg.type.startswith("added "):
         return wanted(scope, node, argument_type(arg), f"`{arg.name}` of `{row.op}`")
     level = row.target == "field" and line.name is not None and _keeps_greatest(scope, line.name.text)
     return added(scope, node, argument_type(arg), block, f"{form} ", level=level) or bad(node.span)
+
+
+def _whom(scope: Scope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> Expr:
+    """The one agent that a line asks something for, of a species that handles its event."""
+    found = value(scope, node)
+    if found.type.kind is Kind.BAD:
+        return found
+    text = " ".join(node.span.text.split())
+    if found.type.kind is Kind.SPECIES:
+        scope.report.error(
+            "wrong-kind", f"`{text}` is a whole species, and `{row.op} … to` is for one agent", node.span,
+            f"say which one: `to nearest({text})`",
+        )  # fmt: skip
+        return bad(node.span)
+    if found.type.kind is not Kind.AGENT:
+        mismatch(scope.report, node, found.type, Type(Kind.AGENT), f"`{row.op} … to`")
+        return bad(node.span)
+    if found.type.of is None:
+        scope.report.error(
+            "wrong-argument", f"it is not known of which species {quoted(node.span)} is", node.span,
+            "name the species where the agent is looked for, such as `nearest(neighbours(20 mm, of: rabbit))`",
+        )  # fmt: skip
+        return bad(node.span)
+    if line.name is not None:
+        scope.use("told", f"{line.name.text} {found.type.of}")
+    return found
 
 
 def _own(scope: Scope, row: Effect, arg: Arg, node: nodes.Expr) -> str | None:

@@ -39,6 +39,7 @@ from antdsl.program.types.descriptions import quoted, type_words
 from antdsl.program.types.expressions import referable
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import condition, wanted
+from antdsl.program.types.pair_values import resting
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -170,6 +171,7 @@ def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declarat
                 "`for each` keeps a value about other agents",
             )
         each = node.each.species.text
+        resting(scope, attribute, to)
         if node.each.strongest is None:
             scope.report.error(
                 "missing-bound",
@@ -180,10 +182,10 @@ def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declarat
         else:
             count = constant_behind(wanted(scope, node.each.strongest, Type(Kind.NUMBER), "`strongest`"))
             strongest = int(count.number) if count is not None else 0
-            if not 1 <= strongest <= 64:
+            if count is None or not 1 <= count.number <= limits.STRONGEST or count.number != strongest:
                 scope.report.error(
                     "wrong-count",
-                    f"`strongest` wants a whole number from 1 to 64, not {quoted(node.each.strongest.span)}",
+                    f"`strongest` wants a whole number from 1 to {limits.STRONGEST}, not {quoted(node.each.strongest.span)}",
                     node.each.strongest.span,
                     "write `strongest 8`",
                 )
@@ -263,6 +265,7 @@ def _handler(scope: Scope, node: nodes.On, events: dict[str, Keys]) -> model.Han
         scope = scope.inside(locals={node.variable.text: bad(node.variable.span)})
     if event not in EVENTS:
         scope.use("on", event)
+        scope.use("heard", f"{event} {scope.species.name if scope.species else ''}")
     return model.Handler(event, other, statements(scope, node.actions, ACTION if event == "spawn" else HANDLER), node.span)
 
 

@@ -13,6 +13,7 @@ from antdsl.program.names.scope import NUMBER, PUSH, Scope, did_you_mean, listed
 from antdsl.program.tables.vocabulary import GIVEN
 from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
 from antdsl.program.types.operators import value, wanted
+from antdsl.program.types.pair_values import each_of
 from antdsl.program.types.places import place
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -58,19 +59,25 @@ def _steer(scope: Scope, line: nodes.Steer, block: Block) -> model.Statement | N
 def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement | None:
     species = scope.species
     assert species is not None
-    target, of = line.target, None
-    if isinstance(target, nodes.Index) and isinstance(target.owner, nodes.NameRef):
+    target, of, over, element, inner = line.target, None, None, None, scope
+    if isinstance(target, nodes.IndexAll):
+        found = each_of(scope, target)
+        if found is None:
+            return None
+        about, over, element, inner = found
+        name, type = about.name, about.type
+    elif isinstance(target, nodes.Index) and isinstance(target.owner, nodes.NameRef):
         checked = scope.typed(target)
         if not isinstance(checked, model.Attribute):
             value(scope, line.value)
             return None
         name, type, of = checked.name, checked.type, checked.of
     elif isinstance(target, nodes.NameRef):
-        found = _target(scope, target.name, block, line)
-        if found is None:
+        own = _target(scope, target.name, block, line)
+        if own is None:
             value(scope, line.value)
             return None
-        name, type = found
+        name, type = own
     else:
         value(scope, line.value)
         scope.report.error(
@@ -93,8 +100,8 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
                 f"set it: `{name} = …`",
             )
             return None
-        change = added(scope, line.value, type, block, f"{name} {line.op} ")
-        return None if change is None else model.Assign(name, line.op, change, block.body, line.span, of)
+        change = added(inner, line.value, type, block, f"{' '.join(target.span.text.split())} {line.op} ")
+        return None if change is None else model.Assign(name, line.op, change, block.body, line.span, of, over, element)
     if block.commuting and name not in ("heading", "velocity"):
         text = " ".join(line.value.span.text.split())
         scope.report.error(
@@ -102,8 +109,8 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
             f"add to it: `{name} += {text}`, or ask for the event in a change: `when EVENT -> … {{ {name} = {text} }}`",
         )  # fmt: skip
         return None
-    new = wanted(scope, line.value, type, f"`{name}`")
-    return None if new.type.kind is Kind.BAD else model.Assign(name, "=", new, False, line.span, of)
+    new = wanted(inner, line.value, type, f"`{name}`")
+    return None if new.type.kind is Kind.BAD else model.Assign(name, "=", new, False, line.span, of, over, element)
 
 
 def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) -> tuple[str, Type] | None:

@@ -17,16 +17,17 @@ from antdsl.program.tables.rows import Arg, Cost
 @dataclass(frozen=True, slots=True)
 class Effect:
     """`target`: the kind of what it names, "" for none. `args`: what stands behind the name; one of type `added A` is written
-    without brackets. `computed`: the operands of the plan, by name, where `OPERANDS` of `antdsl.plan.lowering.actions` has a
-    function that works them out. `phase`: the phase of a step that settles it. `help`: for the editor; `meaning`: for readers of
-    plans. `too_often`: what is wrong with its line in a state's body; "" where it may stand there. `last`: the agent is gone
-    after it. `draws`: random numbers hang on where it stands in the text. `feeds`: what it names gets by it what others look for,
-    as a field gets scent and an event is raised.
+    without brackets, one of type `agent` behind the word `to`. `computed`: the operands of the plan, by name, where
+    `OPERANDS` of `antdsl.plan.lowering.actions` has a function that works them out. `phase`: the phase of a step that settles
+    it. `help`: for the editor; `meaning`: for readers of plans. `too_often`: what is wrong with its line in a state's body;
+    "" where it may stand there. `last`: the agent is gone after it. `draws`: random numbers hang on where it stands in the
+    text. `feeds`: what it names gets by it what others look for, as a field gets scent and an event is raised.
 
-    `shown` is its line of a plan and `trace` that of a trace: `{of}` what it names, `{own}` the agent's register that it fills
-    after the blocks, and the operands by name; a part in square brackets is left out where one of these is missing. `refused`:
-    how a fault is called if an operand is not finite; "" where that does not matter. `above_0`: nothing is asked where the first
-    operand is 0 or less; `quiet_at_0`: a trace does not tell of a first operand of 0."""
+    `shown` is its line of a plan and `trace` that of a trace: `{of}` what it names, `{own}` the agent's register that it
+    fills after the blocks, `{whom}` (in a trace) the species of the one agent that it is for, and the operands by name; a
+    part in square brackets is left out where one of these is missing. `refused`: how a fault is called if an operand is not
+    finite; "" where that does not matter. `above_0`: nothing is asked where the first operand is 0 or less; `quiet_at_0`: a
+    trace does not tell of a first operand of 0."""
 
     op: str
     target: str
@@ -55,6 +56,11 @@ class Effect:
     def operands(self) -> tuple[str, ...]:
         """What the plan's statement has, by name."""
         return self.computed or tuple(arg.name for arg in self.numbers)
+
+    @property
+    def agents(self) -> frozenset[str]:
+        """Operands that are the id of an agent."""
+        return frozenset() if self.computed else frozenset(arg.name for arg in self.numbers if arg.type == "agent")
 
     @property
     def optional(self) -> frozenset[str]:
@@ -99,12 +105,13 @@ _ROWS = (
     Effect(
         "emit",
         "event",
-        (Arg("within", "length", optional=True),),
+        (Arg("within", "length", optional=True), Arg("to", "agent", optional=True)),
         "effects",
         "raises an event",
-        "raises an event for all agents that handle it within a distance (mm; none: only for itself), seen at t+1",
-        "emit {of}[ within {within}]",
-        "emit {of}[ within {within} mm]",
+        "raises an event for all agents that handle it within a distance (mm; none: only for itself), or for one agent "
+        "alone (if it is in reach, where a distance is given), seen at t+1",
+        "emit {of}[ within {within}][ to {to}]",
+        "emit {of}[ within {within} mm][ to {whom} {to}]",
         feeds=True,
         cost=Cost(50, "raises {thing}"),
     ),

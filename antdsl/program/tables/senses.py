@@ -278,6 +278,7 @@ WORDS = (
 )
 
 _WITHIN, _WITH = Arg("within", "length", optional=True), Arg("with", "condition", optional=True)
+_MOST = Arg("most", "number", optional=True)  # so many count, the nearest
 
 
 def _set(op: str, args: tuple[Arg, ...], help: str, result: str = "set") -> Builtin:
@@ -290,7 +291,7 @@ _SET_ROWS = (
         (
             _set(
                 "neighbours",
-                (Arg("radius", "length"), Arg("fov", "angle", "360 deg"), Arg("of", "species", optional=True)),
+                (Arg("radius", "length"), Arg("fov", "angle", "360 deg"), Arg("of", "species", optional=True), _MOST),
                 "others of its own species (or of another) near it and in its field of view",
             ),
         ),
@@ -301,8 +302,8 @@ _SET_ROWS = (
     SetSense(
         "all",
         (
-            _set("all", (Arg("of", "items"), _WITHIN, _WITH), "items or agents"),
-            _set("all", (Arg("of", "species"), _WITHIN, _WITH), "agents"),
+            _set("all", (Arg("of", "items"), _WITHIN, _WITH, _MOST), "items or agents"),
+            _set("all", (Arg("of", "species"), _WITHIN, _WITH, _MOST), "agents"),
         ),
         ("set.items", "set.every", "set.agents"),
         Cost(100, "all {thing}", within=0),

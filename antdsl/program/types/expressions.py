@@ -27,7 +27,7 @@ from antdsl.program.tables.other_words import NAMES
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import constant, number
 from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
-from antdsl.program.types.descriptions import fits, mismatch, quoted, type_words
+from antdsl.program.types.descriptions import quoted, type_words
 from antdsl.program.types.states import STATE_WORDS, machine_named, of_machine, state_word
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -133,6 +133,13 @@ def _too_early(scope: Scope, name: str, span: Span) -> None:
     scope.report.error("let-too-early", f"`{name}` cannot be read here: {scope.no_let}", span, "set it in `on spawn { … }`")
 
 
+def about_whom(scope: Scope, node: nodes.Name, owner: str = "") -> Expr:
+    """The complaint about a value per pair that is named as if it were a value of one."""
+    help = f"it is read by the one whose it is: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
+    scope.report.error("wrong-kind", f"`{node.text}` is a value per pair: say about whom", node.span, help)
+    return bad(node.span)
+
+
 def _of_element(scope: Scope, name: str, span: Span) -> Expr | None:
     if scope.element is None:
         return None
@@ -166,6 +173,8 @@ def _own(scope: Scope, name: str, span: Span) -> Expr | None:
     if name in species.params:
         scope.use("param", f"{species.name}.{name}")
         return ParamRef(species.params[name], Rate.RUN, span, f"{species.name}.{name}")
+    if name in species.each:
+        return about_whom(scope, nodes.Name(name, span))
     if name in species.attributes:
         scope.use("attribute", f"{species.name}.{name}")
         return Attribute(species.attributes[name], Rate.AGENT, span, None, name)
@@ -211,6 +220,7 @@ def _of_world(scope: Scope, name: str, span: Span) -> Expr | None:
         return Thing(Type(Kind(thing.kind), of=name), Rate.CONST, span, name)
     if name in declared.events and scope.species is not None:
         scope.use("event", name)
+        scope.use("heard", f"{name} {scope.species.name}")
         scope.bind(span, "event", name)
         return Op(BOOL, Rate.AGENT, span, "event", (Thing(BOOL, Rate.CONST, span, name),))
     return None
@@ -297,6 +307,9 @@ def member_of(scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
     known = attributes_of(scope.declared, owner.type)
     if name in known:
         scope.bind_value(node.name.span, owner.type, name)
+        species = scope.declared.species.get(owner.type.of or "") if kind is Kind.AGENT else None
+        if species is not None and name in species.each:
+            return about_whom(scope, node.name, owner.type.of or "")
         return value_of(scope, owner, name, known[name], node.span)
     scope.bind_unreadable(node.name, owner.type)
     _no_member(scope, owner, node, known)
@@ -342,29 +355,6 @@ def _param_of(scope: Scope, owner: Expr, node: nodes.Member) -> Expr:
     return bad(node.span)
 
 
-def index_of(scope: Scope, node: nodes.Index, want: Type | None) -> Expr:
-    """`likes[other]`: the agent's own value about another agent."""
-    species, owner = scope.species, node.owner
-    index = scope.typed(node.index)
-    if isinstance(owner, nodes.NameRef) and species is not None and scope.behaviour is None and owner.name.text in species.each:
-        name = owner.name.text
-        scope.use("attribute", f"{species.name}.{name}")
-        scope.bind(owner.span, "own", species.name, name)
-        wanted = Type(Kind.AGENT, of=species.each[name])
-        if not fits(index.type, wanted):
-            mismatch(scope.report, node.index, index.type, wanted, f"`{name}[…]`")
-        return Attribute(species.attributes[name], max(index.rate, Rate.AGENT), node.span, index, name)
-    if scope.typed(owner).type.kind is Kind.BAD:
-        return bad(node.span)
-    scope.report.error(
-        "wrong-kind",
-        f"{quoted(owner.span)} has no value per agent",
-        node.span,
-        "a value per pair is declared so: `likes = 0 for each roach, strongest 8`",
-    )
-    return bad(node.span)
-
-
 @dataclass(frozen=True, slots=True)
 class Known:
     """Stands in the place of an argument whose type was needed before it was its turn, so that nothing is worked out twice."""
@@ -389,12 +379,5 @@ def range_of(scope: Scope, node: nodes.RangeExpr, want: Type | None) -> Expr:
         f"a range {quoted(node.span)} cannot stand here",
         node.span,
         "ranges are for arguments such as `from: 0 mm .. 5 mm`",
-    )
-    return bad(node.span)
-
-
-def pair_of(scope: Scope, node: nodes.PairOf, want: Type | None) -> Expr:
-    scope.report.error(
-        "not-yet", "`… to …` as a pair of two things does not work yet", node.span, "a value per pair is written `likes[other]`"
     )
     return bad(node.span)

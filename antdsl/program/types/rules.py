@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from antdsl.program.model import Expr
-from antdsl.program.types import calls, expressions, operators
+from antdsl.program.types import calls, expressions, operators, pair_values
 from antdsl.syntax import nodes
 
 RULES: Mapping[type, Callable[..., Expr]] = {
@@ -13,10 +13,10 @@ RULES: Mapping[type, Callable[..., Expr]] = {
     nodes.Quantity: expressions.quantity_of,
     nodes.NameRef: expressions.name_of,
     nodes.Member: expressions.member_of,
-    nodes.Index: expressions.index_of,
+    nodes.Index: pair_values.index_of,
     nodes.NoneOf: expressions.none_of,
     nodes.RangeExpr: expressions.range_of,
-    nodes.PairOf: expressions.pair_of,
+    nodes.PairOf: pair_values.pair_of,
     nodes.BadExpr: expressions.bad_expr,
     expressions.Known: expressions.known,
     nodes.Unary: operators.unary,

@@ -69,8 +69,9 @@ def neighbours(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
         scope.report.error("wrong-argument", "`neighbours` of nobody", node.span, "say whose: `of: forager`")
         return bad(node.span)
     _check_reach(scope, radius, node)
+    most = _most(scope, name, row, found, node)
     element = element_of(Type(Kind.AGENT, Dim(), of), "it", node)
-    return SetOf(Type(Kind.SET, Dim(), of), Rate.AGENT, node.span, "neighbours", of or "", (radius, fov), element, None)
+    return SetOf(Type(Kind.SET, Dim(), of), Rate.AGENT, node.span, "neighbours", of or "", (radius, fov, most), element, None)
 
 
 def _check_reach(scope: Scope, radius: Expr | None, node: nodes.Call) -> None:
@@ -84,6 +85,19 @@ def _check_reach(scope: Scope, radius: Expr | None, node: nodes.Call) -> None:
         )
 
 
+def _most(scope: Scope, called: str, row: Builtin, found: dict[str, list[nodes.Argument]], node: nodes.Call) -> Expr | None:
+    """How many of a set count at most, the nearest; a whole number of 1 and more where it is known."""
+    arg = next((arg for arg in row.args if arg.name == "most"), None)
+    most = _plain(scope, called, arg, found, node) if arg is not None else None
+    known = constant_behind(most) if most is not None else None
+    if known is not None and (known.number < 1 or known.number != int(known.number)):
+        scope.report.error(
+            "out-of-range", f"`most` of `{called}` is how many count, not {quoted(found['most'][0].value.span)}",
+            found["most"][0].value.span, "write a whole number, 1 or more: `most: 3`",
+        )  # fmt: skip
+    return most
+
+
 def every(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     """`all(X, within:, with:)`."""
     found = _arguments(scope, node, name, row)
@@ -95,8 +109,9 @@ def every(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     where = None
     if "with" in found:
         where = condition(_within_set(scope, element).inside(element=element), found["with"][0].value, "`with`")
+    most = _most(scope, name, row, found, node)
     made = SetOf(
-        Type(Kind.SET, Dim(), things.type.of), Rate.AGENT, node.span, "all", things.type.of or "", (within,), element, where
+        Type(Kind.SET, Dim(), things.type.of), Rate.AGENT, node.span, "all", things.type.of or "", (within, most), element, where
     )
     _check_nesting(scope, made, node)
     return made
@@ -165,7 +180,7 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
     if isinstance(argument, nodes.Comprehension):
         over = scope.typed(argument.over)
         if over.type.kind in _THINGS:
-            over = _whole(over)
+            over = whole(over)
         variable: nodes.Name | None = argument.variable
     else:
         over, variable = scope.typed(argument.value), None
@@ -190,16 +205,21 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
         element = over.element
         body: Expr = Const(BOOL, Rate.CONST, node.span, 1.0)
     else:
-        element = element_of(over.element.type, variable.text, variable)
-        _check_shadow(scope, variable)
-        inner = _within_set(scope, element).inside(locals={**scope.locals, variable.text: element})
+        element, inner = for_each(scope, over, variable)
         body = body_of(inner, how, argument.body)
     made = Reduce(_result(how, body, element), Rate.AGENT, node.span, how, over, element, body)
     _check_nesting(scope, made, node)
     return made
 
 
-def _whole(things: Expr) -> SetOf:
+def for_each(scope: Scope, over: SetOf, variable: nodes.Name) -> tuple[Binding, Scope]:
+    """What stands for each of a set by a name, and the scope in which it does."""
+    element = element_of(over.element.type, variable.text, variable)
+    _check_shadow(scope, variable)
+    return element, _within_set(scope, element).inside(locals={**scope.locals, variable.text: element})
+
+
+def whole(things: Expr) -> SetOf:
     """`food` where a set is wanted: all of it."""
     element = Binding("it", "element", one_of(things.type), Rate.ELEMENT, things.span)
     return SetOf(

@@ -137,7 +137,7 @@ class Agent:
             return
         if row.above_0 and not (values[0] or 0) > 0:
             return
-        args = tuple(None if value is None else np.array([value], np.float32) for value in values)
+        args = tuple(None if value is None else np.array([value]) for value in values)
         self.effects.ask(Asked(s, self.order[s], self.rows, args))
 
     # --- values --------------------------------------------------------------------------------------------------------
@@ -298,6 +298,12 @@ def _best(agent: Agent, chosen: ir.Node, found: Found) -> int:
     return min(sound)[1] if sound else -1
 
 
+def _nth(agent: Agent, node: ir.Node, chosen: ir.Node, found: Found) -> int:
+    number = np.floor(agent.values[node.args[3]])
+    sound = sorted((body, agent.label(chosen, member)) for member, body in found if body == body)
+    return sound[int(number) - 1][1] if 1 <= number <= len(sound) else -1
+
+
 _REDUCE: dict[str, Callable[[Agent, ir.Node, ir.Node, Found], Any]] = {
     "reduce.sum": _sum,
     "reduce.min": _min,
@@ -305,6 +311,8 @@ _REDUCE: dict[str, Callable[[Agent, ir.Node, ir.Node, Found], Any]] = {
     "reduce.count": lambda agent, node, chosen, found: np.float32(len(found)),
     "reduce.any": lambda agent, node, chosen, found: np.bool_(bool(found)),
     "reduce.agent": lambda agent, node, chosen, found: np.int64(_best(agent, chosen, found)),
+    "reduce.nth_agent": lambda agent, node, chosen, found: np.int64(_nth(agent, node, chosen, found)),
+    "reduce.nth_item": lambda agent, node, chosen, found: np.int32(_nth(agent, node, chosen, found)),
     "reduce.item": lambda agent, node, chosen, found: np.int32(_best(agent, chosen, found)),
 }
 

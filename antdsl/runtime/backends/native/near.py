@@ -45,7 +45,7 @@ class Found:
 
     def ids(self) -> Lanes:
         def make() -> Lanes:
-            return self.w.e.gather(self.w.base("other", self.near.other, "ids"), self.rows, I64)
+            return self.w.e.gather(self.w.base("other", self.near.other, "unsorted ids"), self.rows, I64)
 
         found: Lanes = self.w.e.once(("ids", self.rows.name), make)
         return found

@@ -30,7 +30,11 @@ def _id(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
 
 
 def _age(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
-    frames = w.number(I64, "frame") - w.e.load(w.base("born"), w.row, I64)
+    return _age_of(w, w.e.load(w.base("born"), w.row, I64))
+
+
+def _age_of(w: Any, born: Lanes) -> Lanes:
+    frames = w.number(I64, "frame") - born
     whole = w.e.convert(w.e.where(frames > 0, frames, w.e.constant(0, I64)), I32)  # a run has far fewer than 2**31 frames
     age: Lanes = w.e.convert(w.e.convert(whole, F64) * w.number(F64, "dt"), F32)
     return age
@@ -108,7 +112,7 @@ def _row_of(w: Any, species: str, ids: Lanes) -> Lanes:
     e: Emitter = w.e
 
     def make() -> Lanes:
-        known, order = w.base("other", species, "sorted ids"), w.base("other", species, "order")
+        known, order = w.base("other", species, "sorted ids"), w.base("other", species, "rows of sorted ids")
         count = w.number(I64, "agents", species)
         at, step = e.slot(I64), e.slot(I64, one=True)
         e.do(f"store <{WIDTH} x i64> zeroinitializer, ptr {at}")
@@ -139,6 +143,14 @@ def _agent_get(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     kind, there = KINDS[node.kind], row >= 0
     value = w.e.gather(w.base("other", species, register), w.e.where(there, row, w.e.constant(0, I64)), kind)
     found: Lanes = w.e.where(there, value, w.e.constant(0, kind))
+    return found
+
+
+def _agent_age(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
+    row = _row_of(w, node.attrs[0], args[0])
+    there = row >= 0
+    born = w.e.gather(w.base("other", node.attrs[0], "frame of birth"), w.e.where(there, row, w.e.constant(0, I64)), I64)
+    found: Lanes = w.e.where(there, _age_of(w, born), w.e.constant(0.0, F32))
     return found
 
 
@@ -251,6 +263,7 @@ NATIVE: Mapping[str, Lower] = {
     "event": _event,
     "surface.touching": _touching,
     "agent.get": _agent_get,
+    "agent.age": _agent_age,
     "agent.alive": _agent_alive,
     "item.get": _item_get,
     "item.alive": _item_alive,
@@ -270,4 +283,4 @@ def _may_hit(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
 # Of what is called: who needs the call at all, and what the others get.
 GUARDS: Mapping[str, tuple[Lower, tuple[Any, ...]]] = {"ray": (_may_hit, (False, np.inf, 0.0, 0.0, 0.0))}
 ON_MOVING_GROUND = frozenset(("field.strongest",))  # there its places turn with the ground: it is called
-OF_PAIRS = frozenset(("agent.get", "agent.alive", "item.get", "item.alive"))  # may hang on the other one of a pair
+OF_PAIRS = frozenset(("agent.get", "agent.age", "agent.alive", "item.get", "item.alive"))  # may hang on the other one of a pair

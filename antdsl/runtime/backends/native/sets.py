@@ -16,7 +16,7 @@ from antdsl.runtime.backends.native.block import BlockWriter, Writer
 from antdsl.runtime.backends.native.lanes import F32, I32, I64, Lanes
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.backends.native.schedule import PAIRED
-from antdsl.runtime.backends.native.sums import Sum
+from antdsl.runtime.backends.native.sums import START, Sum
 from antdsl.runtime.world import AXES
 
 
@@ -24,7 +24,7 @@ def lowers(node: ir.Node, leaves: frozenset[str]) -> bool:
     """Whether a reduction has machine code: all that hangs on the other one is an operation or a leaf that has."""
     known = {"pair.x", "pair.y", "pair.z", "pair.distance", "other", "other.id", "other.row"} | leaves
     pairs = [each for each in needed(node.args[1:]) if each.rate is ir.Rate.PAIR]
-    return all(each.op in ELEMENTWISE or each.op in known for each in pairs)
+    return node.op in START and all(each.op in ELEMENTWISE or each.op in known for each in pairs)
 
 
 # --- values of a pair ------------------------------------------------------------------------------------------------
@@ -91,7 +91,7 @@ def one_by_one(b: BlockWriter, first: Instruction) -> None:
             if node.op == "other.row":
                 return e.splat(e.convert(number, I32))
             if node.op == "other.id":
-                return read("ids", I64)
+                return read("unsorted ids", I64)
             return read(node.attrs[0], KINDS[node.kind])
 
         pairs = PairValues(b, lambda node: own[node](), leaf, b.senses)
@@ -100,8 +100,8 @@ def one_by_one(b: BlockWriter, first: Instruction) -> None:
             if of_items:
                 near = near & (distance <= reach[node.args[0]])
             elif itself is not None:
-                near = near & (read("ids", I64) != itself)
-            take(each, node, pairs, near, (lambda: e.splat(number)) if of_items else (lambda: read("ids", I64)))
+                near = near & (read("unsorted ids", I64) != itself)
+            take(each, node, pairs, near, (lambda: e.splat(number)) if of_items else (lambda: read("unsorted ids", I64)))
     for each, instruction in zip(sums, instructions, strict=True):
         b.known(instruction.out, each.result())
 

@@ -199,9 +199,11 @@ class Tables:
         """What is another one's: registers at the start of the step, ids, and these in order with their rows."""
         other, name = world.populations[str(key[1])], str(key[2])
         stamp = (other.version, len(other))
-        if name in ("sorted ids", "order"):
-            return self._rooms.copied(key, other.sorted_ids()[name == "order"], np.int64, stamp)
-        if name == "ids":
+        if name in ("sorted ids", "rows of sorted ids"):
+            return self._rooms.copied(key, other.sorted_ids()[name != "sorted ids"], np.int64, stamp)
+        if name == "frame of birth":
+            return self._rooms.copied((other.name, "born"), other.born, np.int64, stamp)
+        if name == "unsorted ids":
             return self._rooms.copied((other.name, "ids"), other.ids, np.int64, stamp)
         return self._rooms.moved(other, name, start=True)[1]
 

@@ -1,0 +1,178 @@
+"""Values per pair: what an agent keeps about each of a few others, in as many slots of two registers, an id and a value.
+
+About whom no slot tells, the value is the one that it begins with and returns to. Who is added where all slots are taken puts
+out the weakest: the one whose value is nearest to that, the greater id at a tie."""
+
+from __future__ import annotations
+
+from math import inf, nan
+
+from antdsl.plan.builder import PlanError
+from antdsl.plan.ir import Kind, Node
+from antdsl.plan.lowering.expressions import lower, scalar
+from antdsl.plan.lowering.sets import bound, gather
+from antdsl.plan.lowering.values import Element, Group, Own, Value
+from antdsl.plan.lowering.writer import Writer
+from antdsl.plan.pair_registers import slot_names
+from antdsl.program import model
+
+NEAR_REST = 1e-9  # base units from the value of rest: so near, it is told by no slot
+
+
+def declare(w: Writer, attribute: model.AttributeDecl) -> None:
+    """The registers of a value per pair, and one of the step by its name, which what is to be kept goes through."""
+    holds = (attribute.type.kind.value, *attribute.type.dim, attribute.each)
+    for who, value in slot_names(attribute.name, attribute.strongest):
+        w.declare(who, Kind.I64, "pair", -1, attribute.each, holds)
+        w.declare(value, Kind.F32, "pair", holds=holds)
+    w.declare(attribute.name, Kind.F32, "temp")
+
+
+def declared(w: Writer, name: str) -> model.AttributeDecl | None:
+    """The value per pair of a name."""
+    return next((a for a in w.species.attributes if a.name == name and a.each), None)
+
+
+def read(w: Writer, attribute: model.AttributeDecl, of: model.Expr) -> Node:
+    """`likes[other]`."""
+    whom = _id(w, lower(w, of))
+    found = _rest(w, attribute)
+    for who, value in reversed(_slots(w, attribute)):
+        found = w.b("where", w.b("eq", who, whom), value, found)
+    if whom.op == "other.id":
+        return found
+    return w.b("where", w.b("eq", whom, w.b.agent(-1)), _rest(w, attribute), found)
+
+
+def relax(w: Writer, attribute: model.AttributeDecl) -> None:
+    """At the start of a step: what is left of each value, and no slot for what is gone."""
+    b = w.b
+    b.span = attribute.span
+    rest = _rest(w, attribute)
+    keep = b.number(1)
+    if attribute.relax_over is not None:
+        keep = b("exp", b("neg", b("div", w.run("dt"), scalar(w, attribute.relax_over))))
+    for (who, value), names in zip(_slots(w, attribute), slot_names(attribute.name, attribute.strongest), strict=True):
+        away = b("mul", b("sub", value, rest), keep)
+        gone = b("or", b("eq", who, b.agent(-1)), b("le", b("abs", away), b.number(NEAR_REST)))
+        w.store(names[0], b("where", gone, b.agent(-1), who), attribute.span)
+        w.store(names[1], b("where", gone, b.number(0), b("add", rest, away)), attribute.span)
+
+
+def assign(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
+    """A line that sets a value, or adds to it, about one other or about each of a set."""
+    if s.over is not None:
+        _assign_all(w, s, attribute)
+        return
+    if s.of is None:
+        raise PlanError(f"a value per pair about nobody: {s.span.text!r}")
+    whom = _id(w, lower(w, s.of))
+    value = _changed(w, s, read(w, attribute, s.of), scalar(w, s.value))
+    with w.region(w.b("ne", whom, w.b.agent(-1)), s.span):
+        held = _hold(w, f"~{attribute.name}.id", whom, s)
+        _put(w, attribute, held, value, s, known=True)
+
+
+def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
+    """Those whom a slot tells of change where they stand; of the others the strongest come in, as many as there are slots.
+    All is worked out before anything changes: the value may be made of such values itself."""
+    b = w.b
+    assert s.over is not None and s.element is not None
+    over = gather(w, s.over)
+    if not isinstance(over, Group):
+        raise PlanError(f"a value per pair about hits: {s.span.text!r}")
+    rest, zero = _rest(w, attribute), b.number(0)
+    amount = bound(w, s.element, over.element, lambda: _changed(w, s, zero, scalar(w, s.value)))
+    strength = b("abs", b("sub", amount, rest if s.op == "=" else zero))
+    other, slots = b("other.id"), _slots(w, attribute)
+    sound = b("eq", b("finite", amount), amount)
+    wrong = b("reduce.any", over.nodes, b("and", over.condition, b("not", sound)))
+    w.store(attribute.name, b("where", wrong, b.number(nan), zero), s.span)
+    holds = b("and", over.condition, sound)
+    told = []
+    for k, (who, value) in enumerate(slots):
+        met = b("reduce.max", over.nodes, b("and", holds, b("eq", other, who)), amount)
+        changed = b("where", b("gt", met, b.number(-inf)), met if s.op == "=" else b("add", value, met), value)
+        told.append(_hold(w, f"~{attribute.name}.{k}", changed, s))
+    new = b.all(holds, b("gt", strength, b.number(NEAR_REST)), *(b("ne", other, who) for who, _ in slots))
+    coming = [(f"~{attribute.name}.new.{k}.id", f"~{attribute.name}.new.{k}") for k in range(attribute.strongest)]
+    for names in coming:
+        w.declare(names[0], Kind.I64, "temp", -1)
+        w.declare(names[1], Kind.F32, "temp")
+        w.store(names[0], b.agent(-1), s.span)
+
+    def find(new: Node, left: int) -> None:
+        """The strongest of those that no slot tells of, and inside of that the next."""
+        whom = b("reduce.agent", over.nodes, new, b("neg", strength))
+        with w.region(b("ne", whom, b.agent(-1)), s.span):
+            met = b("reduce.max", over.nodes, b("eq", other, whom), amount)
+            who, value = coming[-left]
+            w.store(who, whom, s.span)
+            w.store(value, met if s.op == "=" else b("add", rest, met), s.span)
+            if left > 1:
+                find(b("and", new, b("ne", other, whom)), left - 1)
+
+    def come_in(left: int) -> None:
+        who, value = coming[-left]
+        with w.region(b("ne", w.read(who), b.agent(-1)), s.span):
+            _put(w, attribute, w.read(who), w.read(value), s, known=False)
+            if left > 1:
+                come_in(left - 1)
+
+    find(new, attribute.strongest)
+    for names, value in zip(slot_names(attribute.name, attribute.strongest), told, strict=True):
+        w.store(names[1], value, s.span)
+    come_in(attribute.strongest)
+
+
+def _hold(w: Writer, name: str, value: Node, s: model.Assign) -> Node:
+    """A value that stays as it is now, whatever is stored from here on."""
+    w.declare(name, value.kind, "temp", -1 if value.kind is Kind.I64 else 0)
+    w.store(name, value, s.span)
+    return w.read(name)
+
+
+def _put(w: Writer, attribute: model.AttributeDecl, whom: Node, value: Node, s: model.Assign, known: bool) -> None:
+    """Keep a value about somebody: a pass over the slots in which the stronger stays and the weaker goes on to the next, so that
+    the weakest of all is left over. `known`: a slot may tell of them already, which is freed before."""
+    b, rest = w.b, _rest(w, attribute)
+    carried, amount = whom, _hold(w, attribute.name, value, s)
+    strength = b("abs", b("sub", amount, rest))
+    changed: list[tuple[Node, Node]] = []
+    for who, kept in _slots(w, attribute):
+        if known:
+            freed = b("eq", who, whom)
+            who, kept = b("where", freed, b.agent(-1), who), b("where", freed, b.number(0), kept)
+        held = b("where", b("eq", who, b.agent(-1)), b.number(-1), b("abs", b("sub", kept, rest)))
+        tie = b("and", b("eq", strength, held), b("lt", carried, who))
+        stays = b("or", b("gt", strength, held), tie)
+        changed.append((b("where", stays, carried, who), b("where", stays, amount, kept)))
+        carried, amount = b("where", stays, who, carried), b("where", stays, kept, amount)
+        strength = b("where", stays, held, strength)
+    names = slot_names(attribute.name, attribute.strongest)
+    for (who_name, value_name), (who, kept) in zip(reversed(names), reversed(changed), strict=True):  # none needs what follows it
+        held = _hold(w, f"~{attribute.name}.slot", who, s)
+        w.store(value_name, kept, s.span)
+        w.store(who_name, held, s.span)
+
+
+def _changed(w: Writer, s: model.Assign, old: Node, value: Node) -> Node:
+    if s.op == "=":
+        return value
+    change = w.b("mul", value, w.run("dt")) if s.per_second else value
+    return w.b("add" if s.op == "+=" else "sub", old, change)
+
+
+def _slots(w: Writer, attribute: model.AttributeDecl) -> list[tuple[Node, Node]]:
+    return [(w.read(who), w.read(value)) for who, value in slot_names(attribute.name, attribute.strongest)]
+
+
+def _rest(w: Writer, attribute: model.AttributeDecl) -> Node:
+    return scalar(w, attribute.default)
+
+
+def _id(w: Writer, value: Value) -> Node:
+    """The id of the agent that a value per pair is about."""
+    if isinstance(value, Own):
+        return w.b("id")
+    return w.b("other.id") if isinstance(value, Element) else value.node  # type: ignore[union-attr]

@@ -1,0 +1,89 @@
+"""Types of values per pair: what an agent holds of another one, `likes[other]`, where it is declared, read and written."""
+
+from __future__ import annotations
+
+from antdsl.program.model import Attribute, AttributeDecl, Binding, Expr, Kind, Rate, SetOf, Type
+from antdsl.program.names.scope import Scope, bad
+from antdsl.program.types.descriptions import fits, mismatch, quoted, type_words
+from antdsl.program.types.folding import constant_behind
+from antdsl.program.types.sets import for_each, whole
+from antdsl.syntax import nodes
+
+
+def index_of(scope: Scope, node: nodes.Index, want: Type | None) -> Expr:
+    """`likes[other]`: the agent's own value about another agent."""
+    species, owner = scope.species, node.owner
+    index = scope.typed(node.index)
+    if isinstance(owner, nodes.NameRef) and species is not None and scope.behaviour is None and owner.name.text in species.each:
+        name = owner.name.text
+        scope.use("attribute", f"{species.name}.{name}")
+        scope.bind(owner.span, "own", species.name, name)
+        wanted = Type(Kind.AGENT, of=species.each[name])
+        if not fits(index.type, wanted):
+            mismatch(scope.report, node.index, index.type, wanted, f"`{name}[…]`")
+        return Attribute(species.attributes[name], max(index.rate, Rate.AGENT), node.span, index, name)
+    if scope.typed(owner).type.kind is Kind.BAD:
+        return bad(node.span)
+    scope.report.error(
+        "wrong-kind",
+        f"{quoted(owner.span)} has no value per agent",
+        node.span,
+        "a value per pair is declared so: `likes = 0 for each roach, strongest 8`",
+    )
+    return bad(node.span)
+
+
+def pair_of(scope: Scope, node: nodes.PairOf, want: Type | None) -> Expr:
+    scope.report.error(
+        "not-yet", "`… to …` as a pair of two things does not work yet", node.span, "a value per pair is written `likes[other]`"
+    )
+    return bad(node.span)
+
+
+def resting(scope: Scope, attribute: AttributeDecl, to: Expr | None) -> None:
+    """Complain about a value per pair that is no number, that is not the same about everybody to begin with, or that returns to
+    something else: whom nothing is kept about has the value of the start for ever."""
+    name, default = attribute.name, attribute.default
+    if Kind.BAD in (attribute.type.kind, default.type.kind):
+        return
+    text = " ".join(default.span.text.split())
+    if attribute.type.kind is not Kind.NUMBER:
+        scope.report.error(
+            "wrong-kind", f"`{name}` is {type_words(attribute.type)}, and a value per pair is a number", default.span,
+            f"begin with a number: `{name} = 0 for each …`",
+        )  # fmt: skip
+    elif default.rate > Rate.RUN:
+        scope.report.error(
+            "wrong-rate", f"`{name}` begins with {quoted(default.span)}, and it has to begin the same about all", default.span,
+            "write a number or a param, and set it where they meet",
+        )  # fmt: skip
+    elif to is not None and to.type.kind is not Kind.BAD and not _alike(default, to):
+        scope.report.error(
+            "wrong-argument", f"`{name}` begins at {text} about everybody, and cannot return to {quoted(to.span)}", to.span,
+            f"write `relax to {text}`",
+        )  # fmt: skip
+
+
+def _alike(one: Expr, other: Expr) -> bool:
+    known = [constant_behind(each) for each in (one, other)]
+    if known[0] is not None and known[1] is not None:
+        return (known[0].number, known[0].u, known[0].step) == (known[1].number, known[1].u, known[1].step)
+    return " ".join(one.span.text.split()) == " ".join(other.span.text.split())
+
+
+def each_of(scope: Scope, node: nodes.IndexAll) -> tuple[Attribute, SetOf, Binding, Scope] | None:
+    """`likes[n in SET]`: the value, the set, what stands for one of it, and its scope; None after a complaint."""
+    over = scope.typed(node.over)
+    if over.type.kind in (Kind.SPECIES, Kind.ITEMS):
+        over = whole(over)
+    if not isinstance(over, SetOf):
+        if over.type.kind is not Kind.BAD:
+            scope.report.error(
+                "wrong-kind", f"`… in …` goes over a set, and {quoted(over.span)} is {type_words(over.type)}", over.span,
+                "write a set, such as `neighbours(20 mm)`",
+            )  # fmt: skip
+        return None
+    element, inner = for_each(scope, over, node.variable)
+    index = nodes.Index(node.owner, nodes.NameRef(node.variable, node.variable.span), node.span)
+    checked = index_of(inner, index, None)
+    return (checked, over, element, inner) if isinstance(checked, Attribute) else None

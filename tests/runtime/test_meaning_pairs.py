@@ -1,0 +1,159 @@
+"""Values per pair: what each agent keeps about a few others, against a plain reading of the rules; all backends agree."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from meaning import WAYS, crowd, play
+from plan_text import plan_of
+
+from antdsl.passes import optimise
+from antdsl.plan.pair_registers import slot_names
+from antdsl.runtime import FaultStop, Options, Setting, World, bind, checkpoint, restore, state_hash, step
+
+NATIVE = Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5)
+EVERY_WAY = (*WAYS, NATIVE)
+STILL = "on spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s); heading = vector(1, 0, 0) }\n"
+
+
+def kept(world: World, name: str = "likes", species: str = "a", count: int = 3) -> dict[int, dict[int, float]]:
+    """What each agent keeps about whom, by id."""
+    population = world.populations[species]
+    found: dict[int, dict[int, float]] = {int(agent): {} for agent in population.ids}
+    for who, value in slot_names(name, count):
+        for agent, other, held in zip(population.ids, population.now[who], population.now[value], strict=True):
+            if other >= 0:
+                assert int(other) not in found[int(agent)], "two slots about one"
+                found[int(agent)][int(other)] = float(held)
+    return found
+
+
+def test_a_line_writes_about_one_and_reads_it_again() -> None:
+    text = f"""species a {{ seen = 0; nobody = 7; same = 0
+      likes = 0 for each a, strongest 3
+      {STILL}
+      start s
+      state s {{
+        likes[nearest(a)] += 2 /s; same = likes[nearest(a)]; seen = sum(n in a: likes[n] * (n.id + 1))
+        nobody = likes[nearest(neighbours(0.001 mm))]
+      }} }}"""
+    seen = play(text, crowd(at=[(0, 0), (1, 0), (5, 0)]), steps=3, ways=EVERY_WAY)
+    assert seen["same"] == [np.float32(0.2) + np.float32(0.2) + np.float32(0.2)] * 3  # written in this step already
+    assert [round(v, 5) for v in seen["seen"]] == [1.2, 0.6, 1.2]
+    assert seen["nobody"] == [0, 0, 0]
+    assert {a: list(about) for a, about in kept(seen.world).items()} == {0: [1], 1: [0], 2: [1]}
+
+
+CROWD = """species a { fears = 0
+  likes = 0 relax to 0 over 2 s for each a, strongest 3
+  on spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s); heading = vector(1, 0, 0) }
+  start s
+  state s {
+    likes[n in neighbours(14 mm)] += (n.id - 4.2) * distance(n) / 1 mm * 0.1 /s
+    likes[nearest(a)] -= 0.7 /s
+    fears = sum(n in a: likes[n] * n.id)
+    when time > 0.85 s and time < 0.95 s and id == 2 -> s { spawn a }
+    when time > 1.15 s and id == 5 -> gone { die }
+  }
+  state gone { when false -> s }
+}"""
+TEN = np.random.default_rng(4).uniform(-12, 12, (10, 2)).round(3)
+
+
+class Reading:
+    """The rules read plainly: everybody's others by id, each step in the order of the text, one other after the other."""
+
+    def __init__(self, strongest: int) -> None:
+        self.strongest, self.kept = strongest, {}
+
+    def step(self, places: dict[int, np.ndarray], dt: float) -> None:
+        for agent, place in places.items():
+            mine = self.kept.setdefault(agent, {})
+            mine = {other: value * np.exp(-dt / 2) for other, value in mine.items() if other in places}
+            away = {other: float(np.linalg.norm(there - place)) for other, there in places.items() if other != agent}
+            for other, distance in away.items():
+                if distance <= 14:
+                    mine[other] = mine.get(other, 0) + (other - 4.2) * distance * 0.1 * dt
+            mine = self.strong(mine)
+            nearest = min(away, key=lambda other: (np.float32(away[other]), other))
+            mine[nearest] = mine.get(nearest, 0) - 0.7 * dt
+            self.kept[agent] = self.strong(mine)
+
+    def strong(self, mine: dict[int, float]) -> dict[int, float]:
+        order = sorted(mine, key=lambda other: (-abs(mine[other]), other))
+        return {other: mine[other] for other in order[: self.strongest]}
+
+
+def test_a_crowd_keeps_the_strongest_and_forgets_the_dead() -> None:
+    reading, seen = Reading(3), []
+
+    def compare(world: World) -> None:
+        population = world.populations["a"]
+        now = kept(world)
+        alive = set(population.ids.tolist())
+        told = {a: {o: v for o, v in about.items() if o in alive} for a, about in reading.kept.items() if a in alive}
+        for agent, about in told.items():
+            assert now[agent] == pytest.approx(about, abs=1e-5), f"frame {world.frame}, agent {agent}"
+        seen.append(now)
+
+    def first(world: World) -> None:
+        places = dict(zip(starts["ids"].tolist(), starts["places"], strict=True))
+        reading.step(places, 0.1)
+        compare(world)
+        starts.update(ids=world.populations["a"].ids.copy(), places=world.populations["a"].position.copy())
+
+    starts = {"ids": np.arange(10), "places": np.array([(x, 0.0, z) for x, z in TEN])}
+    end = play(CROWD, crowd(at=TEN.tolist()), steps=16, ways=EVERY_WAY, each=first)
+    assert 5 in seen[5] and 5 not in seen[-1] and 10 in seen[-1] and not any(5 in about for about in seen[-1].values())
+    assert sum(len(about) == 3 for about in seen[-1].values()) == 10 and any(10 in about for about in seen[-1].values())
+    assert any(v < 0 for about in seen[-1].values() for v in about.values()) and end["fears"] != [0.0] * 10
+
+
+def test_a_value_begins_and_rests_where_it_says_and_events_add_to_it() -> None:
+    text = f"""species a {{ param calm = 0.5 in 0 .. 1
+      trusts = calm relax to calm over 1 s for each a, strongest 2
+      told = 0; none_of = 0; fell = 0
+      {STILL}
+      on shout {{ trusts[nearest(a)] -= 0.25 }}
+      start s
+      state s {{
+        told = trusts[nearest(a)]; none_of = trusts[nearest(neighbours(0.01 mm))]; fell = trusts[best(n in a: distance(n))]
+        when frame == 2 and id == 0 -> s {{ emit shout to nearest(a); trusts[n in a] = n.id / 2 }}
+      }} }}"""
+    seen = play(text, crowd(at=[(0, 0), (1, 0), (5, 0)]), steps=24, ways=EVERY_WAY)
+    assert seen.at("told", 1) == [0.5] * 3 and seen.every("none_of") == [0.0] + [0.5] * 24
+    frames = [round(v, 4) for v in (seen.at("told", 3)[1], seen.at("told", 13)[1])]
+    assert frames == [0.25, round(0.5 - 0.25 * np.exp(-1), 4)]
+    # 0 has set 0.5 about 1, which is the value of rest, and 1 about 2
+    assert kept(play(text, crowd(at=[(0, 0), (1, 0), (5, 0)]), steps=3, ways=WAYS[:1]).world, "trusts", count=2)[0].keys() == {2}
+    assert round(seen.at("fell", 13)[0], 4) == round(0.5 + 0.5 * np.exp(-1.1), 4)
+
+
+def test_what_is_no_number_is_refused_by_its_name() -> None:
+    for line in ("likes[nearest(a)] += zero / zero * 1 /s", "likes[n in a] += 1 / zero * 1 /s", "likes[n in a] = zero / zero"):
+        text = f"""species a {{ zero = 0
+          likes = 0 for each a, strongest 3
+          start s
+          state s {{ {line}; when zero > 1 -> s {{ zero += 1 }} }} }}"""
+        with pytest.raises(FaultStop) as stopped:
+            play(text, crowd(at=[(0, 0), (1, 0)]), ways=WAYS[:1])
+        assert "`likes`" in str(stopped.value) or "likes" in stopped.value.fault.register, line
+
+
+def test_a_checkpoint_goes_on_to_the_same_values() -> None:
+    plan = optimise(plan_of(CROWD))
+    setting = Setting(fps=Fraction(10), crowds=(crowd(at=TEN.tolist()),))
+    world, hashes = bind(plan, setting, Options(backend="numpy")), []
+    for number in range(14):
+        if number == 7:
+            saved = checkpoint(world)
+        step(world)
+        hashes.append(state_hash(world))
+    again = bind(plan, setting, Options(backend="numpy", shuffle_rows=2))
+    restore(again, saved)
+    for number in range(7, 14):
+        step(again)
+        assert state_hash(again) == hashes[number]
+    assert kept(again) == kept(world)
