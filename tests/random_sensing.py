@@ -30,6 +30,7 @@ NUMBERS = (
     "alarm_mark",
     "max(trail, nearest: 9)",
     "length(gradient(trail)) * 1 mm",
+    "smell(trail, ahead: 6 mm, turn: fear * 20 deg)",
     "around_me",
     "uniform(-1, 1)",
     "normal(0, 1)",
