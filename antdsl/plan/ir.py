@@ -306,7 +306,8 @@ class SpeciesPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldPlan:
-    """Nodes at rate RUN. `keep` is a factor per step (half_life, evaporate, keeps are all turned into it)."""
+    """Nodes at rate RUN. `keep` is a factor per step (half_life, evaporate, keeps are all turned into it).
+    `stencil`: to 4 or 8 cells round about it spreads. `deposits`: they land before it spreads and fades, "first", or "last"."""
 
     name: str
     surfaces: tuple[str, ...]
@@ -316,6 +317,8 @@ class FieldPlan:
     combine: str
     limit: Node | None
     span: Span
+    stencil: int = 4
+    deposits: str = "last"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

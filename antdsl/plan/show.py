@@ -46,7 +46,8 @@ def _head(plan: Plan) -> str:
         lines.append(f"param {param.name} = {_Names().text(param.default)}")
     for field in plan.fields.values():
         names = _Names()
-        lines.append(f"field {field.name} on {', '.join(field.surfaces)} ({field.combine})")
+        made = (field.combine, f"stencil {field.stencil}", f"deposits {field.deposits}")
+        lines.append(f"field {field.name} on {', '.join(field.surfaces)} ({', '.join(made)})")
         for word, node in (("cell", field.cell), ("keep", field.keep), ("diffuse", field.diffuse), ("limit", field.limit)):
             if node is not None:
                 lines.append(f"  {word} {names.text(node)}")

@@ -248,7 +248,8 @@ class WorldThing:
 
 @value
 class Field:
-    """Settings absent are None. `keeps` is a factor per step; `combine` is add or max."""
+    """Settings absent are None. `keeps` is a factor per step; `combine` is add or max, `stencil` 4 or 8 and
+    `deposits` last or first."""
 
     name: str
     surfaces: tuple[str, ...]
@@ -259,6 +260,8 @@ class Field:
     diffuse: Expr | None
     combine: str
     limit: Expr | None
+    stencil: int
+    deposits: str
     span: Span
 
 
