@@ -45,6 +45,7 @@ class PheromoneField:
         self._padded = np.zeros(len(cells) + 1)  # one past the end: what a cell that is not there holds
         self._pending = np.zeros(len(cells), np.int64)
         self._touched = False
+        self._left: list[tuple[NDArray[np.integer[Any]], NDArray[np.float64]]] = []  # cells, and what claims have left in them
         self._added: dict[str, NDArray[Any]] | None = None  # of a snapshot: as it was
         self._askers: dict[int, tuple[NDArray[np.int64], Cells]] = {}
 
@@ -110,7 +111,7 @@ class PheromoneField:
         """This field with a copy of what its cells hold; deposits that have not landed are left out."""
         found = copy(self)
         found._padded = self._padded.copy()
-        found._pending, found._touched = np.zeros(0, np.int64), False
+        found._pending, found._touched, found._left = np.zeros(0, np.int64), False, []
         return found
 
     def state_bytes(self) -> bytes:
@@ -132,12 +133,20 @@ class PheromoneField:
             self._touched = True
         return wrong
 
+    def leave(self, cells: NDArray[np.integer[Any]], amounts: NDArray[np.float64]) -> None:
+        """Of each cell, named once, so much is left when the field steps: the rest was taken."""
+        self._left.append((cells, amounts))
+
     def step(self, keep: float, diffusion: float, dt: float) -> None:
-        """One step of `dt` s: spread by `diffusion` (mm²/s), keep the share `keep`, then let the deposits land; or those first.
+        """One step of `dt` s: what was taken is gone, then spread by `diffusion` (mm²/s), keep the share `keep`, then let the
+        deposits land; or those before it spreads.
 
         Raises ValueError, with the largest stable value, when `diffusion` is more than the cell allows.
         """
         values = self.values
+        for cells, amounts in self._left:
+            values[cells] = amounts
+        self._left.clear()
         if self.deposits_first:
             self._land()
         if diffusion > 0:

@@ -210,13 +210,14 @@ class Store:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Claim:
-    """Ask for `amount` of an item's attribute; settled after decide, by (draw, id), while the rest suffices. `won` (BOOL register) is
-    set for those who got it; the amount is added to the agent's own register of that name, if it has one, when it wins."""
+    """Ask for `amount` (all that is left if None) of an item's attribute, or where `item` is None of what the agent's own cell of
+    the field `of` holds; settled after decide, by (draw, id), while the rest suffices. `won` (BOOL register) is set for those who
+    got it; the amount is added to the agent's register `own`, if one is named, when it wins."""
 
-    items: str
+    of: str
     attribute: str
-    item: Node
-    amount: Node
+    item: Node | None
+    amount: Node | None
     won: str
     own: str | None
     site: str

@@ -213,7 +213,10 @@ class _Text(_Names):
             case Store():
                 return f"{s.register} := {self.text(s.value)}"
             case Claim():
-                return f"claim {self.text(s.amount)} of {s.items}.{s.attribute} from {self.text(s.item)} -> {s.won}"
+                amount = "all" if s.amount is None else self.text(s.amount)
+                if s.item is None:
+                    return f"claim {amount} of {s.of} here{f' for {s.own}' if s.own else ''} -> {s.won}"
+                return f"claim {amount} of {s.of}.{s.attribute} from {self.text(s.item)} -> {s.won}"
             case Give():
                 amount = "all" if s.amount is None else self.text(s.amount)
                 return f"give {amount} of {s.own} to {s.items}.{s.attribute} of {self.text(s.item)}"

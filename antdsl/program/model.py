@@ -87,10 +87,11 @@ Statement = Steer | Assign | Ask | Give
 
 @value
 class Take:
-    """`source` has type ITEM."""
+    """`source` has type ITEM, or FIELD: the cell below the feet. `amount` None is all that is there; what is taken from a field
+    without an `attribute` is gone."""
 
-    attribute: str
-    amount: Expr
+    attribute: str | None
+    amount: Expr | None
     source: Expr
     span: Span
 
