@@ -67,7 +67,8 @@ class Agent:
                     assert s.infinite or not isinstance(value, float) or math.isfinite(value), s
                     self.now[s.register] = value
                 case ir.Claim():
-                    self.done.append(("claim", s.items, s.attribute, self.value(s.item), self.value(s.amount)))
+                    assert s.item is not None and s.amount is not None
+                    self.done.append(("claim", s.of, s.attribute, self.value(s.item), self.value(s.amount)))
                     self.now[s.won] = self.win
                     if s.own and self.win:
                         self.now[s.own] += self.value(s.amount)

@@ -53,6 +53,8 @@ NUMBERS = (
     "noise(scale: 20 mm, seed: id, period: 2 s)",
     "length(drift)",
     "damp",
+    "smell(trail, ahead: odd * 1 mm, turn: odd * 1 deg)",
+    "smell(alarm_mark, ahead: fear * 9 mm)",
     "distance(hill) / 40 mm",
     "carved / 1 mm^3",
     "sum(n in neighbours(30 mm): n.id)",

@@ -30,6 +30,7 @@ NUMBERS = (
     "alarm_mark",
     "max(trail, nearest: 9)",
     "length(gradient(trail)) * 1 mm",
+    "smell(trail, ahead: 6 mm, turn: fear * 20 deg)",
     "around_me",
     "uniform(-1, 1)",
     "normal(0, 1)",
@@ -101,6 +102,7 @@ CONDITIONS = (
     "nearest(neighbours(12 mm))",
     "other_mood.state == calm",
 )
+_TAKEN = (" take 0.3 load from trail", " take all load from alarm_mark", " take all load from meal", " take all from trail")
 TARGETS = ("p", "q", "r", "previous", "choose { p: 1; q: luck + 1; r: count(neighbours(20 mm)) }")
 
 
@@ -172,7 +174,7 @@ class Sensing:
     def change(self) -> str:
         rng = self.rng
         what = self.condition()
-        what += rng.choice(("", "", "", " held 0.2 s", " take 1 load from nearest(food)", " take 0.5 load from meal"))
+        what += rng.choice(("", "", "", " held 0.2 s", " take 1 load from nearest(food)", " take 0.5 load from meal", *_TAKEN))
         if rng.random() < 0.2:
             what = f"after {rng.choice((0.1, 0.3))} s"
         actions = self.lines(body=False)

@@ -66,13 +66,16 @@ def _claim(world: World, population: Population, won: ChangeNote, trace: Trace) 
     if entry is None:
         return None
     statement = entry.statement
-    names = world.items[statement.items].names
-    item = int(entry.item[0])
+    name, amount = statement.of, float(entry.amount[0])
+    if statement.item is not None:
+        names = world.items[statement.of].names
+        item = int(entry.item[0])
+        name = names[item] if 0 <= item < len(names) else "none"
     return Claim(
-        statement.items,
-        names[item] if 0 <= item < len(names) else "none",
-        statement.attribute,
-        float(entry.amount[0]),
+        statement.of,
+        name,
+        statement.attribute or statement.own or "",
+        amount if np.isfinite(amount) else None,
         _turn(world, population, entry, trace.row),
         bool(population.now[statement.won][trace.row]),
         place(won.transition.take.span if won.transition.take is not None else won.transition.span),

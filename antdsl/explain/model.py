@@ -61,12 +61,13 @@ class Looked:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What an agent asked of an item, and whether it got it; of all who asked, those with the lesser draw came first."""
+    """What an agent asked of an item or a field, and whether it got it; of all who asked, those with the lesser draw came first.
+    `amount` None is all; of a field `items` and `item` are its name, and `attribute` may be empty."""
 
     items: str
     item: str
     attribute: str
-    amount: float
+    amount: float | None
     draw: float
     won: bool
     place: Place

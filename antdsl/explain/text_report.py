@@ -81,7 +81,9 @@ def _machine(m: MachineStep) -> Iterator[str]:
         hidden = hidden or looked.wins
     if m.claim is not None:
         verdict = "won" if m.claim.won else "lost: others came first, or there was not enough"
-        yield f"  asked for {m.claim.amount:.4g} {m.claim.attribute} of {m.claim.item} (turn {m.claim.draw:.4f}): {verdict}"
+        much = "all" if m.claim.amount is None else f"{m.claim.amount:.4g}"
+        what = " ".join(word for word in (much, m.claim.attribute, "of", m.claim.item) if word)
+        yield f"  asked for {what} (turn {m.claim.draw:.4f}): {verdict}"
     if m.choice is not None:
         bars = ", ".join(f"{name} up to {bar:.4g}" for name, bar in m.choice.bars)
         yield f"  drew {m.choice.draw:.4f} among {bars}: {m.choice.chosen}"

@@ -272,14 +272,34 @@ class SurfaceCells:
     @cached_property
     def links(self) -> Links:
         """Which cells share a face of their voxels, or a voxel, and do not face opposite ways."""
+        return self._linked(1)
+
+    @cached_property
+    def diagonals(self) -> Links:
+        """Which cells share no more than an edge of their voxels, and do not face opposite ways."""
+        return self._linked(2)
+
+    def _linked(self, steps: int) -> Links:
+        """Pairs of cells whose voxels are at most one apart along each axis, and along all together `steps`; 2: just so many."""
         counts, cells = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
         for a in range(0, len(self), _CHUNK):
             chosen = np.arange(a, min(a + _CHUNK, len(self)))
-            own, other = self._around(chosen, lambda x, y: 1 - abs(x) - abs(y))
-            others = np.flatnonzero(other != own + a)
+            own, other = self._around(chosen, lambda x, y: min(steps - abs(x) - abs(y), 1))
+            apart = self._steps(chosen.take(own), other) == 2 if steps == 2 else other != own + a
+            others = np.flatnonzero(apart)
             counts.append(np.bincount(own.take(others), minlength=len(chosen)))
             cells.append(other.take(others).astype(np.int32))
         return Links(np.cumsum(np.concatenate(counts)), np.concatenate(cells))
+
+    def _steps(self, one: NDArray[np.int64], two: NDArray[np.int64]) -> NDArray[np.int64]:
+        """How many voxels lie between cells, along all axes together."""
+        found = np.zeros(len(one), np.int64)
+        there = [self._voxels.take(cells) for cells in (one, two)]
+        for size in (self._size[2], self._size[1]):
+            found += np.abs(there[0] % size - there[1] % size)
+            there = [each // size for each in there]
+        found += np.abs(there[0] - there[1])
+        return found
 
     @property
     def block(self) -> Cells:

@@ -62,6 +62,7 @@ class GrowingCells(SurfaceCells):
         else:
             self._sorted = np.argsort(self._keys[: self.used], kind="stable")
         self.__dict__.pop("links", None)
+        self.__dict__.pop("diagonals", None)
         changed = np.unique(self._around(new, lambda x, y: 1)[1])
         for k, table in self._tables.items():
             if self._direct is not None and compiled.wanted(len(changed)):

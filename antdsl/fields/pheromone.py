@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.fields.cells import NEAREST, Cells, SurfaceCells
+from antdsl.fields.cells import NEAREST, Cells, Links, SurfaceCells
 from antdsl.fields.growing import GrowingCells
 from antdsl.numerics import compiled
 from antdsl.numerics.sorting import stable_order
@@ -28,14 +28,24 @@ class PheromoneField:
     """Amounts of one scent in the cells of surfaces.
 
     `combine` says what several deposits in one cell and step do: `add` up, or leave the greatest (`max`). `limit` is the most
-    that a cell holds. `values` float64[cells] is what was there at the start of a step; deposits land at its end.
+    that a cell holds. `values` float64[cells] is what was there at the start of a step; deposits land at its end, or before it
+    spreads and fades with `deposits_first`. It spreads to cells beside each other, with `stencil` 8 to those at an edge too.
     """
 
-    def __init__(self, cells: SurfaceCells, combine: Literal["add", "max"] = "add", limit: float = np.inf) -> None:
+    def __init__(
+        self,
+        cells: SurfaceCells,
+        combine: Literal["add", "max"] = "add",
+        limit: float = np.inf,
+        stencil: int = 4,
+        deposits_first: bool = False,
+    ) -> None:
         self.cells, self.combine, self.limit = cells, combine, float(limit)
+        self.stencil, self.deposits_first = stencil, deposits_first
         self._padded = np.zeros(len(cells) + 1)  # one past the end: what a cell that is not there holds
         self._pending = np.zeros(len(cells), np.int64)
         self._touched = False
+        self._left: list[tuple[NDArray[np.integer[Any]], NDArray[np.float64]]] = []  # cells, and what claims have left in them
         self._added: dict[str, NDArray[Any]] | None = None  # of a snapshot: as it was
         self._askers: dict[int, tuple[NDArray[np.int64], Cells]] = {}
 
@@ -101,7 +111,7 @@ class PheromoneField:
         """This field with a copy of what its cells hold; deposits that have not landed are left out."""
         found = copy(self)
         found._padded = self._padded.copy()
-        found._pending, found._touched = np.zeros(0, np.int64), False
+        found._pending, found._touched, found._left = np.zeros(0, np.int64), False, []
         return found
 
     def state_bytes(self) -> bytes:
@@ -123,12 +133,22 @@ class PheromoneField:
             self._touched = True
         return wrong
 
+    def leave(self, cells: NDArray[np.integer[Any]], amounts: NDArray[np.float64]) -> None:
+        """Of each cell, named once, so much is left when the field steps: the rest was taken."""
+        self._left.append((cells, amounts))
+
     def step(self, keep: float, diffusion: float, dt: float) -> None:
-        """One step of `dt` s: spread by `diffusion` (mm²/s), keep the share `keep`, then let the deposits land.
+        """One step of `dt` s: what was taken is gone, then spread by `diffusion` (mm²/s), keep the share `keep`, then let the
+        deposits land; or those before it spreads.
 
         Raises ValueError, with the largest stable value, when `diffusion` is more than the cell allows.
         """
         values = self.values
+        for cells, amounts in self._left:
+            values[cells] = amounts
+        self._left.clear()
+        if self.deposits_first:
+            self._land()
         if diffusion > 0:
             most = largest_stable_diffusion(self.cells.cell, dt)
             if diffusion > most * (1 + 1e-9):
@@ -139,6 +159,13 @@ class PheromoneField:
                 values += (diffusion * dt / self.cells.cell**2) * (self._laplacian @ values)
         if keep != 1:
             values *= float(np.float32(keep))
+        if not self.deposits_first:
+            self._land()
+        values[values < FLUSH] = 0.0
+
+    def _land(self) -> None:
+        """Deposits become part of what the cells hold, up to the limit."""
+        values = self.values
         if self._touched:
             landed = self._pending * UNIT
             if self.combine == "add":
@@ -149,23 +176,29 @@ class PheromoneField:
             self._touched = False
         if np.isfinite(self.limit):
             np.minimum(values, self.limit, out=values)
-        values[values < FLUSH] = 0.0
 
     @cached_property
     def _laplacian(self) -> _Flow:
         """Flow into each cell for a unit of diffusion, as a sparse matrix whose columns sum to 0.
 
         Between two cells flows 4 / max(4, links of either) of their difference: the five-point stencil on a plane, and
-        nowhere more than four links' worth in all, so what is stable depends on the size of a cell alone.
+        nowhere more than four links' worth in all, so what is stable depends on the size of a cell alone. With a stencil of 8
+        two thirds of that, and a sixth of as much between cells at each other's edges: on a plane the nine-point Laplacian
+        (4, 1) / 6, whose error is the same in all directions (Patra and Karttunen, Stencils with isotropic discretization error
+        for differential operators, Numerical Methods for Partial Differential Equations 22, 2006).
         """
+        if self.stencil == 4:
+            return _Flow(self._flow_along(self.cells.links, 1.0))
+        return _Flow(self._flow_along(self.cells.links, 2 / 3) + self._flow_along(self.cells.diagonals, 1 / 6))
+
+    def _flow_along(self, links: Links, share: float) -> Any:
+        """Flow between linked cells, as a sparse matrix: as much as `share` of 4 / max(4, links of either)."""
         from scipy.sparse import csr_array
 
-        links = self.cells.links
         count = np.diff(links.start)
         own = np.repeat(np.arange(len(self.cells)), count)
-        weight = 4.0 / np.maximum(np.maximum(count[own], count[links.cell]), 4)
-        inward = csr_array((weight, links.cell, links.start), shape=(len(self.cells), len(self.cells)))
-        return _Flow(inward, np.bincount(own, weight, len(self.cells)).astype(np.float64))
+        weight = share * 4.0 / np.maximum(np.maximum(count[own], count[links.cell]), 4)
+        return csr_array((weight, links.cell, links.start), shape=(len(self.cells), len(self.cells)))
 
     def sample(self, cells: Cells) -> Floats:
         """What cells hold, float32[n]; 0 for -1."""
@@ -271,8 +304,10 @@ def _askers(block: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:
 class _Flow:
     """A symmetric flow between cells: what comes in from the linked cells less what goes out."""
 
-    def __init__(self, inward: Any, out: NDArray[np.float64]) -> None:
-        self._inward, self._out = inward, out
+    def __init__(self, inward: Any) -> None:
+        self._inward = inward
+        own = np.repeat(np.arange(inward.shape[0]), np.diff(inward.indptr))
+        self._out = np.bincount(own, inward.data, inward.shape[0]).astype(np.float64)
 
     def __matmul__(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         flow: NDArray[np.float64] = self._inward @ values

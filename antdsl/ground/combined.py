@@ -37,6 +37,7 @@ class _Walk:
     left: Floats
     gone: Floats
     blocked: NDArray[np.bool_]
+    straight: bool  # ways on meshes end at open borders
 
 
 @dataclass(slots=True)
@@ -167,7 +168,14 @@ class Terrain:
     # ---- moving
 
     def move(
-        self, footing: Footing, displacement: Floats, heading: Floats, up: Floats, body: Floats | float, threads: int = 1
+        self,
+        footing: Footing,
+        displacement: Floats,
+        heading: Floats,
+        up: Floats,
+        body: Floats | float,
+        threads: int = 1,
+        straight: bool = False,
     ) -> Move:
         """As `MeshGround.move`, over meshes and solids."""
         n = len(footing)
@@ -176,7 +184,15 @@ class Terrain:
         np.nan_to_num(way, copy=False, posinf=0.0, neginf=0.0)
         ahead = columned(heading)
         walk = _Walk(
-            footing.copy(), np.empty((3, n)).T, columned(up), ahead, ahead.copy("K"), way, np.zeros(n), np.zeros(n, np.bool_)
+            footing.copy(),
+            np.empty((3, n)).T,
+            columned(up),
+            ahead,
+            ahead.copy("K"),
+            way,
+            np.zeros(n),
+            np.zeros(n, np.bool_),
+            straight,
         )
         rows = np.flatnonzero(footing.mesh >= 0)
         if rows.size < n:
@@ -208,7 +224,7 @@ class Terrain:
         assert meshes is not None
         before = walk.footing.faces(rows)
         wish, ahead, up = (some(v, rows) for v in (walk.left, walk.heading, walk.up))
-        moved = meshes.move(before, wish, ahead, up, body[rows], threads)
+        moved = meshes.move(before, wish, ahead, up, body[rows], threads, walk.straight)
         found = self._entering(moved.position, lambda who: meshes.position(before.take(who)))
         self._stay(walk, rows, found.who, moved)
         return self._step_up(walk, rows, found, moved, body, threads, last)

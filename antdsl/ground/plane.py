@@ -63,7 +63,14 @@ class Plane:
         return self.normal(footing)
 
     def move(
-        self, footing: Footing, displacement: Floats, heading: Floats, up: Floats, body: Floats | float, threads: int = 1
+        self,
+        footing: Footing,
+        displacement: Floats,
+        heading: Floats,
+        up: Floats,
+        body: Floats | float,
+        threads: int = 1,
+        straight: bool = False,
     ) -> Move:
         """Walk straight on."""
         step = self._flat(displacement)

@@ -238,10 +238,18 @@ class Ground(Protocol):
         """Smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings nowhere."""
 
     def move(
-        self, footing: Footing, displacement: Floats, heading: Floats, up: Floats, body: Floats | float, threads: int = 1
+        self,
+        footing: Footing,
+        displacement: Floats,
+        heading: Floats,
+        up: Floats,
+        body: Floats | float,
+        threads: int = 1,
+        straight: bool = False,
     ) -> Move:
         """Walk every agent along the ground by a displacement [n,3], on the side its `up` [n,3] points to. `heading` [n,3] is
-        turned as the ground turns; `body` (mm, one or [n]) is how long each agent is."""
+        turned as the ground turns; `body` (mm, one or [n]) is how long each agent is. With `straight` a way ends at an open
+        border, which else is gone along."""
 
 
 class Meshes(Ground, Protocol):

@@ -19,6 +19,7 @@ from antdsl.program.types.states import STATE_WORDS
 from antdsl.resources import library_file
 from antdsl.source import Span
 from antdsl.syntax import nodes
+from antdsl.syntax.words import WORD_SETTINGS
 
 _WORDS = frozenset({*RUN_NAMES, *SENSED_NAMES, *STATE_WORDS, "self", "true", "false", "it", "at_start", "motion"})
 _CALLED = frozenset({*BUILTINS, *REDUCERS, *WHOLES, "at_start"})
@@ -175,8 +176,8 @@ class _Index:
         self.found.append(Occurrence(node.unit_span, ("unit", node.unit)))
 
     def setting(self, node: nodes.Setting) -> None:
-        if node.name.text == "combine":
-            self.meant[node.value.span] = None  # `add` and `max` are no names there
+        if node.name.text in WORD_SETTINGS:
+            self.meant[node.value.span] = None  # `add`, `first` and so on are no names there
 
     def target(self, node: nodes.Target) -> None:
         if node.previous and node.name is not None:

@@ -114,7 +114,9 @@ SETTING_FORMS = {
     "evaporate": "field heat on ground { cell 10 mm; evaporate 10 %/s }",
     "keeps": "field old on ground { cell 4 mm; keeps 90 %/step }",
     "diffuse": "field heat on ground { cell 10 mm; diffuse 20 mm^2/s }",
+    "stencil": "field heat on ground { cell 10 mm; diffuse 20 mm^2/s; stencil 8 }",
     "combine": "field heat on ground { cell 10 mm; combine max }",
+    "deposits": "field heat on ground { cell 10 mm; half_life 8 s; deposits first }",
     "limit": "field heat on ground { cell 10 mm; limit 5 }",
 }
 SCENE_FORMS = {

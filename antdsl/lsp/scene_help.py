@@ -14,7 +14,7 @@ from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.scene import model
 from antdsl.scene.matching import FRAME_ATTRIBUTES
 from antdsl.syntax import nodes
-from antdsl.syntax.words import FIELD_SETTINGS
+from antdsl.syntax.words import FIELD_SETTINGS, FIXED_SETTINGS
 
 _KEY = re.compile(r"^(\s*)(?:- )?([A-Za-z_.][A-Za-z_0-9.]*):")
 _PARTS: dict[str, type[model.Part]] = {
@@ -145,7 +145,7 @@ def _settings(workspace: Workspace, document: Document) -> Iterator[Item]:
                     yield Item(f"{species}.{name}", "property", f"{value}{bounds}", help, f"{species}.{name}: {value}")
         for name, field in program.names.fields.items():
             for setting in field.settings:
-                if setting.name.text in FIELD_SETTINGS and setting.name.text not in ("cell", "combine"):
+                if setting.name.text in FIELD_SETTINGS and setting.name.text not in FIXED_SETTINGS:
                     word, value = setting.name.text, setting.value.span.text
                     yield Item(f"{name}.{word}", "property", value, "setting of a field", f"{name}.{word}: {value}")
 

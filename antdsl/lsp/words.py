@@ -35,7 +35,9 @@ SETTINGS = {
     "evaporate": "the share that goes in a time, such as `10 %/s`",
     "keeps": "the share that stays in a step, such as `90 %/step`",
     "diffuse": "how it spreads, an area in a time, such as `20 mm^2/s`",
+    "stencil": "to how many cells round about it spreads, `4` or `8`",
     "combine": "`add` what is laid, or keep the `max`",
+    "deposits": "whether what is laid spreads and fades in the same step, `first`, or from the next one on, `last`",
     "limit": "the most that a cell holds",
 }
 # Words that begin a line, and `take`.

@@ -93,7 +93,8 @@ def _statement(s: Statement, new: dict[Node, Node]) -> Statement:
         case Store():
             return replace(s, value=new[s.value])
         case Claim():
-            return replace(s, item=new[s.item], amount=new[s.amount])
+            item, amount = (None if node is None else new[node] for node in (s.item, s.amount))
+            return replace(s, item=item, amount=amount)
         case Give():
             return replace(s, item=new[s.item], amount=None if s.amount is None else new[s.amount])
         case Request():

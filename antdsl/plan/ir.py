@@ -220,13 +220,14 @@ class Store:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Claim:
-    """Ask for `amount` of an item's attribute; settled after decide, by (draw, id), while the rest suffices. `won` (BOOL register) is
-    set for those who got it; the amount is added to the agent's own register of that name, if it has one, when it wins."""
+    """Ask for `amount` (all that is left if None) of an item's attribute, or where `item` is None of what the agent's own cell of
+    the field `of` holds; settled after decide, by (draw, id), while the rest suffices. `won` (BOOL register) is set for those who
+    got it; the amount is added to the agent's register `own`, if one is named, when it wins."""
 
-    items: str
+    of: str
     attribute: str
-    item: Node
-    amount: Node
+    item: Node | None
+    amount: Node | None
     won: str
     own: str | None
     site: str
@@ -318,7 +319,8 @@ class SpeciesPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldPlan:
-    """Nodes at rate RUN. `keep` is a factor per step (half_life, evaporate, keeps are all turned into it)."""
+    """Nodes at rate RUN. `keep` is a factor per step (half_life, evaporate, keeps are all turned into it).
+    `stencil`: to 4 or 8 cells round about it spreads. `deposits`: they land before it spreads and fades, "first", or "last"."""
 
     name: str
     surfaces: tuple[str, ...]
@@ -328,6 +330,8 @@ class FieldPlan:
     combine: str
     limit: Node | None
     span: Span
+    stencil: int = 4
+    deposits: str = "last"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

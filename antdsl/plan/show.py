@@ -46,7 +46,8 @@ def _head(plan: Plan) -> str:
         lines.append(f"param {param.name} = {_Names().text(param.default)}")
     for field in plan.fields.values():
         names = _Names()
-        lines.append(f"field {field.name} on {', '.join(field.surfaces)} ({field.combine})")
+        made = (field.combine, f"stencil {field.stencil}", f"deposits {field.deposits}")
+        lines.append(f"field {field.name} on {', '.join(field.surfaces)} ({', '.join(made)})")
         for word, node in (("cell", field.cell), ("keep", field.keep), ("diffuse", field.diffuse), ("limit", field.limit)):
             if node is not None:
                 lines.append(f"  {word} {names.text(node)}")
@@ -212,7 +213,10 @@ class _Text(_Names):
             case Store():
                 return f"{s.register} := {self.text(s.value)}"
             case Claim():
-                return f"claim {self.text(s.amount)} of {s.items}.{s.attribute} from {self.text(s.item)} -> {s.won}"
+                amount = "all" if s.amount is None else self.text(s.amount)
+                if s.item is None:
+                    return f"claim {amount} of {s.of} here{f' for {s.own}' if s.own else ''} -> {s.won}"
+                return f"claim {amount} of {s.of}.{s.attribute} from {self.text(s.item)} -> {s.won}"
             case Give():
                 amount = "all" if s.amount is None else self.text(s.amount)
                 return f"give {amount} of {s.own} to {s.items}.{s.attribute} of {self.text(s.item)}"

@@ -29,7 +29,7 @@ def operands(statement: Statement) -> tuple[Node, ...]:
         case Store():
             return (statement.value,)
         case Claim():
-            return (statement.item, statement.amount)
+            return tuple(node for node in (statement.item, statement.amount) if node is not None)
         case Give():
             return (statement.item,) if statement.amount is None else (statement.item, statement.amount)
         case Request():

@@ -179,12 +179,16 @@ def _statement(plan: Plan, species: SpeciesPlan, statement: Statement) -> Iterat
             elif register.kind is not statement.value.kind:
                 yield f"Store of {statement.value!r} to {register.name}, a {register.kind.value}"
         case Claim() | Give():
-            items = plan.items.get(statement.items)
-            if items is None or statement.attribute not in items.attributes:
-                yield f"{type(statement).__name__} of {statement.items}.{statement.attribute}, which is not there"
+            of = statement.of if isinstance(statement, Claim) else statement.items
+            items = plan.items.get(of)
+            if statement.item is None:
+                if of not in plan.fields:
+                    yield f"Claim of {of}, which is not there"
+            elif items is None or statement.attribute not in items.attributes:
+                yield f"{type(statement).__name__} of {of}.{statement.attribute}, which is not there"
             if statement.own is not None and statement.own not in species.registers:
                 yield f"{type(statement).__name__} for {statement.own}, which is not there"
-            if statement.item.kind is not Kind.I32:
+            if statement.item is not None and statement.item.kind is not Kind.I32:
                 yield f"{type(statement).__name__} with {statement.item!r} for an item"
         case Request():
             yield from _request(plan, species, statement)

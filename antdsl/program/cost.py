@@ -124,7 +124,7 @@ def _use(part: object) -> Iterable[Use]:
             thing = next((arg.name for arg in part.args if isinstance(arg, Thing) and arg.name != "self"), "")
             return [] if cost is None or (cost.named and not thing) else [_said(cost, thing, part.args, part.name)]
         case Take():
-            return [_said(_TAKE, part.attribute)]
+            return [_said(_TAKE, part.attribute or part.source.span.text)]
         case Ask():
             cost = EFFECTS[part.op].cost
             return [] if cost is None else [_said(cost, part.of, part.args)]

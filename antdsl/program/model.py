@@ -89,10 +89,11 @@ Statement = Steer | Assign | Ask | Give
 
 @value
 class Take:
-    """`source` has type ITEM."""
+    """`source` has type ITEM, or FIELD: the cell below the feet. `amount` None is all that is there; what is taken from a field
+    without an `attribute` is gone."""
 
-    attribute: str
-    amount: Expr
+    attribute: str | None
+    amount: Expr | None
     source: Expr
     span: Span
 
@@ -250,7 +251,8 @@ class WorldThing:
 
 @value
 class Field:
-    """Settings absent are None. `keeps` is a factor per step; `combine` is add or max."""
+    """Settings absent are None. `keeps` is a factor per step; `combine` is add or max, `stencil` 4 or 8 and
+    `deposits` last or first."""
 
     name: str
     surfaces: tuple[str, ...]
@@ -261,6 +263,8 @@ class Field:
     diffuse: Expr | None
     combine: str
     limit: Expr | None
+    stencil: int
+    deposits: str
     span: Span
 
 

@@ -1,34 +1,62 @@
-"""Claims on items, settled between decide and act, and gifts to them. What one side loses the other gets, to the last bit.
+"""Claims on items and on what fields hold, settled between decide and act, and gifts to items. What one side loses the other
+gets, to the last bit.
 
-An agent's own register is float32, an item's amount float64: the item changes by exactly the difference that the register made.
+An agent's own register is float32, an item's amount and a field's cell float64: these change by exactly the difference that the
+register made. From a field whole multiples of `UNIT` are taken, as deposits are: while registers hold such too, so do the cells.
 """
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.fields.pheromone import UNIT
 from antdsl.numerics import randomness
 from antdsl.runtime.requests import ClaimEntry, GiveEntry
 from antdsl.runtime.world import Population, World
 
+Entries = list[tuple[Population, ClaimEntry]]
+
 
 def settle(world: World) -> None:
     """Serve the claims on each amount in the order of (draw, id), while the rest suffices."""
-    asked: dict[tuple[str, str], list[tuple[Population, ClaimEntry]]] = {}
+    asked: dict[tuple[str, str], Entries] = {}
+    of_fields: dict[str, Entries] = {}
     for population in world.populations.values():
+        population.all_taken.clear()
         for entry in population.effects.claims:
-            if len(entry.rows):
-                asked.setdefault((entry.statement.items, entry.statement.attribute), []).append((population, entry))
+            if not len(entry.rows):
+                continue
+            if entry.statement.item is None:
+                of_fields.setdefault(entry.statement.of, []).append((population, entry))
+            else:
+                asked.setdefault((entry.statement.of, entry.statement.attribute), []).append((population, entry))
         population.effects.claims = []
     for (items, attribute), entries in sorted(asked.items(), key=lambda pair: pair[0]):
-        _settle_one(world, items, attribute, entries)
+        item = np.concatenate([e.item for _, e in entries])
+        amount = np.concatenate([e.amount for _, e in entries])
+        _settle_one(world, world.items[items].amounts[attribute], item, amount, 0.0, entries)
+    for name, entries in sorted(of_fields.items()):
+        field = world.fields[name]
+        cells, which = np.unique(np.concatenate([e.item for _, e in entries]), return_inverse=True)
+        somewhere = int(np.searchsorted(cells, 0))
+        cells = cells[somewhere:]
+        rest = field.values[cells]
+        amount = np.concatenate([e.amount for _, e in entries]).astype(np.float64)
+        amount = np.where(np.isinf(amount), amount, np.rint(amount / UNIT) * UNIT).astype(np.float32)
+        _settle_one(world, rest, which - somewhere, amount, UNIT, entries)
+        field.leave(cells, rest)
 
 
-def _settle_one(world: World, items: str, attribute: str, entries: list[tuple[Population, ClaimEntry]]) -> None:
-    rest = world.items[items].amounts[attribute]
+def _settle_one(
+    world: World,
+    rest: NDArray[np.float64],
+    item: NDArray[np.integer],
+    amount: NDArray[np.float32],
+    unit: float,
+    entries: Entries,
+) -> None:
+    """Settle the claims of `entries`, `amount` (inf: all) of the places `item` in `rest` (-1: none); of all, whole units."""
     names = list(world.populations)
     draw = np.concatenate([_draws(world, p, e) for p, e in entries])
     ids = np.concatenate([p.ids[e.rows] for p, e in entries])
@@ -36,23 +64,83 @@ def _settle_one(world: World, items: str, attribute: str, entries: list[tuple[Po
     place = np.concatenate([np.full(len(e.rows), e.order) for _, e in entries])
     source = np.concatenate([np.full(len(e.rows), k) for k, (_, e) in enumerate(entries)])
     row = np.concatenate([e.rows for _, e in entries])
-    item = np.concatenate([e.item for _, e in entries])
-    amount = np.concatenate([e.amount for _, e in entries])
     valid = (item >= 0) & (item < len(rest)) & (amount >= 0)
     turn = _turn(species, ids, place)
     for number in range(int(turn.max()) + 1):  # who asks twice in one step has changed its own register in between
         now = np.flatnonzero(valid & (turn == number))
         now = now[np.lexsort((place[now], species[now], ids[now], draw[now], item[now]))]
-        change = np.empty(len(now))
+        asks = _Asks(
+            np.empty(len(now)), np.isinf(amount[now]), np.zeros(len(now), np.float32), np.zeros(len(now), np.bool_), unit
+        )
         for k, (population, entry) in enumerate(entries):
             mine = np.flatnonzero(source[now] == k)
-            change[mine] = _change(population, entry, row[now[mine]], amount[now[mine]])
-        won = _served(rest, item[now], change)
+            asks.fill(population, entry, mine, row[now[mine]], amount[now[mine]])
+        got = _served(rest, item[now], asks)
         for k, (population, entry) in enumerate(entries):
-            mine = now[won & (source[now] == k)]
-            population.now[entry.statement.won][row[mine]] = True
+            mine = np.flatnonzero((got >= 0) & (source[now] == k))
+            population.now[entry.statement.won][row[now[mine]]] = True
             if entry.statement.own is not None:
-                population.now[entry.statement.own][row[mine]] += amount[mine]
+                _receive(population, entry, row[now[mine]], amount[now[mine]], got[mine])
+
+
+def _receive(
+    population: Population,
+    entry: ClaimEntry,
+    rows: NDArray[np.intp],
+    amount: NDArray[np.float32],
+    got: NDArray[np.float64],
+) -> None:
+    """Add what was won to the agents' own registers; `got` is what that adds in full."""
+    assert entry.statement.own is not None
+    own = population.now[entry.statement.own]
+    if entry.statement.amount is not None:
+        own[rows] += amount
+        return
+    own[rows] = own[rows].astype(np.float64) + got
+    taken = population.all_taken.setdefault(entry.statement.site, np.zeros(len(population)))
+    taken[rows] = got
+
+
+class _Asks:
+    """Claims in the order in which they are served: what winning would add to the agents' own registers in full (`change`,
+    float64; without a register the amount), who asks for `everything`, and what they have (`had`) if a register keeps it."""
+
+    def __init__(
+        self,
+        change: NDArray[np.float64],
+        everything: NDArray[np.bool_],
+        had: NDArray[np.float32],
+        kept: NDArray[np.bool_],
+        unit: float,
+    ) -> None:
+        self.change, self.everything, self.had, self.kept, self.unit = change, everything, had, kept, unit
+
+    def fill(
+        self,
+        population: Population,
+        entry: ClaimEntry,
+        at: NDArray[np.intp],
+        rows: NDArray[np.intp],
+        amount: NDArray[np.float32],
+    ) -> None:
+        """Put in the claims of one statement, at their places in the order."""
+        if entry.statement.own is None:
+            self.change[at] = amount
+            return
+        had = population.now[entry.statement.own][rows]
+        with np.errstate(invalid="ignore"):
+            self.change[at] = (had + amount).astype(np.float64) - had.astype(np.float64)
+        self.had[at], self.kept[at] = had, True
+
+    def all_of(self, at: NDArray[np.intp], left: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What those at some places get of all that is `left`: whole units, and no more than their register can show."""
+        had = self.had[at].astype(np.float64)
+        with np.errstate(all="ignore"):
+            whole = np.floor(left / self.unit) * self.unit if self.unit else left
+            then = (had + whole).astype(np.float32)
+            then = np.where(then.astype(np.float64) - had > whole, np.nextafter(then, np.float32(-np.inf)), then)
+            part = np.where(self.kept[at], then.astype(np.float64) - had, whole)
+            return np.where(np.isfinite(part) & (part <= left), part, 0.0)
 
 
 def _draws(world: World, population: Population, entry: ClaimEntry) -> NDArray[np.uint64]:
@@ -71,33 +159,50 @@ def _turn(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.
     return turn
 
 
-def _change(
-    population: Population, entry: ClaimEntry, rows: NDArray[np.intp], amount: NDArray[np.float32]
-) -> NDArray[np.float64]:
-    """What winning would add to the agents' own registers, in full; without one, the amount."""
-    if entry.statement.own is None:
-        return amount.astype(np.float64)
-    had = population.now[entry.statement.own][rows]
-    return (had + amount).astype(np.float64) - had.astype(np.float64)
-
-
-def _served(rest: NDArray[np.float64], item: NDArray[np.int32], change: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Who is served; `item` is sorted. Takes what they get from the rest."""
-    won = np.zeros(len(item), np.bool_)
+def _served(rest: NDArray[np.float64], item: NDArray[np.integer], asks: _Asks) -> NDArray[np.float64]:
+    """What each gets, -1 for who is not served; `item` is sorted. Takes what they get from the rest."""
+    got = np.full(len(item), -1.0)
     if not len(item):
-        return won
-    starts = [0, *(np.flatnonzero(item[1:] != item[:-1]) + 1).tolist(), len(item)]
-    for begin, end in pairwise(starts):
-        k = item[begin]
-        taken = np.add.accumulate(change[begin:end])
-        count = end - begin
-        if not taken[-1] <= rest[k]:  # nobody adds less than nothing, so that else all are served
-            served = taken <= rest[k]
-            count = count if served.all() else int(np.argmin(served))
-        if count:
-            rest[k] -= taken[count - 1]
-        won[begin : begin + count] = True
-    return won
+        return got
+    starts = np.flatnonzero(np.concatenate(([True], item[1:] != item[:-1])))
+    ends = np.append(starts[1:], len(item))
+    alone = starts[ends - starts == 1]
+    left = rest[item[alone]]
+    every = asks.everything[alone]
+    part = np.where(every, asks.all_of(alone, left), asks.change[alone])
+    served = np.where(every, part > 0, part <= left)
+    winners = alone[served]
+    got[winners] = part[served]
+    rest[item[winners]] = left[served] - part[served]
+    several = ends - starts > 1
+    for begin, end in zip(starts[several].tolist(), ends[several].tolist(), strict=True):
+        _among(rest, int(item[begin]), begin, end, asks, got)
+    return got
+
+
+def _among(rest: NDArray[np.float64], k: int, begin: int, end: int, asks: _Asks, got: NDArray[np.float64]) -> None:
+    """Serve those from `begin` to before `end`, who ask for the same thing, in their order until the rest does not suffice."""
+    every = begin + np.flatnonzero(asks.everything[begin:end])
+    for stop in (*every.tolist(), end):
+        if stop > begin:
+            taken = np.add.accumulate(asks.change[begin:stop])
+            count = stop - begin
+            if not taken[-1] <= rest[k]:  # nobody adds less than nothing, so that else all are served
+                served = taken <= rest[k]
+                count = count if served.all() else int(np.argmin(served))
+            if count:
+                rest[k] -= taken[count - 1]
+            got[begin : begin + count] = asks.change[begin : begin + count]
+            if count < stop - begin:
+                return
+        if stop < end:
+            at = np.array([stop])
+            part = float(asks.all_of(at, rest[k : k + 1])[0])
+            if not part > 0:
+                return
+            got[stop] = part
+            rest[k] -= part
+        begin = stop + 1
 
 
 def give(world: World) -> None:

@@ -22,8 +22,8 @@ class ClaimEntry:
     statement: ir.Claim
     order: int  # place of the statement in the text of its species
     rows: Rows
-    item: NDArray[np.int32]
-    amount: NDArray[np.float32]
+    item: NDArray[np.int32]  # or the cell of a field; -1 for none
+    amount: NDArray[np.float32]  # inf: all that is left
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import noise, randomness
+from antdsl.numerics import elementary, noise, randomness
+from antdsl.numerics import vectors as vec
 from antdsl.plan import ir
 from antdsl.runtime.moving import moving_geometry
 from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
@@ -175,6 +176,32 @@ def _field_value(world: World, population: Population, node: ir.Node, rows: Rows
     return world.fields[node.attrs[0]].sample(population.cells[node.attrs[0]][rows])
 
 
+def _field_ahead(world: World, population: Population, node: ir.Node, rows: Rows, ahead: Value, turn: Value) -> Value:
+    """`turn` is to the left of the heading, which lies along the ground that the feet are on, as `up` is its normal there."""
+    up = vec.columns(population.normal[rows], np.float32)
+    heading = vec.take(vec.named(population.start, "heading"), rows)
+    ahead, turn = (_spread(each, rows) for each in (ahead, turn))
+    with np.errstate(all="ignore"):
+        sound = np.isfinite(ahead) & np.isfinite(turn)
+        ahead, turn = np.where(sound, ahead, np.float32(0)), np.where(sound, turn, np.float32(0))
+        left = vec.cross(up, heading)
+        way = vec.add(vec.scale(heading, elementary.cos(turn)), vec.scale(left, elementary.sin(turn)))
+        way = vec.scale(way, ahead)
+        moved = world.ground.move(
+            population.footing.take(rows),
+            vec.rows(way),
+            vec.rows(heading),
+            vec.rows(up),
+            population.start["size"][rows].astype(np.float64),
+            world.options.threads,
+            straight=True,
+        )
+    field = world.fields[node.attrs[0]]
+    place = moving_geometry.at_rest(world, moved.footing, moved.position)
+    cells = field.cells.lookup_sides(place, world.ground.sides(moved.footing))
+    return field.sample(np.where(moved.lost, -1, cells))
+
+
 def _field_strongest(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
     field, count = node.attrs
     value, x, y, z = world.fields[field].strongest(population.cells[field][rows], int(count))
@@ -231,6 +258,7 @@ SENSES: Mapping[str, Callable[..., Value]] = {
     "ray": _ray,
     "obstacle.near": _obstacle_near,
     "field.value": _field_value,
+    "field.ahead": _field_ahead,
     "field.strongest": _field_strongest,
     "field.gradient": _field_gradient,
     "curve.closest": _curve_closest,

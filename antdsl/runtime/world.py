@@ -93,6 +93,7 @@ class Population:
     cells: dict[str, NDArray[np.int32]] = field(default_factory=dict)  # field -> own cell
     voxels: dict[str, Known | None] = field(default_factory=dict)  # field -> what its cells were found by, whoever the rows are
     effects: Effects = field(default_factory=Effects)
+    all_taken: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # by site: what claims for all gave in this step
     version: int = 0  # changes whenever rows do
     next_id: int = 0
     normal: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 3), np.float32))  # of what the feet are on, its side

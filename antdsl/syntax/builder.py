@@ -249,7 +249,10 @@ class Builder:
         return None, parts[0], None
 
     def take(self, parts: list[Any]) -> n.Take:
-        return n.Take(parts[1], self.word(parts[2]), parts[4], self.over(parts))
+        _, amount, attribute, _, source = parts
+        every = getattr(amount, "type", None) == "ALL"
+        name = None if attribute is None else self.word(attribute)
+        return n.Take(None if every else amount, name, source, self.over(parts))
 
     def target_state(self, parts: list[Any]) -> n.Target:
         return n.Target(self.word(parts[0]), False, (), self.over(parts))

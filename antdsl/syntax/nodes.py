@@ -259,8 +259,10 @@ Action = Assign | Ask | Give
 
 @node
 class Take:
-    amount: Expr
-    attribute: Name
+    """`amount` None is all; without an `attribute` what is taken is gone."""
+
+    amount: Expr | None
+    attribute: Name | None
     source: Expr
     span: Span
 

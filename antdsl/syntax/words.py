@@ -93,7 +93,9 @@ OTHER_WORDS: dict[str, str] = {
 
 # What a person may write after `items NAME …` and so on, shown when the word is missing.
 WORLD_KINDS = ("surface", "obstacle", "solid", "items", "curve", "flow", "map", "species")
-FIELD_SETTINGS = ("cell", "half_life", "evaporate", "keeps", "diffuse", "combine", "limit")
+FIELD_SETTINGS = ("cell", "half_life", "evaporate", "keeps", "diffuse", "stencil", "combine", "deposits", "limit")
+FIXED_SETTINGS = ("cell", "stencil", "combine", "deposits")  # what a field is made of: another value is another field
+WORD_SETTINGS = {"combine": ("add", "max"), "deposits": ("last", "first")}  # settings that are words, the usual one first
 
 # Where a line with such a first word belongs, for one that stands elsewhere.
 BELONGS: dict[str, str] = {

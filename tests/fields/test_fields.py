@@ -245,9 +245,55 @@ def test_diffusion_keeps_the_sum_stays_positive_and_spreads_as_the_heat_equation
     assert variance == pytest.approx(2 * rate * 10.0, rel=0.02)
 
 
+def test_a_stencil_of_eight_spreads_alike_in_all_directions():
+    """After twelve steps from one cell: what lies 5 cells off along an axis, and at (3, 4), which is as far."""
+    cells = SurfaceCells([grid(200, 4)], 2.0)
+    dt, rate, ratio = 1 / 24, 20.0, {}
+    for stencil in (4, 8):
+        field = PheromoneField(cells, stencil=stencil)
+        field.values[cells.lookup(np.zeros((1, 3)), np.array([[0, 1.0, 0]]))] = 1000.0
+        for _ in range(12):
+            field.step(1.0, rate, dt)
+        assert field.values.sum() == pytest.approx(1000.0, rel=1e-12) and field.values.min() >= 0
+        variance = (field.values * cells.position[:, 0] ** 2).sum() / 1000.0
+        assert variance == pytest.approx(2 * rate * 12 * dt, rel=0.02)  # as the heat equation says
+        along, across = (
+            float(field.values[cells.lookup(np.array([[x, 0.0, z]]), np.array([[0, 1.0, 0]]))[0]])
+            for x, z in ((10.0, 0.0), (6.0, 8.0))
+        )
+        ratio[stencil] = across / along
+    assert abs(ratio[8] - 1) < 0.25 * abs(ratio[4] - 1)
+
+
+def test_a_step_with_a_stencil_of_eight_by_hand():
+    """The nine-point Laplacian: 4 / 6 D dt / h² of a cell of 60 goes to each neighbour, a quarter of that to a corner."""
+    cells = SurfaceCells([grid(40, 4)], 2.0)
+    at = {(x, z): int(cells.lookup(np.array([[x, 0.0, z]]), np.array([[0, 1.0, 0]]))[0]) for x in (0, 2, 4) for z in (0, 2)}
+    field = PheromoneField(cells, stencil=8)
+    field.values[at[0, 0]] = 60.0
+    field.step(1.0, 2.0, 0.2)
+    assert field.values[at[2, 0]] == pytest.approx(4.0) and field.values[at[2, 2]] == pytest.approx(1.0)
+    assert field.values[at[0, 0]] == pytest.approx(40.0) and field.values[at[4, 0]] == 0
+
+
+@pytest.mark.parametrize("combine", ["add", "max"])
+def test_deposits_first_spread_and_fade_in_the_step_in_which_they_are_laid(combine):
+    cells = SurfaceCells([grid(40, 4)], 2.0)
+    own = cells.lookup(np.zeros((1, 3)), np.array([[0, 1.0, 0]]))
+    left = {}
+    for first in (False, True):
+        field = PheromoneField(cells, combine, limit=50.0, deposits_first=first)
+        field.deposit(own, np.array([60.0], np.float32))
+        field.step(0.5, 2.0, 0.2)
+        left[first] = field.values[own[0]], field.values.sum()
+    assert left[False] == (50.0, 50.0)
+    assert left[True] == pytest.approx((50 * 0.6 * 0.5, 25.0))
+
+
+@pytest.mark.parametrize("stencil", [4, 8])
 @pytest.mark.parametrize("mesh", [terrain(150, 20), ball(20), box((-20, -20, -20), (20, 20, 20))])
-def test_the_limit_of_stability_depends_on_the_cell_alone(mesh):
-    field = PheromoneField(SurfaceCells([mesh], 4.0))
+def test_the_limit_of_stability_depends_on_the_cell_alone(mesh, stencil):
+    field = PheromoneField(SurfaceCells([mesh], 4.0), stencil=stencil)
     most = largest_stable_diffusion(4.0, 1 / 24)
     assert most == pytest.approx(96.0)
     with pytest.raises(ValueError, match="the largest that is stable is 96 mm²/s"):

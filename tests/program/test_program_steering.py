@@ -157,6 +157,30 @@ def test_climb_keeps_to_a_winding_trail() -> None:
     assert np.quantile(beside("toward(heading)"), 0.95) > 20
 
 
+def test_antennae_keep_to_a_trail_however_faint_it_is() -> None:
+    def beside(steer: str, strength: float) -> NDArray[np.float64]:
+        world = scene(steer, crowd("ant", *[(-90.0, 100.0 + offset) for offset in (-12, -7, 1, 6, 11)]))
+        trail = world.fields["trail"]
+        x, _, z = (trail.cells.position + world.origin).T
+        trail.values[:] = strength * np.exp(-(((z - _way(x)) / 10) ** 2))
+        places, _ = run(world, 144)
+        return np.abs(places[48:, :, 2] - _way(places[48:, :, 0])).max(axis=0)
+
+    strong, faint = (beside("antennae(trail, reach: 8 mm)", strength) for strength in (40.0, 0.05))
+    assert strong.max() < 8 and faint.max() < 8
+    assert beside("antennae(trail, reach: 8 mm)", 1e-5).min() > 10  # below `least`
+    assert beside("toward(heading)", 40.0).min() > 10
+
+
+def test_antennae_turn_by_the_relative_difference_to_the_stronger_side() -> None:
+    world = scene("antennae(trail, reach: 8 mm, spread: 40 deg)", crowd("ant", (0.0, 0.0)), more="response 1 step\n")
+    trail = world.fields["trail"]
+    _, _, z = (trail.cells.position + world.origin).T
+    trail.values[:] = np.where(z < 0, 6.0, 2.0)  # left of x is -z
+    _, speeds = run(world, 1)
+    assert np.degrees(np.arctan2(-speeds[0, 0, 2], speeds[0, 0, 0])) == pytest.approx(20, abs=0.01)  # 40 * (6 - 2) / (6 + 2)
+
+
 def _way(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """z of a trail that winds along x."""
     return 100 + 15 * np.sin(x / 25)

@@ -145,17 +145,19 @@ field gone on ground { cell 10 mm; evaporate 50 %/s }
 field most on ground { cell 10 mm; combine max }
 field full on ground { cell 10 mm; limit 5 }
 field wide on ground { cell 10 mm; diffuse 100 mm^2/s }
+field soon on ground { cell 10 mm; diffuse 100 mm^2/s; stencil 8; deposits first }
 """
 
 
 def test_what_is_laid_is_there_whole_in_the_next_step_and_fades_from_then_on():
-    names = ("half", "kept", "gone", "most", "full", "wide")
+    names = ("half", "kept", "gone", "most", "full", "wide", "soon")
     text = f"species a {{ {STILL}" + "".join(f"x{n} = 0\n" for n in names)
     reads = "; ".join(f"x{n} = {n}" for n in names)
     lays = "; ".join(f"deposit {n} {'1 + id' if n == 'most' else 4}" for n in names)
     text += f"start p\nstate p {{ {reads}; when frame == 3 -> q {{ {lays} }} }}\nstate q {{ {reads}; when false -> p }} }}"
     seen = play(text, crowd(3), steps=14, world=FIELDS, surfaces=GROUND)
     first, last = ({n: seen.every(f"x{n}")[k] for n in names} for k in (4, 14))
+    assert first.pop("soon") == pytest.approx(12 * (1 - 20 / 6 * 100 * 0.1 / 100), rel=1e-5)
     assert first == {"half": 12, "kept": 12, "gone": 12, "most": 3, "full": 5, "wide": 12}
     assert all(seen.every(f"x{n}")[3] == 0 for n in names)
     assert last["half"] == pytest.approx(6) and last["kept"] == pytest.approx(12 * 0.9**10)

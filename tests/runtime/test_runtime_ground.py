@@ -28,6 +28,7 @@ def surfaces_plan(diffuse: float = 20.0, cell: float = 5.0) -> ir.Plan:
     near = t("obstacle.near", 6.0, attrs=("stones",))
     best = t("field.strongest", attrs=("trail", 16))
     slope = t("field.gradient", attrs=("trail",))
+    ahead = t("field.ahead", 7.0, 0.5, attrs=("trail",))
     curve = t("curve.closest", attrs=("way",))
     rate = t("mul", 2.0, t("run", attrs=("dt",)))
     drift = t("flow.value", attrs=("drift",))
@@ -36,7 +37,7 @@ def surfaces_plan(diffuse: float = 20.0, cell: float = 5.0) -> ir.Plan:
         plans.store("close", t("max", t.snap("close"), t("where", t.get(near, 0), t("sub", 6.0, t.get(near, 1)), 0.0))),
         plans.when(t("surface.touching", attrs=("ground",)), ir.Request("deposit", "trail", (rate,), None)),
         plans.when(t("surface.touching", attrs=("lid",)), plans.store("hits", t.b.number(-1000))),
-        plans.store("smell", t("add", t("field.value", attrs=("trail",)), t("map.value", attrs=("damp",)))),
+        plans.store("smell", t("add", t("add", t("field.value", attrs=("trail",)), ahead), t("map.value", attrs=("damp",)))),
     )
     push = []
     for k, a in enumerate("xyz"):

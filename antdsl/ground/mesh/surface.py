@@ -185,7 +185,14 @@ class MeshGround:
     # ---- moving
 
     def move(
-        self, footing: Footing, displacement: Floats, heading: Floats, up: Floats, body: Floats | float, threads: int = 1
+        self,
+        footing: Footing,
+        displacement: Floats,
+        heading: Floats,
+        up: Floats,
+        body: Floats | float,
+        threads: int = 1,
+        straight: bool = False,
     ) -> Move:
         """Walk every agent along its surface by a displacement [n,3], on the side its `up` [n,3] points to.
 
@@ -195,7 +202,8 @@ class MeshGround:
         in as many steps as the way up or down takes, else the agent goes along the border or stops. `heading` [n,3] is turned as
         the surface turns. `body` (mm) scales how high and far agents look. A displacement that is not finite counts as none.
 
-        Of the two readings of the thesis's surface pass (longer ray, nearest hit) this takes the nearest surface along the way.
+        With `straight` a way ends at an open border. Of the two readings of the thesis's surface pass (longer ray, nearest hit)
+        this takes the nearest surface along the way.
         """
         n = len(footing)
         if not self._faces.size or not n:
@@ -208,8 +216,8 @@ class MeshGround:
         with np.errstate(all="ignore"):
             parts = self._clearances.within(self._reach(wish, body))
             if compiled.wanted(n):
-                return self._moved_fast(footing, wish, heading_t, up_t, body, parts, threads)
-            return self._moved(footing, wish, heading_t, up_t, body, parts, threads)
+                return self._moved_fast(footing, wish, heading_t, up_t, body, parts, threads, straight)
+            return self._moved(footing, wish, heading_t, up_t, body, parts, threads, straight)
 
     def _reach(self, wish: Floats, body: Floats) -> float:
         """How far (mm) anybody looks out for other surfaces on a way."""
@@ -218,7 +226,15 @@ class MeshGround:
         return way + LIFT * float(np.fmax.reduce(body)) + 3 * self._scale.noise
 
     def _moved_fast(
-        self, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, parts: Parts, threads: int
+        self,
+        footing: Footing,
+        wish: Floats,
+        heading: Floats,
+        up: Floats,
+        body: Floats,
+        parts: Parts,
+        threads: int,
+        straight: bool,
     ) -> Move:
         """As `_moved`, to the same bits: most by the compiled walk, and those that it leaves by `_moved`."""
         from antdsl.ground.mesh.walk_events import Walk
@@ -232,16 +248,24 @@ class MeshGround:
         at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
         around = Around(self._table, self._boxes, parts, self._scale, body, self._fast.packed)
         results = (*to, place, above, ahead, direction, gone, blocked)
-        done = self._fast.step(around, parts, self._boxes, self._scale, body, at, (wish, heading, up), results, threads)
+        done = self._fast.step(around, parts, self._boxes, self._scale, body, at, (wish, heading, up), results, threads, straight)
         result = Move(moved, place.T, above.T, ahead.T, direction.T, gone, blocked, np.zeros(n, np.bool_))
         left = np.flatnonzero(~done)
         if left.size:
             wish, heading, up = (v.take(left, axis=1) for v in (wish, heading, up))
-            result.put(left, self._moved(footing.take(left), wish, heading, up, body.take(left), parts, threads))
+            result.put(left, self._moved(footing.take(left), wish, heading, up, body.take(left), parts, threads, straight))
         return result
 
     def _moved(
-        self, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, parts: Parts, threads: int
+        self,
+        footing: Footing,
+        wish: Floats,
+        heading: Floats,
+        up: Floats,
+        body: Floats,
+        parts: Parts,
+        threads: int,
+        straight: bool,
     ) -> Move:
         """As `move`, vectors (3, n), one body for each agent."""
         n = len(footing)
@@ -256,7 +280,7 @@ class MeshGround:
         way[~known] = 0.0
         heading_c, heading_s, _ = laid_down(axes, heading, c, s)
         over = np.where(known, footing.over, 0.0) * side
-        w = Walkers(face, b1, b2, side, c, s, heading_c, heading_s, way, np.zeros(n), np.zeros(n, bool), over)
+        w = Walkers(face, b1, b2, side, c, s, heading_c, heading_s, way, np.zeros(n), np.zeros(n, bool), over, straight)
         around = Around(t, self._boxes, parts, self._scale, body)
         walk(t, w, around.near(w, slice(None), way), around)
         smooth = self._smooth(w.face, w.b1, w.b2) * w.side

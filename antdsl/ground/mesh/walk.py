@@ -61,7 +61,7 @@ class Surroundings(Protocol):
 class Walkers:
     """Where agents are and head for: face, weights of its corners, side (1 = of the normal, -1), a unit direction and a
     heading in the face's frame, the way left and the way gone in mm, and how far above the border of their face those are who
-    are stepping over it (mm, 0 for others). All arrays have one length."""
+    are stepping over it (mm, 0 for others). All arrays have one length. With `straight` their ways end at open borders."""
 
     face: Index
     b1: Floats
@@ -75,6 +75,7 @@ class Walkers:
     gone: Floats
     blocked: NDArray[np.bool_]
     over: Floats
+    straight: bool = False
 
     def place(self, table: Topology, rows: Index | slice = slice(None)) -> Floats:
         """Positions on their faces, (3, k)."""
@@ -309,7 +310,8 @@ def border(
     around: Surroundings,
 ) -> None:
     """Step over an open border where something lies beyond it, up or down to its level and then across; else walk along it as far
-    as the way leads along. What takes more than the way left is gone on with in the next step."""
+    as the way leads along, or stop where ways are to be straight. What takes more than the way left is gone on with in the next
+    step."""
     landing = around.beyond(w, rows, half)
     onto = np.full(rows.size, -1, np.int64)
     onto[landing.who] = np.arange(landing.who.size)
@@ -332,7 +334,7 @@ def border(
     part = w.c[rows] * c + w.s[rows] * s
     turn = np.where(part < 0, -1.0, 1.0)
     w.c[rows], w.s[rows] = turn * c - INWARD * s, turn * s + INWARD * c
-    w.left[rows] = w.left[rows] * np.abs(part)
+    w.left[rows] = 0.0 if w.straight else w.left[rows] * np.abs(part)
     w.blocked[rows] = True
     _spend_hop(w, rows, hops)
 

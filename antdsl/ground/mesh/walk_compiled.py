@@ -98,14 +98,14 @@ def walk_all(  # type: ignore[no-untyped-def]  # numba takes the types from the 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def walk_on(  # type: ignore[no-untyped-def]
-    table, link, forked, first, sub_first, sub_count, clear, reach, noise, sides, cuts, boxes, scale,
+    table, link, forked, first, sub_first, sub_count, clear, reach, noise, sides, cuts, boxes, scale, straight,
     body, reals, wholes, done, to_mesh, to_face, to_b1, to_b2, to_over, place, above, ahead, direction, gone, blocked, begin, end,
 ):  # fmt: skip
     """The same for agents that wait, from `begin` to before `end`: until they are done, or `EVENT` says that they may come to
     what their own piece cuts.
 
     `sides` are `piece` and `way` of the topology and `cuts` the first of its cuts, `boxes` the arrays of `Boxes`, `scale` least,
-    fine and under of `Scale`.
+    fine and under of `Scale`; ways end at open borders if they are to be `straight`.
     """
     found = np.empty(boxes[0].size, np.int64)
     for k in range(begin, end):
@@ -149,7 +149,7 @@ def walk_on(  # type: ignore[no-untyped-def]
                     c, s, left = _along(table[WIDTH * f + EDGE_C + edge], table[WIDTH * f + EDGE_S + edge], c, s, left)
                     w[BLOCKED] = 1
                     w[SPENT] += 1
-                    if w[SPENT] >= HOPS:
+                    if straight or w[SPENT] >= HOPS:
                         left = 0.0
                 elif to < 0 or over != level or not left >= gap:
                     if way == 0:

@@ -43,9 +43,10 @@ class Walk:
         vectors: tuple[Floats, Floats, Floats],
         to: tuple[Any, ...],
         threads: int,
+        straight: bool,
     ) -> NDArray[np.bool_]:
         """Move agents with wish, heading and up (3, n) from footings `at` to the arrays of a result, `to`; says who was moved.
-        Others are nowhere, or their numbers are not finite."""
+        Others are nowhere, or their numbers are not finite. `straight`: ways end at open borders."""
         n = body.size
         done = np.empty(n, np.bool_)
         table = (self.packed, self._table.link, self._table.forked, self._first)
@@ -62,7 +63,7 @@ class Walk:
         known = (sides, topology.cuts.first, tree, (scale.least, scale.fine, scale.under))
 
         def further(begin: int, end: int) -> None:
-            loop.walk_on(*near, *known, body, reals, wholes, done, *to, begin, end)
+            loop.walk_on(*near, *known, straight, body, reals, wholes, done, *to, begin, end)
 
         if wholes.size:
             asking = around.of(wholes[loop.AGENT])

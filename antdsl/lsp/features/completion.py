@@ -15,7 +15,7 @@ from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.vocabulary import GIVEN, TYPE_WORDS
 from antdsl.syntax import nodes
-from antdsl.syntax.words import FORMS, LINE_WORDS, UNIT_NAMES
+from antdsl.syntax.words import FIXED_SETTINGS, FORMS, LINE_WORDS, UNIT_NAMES
 
 
 def complete(workspace: Workspace, document: Document, offset: int) -> list[Item]:
@@ -197,7 +197,7 @@ def _changed(request: Request) -> Iterator[Item]:
                 yield _with_value(f"{table.name}.{name}", member.declaration.value, member.declaration.help)
     for field, node in request.names.fields.items():
         for setting in node.settings:
-            if setting.name.text not in ("cell", "combine"):
+            if setting.name.text not in FIXED_SETTINGS:
                 yield _with_value(f"{field}.{setting.name.text}", setting.value, node.help)
 
 

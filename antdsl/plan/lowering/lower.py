@@ -179,7 +179,8 @@ def _field(builder: Builder, program: model.Program, f: model.Field, report: Rep
             report.error("not-yet", f"a field on the {thing.kind} `{surface}` cannot run yet", f.span, "name surfaces or solids")
     cell = node(f.cell)
     assert cell is not None
-    return ir.FieldPlan(f.name, f.surfaces, cell, _keep(builder, f, node), node(f.diffuse), f.combine, node(f.limit), f.span)
+    keep, diffuse, limit = _keep(builder, f, node), node(f.diffuse), node(f.limit)
+    return ir.FieldPlan(f.name, f.surfaces, cell, keep, diffuse, f.combine, limit, f.span, f.stencil, f.deposits)
 
 
 def _keep(b: Builder, f: model.Field, node: object) -> Node | None:

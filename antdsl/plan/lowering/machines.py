@@ -15,7 +15,7 @@ from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.durations import advance, passed, steps
 from antdsl.plan.lowering.expressions import lower, present, scalar, truth
-from antdsl.plan.lowering.values import Ref
+from antdsl.plan.lowering.values import Named, Ref
 from antdsl.plan.lowering.writer import NotYet, Writer
 from antdsl.program import model
 
@@ -126,7 +126,7 @@ class MachineWriter:
                 holds = w.b("and", passed(w, self.name, change.state.at_least), holds)
             if self._anywhere(t) and t.target is None:
                 holds = w.b("and", holds, w.b("ne", self._target(change), w.read(f"{self.name}.state")))
-            if t.take is not None:
+            if t.take is not None and t.take.source.type.kind is not model.Kind.FIELD:
                 holds = w.b("and", holds, present(w, lower(w, t.take.source), t.take.source))
             return holds
         except NotYet as missing:
@@ -149,10 +149,14 @@ class MachineWriter:
         w, take = self.w, change.transition.take
         assert take is not None
         source = lower(w, take.source)
-        assert isinstance(source, Ref)
         own = take.attribute if take.attribute in w.registers else None
-        amount, site = scalar(w, take.amount), change.transition.key
-        w.add(ir.Claim(source.of, take.attribute, source.node, amount, self.won, own, site, take.span))
+        amount = None if take.amount is None else scalar(w, take.amount)
+        if isinstance(source, Named):
+            of, item, attribute = source.name, None, ""
+        else:
+            assert isinstance(source, Ref) and take.attribute is not None
+            of, item, attribute = source.of, source.node, take.attribute
+        w.add(ir.Claim(of, attribute, item, amount, self.won, own, change.transition.key, take.span))
         w.wrote(self.won)
         if own:
             w.wrote(own)

@@ -126,7 +126,7 @@ class NotingWriter(Writer):
         there = len(self.statements)
         condition = None if t.condition is None else self._part(t.condition, _units(t.span))
         holds = None if t.condition is None else truth(self, t.condition)
-        take = None if t.take is None else self._part(t.take.source, [])
+        take = None if t.take is None or t.take.source.type.kind is model.Kind.FIELD else self._part(t.take.source, [])
         timers = tuple(self._timers(machine, state, t))
         if len(self.statements) != there:
             raise PlanError(f"a note wrote a statement: {t.span.text!r}")

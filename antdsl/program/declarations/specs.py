@@ -17,12 +17,12 @@ from antdsl.program.types.descriptions import quoted
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import condition, wanted
 from antdsl.syntax import nodes
+from antdsl.syntax.words import FIXED_SETTINGS
 
 MOST_SEEDS = 1000
 _COMPARED = ("lt", "le", "gt", "ge", "eq", "ne")
 _REFERENCES = (Kind.ITEM, Kind.AGENT)
 _HOW = ("seeds", "pass", "set", "until")  # what is expected is another matter
-_FIXED = ("cell", "combine")  # what a field is made of: another value is another field
 
 
 @dataclass(slots=True)
@@ -190,14 +190,14 @@ def _set(work: _Work, line: nodes.SpecLine) -> None:
             return
         _in_range(work, line.condition, param, found)
         work.changes.append(Changed(text, found, line.span))
-    elif thing in work.fields and word in SETTINGS and word not in _FIXED:
+    elif thing in work.fields and word in SETTINGS and word not in FIXED_SETTINGS:
         declared.used.add(("field", thing))
         _bind(scope, line.target, "field", "setting")
         value = SETTINGS[word](scope, nodes.Setting(nodes.Name(word, line.target.span), line.condition, line.span))
         if value is not None:
             work.changes.append(Changed(text, value, line.span))
     else:
-        known = [*work.params, *(f"{name}.{word}" for name in work.fields for word in SETTINGS if word not in _FIXED)]
+        known = [*work.params, *(f"{name}.{word}" for name in work.fields for word in SETTINGS if word not in FIXED_SETTINGS)]
         advice = did_you_mean(text, known, f"there is {listed(work.params)}" if work.params else None)
         declared.report.error("unknown-name", f"no param `{text}` to set", line.target.span, advice)
 

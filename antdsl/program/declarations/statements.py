@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 from antdsl.diagnostics import Label
 from antdsl.program import model
@@ -182,15 +183,63 @@ def _give(scope: Scope, line: nodes.Give, block: Block) -> model.Statement | Non
 
 
 def take(scope: Scope, line: nodes.Take) -> model.Take | None:
-    """`take 1 load from meal`, the part of a change that is settled between all who ask."""
-    source = place(scope, line.source, "`from`")
-    own = _own_amount(scope, line.attribute, "to take it into")
-    amount = wanted(scope.inside(once=True), line.amount, own or NUMBER, f"`take … {line.attribute.text}`")
-    if own is None or not _holds(scope, line.source, source, line.attribute, own) or amount.type.kind is Kind.BAD:
+    """`take 1 load from meal`, `take all load from grass`: the part of a change that is settled between all who ask."""
+    source = scope.typed(line.source, Type(Kind.PLACE)) if isinstance(line.source, nodes.NameRef) else None
+    if source is None or source.type.kind is not Kind.FIELD:
+        source = place(scope, line.source, "`from`")
+    own = None if line.attribute is None else _own_amount(scope, line.attribute, "to take it into")
+    called = line.attribute.text if line.attribute is not None else ""
+    amount = None
+    if line.amount is not None:
+        amount = wanted(
+            scope.inside(once=True), line.amount, own or NUMBER, " ".join(("`take …", f"{called}`" if called else "`"))
+        )
+        if amount.type.kind is Kind.BAD:
+            return None
+    if line.attribute is not None and own is None:
+        return None
+    if line.attribute is None and isinstance(line.amount, nodes.NameRef) and amount is not None:
+        name, what = line.amount.name.text, " ".join(line.source.span.text.split())
+        scope.report.error(
+            "missing-argument",
+            f"`take {name}` does not say how much is taken",
+            line.amount.span,
+            f"write `take 1 {name} from {what}`, or `take all {name} from {what}`",
+        )
+        return None
+    if source.type.kind is Kind.FIELD:
+        if (
+            line.attribute is not None
+            and own is not None
+            and not _holds_of_field(scope, line.source, source, line.attribute, own)
+        ):
+            return None
+    elif line.attribute is None:
+        if source.type.kind is not Kind.BAD:
+            scope.report.error(
+                "missing-argument",
+                f"`take` does not say what is taken from {quoted(line.source.span)}",
+                line.span,
+                f"name the attribute: `take 1 load from {' '.join(line.source.span.text.split())}`",
+            )
+        return None
+    elif own is None or not _holds(scope, line.source, source, line.attribute, own):
         return None
     assert scope.species is not None
-    scope.declared.written.add(f"{scope.species.name}.{line.attribute.text}")
-    return model.Take(line.attribute.text, amount, source, line.span)
+    if called:
+        scope.declared.written.add(f"{scope.species.name}.{called}")
+    return model.Take(called or None, amount, source, line.span)
+
+
+def _holds_of_field(scope: Scope, node: nodes.Expr, found: Expr, attribute: nodes.Name, own: Type) -> bool:
+    """Whether the agent's attribute is a plain number, as a field's cells hold."""
+    if own.kind is Kind.BAD or fits(NUMBER, own):
+        return own.kind is not Kind.BAD
+    a = model.Attribute(own, model.Rate.AGENT, attribute.span, None, attribute.text)
+    disagree(
+        scope.report, "take", attribute.span, (nodes.NameRef(attribute, attribute.span), a), (node, replace(found, type=NUMBER))
+    )
+    return False
 
 
 def _own_amount(scope: Scope, name: nodes.Name, why: str) -> Type | None:

@@ -30,6 +30,7 @@ from antdsl.program.types.descriptions import fits, mismatch, quoted
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import value, wanted
 from antdsl.syntax import nodes
+from antdsl.syntax.words import WORD_SETTINGS
 
 
 def outside(declared: Declared, names: FileNames, path: str) -> Scope:
@@ -193,11 +194,10 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
             node.name.span,
             "write `cell 4 mm` between its braces",
         )
-    combine = found.get("combine")
     cell = found.get("cell") or number(1, node.span)
     return model.Field(
         node.name.text, surfaces, cell, found.get("half_life"), found.get("evaporate"), found.get("keeps"), found.get("diffuse"),
-        "max" if isinstance(combine, Const) and combine.number else "add", found.get("limit"), node.name.span,
+        _chosen("combine", found), found.get("limit"), _stencil_of(found), _chosen("deposits", found), node.name.span,
     )  # fmt: skip
 
 
@@ -295,17 +295,50 @@ def _keeps(scope: Scope, node: nodes.Setting) -> Expr | None:
     return number(constant.number, node.value.span)
 
 
-def _combine(scope: Scope, node: nodes.Setting) -> Expr | None:
+def _word(scope: Scope, node: nodes.Setting) -> Expr | None:
+    """One of the words of a setting, as its number among them."""
+    setting = node.name.text
+    words = WORD_SETTINGS[setting]
     word = node.value.name.text if isinstance(node.value, nodes.NameRef) else ""
-    if word not in ("add", "max"):
+    if word not in words:
         scope.report.error(
             "wrong-kind",
-            f"`combine` is `add` or `max`, not {quoted(node.value.span)}",
+            f"`{setting}` is {' or '.join(f'`{each}`' for each in words)}, not {quoted(node.value.span)}",
             node.value.span,
-            "write `combine add` or `combine max`",
+            f"write {' or '.join(f'`{setting} {each}`' for each in words)}",
         )
         return None
-    return number(float(word == "max"), node.value.span)
+    return number(float(words.index(word)), node.value.span)
+
+
+def _chosen(setting: str, found: dict[str, Expr | None]) -> str:
+    """The word of a setting, the usual one where none was given or it is wrong."""
+    given = found.get(setting)
+    return WORD_SETTINGS[setting][int(given.number) if isinstance(given, Const) else 0]
+
+
+def _stencil(scope: Scope, node: nodes.Setting) -> Expr | None:
+    found = wanted(scope, node.value, NUMBER, "`stencil`")
+    if found.type.kind is Kind.BAD:
+        return None
+    constant = constant_behind(found)
+    if constant is None or constant.number not in STENCILS:
+        scope.report.error(
+            "out-of-range",
+            f"`stencil` is 4 or 8, not {quoted(node.value.span)}",
+            node.value.span,
+            "write `stencil 4`, cells beside it, or `stencil 8`, those at its corners too",
+        )
+        return None
+    return number(constant.number, node.value.span)
+
+
+def _stencil_of(found: dict[str, Expr | None]) -> int:
+    given = found.get("stencil")
+    return int(given.number) if isinstance(given, Const) else STENCILS[0]
+
+
+STENCILS = (4, 8)  # of how many cells round about, the usual one first
 
 
 SETTINGS: dict[str, Callable[[Scope, nodes.Setting], Expr | None]] = {
@@ -314,6 +347,8 @@ SETTINGS: dict[str, Callable[[Scope, nodes.Setting], Expr | None]] = {
     "evaporate": _setting(PER_SECOND, 0),
     "keeps": _keeps,
     "diffuse": _setting(Type(Kind.NUMBER, Dim(length=2, time=-1)), 0),
-    "combine": _combine,
+    "stencil": _stencil,
+    "combine": _word,
+    "deposits": _word,
     "limit": _setting(NUMBER, 0, above=True),
 }

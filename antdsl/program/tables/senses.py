@@ -67,6 +67,25 @@ _ROWS = (
         ),
     ),
     Sense(
+        "field.ahead",
+        "field",
+        (Part("value"),),
+        "the field where a straight way over the surface ends: so long (first), turned to the left of the heading (second)",
+        (
+            Builtin(
+                (Arg("field", "field"), Arg("ahead", "length"), Arg("turn", "angle", "0 deg")),
+                "number",
+                "how much there is of it where a straight way over the surface ends, turned to the left",
+                "smell",
+                "value",
+                sense=True,
+                cost=Cost(300, "1 way over {thing}", "fields"),
+                sample="smell(trail, ahead: 3 mm, turn: 30 deg)",
+            ),
+        ),
+        operands="ff",
+    ),
+    Sense(
         "field.strongest",
         "field",
         (Part("value"), Part("", size=3)),

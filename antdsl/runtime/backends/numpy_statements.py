@@ -73,9 +73,20 @@ def _amounts(v: Slots, scope: Scope, block: str, what: str, span: Any, value: An
 
 def _claim(statement: ir.Claim, block: str, scope: Scope, order: int) -> Make:
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+        slots = iter(inputs)
+        which, much = (None if node is None else next(slots) for node in (statement.item, statement.amount))
+        what = f"take {statement.attribute or statement.of}"
+
         def run(v: Slots) -> None:
-            rows, amount, good = _amounts(v, scope, block, f"take {statement.attribute}", statement.span, v[inputs[1]])
-            item = _each(v, scope, v[inputs[0]])[good]
+            if much is None:
+                rows = row_numbers(v[scope.rows])
+                amount, good = np.full(len(rows), np.inf, np.float32), ALL
+            else:
+                rows, amount, good = _amounts(v, scope, block, what, statement.span, v[much])
+            if which is None:
+                item = v[POPULATION].cells[statement.of][rows]
+            else:
+                item = _each(v, scope, v[which])[good]
             v[EFFECTS].claims.append(ClaimEntry(statement, order, rows, item, amount))
 
         return run

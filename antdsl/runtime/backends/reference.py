@@ -114,7 +114,8 @@ class Agent:
             self.now[s.register][self.at] = value
 
     def _claim(self, s: ir.Claim) -> None:
-        item, amount = self.value(s.item), self._finite(s.amount, f"take {s.attribute}", s.span)
+        item = self.population.cells[s.of][self.row] if s.item is None else self.value(s.item)
+        amount = np.float32(np.inf) if s.amount is None else self._finite(s.amount, f"take {s.attribute or s.of}", s.span)
         if amount is not None:
             self.effects.claims.append(ClaimEntry(s, self.order[s], self.rows, np.array([item]), np.array([amount])))
 
@@ -352,7 +353,11 @@ def with_winnings(agent: Agent, population: Population) -> None:
         won = bool(population.now[claim.statement.won][agent.row])
         agent.now[claim.statement.won][0] = won
         if won and claim.statement.own is not None:
-            agent.now[claim.statement.own][0] += claim.amount[0]
+            if np.isinf(claim.amount[0]):
+                got = population.all_taken[claim.statement.site][agent.row]
+                agent.now[claim.statement.own][0] = float(agent.now[claim.statement.own][0]) + got
+            else:
+                agent.now[claim.statement.own][0] += claim.amount[0]
 
 
 def _culprit(agent: Agent, node: ir.Node) -> tuple[tuple[str, str], ...]:

@@ -46,7 +46,13 @@ def bind_fields(
                 words = f"about {why.needed:,} cells of {size:g} mm{row}; {why.cap:,} are allowed"
                 report.error("field-too-fine", f"field `{plan.name}` needs {words}", plan.span, "write a larger `cell`")
                 continue
-        field = PheromoneField(cells[key], "max" if plan.combine == "max" else "add", limit)
+        field = PheromoneField(
+            cells[key],
+            "max" if plan.combine == "max" else "add",
+            limit,
+            plan.stencil,
+            deposits_first=plan.deposits == "first",
+        )
         start = world.setting.field_start.get(plan.name)
         if start is not None:
             _fill(field, start, world)

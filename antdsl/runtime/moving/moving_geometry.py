@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from antdsl.casting.curves import Curve
 from antdsl.casting.rays import RayScene
 from antdsl.ground.moving import Axes, MovingGround
-from antdsl.ground.protocol import Move
+from antdsl.ground.protocol import Footing, Move
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.obstacles import mesh_of
@@ -106,12 +106,17 @@ def ground_velocity(world: World, population: Population) -> NDArray[np.float64]
 
 def rest_places(world: World, population: Population) -> NDArray[np.float64]:
     """Where the points of ground that agents stand on were at rest, (n, 3): the space in which fields have their cells."""
+    return at_rest(world, population.footing, population.position)
+
+
+def at_rest(world: World, footing: Footing, place: NDArray[np.float64]) -> NDArray[np.float64]:
+    """As `rest_places`, of any footings at places (n, 3)."""
     ground = moving(world)
     if ground is None:
-        return population.position
-    place = population.position.copy()
-    rows = ground.carries(population.footing.mesh)
-    place[rows] = ground.rest_position(population.footing.faces(rows))
+        return place
+    place = place.copy()
+    rows = ground.carries(footing.mesh)
+    place[rows] = ground.rest_position(footing.faces(rows))
     return place
 
 

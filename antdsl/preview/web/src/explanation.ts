@@ -47,7 +47,15 @@ export interface Explanation {
     since: number;
     looked: Looked[];
     changed: boolean;
-    claim: { items: string; item: string; attribute: string; amount: number; draw: number; won: boolean; place: Place } | null;
+    claim: {
+      items: string;
+      item: string;
+      attribute: string;
+      amount: number | null;
+      draw: number;
+      won: boolean;
+      place: Place;
+    } | null;
     choice: { draw: number; bars: [string, number][]; chosen: string } | null;
   }[];
   handlers: Place[];

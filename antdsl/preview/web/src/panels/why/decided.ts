@@ -64,12 +64,13 @@ function timerRow(timer: Looked["timers"][number]): HTMLElement {
 
 function claim(store: Store, { claim: asked }: Machine): HTMLElement | null {
   if (!asked) return null;
+  const much = asked.amount === null ? "all" : shown(asked.amount);
   const words = asked.won ? "got it" : "did not get it: others came first, or there was not enough";
   return el(
     "p",
     { class: "claim", test: "claim" },
     el("b", { class: asked.won ? "yes" : "no", text: words }),
-    ` — ${shown(asked.amount)} ${asked.attribute} of ${asked.item}, turn ${shown(asked.draw)} `,
+    ` — ${[much, asked.attribute, "of", asked.item].filter(Boolean).join(" ")}, turn ${shown(asked.draw)} `,
     link(store, asked.place),
   );
 }
