@@ -114,7 +114,7 @@ class Layer:
 
 @dataclass(frozen=True, slots=True)
 class Steer:
-    """A `steer` line that ran, and its push."""
+    """A `steer` or `face` line that ran, and its push."""
 
     text: str
     push: Triple

@@ -58,7 +58,7 @@ def pushed(trace: Trace) -> Push:
 
 
 def steers(species: str, notes: Notes, trace: Trace, places: tuple[str, ...]) -> tuple[Steer, ...]:
-    """The `steer` lines at these places (beginnings of sites) that ran."""
+    """The `steer` and `face` lines at these places (beginnings of sites) that ran."""
     found = []
     for note in notes.steers:
         if note.site.startswith(places) and all(node in trace.values for node in note.push):

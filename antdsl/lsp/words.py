@@ -41,6 +41,7 @@ SETTINGS = {
 # Words that begin a line, and `take`.
 FORM_HELP = {
     "steer": "what the animal wants in this state, a push",
+    "face": "which way the body turns, whichever way it goes",
     "when": "leads to another state",
     "interrupt": "a change that leaves before all others",
     **{row.op: row.help for row in EFFECTS.values()},

@@ -96,7 +96,7 @@ def resting_site(species: str) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SteerNote:
-    """A `steer` line; `site` is its place: `SPECIES.MACHINE.STATE#1`, or `resting_site`."""
+    """A `steer` or `face` line; `site` is its place: `SPECIES.MACHINE.STATE#1`, `SPECIES.layers.face#1`, or `resting_site`."""
 
     site: str
     text: str
@@ -152,7 +152,7 @@ class NotingWriter(Writer):
             raise PlanError(f"a note wrote a statement: {layer.text!r}")
         self.notes.layers.append(LayerNote(layer, left, looked, condition, holds, (push.x, push.y, push.z)))
 
-    def steered(self, s: model.Steer, site: str, push: values.Vec) -> None:
+    def steered(self, s: model.Steer | model.Face | model.Layer, site: str, push: values.Vec) -> None:
         self.notes.steers.append(SteerNote(site, _line(s.span.text), (push.x, push.y, push.z)))
 
     def rested(self, rest: model.Rest, push: values.Vec) -> None:
