@@ -156,6 +156,8 @@ SCENE_HELP = {
     "frames": "first and last frame, `1..240`",
     "preroll": "steps before the first frame, not written",
     "substeps": "how often the moving part is done in a step",
+    "stick": "how agents stay on meshes: over `triangles`, or by `rays`",
+    "orient": "what bodies stand across: the ground's `normal`, the last two directions (`turns`), the ways to two `probes`",
     "seed": "where all chance begins",
     "from": "the program, or a cache to go on from",
     "world": "what the programs walk on, go round and find",

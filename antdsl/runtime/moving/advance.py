@@ -18,6 +18,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.falling import in_the_air
 from antdsl.runtime.moving.obstacles import slide
+from antdsl.runtime.moving.orienting import orient
 from antdsl.runtime.moving.tilting import bodies
 from antdsl.runtime.world import AXES, Population, World
 
@@ -38,6 +39,8 @@ def move(world: World, population: Population, substep: int) -> None:
     now = population.now
     dt = _F(world.dt / world.setting.substeps)
     up = vec.columns(population.normal, np.float32)
+    others = world.setting.orient != "normal"
+    before = (vec.copy(_read(population, "velocity")), vec.copy(_read(population, "up")), population.normal) if others else None
     velocity = _velocity(world, population, up, dt, substep)
     if population.quarantined.any():
         velocity = vec.choose(population.quarantined, (_F(0),) * 3, velocity)  # type: ignore[arg-type]
@@ -63,6 +66,9 @@ def move(world: World, population: Population, substep: int) -> None:
     hasty = _arrive(population, velocity, step, moved, body.at_once(), dt, _F(world.dt))
     went = moved.position - population.position
     population.footing, population.position = moved.footing, moved.position
+    if before is not None:
+        orient(world, population, *before)
+        hasty[:] = True
     body.follow(hasty, went, dt)
 
 
