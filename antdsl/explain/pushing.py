@@ -63,5 +63,7 @@ def steers(species: str, notes: Notes, trace: Trace, places: tuple[str, ...]) ->
     for note in notes.steers:
         if note.site.startswith(places) and all(node in trace.values for node in note.push):
             push = np.array([trace.values[node] for node in note.push], _F)
-            found.append(Steer(note.text, triple(push), float(length(push))))
+            if note.holds is None or trace.values.get(note.holds, False):
+                part = "state" if note.holds is None else "layers"
+                found.append(Steer(note.text, triple(push), float(length(push)), part))
     return tuple(found)

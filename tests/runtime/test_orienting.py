@@ -1,4 +1,4 @@
-"""Bodies that stand across the last two directions of motion, or across the ways to two probes, instead of the ground's normal."""
+"""Bodies that stand across the last two directions of motion, or the ways to two probes, instead of the ground's normal."""
 
 from __future__ import annotations
 

@@ -63,10 +63,11 @@ def _face(w: Writer, layers: Sequence[model.Layer]) -> None:
             continue
         w.b.span = layer.span
         try:
-            with w.region(w.b.true if layer.condition is None else truth(w, layer.condition), layer.span):
+            holds = w.b.true if layer.condition is None else truth(w, layer.condition)
+            with w.region(holds, layer.span):
                 way = w.read_vector(GAZE) if layer.push is None else vector(w, layer.push)
                 if layer.push is not None:
-                    w.steered(layer, f"{w.species.name}.layers.face#{number}", way)
+                    w.steered(layer, f"{w.species.name}.layers.face#{number}", way, holds)
                 face(w, FACE, way, layer.span)
         except NotYet as missing:
             complain(w, missing)
