@@ -228,6 +228,8 @@ start p
         layers = rng.sample(self.pushes, rng.randint(0, 3))
         layers = [f"{push} when {self.condition()}" if rng.random() < 0.3 else push for push in layers] + ["state"]
         rng.shuffle(layers)
+        if rng.random() < 0.4:  # turns the body alone
+            layers.insert(rng.randint(0, len(layers)), f"face {rng.choice(self.pushes)}")
         text += f"layers {rng.choice(('', 'sum ', 'first '))}{{ {'; '.join(layers)} }}\n}}\n"
         text += "species other { mood = uniform(0, 2)\nstart go\nstate go { steer wander(); when ping -> stop }\n"
         return text + "state stop { mood += 10 %/s; emit ping(within: 40 mm); when after 0.3 s -> go } }\n"

@@ -11,7 +11,25 @@ gc.set_threshold(100_000, 50, 50)
 
 import typer  # noqa: E402
 
-from antdsl.cli import bench, check, doctor, explain, export, fmt, graph, info, lsp, new, plan, preview, render, run, sweep, test  # noqa: E402
+from antdsl.cli import (  # noqa: E402
+    bench,
+    check,
+    doctor,
+    edit,
+    explain,
+    export,
+    fmt,
+    graph,
+    info,
+    lsp,
+    new,
+    plan,
+    preview,
+    render,
+    run,
+    sweep,
+    test,
+)
 from antdsl.cli.exits import Exit, Stop  # noqa: E402
 from antdsl.cli.printing.messages import closed  # noqa: E402
 
@@ -25,6 +43,7 @@ COMMANDS = (
     ("test", test.test),
     ("sweep", sweep.sweep),
     ("render", render.render),
+    ("edit", edit.edit),
     ("export", export.export),
     ("info", info.info),
     ("explain", explain.explain),

@@ -107,9 +107,10 @@ def _account(replay: Replay, frame: int, world: World, population: Population, t
 
 def _sites(species: Species, machines: Sequence[MachineStep]) -> tuple[str, ...]:
     """Where lines of text run for this agent in this step: the bodies of the states that it is in, or what stands in for a
-    `steer` line where none of them has one."""
+    `steer` line where none of them has one; and the layers' `face` lines."""
     found = [f"{species.name}.{m.machine}.{m.after}#" for m in machines]
     found += [f"{species.name}.{m.machine}.{m.after}.enter#" for m in machines if m.changed]
+    found.append(f"{species.name}.layers.face#")
     rest = species.rest
     if rest is not None:
         states = {m.name: [state.name for state in m.states] for m in species.machines}

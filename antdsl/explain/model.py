@@ -115,11 +115,12 @@ class Layer:
 
 @dataclass(frozen=True, slots=True)
 class Steer:
-    """A `steer` line that ran, and its push."""
+    """A `steer` or `face` line that ran, and its push. `part`: `state`, or `layers` where it stands there."""
 
     text: str
     push: Triple
     length: float
+    part: str = "state"
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,10 +58,12 @@ def pushed(trace: Trace) -> Push:
 
 
 def steers(species: str, notes: Notes, trace: Trace, places: tuple[str, ...]) -> tuple[Steer, ...]:
-    """The `steer` lines at these places (beginnings of sites) that ran."""
+    """The `steer` and `face` lines at these places (beginnings of sites) that ran."""
     found = []
     for note in notes.steers:
         if note.site.startswith(places) and all(node in trace.values for node in note.push):
             push = np.array([trace.values[node] for node in note.push], _F)
-            found.append(Steer(note.text, triple(push), float(length(push))))
+            if note.holds is None or trace.values.get(note.holds, False):
+                part = "state" if note.holds is None else "layers"
+                found.append(Steer(note.text, triple(push), float(length(push)), part))
     return tuple(found)

@@ -132,7 +132,7 @@ def _pushes(e: Explanation) -> Iterator[str]:
         if layer.condition is not None:
             yield from _parts(layer.condition, " " * (_BAR + 7))
     for steer in e.steers:
-        yield f"  {'':<{_BAR + 2}} state: {steer.text} = {_vector(steer.push)}, length {steer.length:.4g}"
+        yield f"  {'':<{_BAR + 2}} {steer.part}: {steer.text} = {_vector(steer.push)}, length {steer.length:.4g}"
     yield f"  together  {_vector(e.push)}, length {_length(e.push):.4g}"
     before, after = e.velocity
     if after is not None and e.acceleration is not None:

@@ -142,9 +142,10 @@ def of_layer(note: LayerNote) -> list[ir.Node]:
 
 
 def of_acts(notes: Notes) -> list[ir.Node]:
-    """All nodes of what is noted of acting: `steer` lines and choices of a state."""
+    """All nodes of what is noted of acting: `steer` and `face` lines, and choices of a state."""
     chosen = [node for note in notes.choices.values() for node in (note.draw, *(n for _, n in note.weights))]
-    return [*(node for note in notes.steers for node in note.push), *chosen]
+    steered = [node for note in notes.steers for node in (*note.push, *([] if note.holds is None else [note.holds]))]
+    return [*steered, *chosen]
 
 
 def of_notes(notes: Notes) -> list[ir.Node]:

@@ -43,6 +43,7 @@ SETTINGS = {
 # Words that begin a line, and `take`.
 FORM_HELP = {
     "steer": "what the animal wants in this state, a push",
+    "face": "which way the body turns, whichever way it goes",
     "when": "leads to another state",
     "interrupt": "a change that leaves before all others",
     **{row.op: row.help for row in EFFECTS.values()},
@@ -157,6 +158,8 @@ SCENE_HELP = {
     "frames": "first and last frame, `1..240`",
     "preroll": "steps before the first frame, not written",
     "substeps": "how often the moving part is done in a step",
+    "stick": "how agents stay on meshes: over `triangles`, or by `rays`",
+    "orient": "what bodies stand across: the ground's `normal`, the last two directions (`turns`), the ways to two `probes`",
     "seed": "where all chance begins",
     "from": "the program, or a cache to go on from",
     "world": "what the programs walk on, go round and find",

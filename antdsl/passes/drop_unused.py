@@ -7,7 +7,7 @@ from dataclasses import replace
 from antdsl.plan.ir import Block, Claim, If, Plan, SpeciesPlan, Statement, Store
 from antdsl.plan.traverse import PHASES, blocks, needed, operands, registers_read, statements
 
-KEPT = frozenset(("push.x", "push.y", "push.z"))  # the runtime reads the result
+KEPT = frozenset(f"{name}.{axis}" for name in ("push", "~face") for axis in "xyz")  # the runtime reads the results
 
 
 def drop_unused(plan: Plan) -> Plan:

@@ -303,7 +303,8 @@ class SpeciesPlan:
     """`born` fills the registers at birth (placement and velocity are there already) and runs `on spawn`.
     `decide`, `act`, `blend` run in this order each step; claims are settled between decide and act.
     Vectors are registers NAME.x NAME.y NAME.z. Registers that every species has: position velocity heading up (vectors), push (vector, temp),
-    size mass radius clearance max_speed max_force max_turn response group. max_turn inf is no limit. `response` 0 or `kinematic`: the push is a velocity change at once."""
+    size mass radius clearance max_speed max_force max_turn response group. max_turn inf is no limit.
+    A species that says how fast it goes at least has min_speed too, one with `face` lines the temp ~face, nothing where it faces where it goes. `response` 0 or `kinematic`: the push is a velocity change at once."""
 
     name: str
     registers: dict[str, Register]

@@ -10,6 +10,7 @@ from antdsl.program.model import (
     Ask,
     Assign,
     Expr,
+    Face,
     Local,
     Machine,
     Op,
@@ -106,7 +107,7 @@ def _per_member(part: Reduce | SetOf) -> Iterator[object]:
 
 
 def _operations(part: object) -> int:
-    if isinstance(part, (Steer, Assign)):
+    if isinstance(part, (Steer, Face, Assign)):
         return 3
     if not isinstance(part, Op):
         return 0

@@ -45,6 +45,14 @@ class Steer:
 
 
 @value
+class Face:
+    """Turn the body towards `way`, of which the direction alone counts."""
+
+    way: Expr
+    span: Span
+
+
+@value
 class Assign:
     """`op` is `=`, `+=` or `-=`. In a state's body an added value is a rate (per second; `per_second` True: multiply by dt)."""
 
@@ -84,7 +92,7 @@ class Give:
     span: Span
 
 
-Statement = Steer | Assign | Ask | Give
+Statement = Steer | Face | Assign | Ask | Give
 
 
 @value
@@ -182,13 +190,14 @@ class Handler:
 
 @value
 class Layer:
-    """`push` None is the word `state`: what the states steer."""
+    """`push` None is the word `state`: what the states steer. `faces`: a `face` line, whose `push` turns the body alone."""
 
     push: Expr | None
     condition: Expr | None
     text: str
     span: Span
     key: str = ""
+    faces: bool = False
 
 
 @value

@@ -99,7 +99,7 @@ def gather(world: World) -> None:
 def _word(register: str) -> str:
     """What the author calls a register: a vector without its axis, the plan's own temps by what they serve."""
     name = register.removesuffix(".x").removesuffix(".y").removesuffix(".z")
-    return {"~steer": "steer", "~left": "push", "~held": "the vector"}.get(name, name)
+    return {"~steer": "steer", "~gaze": "face", "~face": "face", "~left": "push", "~held": "the vector"}.get(name, name)
 
 
 def _tell(world: World, population: Population, row: int, entry: FaultEntry, word: str) -> Fault:

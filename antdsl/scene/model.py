@@ -33,6 +33,7 @@ UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 Unit = Annotated[str, BeforeValidator(one_of(*UNIT_MM))]
 Body = Annotated[str, BeforeValidator(one_of("ant", "person", "arrow", "ball"))]
 Stick = Annotated[str, BeforeValidator(one_of("triangles", "rays"))]
+Orient = Annotated[str, BeforeValidator(one_of("normal", "turns", "probes"))]
 Axis = Annotated[str, BeforeValidator(one_of("y", "z"))]
 Purpose = Annotated[str, BeforeValidator(one_of("render", "proxy"))]
 Point = tuple[Length, Length, Length]
@@ -343,6 +344,7 @@ class SceneModel(Part):
     preroll: Annotated[int, BeforeValidator(whole(0, limits.FRAMES))] = 0
     substeps: Annotated[int, BeforeValidator(whole(1, 64))] = 1
     stick: Stick = "triangles"
+    orient: Orient = "normal"
     seed: Annotated[int, BeforeValidator(whole(0, 2**64 - 1))] = 0
     start: StartFrom | None = Field(None, alias="from")
     world: dict[Name, WorldThing] = {}

@@ -180,11 +180,13 @@ class Setting:
     """Everything that binding a plan needs. `unit_mm` is the length of `u`; `up` a unit vector; `params` by qualified name
     (`forager.smell`), those absent take their default; `first_frame` is the number of the first simulated frame. Meshes, items
     and curves are where they are at that frame; `moves` says where they go. `camera` is one that a file brings. With
-    `by_rays` agents stick to meshes by two rays a step and do not walk over triangles."""
+    `by_rays` agents stick to meshes by two rays a step and do not walk over triangles. `orient`: what bodies stand across: the
+    ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
     by_rays: bool = False
+    orient: str = "normal"
     up: Point = (0.0, 1.0, 0.0)
     unit_mm: float = 1.0
     seed: int = 0

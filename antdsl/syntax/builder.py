@@ -203,7 +203,8 @@ class Builder:
         return n.Layers(self.word(parts[1]), parts[2].lines, self.over(parts))
 
     def layer(self, parts: list[Any]) -> n.Layer:
-        return n.Layer(parts[0], parts[2], self.over(parts))
+        face, push, _, condition = parts
+        return n.Layer(push, condition, self.over(parts), face is not None)
 
     def machine(self, parts: list[Any]) -> n.Machine:
         _, name, help, body = parts
@@ -229,6 +230,9 @@ class Builder:
 
     def steer(self, parts: list[Any]) -> n.Steer:
         return n.Steer(parts[1], self.over(parts))
+
+    def face(self, parts: list[Any]) -> n.Face:
+        return n.Face(parts[1], self.over(parts))
 
     def enter(self, parts: list[Any]) -> Block:
         return Block("enter", parts[1].lines, self.over(parts))

@@ -222,6 +222,14 @@ class Steer:
 
 
 @node
+class Face:
+    """`face e`: turn the body that way."""
+
+    push: Expr
+    span: Span
+
+
+@node
 class Assign:
     """`x = e`, `x += e`, `x -= e`. `target` is NameRef, Member, Index or IndexAll."""
 
@@ -314,7 +322,7 @@ class State:
     label: Text | None
     colour: Name | None
     at_least: Expr | None
-    body: tuple[Steer | Action | Change | Let, ...]  # in text order
+    body: tuple[Steer | Face | Action | Change | Let, ...]  # in text order
     enter: tuple[Action, ...]
     exit: tuple[Action, ...]
     span: Span
@@ -412,6 +420,7 @@ class Layer:
     push: Expr
     condition: Expr | None
     span: Span
+    faces: bool = False  # `face e`
 
 
 @node

@@ -73,6 +73,7 @@ _SEPARATORS = frozenset(
         "over",
         "for",
         "steer",
+        "face",
         "->",
         "=",
         "+=",

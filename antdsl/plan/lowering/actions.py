@@ -13,9 +13,10 @@ from antdsl.plan.lowering.expressions import lower, own, scalar, single, vector
 from antdsl.plan.lowering.values import Named, Own, Ref, Vec
 from antdsl.plan.lowering.writer import AXES, NotYet, Writer
 from antdsl.program import model
+from antdsl.source import Span
 
 Operands = tuple[Node | None, ...]
-STEER = "~steer"  # temps begin with a sign that no name of an author has
+STEER, GAZE = "~steer", "~gaze"  # temps begin with a sign that no name of an author has
 
 
 def write(w: Writer, statements: Sequence[model.Statement], site: str) -> None:
@@ -43,6 +44,20 @@ def _steer(w: Writer, s: model.Steer, site: str) -> None:
     push = vector(w, s.push)
     w.steered(s, site, push)
     w.store_vector(STEER, values.add(w.b, w.read_vector(STEER), push), s.span)
+
+
+def _face(w: Writer, s: model.Face, site: str) -> None:
+    way = vector(w, s.way)
+    w.steered(s, site, way)
+    face(w, GAZE, way, s.span)
+
+
+def face(w: Writer, register: str, way: Vec, span: Span | None) -> None:
+    """Keep a way to face in a temp, where none that was asked for before gives one."""
+    for axis in AXES:
+        w.declare(f"{register}.{axis}", Kind.F32, "temp")
+    before = w.read_vector(register)
+    w.store_vector(register, values.choose(w.b, w.b("gt", values.length(w.b, before), w.b.number(0)), before, way), span)
 
 
 def _assign(w: Writer, s: model.Assign, site: str) -> None:
@@ -117,5 +132,5 @@ def _ball(w: Writer, size_of: model.Expr | None, toward: model.Expr | None) -> O
 # What works out the operands of an effect whose row says that they are computed, out of its arguments.
 OPERANDS: dict[str, Callable[..., Operands]] = {"carve": _ball}
 _WRITE: dict[type, Callable[[Writer, Any, str], None]] = {
-    model.Steer: _steer, model.Assign: _assign, model.Give: _give, model.Ask: _ask,
+    model.Steer: _steer, model.Face: _face, model.Assign: _assign, model.Give: _give, model.Ask: _ask,
 }  # fmt: skip

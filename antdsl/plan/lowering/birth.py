@@ -9,7 +9,7 @@ from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering import pair_values
 from antdsl.plan.lowering.actions import complain, write
-from antdsl.plan.lowering.expressions import as_truth, lower
+from antdsl.plan.lowering.expressions import as_truth, keeps_moving, lower
 from antdsl.plan.lowering.machines import MachineWriter
 from antdsl.plan.lowering.traversal import inside
 from antdsl.plan.lowering.values import Value
@@ -18,7 +18,7 @@ from antdsl.program import model
 
 VECTORS = ("position", "velocity", "heading", "up")
 # The given ones in an order in which each can be made from those before it; `group` is set by the runtime, by the scene's line.
-GIVEN = ("size", "mass", "radius", "clearance", "max_speed", "response", "max_turn", "max_force")
+GIVEN = ("size", "mass", "radius", "clearance", "max_speed", "min_speed", "response", "max_turn", "max_force")
 
 
 def declare(w: Writer) -> None:
@@ -27,7 +27,8 @@ def declare(w: Writer) -> None:
         for axis in "xyz":
             w.declare(f"{name}.{axis}", Kind.F32, "attribute")
     for name in (*GIVEN, "group"):
-        w.declare(name, Kind.F32, "attribute")
+        if name != "min_speed" or keeps_moving(w.species):
+            w.declare(name, Kind.F32, "attribute")
     for attribute in w.species.attributes:
         if attribute.each:
             pair_values.declare(w, attribute)
@@ -55,7 +56,7 @@ def given_default(w: Writer, name: str) -> Node:
     return b("mul", strength, b("where", once, b.number(2), b.number(1)))
 
 
-_PLAIN = {"size": 4.0, "mass": 1.0, "clearance": 0.0, "max_speed": 30.0, "response": 0.15, "max_turn": inf}
+_PLAIN = {"size": 4.0, "mass": 1.0, "clearance": 0.0, "max_speed": 30.0, "min_speed": 0.0, "response": 0.15, "max_turn": inf}
 
 
 def born(w: Writer, machines: list[MachineWriter]) -> None:
@@ -96,7 +97,7 @@ def _attribute(w: Writer, name: str) -> None:
 def _order(w: Writer) -> list[str]:
     """Names of all attributes, each after those that its default reads; the checker has refused circles."""
     declared = _written(w)
-    needs: dict[str, list[str]] = {name: [] for name in (*GIVEN, *declared)}
+    needs: dict[str, list[str]] = {name: [] for name in (*GIVEN, *declared) if name in w.registers or name in declared}
     for name in needs:
         if name in declared:
             needs[name] = [n for n in attributes_read(declared[name].default) if n in needs]

@@ -6,19 +6,20 @@ from collections.abc import Sequence
 
 from antdsl.plan.ir import Kind, LayerPlan
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.actions import STEER, complain
+from antdsl.plan.lowering.actions import GAZE, STEER, complain, face
 from antdsl.plan.lowering.expressions import truth, vector
 from antdsl.plan.lowering.values import Vec
 from antdsl.plan.lowering.writer import AXES, NotYet, Writer
 from antdsl.program import model
 
-PUSH, LEFT = "push", "~left"
+PUSH, LEFT, FACE = "push", "~left", "~face"
 
 
 def blend(w: Writer, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
     """Write the layers in order; the result is the register `push`."""
     mode = w.species.layers.mode
-    layers = ordered(w, order)
+    every = ordered(w, order)
+    layers = [layer for layer in every if not layer.faces]
     w.declare(LEFT, Kind.F32, "temp", 1.0)
     if not layers:
         _spend(w, _states(w), w.species.span, last=True)
@@ -30,7 +31,8 @@ def blend(w: Writer, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
             complain(w, missing)
     if mode == "sum":
         w.store_vector(PUSH, values.limit(w.b, w.read_vector(PUSH), w.b.number(1)), w.species.layers.span)
-    return tuple(LayerPlan(layer.text, layer.span) for layer in layers)
+    _face(w, every)
+    return tuple(LayerPlan(layer.text, layer.span) for layer in every)
 
 
 def _layer(w: Writer, layer: model.Layer, mode: str, last: bool) -> None:
@@ -48,6 +50,27 @@ def _layer(w: Writer, layer: model.Layer, mode: str, last: bool) -> None:
                 _take(w, push, layer, last)
             else:
                 _spend(w, push, layer.span, last)
+
+
+def _face(w: Writer, layers: Sequence[model.Layer]) -> None:
+    """Which way the body turns: what the topmost line that gives a direction says, `face` lines of the states where the line
+    `state` stands. It takes no strength, so no line above leaves nothing for it."""
+    states = f"{GAZE}.x" in w.registers
+    if not layers and states:
+        face(w, FACE, w.read_vector(GAZE), w.species.span)
+    for number, layer in enumerate(layers, 1):
+        if not layer.faces and not (layer.push is None and states):
+            continue
+        w.b.span = layer.span
+        try:
+            holds = w.b.true if layer.condition is None else truth(w, layer.condition)
+            with w.region(holds, layer.span):
+                way = w.read_vector(GAZE) if layer.push is None else vector(w, layer.push)
+                if layer.push is not None:
+                    w.steered(layer, f"{w.species.name}.layers.face#{number}", way, holds)
+                face(w, FACE, way, layer.span)
+        except NotYet as missing:
+            complain(w, missing)
 
 
 def _states(w: Writer) -> Vec:

@@ -12,6 +12,7 @@ from antdsl.plan.lowering.traversal import inside
 from antdsl.plan.lowering.values import Element, Group, Hit, Hits, Named, Own, Ref, Value, Vec
 from antdsl.plan.lowering.writer import AXES, KINDS, NONE, NotYet, Writer
 from antdsl.program import expectations, model
+from antdsl.program.traverse import parts
 
 
 def lower(w: Writer, expr: model.Expr) -> Value:
@@ -271,6 +272,10 @@ def _attribute(w: Writer, e: model.Attribute) -> Value:
         return w.b("number", w.b("other.id") if isinstance(owner, Element) else owner.node)
     if e.name == "age":
         return w.b("agent.age", w.b("other.id") if isinstance(owner, Element) else owner.node, attrs=(owner.of,))
+    if e.name == "min_speed":
+        species = w.program.species.get(owner.of or "")
+        if species is not None and not keeps_moving(species):
+            return w.b.number(0)
     if e.type.kind is model.Kind.VECTOR:
         prefix = "" if owner.what is model.Kind.ITEM and e.name == "position" else f"{e.name}."
         return Vec(*(_others(w, owner, f"{prefix}{axis}", Kind.F32) for axis in AXES))
@@ -294,7 +299,17 @@ def own(w: Writer, name: str, type: model.Type) -> Value:
         return values.length(w.b, w.read_vector("velocity"))
     if f"{name}.x" in w.registers:
         return w.read_vector(name)
+    if name == "min_speed" and name not in w.registers:
+        return w.b.number(0)
     return typed(w, w.read(name), type)
+
+
+def keeps_moving(species: model.Species) -> bool:
+    """Whether a species has the register `min_speed`: whether it says or sets how fast it goes at least. Others have none, and
+    stand still as they like."""
+    if any(a.name == "min_speed" for a in species.attributes):
+        return True
+    return any(isinstance(part, model.Assign) and part.attribute == "min_speed" for part in parts(species))
 
 
 def _others(w: Writer, owner: Element | Ref, register: str, kind: Kind, none: int | None = None) -> Node:

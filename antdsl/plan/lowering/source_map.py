@@ -96,11 +96,12 @@ def resting_site(species: str) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SteerNote:
-    """A `steer` line; `site` is its place: `SPECIES.MACHINE.STATE#1`, or `resting_site`."""
+    """A `steer` or `face` line; `site` is its place: `SPECIES.MACHINE.STATE#1`, `SPECIES.layers.face#1`, or `resting_site`."""
 
     site: str
     text: str
     push: tuple[Node, Node, Node]
+    holds: Node | None = None  # whether the condition of a layer does
 
 
 @dataclass(slots=True, eq=False)
@@ -152,8 +153,8 @@ class NotingWriter(Writer):
             raise PlanError(f"a note wrote a statement: {layer.text!r}")
         self.notes.layers.append(LayerNote(layer, left, looked, condition, holds, (push.x, push.y, push.z)))
 
-    def steered(self, s: model.Steer, site: str, push: values.Vec) -> None:
-        self.notes.steers.append(SteerNote(site, _line(s.span.text), (push.x, push.y, push.z)))
+    def steered(self, s: model.Steer | model.Face | model.Layer, site: str, push: values.Vec, holds: Node | None = None) -> None:
+        self.notes.steers.append(SteerNote(site, _line(s.span.text), (push.x, push.y, push.z), holds))
 
     def rested(self, rest: model.Rest, push: values.Vec) -> None:
         self.notes.steers.append(SteerNote(resting_site(self.species.name), RESTS, (push.x, push.y, push.z)))

@@ -158,8 +158,8 @@ class Writer:
     def layered(self, layer: model.Layer, left: Node, looked: Node, holds: Node, push: Vec) -> None:
         """A layer: the strength left for it, whether there is any, whether its condition holds, its push."""
 
-    def steered(self, s: model.Steer, site: str, push: Vec) -> None:
-        """A `steer` line."""
+    def steered(self, s: model.Steer | model.Face | model.Layer, site: str, push: Vec, holds: Node | None = None) -> None:
+        """A `steer` line, or a `face` line of a state or of the layers, and whether its condition holds there."""
 
     def rested(self, rest: model.Rest, push: Vec) -> None:
         """What stands in for the `steer` line of those who have none."""

@@ -26,7 +26,7 @@ def idle_layers(checked: Checked, report: Report) -> None:
 
 def _below_all(reader: Reader, species: Species, report: Report) -> None:
     """In a sum every line counts; else the first that is always at full strength leaves nothing."""
-    lines = species.layers.layers
+    lines = tuple(layer for layer in species.layers.layers if not layer.faces)  # to face a way takes no strength
     enough = {"budget": 1.0, "first": 1e-6}.get(species.layers.mode)
     if enough is None:
         return

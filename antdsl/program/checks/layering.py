@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Report
 from antdsl.program.checks.analysis.checked import Checked
-from antdsl.program.model import Steer
+from antdsl.program.model import Face, Steer
 
 
 def layering(checked: Checked, report: Report) -> None:
     for species in checked.program.species.values():
-        steering = next(
-            (line for m in species.machines for state in m.states for line in state.body if isinstance(line, Steer)), None
-        )
+        lines = [line for m in species.machines for state in m.states for line in state.body]
+        steering = next((line for line in lines if isinstance(line, Steer | Face)), None)
         states = [layer for layer in species.layers.layers if layer.push is None]
         if steering is not None and not states:
+            verb = "steers" if isinstance(steering, Steer) else "faces a way"
             report.error(
                 "state-not-in-layers",
-                f"`{species.name}` steers in its states, and `layers` has no line for that",
+                f"`{species.name}` {verb} in its states, and `layers` has no line for that",
                 species.layers.span,
                 "write `state` in a line of `layers`",
             )

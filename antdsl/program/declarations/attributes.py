@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program import model
 from antdsl.program.declarations.behaviours import declared_type
@@ -18,6 +20,7 @@ from antdsl.syntax import nodes
 from antdsl.syntax.words import WORDS
 
 _STORED = (Kind.NUMBER, Kind.VECTOR, Kind.BOOL, Kind.ITEM, Kind.AGENT, Kind.BAD)
+_MAY_BE_0 = ("radius", "clearance", "min_speed")
 _EARLY = "starting values are worked out before the animal has sensed anything"
 
 
@@ -43,7 +46,21 @@ def attributes(scope: Scope, node: nodes.Species) -> list[model.AttributeDecl]:
         elif isinstance(member, nodes.Declaration) and member.name.text not in GIVEN:
             declared.setdefault(member.name.text, member)
     order, circular = ordered(scope.report, "starting values", declared, lambda d: [d.value], lambda d: d.name)
-    return [_attribute(scope, each, each.name.text in circular) for each in order]
+    found = [_attribute(scope, each, each.name.text in circular) for each in order]
+    _speeds(scope, found, declared)
+    return found
+
+
+def _speeds(scope: Scope, found: list[model.AttributeDecl], declared: Mapping[str, nodes.Declaration | nodes.Given]) -> None:
+    """The slowest and the fastest of a species, where both are known: the one may not be more than the other."""
+    known = {each.name: constant_behind(each.default) for each in found if each.name in ("min_speed", "max_speed")}
+    least, most = known.get("min_speed"), known.get("max_speed")
+    if least is None or most is None or (least.u, least.step) != (most.u, most.step) or least.number <= most.number:
+        return
+    place, fastest = declared["min_speed"].value.span, declared["max_speed"]
+    usual = fastest.span == fastest.name.span  # it is what it is where nothing is written
+    text = f"`{GIVEN['max_speed'].default}`" if usual else quoted(fastest.value.span)
+    scope.report.error("out-of-range", f"`min_speed` is more than `max_speed`, which is {text}", place, f"write {text} or less")
 
 
 def _settable(scope: Scope, member: nodes.Given) -> bool:
@@ -125,7 +142,7 @@ def _attribute(scope: Scope, node: nodes.Declaration | nodes.Given, circular: bo
 
 def _positive(scope: Scope, node: nodes.Given, default: Expr) -> None:
     constant = constant_behind(default)
-    if constant is not None and (constant.number < 0 or (constant.number == 0 and node.name.text not in ("radius", "clearance"))):
+    if constant is not None and (constant.number < 0 or (constant.number == 0 and node.name.text not in _MAY_BE_0)):
         scope.report.error(
             "out-of-range", f"`{node.name.text}` cannot be {quoted(node.value.span)}", node.value.span, "write more than 0"
         )

@@ -38,7 +38,7 @@ from antdsl.program.tables.vocabulary import GIVEN
 from antdsl.program.types.descriptions import quoted, type_words
 from antdsl.program.types.expressions import referable
 from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import condition, wanted
+from antdsl.program.types.operators import condition, faced, wanted
 from antdsl.program.types.pair_values import resting
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -308,20 +308,25 @@ def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
 def _layer(scope: Scope, node: nodes.Layer, counts: dict[str, int]) -> model.Layer:
     """A layer is known by the word it begins with: `separate`, and `separate#2` for a second one."""
     text = " ".join(node.push.span.text.split())
-    steered = isinstance(node.push, nodes.NameRef) and node.push.name.text == "state"
+    steered = isinstance(node.push, nodes.NameRef) and node.push.name.text == "state" and not node.faces
     word = _word(node.push)
+    if node.faces:
+        text, word = f"face {text}", f"face {word}"
     counts[word] = counts.get(word, 0) + 1
     key = word if counts[word] == 1 else f"{word}#{counts[word]}"
     push = None
     own = scope.species
-    if isinstance(node.push, nodes.NameRef) and names_state(scope, word) and own and word not in {*own.attributes, *own.bindings}:
+    taken = {*own.attributes, *own.bindings} if own else set()
+    if node.faces:
+        push = faced(scope, node.push)
+    elif isinstance(node.push, nodes.NameRef) and names_state(scope, word) and own and word not in taken:
         message = f"`{word}` is a state, and a layer is a wish"
         scope.report.error("state-as-value", message, node.push.span, "did you mean `state`?")  # whatever the state steers
         push = bad(node.push.span)
     elif not steered:
         push = wanted(scope, node.push, PUSH, "a layer")
     test = condition(scope, node.condition, "`when`") if node.condition is not None else None
-    return model.Layer(push, test, text, node.span, key)
+    return model.Layer(push, test, text, node.span, key, node.faces)
 
 
 def _word(push: nodes.Expr) -> str:

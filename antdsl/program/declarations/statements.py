@@ -13,7 +13,7 @@ from antdsl.program.model import Expr, Kind, Type
 from antdsl.program.names.scope import NUMBER, PUSH, Scope, did_you_mean, listed, type_from_words
 from antdsl.program.tables.vocabulary import GIVEN
 from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
-from antdsl.program.types.operators import value, wanted
+from antdsl.program.types.operators import faced, value, wanted
 from antdsl.program.types.pair_values import each_of
 from antdsl.program.types.places import place
 from antdsl.source import Span
@@ -55,6 +55,11 @@ def _steer(scope: Scope, line: nodes.Steer, block: Block) -> model.Statement | N
         mismatch(scope.report, line.push, push.type, PUSH, "`steer`", push)
         return None
     return model.Steer(push, line.span)
+
+
+def _face(scope: Scope, line: nodes.Face, block: Block) -> model.Statement | None:
+    way = faced(scope, line.push)
+    return None if way.type.kind is Kind.BAD else model.Face(way, line.span)
 
 
 def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement | None:
@@ -294,5 +299,5 @@ def _holds(scope: Scope, node: nodes.Expr, found: Expr, attribute: nodes.Name, o
 
 
 _RULES: dict[type, Callable[..., model.Statement | None]] = {
-    nodes.Steer: _steer, nodes.Assign: _assign, nodes.Ask: ask, nodes.Give: _give,
+    nodes.Steer: _steer, nodes.Face: _face, nodes.Assign: _assign, nodes.Ask: ask, nodes.Give: _give,
 }  # fmt: skip

@@ -95,6 +95,7 @@ GIVEN: dict[str, Given] = {
     "radius": Given("length", True, "size / 2", "how much room it takes"),
     "clearance": Given("length", True, "0 mm", "height of the body over the surface"),
     "max_speed": Given("speed", True, "30 mm/s", "fastest"),
+    "min_speed": Given("speed", True, None, "slowest, along its way or else its heading; may stand still if not set"),
     "max_force": Given("force", True, "mass * max_speed / response", "strength of a push of 1"),
     "max_turn": Given("angle / time", True, None, "fastest turn of the heading; no limit if not set"),
     "response": Given("time", True, "0.15 s", "from standing to full speed; `1 step` reaches any velocity at once"),

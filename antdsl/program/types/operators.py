@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Fix
 from antdsl.program.model import Const, Expr, Kind, Op, Rate, Type
-from antdsl.program.names.scope import BAD, BOOL, NUMBER, PER_SECOND, Scope, bad, rate_of, type_from_words
+from antdsl.program.names.scope import BAD, BOOL, NUMBER, PER_SECOND, PUSH, VELOCITY, Scope, bad, rate_of, type_from_words
 from antdsl.program.tables.senses import spoken
 from antdsl.program.tables.units import product, scaled
 from antdsl.program.tables.vocabulary import SIGN_OPS
@@ -43,8 +43,20 @@ def wanted(scope: Scope, node: nodes.Expr, want: Type, place: str) -> Expr:
     found = value(scope, node, want)
     if fits(found.type, want):
         return found
+    return _unlike(scope, node, found, want, place)
+
+
+def _unlike(scope: Scope, node: nodes.Expr, found: Expr, want: Type, place: str) -> Expr:
     mismatch(scope.report, node, found.type, want, place, found)
     return bad(node.span)
+
+
+def faced(scope: Scope, node: nodes.Expr) -> Expr:
+    """The value of an expression that says which way to face: a push, or a velocity, of which the direction counts."""
+    found = value(scope, node, PUSH)
+    if fits(found.type, VELOCITY):
+        return found
+    return found if fits(found.type, PUSH) else _unlike(scope, node, found, PUSH, "`face`")
 
 
 def condition(scope: Scope, node: nodes.Expr, place: str) -> Expr:

@@ -172,6 +172,9 @@ def _set_out(world: World, population: Population, rows: NDArray[np.intp]) -> No
     if any(isinstance(s, ir.Store) and s.register.startswith("velocity.") for _, s in placed(population.plan.born)):
         return
     speed = population.now["max_speed"][rows] * _draw(world, population.name, 1, population.ids[rows])
+    if "min_speed" in population.now:
+        least = np.minimum(population.now["min_speed"][rows], population.now["max_speed"][rows])
+        speed = np.maximum(speed, least)
     for axis in AXES:
         velocity = population.now[f"heading.{axis}"][rows] * speed
         population.now[f"velocity.{axis}"][rows] = velocity

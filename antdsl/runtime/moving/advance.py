@@ -2,7 +2,7 @@
 
 a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as there). An animal whose response is a
 step or less takes its whole change of velocity at once, and faces where it goes. The heading of others follows within a tenth of
-a second.
+a second. Who has a way to face turns there instead, and walks backward and sideways where its velocity leads.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.moving.falling import in_the_air
 from antdsl.runtime.moving.obstacles import slide
+from antdsl.runtime.moving.orienting import orient
 from antdsl.runtime.moving.tilting import bodies
 from antdsl.runtime.world import AXES, Population, World
 
@@ -26,6 +27,8 @@ _SLOW = np.float32(0.1)  # of max_speed: below it the heading follows more and m
 _BOUNCE = np.float32(0.3)  # of the speed into the border of an open surface that is turned back
 _F = np.float32
 _BEYOND = _F(1.005)  # times the greatest turn, up to which rounding may bring one
+_LEVEL = _F(1e-3)  # sine of the angle to the body's up below which a way to face says nothing
+FACE, LEAST = "~face.x", "min_speed"  # registers of those species alone that ask for them
 _TWELFTH, _NINETIETH = _F(1 / 12), _F(1 / 90)
 
 
@@ -36,11 +39,13 @@ def move(world: World, population: Population, substep: int) -> None:
     now = population.now
     dt = _F(world.dt / world.setting.substeps)
     up = vec.columns(population.normal, np.float32)
+    others = world.setting.orient != "normal"
+    before = (vec.copy(_read(population, "velocity")), vec.copy(_read(population, "up")), population.normal) if others else None
     velocity = _velocity(world, population, up, dt, substep)
     if population.quarantined.any():
         velocity = vec.choose(population.quarantined, (_F(0),) * 3, velocity)  # type: ignore[arg-type]
     wanted = vec.scale(velocity, dt)
-    step = slide(world, population, wanted, up, now["radius"])
+    step = _no_slower(world, population, slide(world, population, wanted, up, now["radius"]), up, dt)
     if step is not wanted:
         stopped = (step[0] != wanted[0]) | (step[1] != wanted[1]) | (step[2] != wanted[2])
         velocity = vec.choose(stopped, vec.scale(step, _F(1) / dt), velocity)
@@ -61,6 +66,9 @@ def move(world: World, population: Population, substep: int) -> None:
     hasty = _arrive(population, velocity, step, moved, body.at_once(), dt, _F(world.dt))
     went = moved.position - population.position
     population.footing, population.position = moved.footing, moved.position
+    if before is not None:
+        orient(world, population, *before)
+        hasty[:] = True
     body.follow(hasty, went, dt)
 
 
@@ -85,7 +93,7 @@ def _arrive(
         hasty = np.empty(len(population), np.bool_)
         arrive(
             velocity, step, population.position, *walked, now["max_speed"], now["max_turn"], now["response"], whole * _F(1.0001),
-            most, dt, _share(dt), _SLOW, _BOUNCE, _BEYOND,
+            most, dt, _share(dt), _SLOW, _BOUNCE, _BEYOND, FACE in now, _read(population, "~face" if FACE in now else "velocity"),
             *(_read(population, name) for name in ("position", "velocity", "heading", "up")), hasty,
         )  # fmt: skip
         population.normal = np.stack(old_up, axis=1)
@@ -142,7 +150,10 @@ def _velocity(world: World, population: Population, up: Vector, dt: np.float32, 
         found = np.empty((3, len(population)), np.float32)
         limits = (now[name] for name in ("max_speed", "max_force", "mass", "response", "max_turn"))
         step = _F(world.dt)
-        velocities(push, before, up, *limits, step * _F(1.0001), step if substep == 0 else _F(0), dt, found)
+        least, heading = (now["min_speed"], _read(population, "heading")) if LEAST in now else (now["max_speed"], before)
+        velocities(
+            push, before, up, *limits, LEAST in now, least, heading, step * _F(1.0001), step if substep == 0 else _F(0), dt, found
+        )
         return found[0], found[1], found[2]
     velocity = _pushed(now, push, vec.flat(before, up), up, _time(now, _F(world.dt), dt, substep))
     turning = np.flatnonzero(np.isfinite(now["max_turn"]))
@@ -163,7 +174,38 @@ def _pushed(now: dict[str, NDArray[Any]], push: Vector, before: Vector, up: Vect
     speed = vec.length(velocity)
     velocity = vec.scale(velocity, np.where(speed > max_speed, max_speed / np.where(speed > 0, speed, _F(1)), _F(1)))
     x, y, z = (np.where(np.isfinite(v), v, _F(0)) for v in velocity)
-    return x, y, z
+    if LEAST not in now:
+        return x, y, z
+    return _quickened((x, y, z), before, vec.flat(vec.named(now, "heading"), up), _least(now))
+
+
+def _least(now: dict[str, NDArray[Any]]) -> NDArray[np.float32]:
+    """How fast who has to keep moving goes at least (mm/s)."""
+    least: NDArray[np.float32] = np.minimum(np.maximum(now["min_speed"], _F(0)), np.maximum(now["max_speed"], _F(0)))
+    return least
+
+
+def _quickened(velocity: Vector, before: Vector, heading: Vector, least: NDArray[np.float32]) -> Vector:
+    """Velocities of at least a speed each: who would be slower goes on along the way that it went `before`, from a stand along
+    its heading, by as much as makes up for it. What pushes it aside turns it, and braking never turns it round."""
+    ahead = vec.unit(before, vec.unit(heading, (_F(0) * least,) * 3))
+    along, square = vec.dot(velocity, ahead), vec.dot(velocity, velocity)
+    more = np.sqrt(np.maximum((least * least - square) + along * along, _F(0))) - along
+    return vec.choose(square < least * least, vec.add(velocity, vec.scale(ahead, more)), velocity)
+
+
+def _no_slower(world: World, population: Population, step: Vector, up: Vector, dt: np.float32) -> Vector:
+    """Steps (mm) that obstacles have bent: of those who have to keep moving as long as the least speed asks for along the same
+    way, if that is free."""
+    now = population.now
+    if LEAST not in now or not world.plan.of_kind("obstacle"):
+        return step
+    size, wanted = vec.length(step), _least(now) * dt
+    short = (size > _F(1e-9)) & (size < wanted * _F(0.999)) & ~population.quarantined
+    if not short.any():
+        return step
+    longer = vec.scale(step, np.where(short, wanted / np.where(size > 0, size, _F(1)), _F(0)))
+    return vec.choose(short, slide(world, population, longer, up, now["radius"]), step)
 
 
 def _time(now: dict[str, NDArray[Any]], step: np.float32, dt: np.float32, substep: int) -> NDArray[np.float32]:
@@ -230,6 +272,12 @@ def _face(
     heading = vec.unit(vec.flat(heading, up), vec.across(up))
     speed = vec.length(velocity)
     direction = vec.unit(velocity, heading)
+    faced = None
+    if FACE in now:
+        wish = vec.named(now, "~face")
+        along = vec.flat(vec.unit(wish, up), up)  # a way straight off the ground is none
+        faced = vec.length(along) > _LEVEL
+        direction = vec.choose(faced, vec.unit(along, direction), direction)
     turn = now["max_turn"]
     behind = (vec.dot(heading, direction) < 0) & ~(at_once & ~np.isfinite(turn))
     if behind.any():  # over a right angle it turns towards its side first, instead of through itself
@@ -238,6 +286,8 @@ def _face(
         direction = vec.choose(behind, vec.unit(vec.flat(side, up), left), direction)
     share = _share(dt)
     eager = np.minimum(speed / np.maximum(now["max_speed"] * _SLOW, _F(1e-6)), _F(1))
+    if faced is not None:
+        eager = np.where(faced, _F(1), eager)
     change = vec.scale(vec.sub(direction, heading), np.where(at_once, _F(1), share * eager))
     if np.isfinite(turn).any():
         size = vec.length(change)

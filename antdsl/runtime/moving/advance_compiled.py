@@ -13,16 +13,18 @@ _F = np.float32
 _ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
 _TINY, _STEEP = _F(1e-12), _F(0.9)  # as `vectors.unit` and `vectors.across`
 _PI = _F(np.pi)
+_LEVEL = _F(1e-3)
 _SURELY = _F(1e-3)
 _TWELFTH, _NINETIETH = _F(1 / 12), _F(1 / 90)  # as `moving`
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def velocities(  # type: ignore[no-untyped-def]  # numba takes the types from the call
-    push, velocity, up, max_speed, max_force, mass, response, max_turn, at_once, first, dt, to
+    push, velocity, up, max_speed, max_force, mass, response, max_turn, keeps, min_speed, heading, at_once, first, dt, to
 ):  # fmt: skip
     """Velocities after the push, within the limits of speed and turn, into `to` (3, n). `at_once` is the longest response that
-    takes its whole time, `first`, in one substep; `dt` the time of others. All float32, vectors three arrays."""
+    takes its whole time, `first`, in one substep; `dt` the time of others. `keeps`: whether `min_speed` and `heading` count. All
+    float32, vectors three arrays."""
     last, cosine = _ZERO, _ONE
     for i in range(mass.size):
         u = (up[0][i], up[1][i], up[2][i])
@@ -37,6 +39,9 @@ def velocities(  # type: ignore[no-untyped-def]  # numba takes the types from th
         if speed > most:
             v = times(v, most / (speed if speed > 0 else _ONE))
         v = (v[0] if np.isfinite(v[0]) else _ZERO, v[1] if np.isfinite(v[1]) else _ZERO, v[2] if np.isfinite(v[2]) else _ZERO)
+        if keeps:
+            least = _minimum(_maximum(min_speed[i], _ZERO), _maximum(max_speed[i], _ZERO))
+            v = _quickened(v, before, _flat((heading[0][i], heading[1][i], heading[2][i]), u), least)
         if np.isfinite(max_turn[i]):
             most = _maximum(max_turn[i], _ZERO) * time
             turn = min(most, _PI)
@@ -46,6 +51,22 @@ def velocities(  # type: ignore[no-untyped-def]  # numba takes the types from th
             if not (dot(v, before) > (cosine + _SURELY) * both and both > _TINY):
                 v = _turned(v, before, u, most)
         to[0, i], to[1, i], to[2, i] = v
+
+
+@njit(error_model="numpy", inline="always")
+def _quickened(velocity, before, heading, least):  # type: ignore[no-untyped-def]
+    """As `moving._quickened`, for one."""
+    square = dot(velocity, velocity)
+    if not square < least * least:
+        return velocity
+    ahead, good = _unit(before)
+    if not good:
+        ahead, good = _unit(heading)
+        if not good:
+            ahead = (_ZERO * least, _ZERO * least, _ZERO * least)
+    along = dot(velocity, ahead)
+    more = np.sqrt(_maximum((least * least - square) + along * along, _ZERO)) - along
+    return plus(velocity, times(ahead, more))
 
 
 @njit(error_model="numpy")
@@ -75,13 +96,13 @@ def _turned(velocity, before, up, most):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy")
 def arrive(  # type: ignore[no-untyped-def]
     velocity, step, old, place, above, ahead, direction, blocked, max_speed, max_turn, response, at_once, most, dt, share, slow,
-    bounce, beyond, position, to, heading, up, hasty,
+    bounce, beyond, faces, face, position, to, heading, up, hasty,
 ):  # fmt: skip
     """Velocity and heading where the walk has led, with place and up, into three arrays each: `position`, `to`, `heading`, `up`;
     and in `hasty` whose up turns by more than `most` (radians), or whose body by more than `max_turn` allows and `beyond` that.
 
     `velocity`, `step`: before the walk, (3, n) float32; `old` the place before it, (n, 3); then the walk's, (3, n) float64.
-    `at_once` is the longest response of who faces at once where it goes.
+    `faces`: whether `face`, three arrays, has ways to face. `at_once` is the longest response of who faces at once where it goes.
     """
     rate = _ONE / dt
     for i in range(blocked.size):
@@ -99,7 +120,10 @@ def arrive(  # type: ignore[no-untyped-def]
         square, limit = dot(chord, chord), most[i] * most[i]
         tilt = square * (_ONE + square * (_TWELFTH + square * _NINETIETH))
         hasty[i] = tilt > limit
-        h = _faced(h, v, u, max_speed[i], max_turn[i], response[i] <= at_once, _minimum(tilt, limit), dt, share, slow)
+        wish = (face[0][i], face[1][i], face[2][i])
+        h = _faced(
+            h, v, u, faces, wish, max_speed[i], max_turn[i], response[i] <= at_once, _minimum(tilt, limit), dt, share, slow
+        )
         before, was = (heading[0][i], heading[1][i], heading[2][i]), (up[0][i], up[1][i], up[2][i])
         bent, aside = minus(h, before), minus(cross(u, h), cross(was, before))
         square = (dot(bent, bent) + dot(chord, chord) + dot(aside, aside)) * _HALF
@@ -112,7 +136,7 @@ def arrive(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _faced(heading, velocity, up, max_speed, max_turn, at_once, tilt, dt, share, slow):  # type: ignore[no-untyped-def]
+def _faced(heading, velocity, up, faces, wish, max_speed, max_turn, at_once, tilt, dt, share, slow):  # type: ignore[no-untyped-def]
     """As `moving._face`, for one."""
     heading, good = _unit(_flat(heading, up))
     if not good:
@@ -120,6 +144,14 @@ def _faced(heading, velocity, up, max_speed, max_turn, at_once, tilt, dt, share,
     direction, good = _unit(velocity)
     if not good:
         direction = heading
+    faced = False
+    if faces:
+        way, good = _unit(wish)
+        along = _flat(way if good else up, up)
+        faced = _length(along) > _LEVEL
+        way, good = _unit(along)
+        if faced and good:
+            direction = way
     if dot(heading, direction) < 0 and not (at_once and not np.isfinite(max_turn)):
         left = cross(up, heading)
         side, good = _unit(_flat(direction, heading))
@@ -129,6 +161,8 @@ def _faced(heading, velocity, up, max_speed, max_turn, at_once, tilt, dt, share,
         if not good:
             direction = left
     eager = _minimum(_length(velocity) / _maximum(max_speed * slow, _F(1e-6)), _ONE)
+    if faced:
+        eager = _ONE
     change = times(minus(direction, heading), _ONE if at_once else share * eager)
     if np.isfinite(max_turn):
         size, most = _length(change), _maximum(max_turn, _ZERO) * dt

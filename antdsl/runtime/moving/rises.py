@@ -94,9 +94,16 @@ class Rises:
         return found
 
 
-def rises(world: World, population: Population, looking: NDArray[np.float32], step: Vector) -> Rises:
+def rises(
+    world: World,
+    population: Population,
+    looking: NDArray[np.float32],
+    step: Vector,
+    faced: NDArray[np.bool_] | None = None,
+) -> Rises:
     """What rises before whom who looks along `looking` (3, n) over its ground and is about to make a step (mm): of what lies in
-    the two directions that for which it has to tilt further.
+    the two directions that for which it has to tilt further. Of those who face a way of their own (`faced`), who walks
+    backward has no head where it goes.
 
     The body of length L tilts over a way of L before a wall, linearly: so its head, L/2 before its feet, keeps out of a wall that
     rises by up to a right angle, and of one that hangs over if the way is longer by angle / sine."""
@@ -113,7 +120,8 @@ def rises(world: World, population: Population, looking: NDArray[np.float32], st
     way -= normal * dot(way, normal)
     size = np.sqrt(dot(way, way))
     way = np.where(size > 1e-9, way / np.maximum(size, 1e-300), look)
-    aside = np.flatnonzero(dot(way, look) < _ASIDE)  # most walk where they look, and need one ray
+    same = dot(way, look)
+    aside = np.flatnonzero((same < _ASIDE) if faced is None else (same < _ASIDE) & ((same >= 0) | ~faced[rows]))
     which = np.concatenate([np.arange(len(rows)), aside])
     ahead = np.concatenate([look, way.take(aside, axis=1)], axis=1)
     place = population.position[rows[which]].T

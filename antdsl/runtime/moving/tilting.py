@@ -163,8 +163,16 @@ def bodies(world: World, population: Population, step: Vector, dt: np.float32) -
     if len(leaning):
         looking = heading.copy()
         looking[:, leaning] = _laid_down(leaning, heading, up, population.normal)
-    found = rises(world, population, looking, step)
+    found = rises(world, population, looking, step, _faced(now))
     return Bodies(population, up, heading, limits(now, dt), leaning, found, looking)
+
+
+def _faced(now: dict[str, NDArray[Any]]) -> NDArray[np.bool_] | None:
+    """Who faces a way of its own, and may walk backward; None where nobody can."""
+    if "~face.x" not in now:
+        return None
+    found: NDArray[np.bool_] = (now["~face.x"] != 0) | (now["~face.y"] != 0) | (now["~face.z"] != 0)
+    return found
 
 
 def settle(world: World, population: Population, rows: Rows) -> None:

@@ -128,6 +128,7 @@ def stage(
         fps=model.fps,
         substeps=model.substeps,
         by_rays=model.stick == "rays",
+        orient=model.orient,
         up=_UP[model.up],
         unit_mm=model.unit_mm,
         seed=model.seed,

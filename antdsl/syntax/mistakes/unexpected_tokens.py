@@ -78,7 +78,7 @@ _ASKING = re.compile(r"\b(?:share|count|any|every)\(\s*[a-z_][a-z_0-9.]*\s*\Z|[(
 _WRITING = ("=", "+=", "-=")
 # After these a value begins.
 _BEGINS_VALUE = frozenset(
-    ("when", "and", "or", "not", "no", "steer", "then", "else", "if", "until", *"=<>+-*/", *_WRITING, "<=", ">=", "==")
+    ("when", "and", "or", "not", "no", "steer", "face", "then", "else", "if", "until", *"=<>+-*/", *_WRITING, "<=", ">=", "==")
 )
 _COMPARISONS = {"==", "!=", "<", ">", "<=", ">=", "is"}
 

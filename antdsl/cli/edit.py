@@ -1,0 +1,66 @@
+"""`antdsl edit CACHE --smooth orient:9`: a cache changed after the run, into a cache of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from antdsl.cli.destinations import folder_to_write, keeping_inputs
+from antdsl.cli.exits import Exit, Stop
+
+
+def edit(
+    cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
+    smooth: str = typer.Option(
+        ..., "--smooth", metavar="orient:N", help="Orientations as means over N frames, half before and half after; places stay."
+    ),
+    out: Path = typer.Option(
+        None, "--out", metavar="DIR", help="Where the new cache goes. [default: CACHE_edited beside it]", show_default=False
+    ),
+    force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
+    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
+) -> None:
+    """Write a cache anew with its orientations smoothed over time."""
+    from antdsl.outputs.cache.cache_reader import NAMES, CacheError, open_cache
+    from antdsl.outputs.cache.cache_writer import ForeignFolder, InTheWay
+    from antdsl.outputs.cache.lock import Locked
+    from antdsl.outputs.cache.manifest import ManifestError
+    from antdsl.outputs.editing import NotEditable, smooth_orientations
+
+    width = _width(smooth)
+    folder = out if out is not None else cache.with_name(f"{cache.resolve().name}_edited")
+    folder_to_write(folder, "--out")
+    try:
+        with keeping_inputs({}, {"--out": (folder, NAMES)}) as inputs:
+            read = open_cache(cache)
+            inputs += [*read.made_from(), *(cache / name for name in NAMES)]
+        count = sum(1 for _ in smooth_orientations(read, folder, width, force=force))
+    except ManifestError as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
+    except CacheError as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "`antdsl run SCENE --resume` writes damaged frames again") from None
+    except NotEditable as why:
+        raise Stop(Exit.FINDINGS, f"error: {why}", "add it to `output: {attributes: …}` of the scene and run again") from None
+    except ForeignFolder as why:
+        words = "name another folder with `--out`, or write into it anyway with `--force`"
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", words) from None
+    except InTheWay as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "move it away, or name another folder with `--out`") from None
+    except Locked as why:
+        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "wait for it, or name another folder with `--out`") from None
+    if not quiet:
+        typer.echo(f"{count} frames, orientations smoothed over {width}, are in {folder}")
+
+
+def _width(text: str) -> int:
+    """Over how many frames `orient:9` smooths."""
+    from antdsl.outputs.smoothing import LEAST, MOST
+
+    name, _, number = text.partition(":")
+    if name != "orient":
+        raise typer.BadParameter(f"`{text}`: orientations are what can be smoothed; write `orient:9`", param_hint="--smooth")
+    if not (number.isascii() and number.isdigit() and len(number) < 4 and int(number) % 2 and LEAST <= int(number) <= MOST):
+        words = f"`{text}`: write an odd number of frames from {LEAST} to {MOST}; `orient:9` is four before, four after"
+        raise typer.BadParameter(words, param_hint="--smooth")
+    return int(number)

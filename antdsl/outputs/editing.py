@@ -1,0 +1,81 @@
+"""A cache changed after the run, as a cache of its own: the one that was read stays as it is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from antdsl.outputs.cache.cache_reader import STATIC, Arrays, Cache, CacheError, frame_path
+from antdsl.outputs.cache.cache_writer import clear, prepare_folder
+from antdsl.outputs.cache.hashes import HASHES, hash_of_static, line_of
+from antdsl.outputs.cache.lock import FolderLock
+from antdsl.outputs.cache.manifest import way_to, write_manifest
+from antdsl.outputs.cache.npz import sync_folder, to_bytes, write_whole
+from antdsl.outputs.smoothing import Oriented, smoothed
+
+_NEEDED = ("id", "orient")
+
+
+class NotEditable(Exception):
+    """What a cache lacks for an edit, in words that stand alone."""
+
+
+def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool = False) -> Iterator[int]:
+    """Write a cache into a folder that has everything that the other one has but its checkpoints, orientations smoothed over
+    `width` frames; gives the number of each frame that is written. CacheError where a frame is damaged, ForeignFolder, InTheWay
+    and Locked as for a run."""
+    lacking = [name for name in _NEEDED if name not in cache.manifest.attributes]
+    if lacking:
+        raise NotEditable(f"the cache has no attribute `{lacking[0]}`, which smoothing needs")
+    prepare_folder(folder, force=force)
+    with FolderLock(folder):
+        clear(folder)
+        (folder / "manifest.json").unlink(missing_ok=True)  # until all is there the folder is no cache
+        static = to_bytes(cache.static())
+        write_whole(folder / STATIC, static, sync=True)
+        yield from _frames(cache, folder, width)
+        sync_folder(folder / "frames")
+        edits = sum(name.startswith("edit ") for name in cache.manifest.inputs)
+        inputs = {**cache.manifest.inputs, f"edit {edits + 1}": f"smooth orient:{width}"}
+        change = {"static": hash_of_static(static), "inputs": inputs, "scene_path": _way(cache, folder)}
+        write_manifest(folder, cache.manifest.model_copy(update=change))
+
+
+def _frames(cache: Cache, folder: Path, width: int) -> Iterator[int]:
+    """Writes the frames in order, holding the orientations of `width` of them at a time."""
+    numbers, states, lines = cache.frames(), cache.hashes(), []
+    there, near = set(numbers), {}
+    for number in numbers:
+        for each in range(number - width // 2, number + width // 2 + 1):
+            if each in there and each not in near:
+                near[each] = _oriented(cache, each)
+        for past in [each for each in near if each < number - width // 2]:
+            del near[past]
+        arrays = {**cache.frame(number), "orient": smoothed(near, number, width)}
+        data = to_bytes(arrays)
+        write_whole(frame_path(folder, number), data, sync=False)
+        lines.append(line_of(number, states.get(number, ""), data).text(number))
+        yield number
+    write_whole(folder / HASHES, b"".join(lines), sync=True)
+
+
+def _oriented(cache: Cache, number: int) -> Oriented:
+    arrays: Arrays = cache.frame(number, frozenset(("id", "orient", "species")))
+    orient, ids = arrays.get("orient"), arrays.get("id")
+    if orient is None or ids is None or ids.ndim != 1 or orient.shape != (len(ids), 4):
+        raise CacheError(f"`{frame_path(cache.folder, number)}` has no ids and orientations that go together")
+    species = arrays.get("species", np.zeros(len(ids), np.int16))
+    if species.shape != ids.shape:
+        raise CacheError(f"`{frame_path(cache.folder, number)}` has no species for each agent")
+    key = ids.astype(np.int64) * max(len(cache.manifest.species), 1) + species.astype(np.int64)
+    return Oriented(key, orient.astype(np.float64))
+
+
+def _way(cache: Cache, folder: Path) -> str | None:
+    """The way to the scene from another folder."""
+    if cache.manifest.scene_path is None:
+        return None
+    return way_to(Path(os.path.normpath(cache.folder.resolve() / cache.manifest.scene_path)), folder)
