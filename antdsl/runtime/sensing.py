@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import noise, randomness
 from antdsl.plan import ir
+from antdsl.runtime.clearing import clear_velocity
 from antdsl.runtime.moving import moving_geometry
 from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
 from antdsl.runtime.world import AXES, Population, World
@@ -204,6 +205,14 @@ def _noise(world: World, population: Population, node: ir.Node, rows: Rows, *how
     return noise.noise(cells, which).astype(np.float32)
 
 
+def _clear_velocity(world: World, population: Population, node: ir.Node, rows: Rows, *how: Value) -> Value:
+    """`how`: the wish x y z, within, horizon and the most others."""
+    which = np.arange(rows.start, rows.stop) if isinstance(rows, slice) else np.asarray(rows)
+    wx, wy, wz, *rest = (_spread(each, rows) for each in how)
+    within, horizon, most = (np.float64(1) * each for each in rest)
+    return clear_velocity(world, population, which, (wx, wy, wz), within, horizon, most)
+
+
 SENSES: Mapping[str, Callable[..., Value]] = {
     "id": _id,
     "age": _age,
@@ -224,4 +233,5 @@ SENSES: Mapping[str, Callable[..., Value]] = {
     "flow.value": _flow_value,
     "map.value": _map_value,
     "noise": _noise,
+    "clear.velocity": _clear_velocity,
 }

@@ -195,6 +195,30 @@ _ROWS = (
         ),
         operands="fff",
     ),
+    Sense(
+        "clear.velocity",
+        "",
+        (Part("", size=3),),
+        "the velocity nearest to one (first three) by which it meets none of the nearest others: within mm, for s, so many",
+        (
+            Builtin(
+                (
+                    Arg("wish", "velocity"),
+                    Arg("within", "length"),
+                    Arg("horizon", "time", "2 s", above=0),
+                    Arg("most", "number", "10", above=0, whole=True),
+                ),
+                "velocity",
+                "the velocity nearest to `wish` by which it meets nobody for `horizon`, if the others do their half",
+                "clear_velocity",
+                "",
+                sense=True,
+                cost=Cost(3000, "clear velocity", within=1),
+                sample="match(clear_velocity(heading * max_speed, within: 3 m))",
+            ),
+        ),
+        operands="ffffff",
+    ),
 )
 SENSES: dict[str, Sense] = {row.op: row for row in _ROWS}
 
