@@ -88,7 +88,8 @@ def test_every_operation_is_covered():
         "const.i64",
         "told",
         "noise",
-    }  # what is told, specs ask for: tests/specs/test_specs.py; tests/numerics/test_noise.py
+        "clear.velocity",
+    }  # what is told, specs ask for: tests/specs/test_specs.py; tests/numerics/test_noise.py, tests/senses/test_clear_velocity.py
     wanted |= {"If", "Store", "Claim", "Give", *EFFECTS} - {"carve"}  # tests/runtime/test_digging.py
     lacking = wanted - operations(plans.rich()) - operations(surfaces_plan())
     assert not lacking, f"no plan here has {lacking}: put them into tests/plans.py, or name the test that they have above"
