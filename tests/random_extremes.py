@@ -103,6 +103,7 @@ PUSHES = (
     "match(velocity * huge)",
     "match(clear_velocity(heading * luck * max_speed * 2, within: odd * 20 mm, horizon: 1 s, most: 4))",
     "keep_clear(heading, within: 30 mm)",
+    "toward(widest_gap(within: odd * 30 mm))",
     "coast()",
     "evade(pal)",
     "give_way(20 mm)",

@@ -89,6 +89,7 @@ def test_every_operation_is_covered():
         "told",
         "noise",
         "clear.velocity",
+        "gap.widest",
     }  # what is told, specs ask for: tests/specs/test_specs.py; tests/numerics/test_noise.py, tests/senses/test_clear_velocity.py
     wanted |= {"If", "Store", "Claim", "Give", *EFFECTS} - {"carve"}  # tests/runtime/test_digging.py
     lacking = wanted - operations(plans.rich()) - operations(surfaces_plan())

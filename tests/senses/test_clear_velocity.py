@@ -76,7 +76,7 @@ PROGRAM = """species ant {
   start go
   state go {
     way = clear_velocity(heading * 30 mm/s, within: 30 mm, horizon: 1 s, most: 3 + id)
-    steer match(way)
+    steer match(way) + widest_gap(within: 20 mm) * 0.3
   }
 }
 """

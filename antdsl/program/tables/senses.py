@@ -219,6 +219,25 @@ _ROWS = (
         ),
         operands="ffffff",
     ),
+    Sense(
+        "gap.widest",
+        "",
+        (Part("", size=3),),
+        "unit way into the widest gap between the bearings of the nearest others: within mm, at most so many",
+        (
+            Builtin(
+                (Arg("within", "length"), Arg("most", "number", "16", above=0, whole=True)),
+                "push",
+                "into the widest gap between its neighbours, length 1; nothing without any",
+                "widest_gap",
+                "",
+                sense=True,
+                cost=Cost(1500, "widest gap", within=0),
+                sample="toward(widest_gap(within: 60 mm))",
+            ),
+        ),
+        operands="ff",
+    ),
 )
 SENSES: dict[str, Sense] = {row.op: row for row in _ROWS}
 

@@ -1,8 +1,8 @@
-"""What agents are told of others for the velocity by which they meet nobody: places, velocities and radii in the plane of
-their own ground."""
+"""Who is about an agent, in the plane of its own ground: for the velocity by which it meets nobody, and for the widest gap."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from antdsl.numerics.vectors import Vector
 from antdsl.runtime.cell_grids import grid_for
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.clear_velocity import Others, clear_velocities
+from antdsl.senses.widest_gap import widest_gaps
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -25,22 +26,45 @@ def clear_velocity(
     """Velocities (mm/s, x y z) along the ground of some agents, nearest to a wish, by which they meet none of the `most` nearest
     others of any species `within` mm, on their side of the ground, for `horizon` s. Each is as it was when the step began."""
     start = population.start
-    up = _known(vec.take(vec.named(start, "up"), rows))
-    ahead = vec.unit(vec.flat(_known(vec.take(vec.named(start, "heading"), rows)), up), vec.across(up))
-    side = vec.cross(up, ahead)
-
-    def laid(vector: Vector) -> tuple[Floats, Floats]:
-        return vec.dot(vector, ahead), vec.dot(vector, side)
-
+    plane = _Plane.of(population, rows)
     own = _known(vec.take(vec.named(start, "velocity"), rows))
-    goal = laid(_known(wish))
     fastest = np.where(start["max_speed"][rows] > 0, start["max_speed"][rows], 0).astype(np.float64)
-    count = np.clip(np.where(most > 0, most, 0), 0, limits.NEIGHBOURS).astype(np.intp)
-    others = _others(world, population, rows, within, count, own, up, (ahead, side))
+    others = _others(world, population, rows, within, most, own, plane)
     sound = np.where(horizon > 0, np.minimum(horizon, 1e6), 1e6)
-    x, y = clear_velocities(others, laid(own), goal, np.minimum(fastest, 1e9), sound, world.dt)
-    found = vec.add(vec.scale(ahead, x), vec.scale(side, y))
-    return tuple(component.astype(np.float32) for component in found)
+    x, y = clear_velocities(others, plane.laid(own), plane.laid(_known(wish)), np.minimum(fastest, 1e9), sound, world.dt)
+    return plane.raised(x, y)
+
+
+def widest_gap(world: World, population: Population, rows: Rows, within: Floats, most: Floats) -> tuple[NDArray[np.float32], ...]:
+    """Unit ways (x y z) of some agents along their ground into the widest gap between the `most` nearest others of any species
+    `within` mm, on their side of the ground; 0 without any."""
+    plane = _Plane.of(population, rows)
+    others = _others(world, population, rows, within, most, None, plane)
+    return plane.raised(*widest_gaps(others.x, others.y, others.there))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plane:
+    """The ground of some agents: unit `up`, `ahead` along their heading and `left`, float64."""
+
+    up: Vector
+    ahead: Vector
+    left: Vector
+
+    @classmethod
+    def of(cls, population: Population, rows: Rows) -> _Plane:
+        up, heading = (_known(vec.take(vec.named(population.start, name), rows)) for name in ("up", "heading"))
+        ahead = vec.unit(vec.flat(heading, up), vec.across(up))
+        return cls(up, ahead, vec.cross(up, ahead))
+
+    def laid(self, vector: Vector) -> tuple[Floats, Floats]:
+        """The parts of vectors ahead and to the left."""
+        return vec.dot(vector, self.ahead), vec.dot(vector, self.left)
+
+    def raised(self, x: Floats, y: Floats) -> tuple[NDArray[np.float32], ...]:
+        """Vectors of such parts."""
+        found = vec.add(vec.scale(self.ahead, x), vec.scale(self.left, y))
+        return tuple(component.astype(np.float32) for component in found)
 
 
 def _known(vector: Vector) -> Vector:
@@ -55,12 +79,12 @@ def _others(
     population: Population,
     rows: Rows,
     within: Floats,
-    count: NDArray[np.intp],
-    own: Vector,
-    up: Vector,
-    axes: tuple[Vector, Vector],
+    most: Floats,
+    own: Vector | None,
+    plane: _Plane,
 ) -> Others:
-    """The nearest others of all species, at most `count` of each agent."""
+    """The nearest others of all species, at most `most` of each agent; their velocities where its `own` is given."""
+    count = np.clip(np.where(most > 0, most, 0), 0, limits.NEIGHBOURS).astype(np.intp)
     n, widest = len(rows), int(count.max(initial=0))
     place = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     reach = np.where(within > 0, within, -1).astype(np.float32)
@@ -74,13 +98,13 @@ def _others(
         qid = population.ids[rows] if other is population else None
         p = grid.pairs(None, reach, qx=place[0], qy=place[1], qz=place[2], qid=qid, threads=world.options.threads)
         theirs = _known(vec.take(vec.named(other.start, "up"), p.j))
-        kept = np.flatnonzero(vec.dot(vec.take(up, p.i), theirs) > 0)
+        kept = np.flatnonzero(vec.dot(vec.take(plane.up, p.i), theirs) > 0)
         i, j = p.i.take(kept), p.j.take(kept)
         way = tuple(each.take(kept).astype(np.float64) for each in (p.dx, p.dy, p.dz))
-        theirs = _known(vec.take(vec.named(other.start, "velocity"), j))
-        change = vec.sub(vec.take(own, i), theirs)
+        moves = [] if own is None else [vec.sub(vec.take(own, i), _known(vec.take(vec.named(other.start, "velocity"), j)))]
         first = population.ids[rows][i] < other.ids[j] if other is population else np.full(len(i), population.name < name)
-        flat = [vec.dot(v, vec.take(axis, i)) for v in (way, change) for axis in axes]  # type: ignore[arg-type]
+        flat = [vec.dot(v, vec.take(axis, i)) for v in (way, *moves) for axis in (plane.ahead, plane.left)]  # type: ignore[arg-type]
+        flat += [np.zeros(len(i))] * (4 - len(flat))
         room = radius[i] + _radius(other)[j]
         found.append((i, p.distance.take(kept), np.full(len(i), number), other.ids[j], *flat, room, first))
     shape = (n, widest)
