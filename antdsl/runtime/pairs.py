@@ -17,17 +17,17 @@ from antdsl import limits
 from antdsl.numerics import compiled, exact_sums
 from antdsl.plan import ir
 from antdsl.plan.traverse import blocks, needed, operands, statements
+from antdsl.runtime.cell_grids import grid_for
 from antdsl.runtime.faults import Fault, LimitStop
 from antdsl.runtime.item_pairs import items_within
 from antdsl.runtime.world import AXES, Items, Population, World
-from antdsl.senses.neighbours import CellGrid, TooManyWithin, View, seen
+from antdsl.senses.neighbours import TooManyWithin, View, seen
 from antdsl.source import Span
 
 Floats = NDArray[np.float32]
 Index = NDArray[np.integer[Any]]
 NO_AGENT = np.int64(-1)
 NO_ITEM = np.int32(-1)
-_COARSER = 4  # quarters of an octave
 _ROUNDED = 1 + 1e-6  # by more than float32 rounds a distance
 MOST_PAIRS = 1 << 22  # of one chunk, where everybody is asked about everybody
 
@@ -232,17 +232,6 @@ def _near(
     grid = grid_for(world, other, widest)
     p = grid.pairs(None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, view=view, threads=threads, limit=limits.WITHIN_RADIUS)
     return PairRows(other, len(own[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
-
-
-def grid_for(world: World, other: Population, widest: float) -> CellGrid:
-    """Where the others are, in cells that suit a radius: finding them in wider ones costs less than sorting them again."""
-    size = float(np.ceil(4 * np.log2(widest)))
-    known = [(k, grid) for (name, k), grid in list(world.grids.items()) if name == other.name and size <= k <= size + _COARSER]
-    if known:
-        return min(known, key=lambda each: each[0])[1]
-    x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
-    grid = world.grids[other.name, size] = CellGrid(x, y, z, other.ids, widest)
-    return grid
 
 
 def _every(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairRows:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from antdsl.numerics import elementary, noise, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.plan import ir
+from antdsl.runtime.about import clear_velocity, widest_gap
 from antdsl.runtime.moving import moving_geometry
 from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
 from antdsl.runtime.world import AXES, Population, World
@@ -243,6 +244,23 @@ def _noise(world: World, population: Population, node: ir.Node, rows: Rows, *how
     return noise.noise(cells, which).astype(np.float32)
 
 
+def _numbered(rows: Rows) -> NDArray[np.intp]:
+    return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else np.asarray(rows)
+
+
+def _clear_velocity(world: World, population: Population, node: ir.Node, rows: Rows, *how: Value) -> Value:
+    """`how`: the wish x y z, within, horizon and the most others."""
+    which = _numbered(rows)
+    wx, wy, wz, *rest = (_spread(each, rows) for each in how)
+    within, horizon, most = (np.float64(1) * each for each in rest)
+    return clear_velocity(world, population, which, (wx, wy, wz), within, horizon, most)
+
+
+def _widest_gap(world: World, population: Population, node: ir.Node, rows: Rows, within: Value, most: Value) -> Value:
+    within, most = (np.float64(1) * _spread(each, rows) for each in (within, most))
+    return widest_gap(world, population, _numbered(rows), within, most)
+
+
 SENSES: Mapping[str, Callable[..., Value]] = {
     "id": _id,
     "age": _age,
@@ -265,4 +283,6 @@ SENSES: Mapping[str, Callable[..., Value]] = {
     "flow.value": _flow_value,
     "map.value": _map_value,
     "noise": _noise,
+    "clear.velocity": _clear_velocity,
+    "gap.widest": _widest_gap,
 }

@@ -34,8 +34,8 @@ ALLOWED = {
     "ground/mesh/creases.py": {"scipy": "trees of places and filters of whole numbers, compiled for all x86-64 processors alike"},
     "runtime/binding/crowding.py": {"log10": "digits of a radius that is proposed in a message"},
     "runtime/motion_measures.py": {"arcsin": "a measure beside the state, counted in bins"},
+    "runtime/cell_grids.py": {"log2": "the width of cells: which pairs are found does not depend on it"},
     "runtime/pairs.py": {
-        "log2": "the width of cells: which pairs are found does not depend on it",
         "scipy": "a tree that says how far to look: which pairs are the nearest does not depend on it",
     },
     "runtime/backends/native/grids.py": {"log2": "the same"},

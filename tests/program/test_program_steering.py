@@ -226,6 +226,20 @@ def test_give_way_lets_two_that_meet_pass_without_touching() -> None:
     assert nearest("give_way(radius: 12 mm) + toward(heading)") > 1.6  # room for the bodies of both
 
 
+def test_keep_clear_leads_four_past_each_other_that_meet_in_one_place() -> None:
+    world = scene("keep_clear(heading, within: 60 mm)", crowd("ant", (-60, 101), (60, 99), (1, 160), (-1, 40)))
+    ants = world.populations["ant"]
+    for name in ("heading", "velocity"):
+        for row, (x, z) in enumerate(((1, 0), (-1, 0), (0, -1), (0, 1))):
+            speed = 20 if name == "velocity" else 1
+            for state in (ants.start, ants.now):
+                state[f"{name}.x"][row], state[f"{name}.z"][row] = speed * x, speed * z
+    places, speeds = run(world, 150)
+    apart = [np.linalg.norm(places[:, a] - places[:, b], axis=1).min() for a in range(4) for b in range(a)]
+    assert min(apart) > 3.6 and places[-1, 0, 0] > 20 and places[-1, 1, 0] < -20  # their radii together are 4 mm
+    assert places[-1, 2, 2] < 80 and places[-1, 3, 2] > 120 and np.linalg.norm(speeds[-1], axis=1).min() > 15
+
+
 def test_align_makes_them_go_the_same_way() -> None:
     points = [(float(x), float(z)) for x in (-6, 0, 6) for z in (94, 100, 106)]
     world = scene("align(radius: 60 mm, fov: 360 deg)", crowd("ant", *points), turned="uniform(-80 deg, 80 deg)")

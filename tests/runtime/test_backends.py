@@ -91,7 +91,9 @@ def test_every_operation_is_covered():
         "agent.age",
         "reduce.nth_agent",
         "reduce.nth_item",
-    }  # tests/specs/test_specs.py, tests/numerics/test_noise.py,
+        "clear.velocity",
+        "gap.widest",
+    }  # tests/specs/test_specs.py, tests/numerics/test_noise.py, tests/senses/test_clear_velocity.py,
     wanted = set(ir.OPS) - elsewhere  # tests/runtime/test_meaning_others.py
     wanted |= {"If", "Store", "Claim", "Give", *EFFECTS} - {"carve"}  # tests/runtime/test_digging.py
     lacking = wanted - operations(plans.rich()) - operations(surfaces_plan())

@@ -214,6 +214,49 @@ _ROWS = (
         ),
         operands="fff",
     ),
+    Sense(
+        "clear.velocity",
+        "",
+        (Part("", size=3),),
+        "the velocity nearest to one (first three) by which it meets none of the nearest others: within mm, for s, so many",
+        (
+            Builtin(
+                (
+                    Arg("wish", "velocity"),
+                    Arg("within", "length"),
+                    Arg("horizon", "time", "2 s", above=0),
+                    Arg("most", "number", "10", above=0, whole=True),
+                ),
+                "velocity",
+                "the velocity nearest to `wish` by which it meets nobody for `horizon`, if the others do their half",
+                "clear_velocity",
+                "",
+                sense=True,
+                cost=Cost(3000, "clear velocity", within=1),
+                sample="match(clear_velocity(heading * max_speed, within: 3 m))",
+            ),
+        ),
+        operands="ffffff",
+    ),
+    Sense(
+        "gap.widest",
+        "",
+        (Part("", size=3),),
+        "unit way into the widest gap between the bearings of the nearest others: within mm, at most so many",
+        (
+            Builtin(
+                (Arg("within", "length"), Arg("most", "number", "16", above=0, whole=True)),
+                "push",
+                "into the widest gap between its neighbours, length 1; nothing without any",
+                "widest_gap",
+                "",
+                sense=True,
+                cost=Cost(1500, "widest gap", within=0),
+                sample="toward(widest_gap(within: 60 mm))",
+            ),
+        ),
+        operands="ff",
+    ),
 )
 SENSES: dict[str, Sense] = {row.op: row for row in _ROWS}
 

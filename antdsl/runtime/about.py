@@ -1,0 +1,129 @@
+"""Who is about an agent, in the plane of its own ground: for the velocity by which it meets nobody, and for the widest gap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.vectors import Vector
+from antdsl.runtime.cell_grids import grid_for
+from antdsl.runtime.world import AXES, Population, World
+from antdsl.senses.clear_velocity import Others, clear_velocities
+from antdsl.senses.widest_gap import widest_gaps
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+
+def clear_velocity(
+    world: World, population: Population, rows: Rows, wish: Vector, within: Floats, horizon: Floats, most: Floats
+) -> tuple[NDArray[np.float32], ...]:
+    """Velocities (mm/s, x y z) along the ground of some agents, nearest to a wish, by which they meet none of the `most` nearest
+    others of any species `within` mm, on their side of the ground, for `horizon` s. Each is as it was when the step began."""
+    start = population.start
+    plane = _Plane.of(population, rows)
+    own = _known(vec.take(vec.named(start, "velocity"), rows))
+    fastest = np.where(start["max_speed"][rows] > 0, start["max_speed"][rows], 0).astype(np.float64)
+    others = _others(world, population, rows, within, most, own, plane)
+    sound = np.where(horizon > 0, np.minimum(horizon, 1e6), 1e6)
+    x, y = clear_velocities(others, plane.laid(own), plane.laid(_known(wish)), np.minimum(fastest, 1e9), sound, world.dt)
+    return plane.raised(x, y)
+
+
+def widest_gap(world: World, population: Population, rows: Rows, within: Floats, most: Floats) -> tuple[NDArray[np.float32], ...]:
+    """Unit ways (x y z) of some agents along their ground into the widest gap between the `most` nearest others of any species
+    `within` mm, on their side of the ground; 0 without any."""
+    plane = _Plane.of(population, rows)
+    others = _others(world, population, rows, within, most, None, plane)
+    return plane.raised(*widest_gaps(others.x, others.y, others.there))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plane:
+    """The ground of some agents: unit `up`, `ahead` along their heading and `left`, float64."""
+
+    up: Vector
+    ahead: Vector
+    left: Vector
+
+    @classmethod
+    def of(cls, population: Population, rows: Rows) -> _Plane:
+        up, heading = (_known(vec.take(vec.named(population.start, name), rows)) for name in ("up", "heading"))
+        ahead = vec.unit(vec.flat(heading, up), vec.across(up))
+        return cls(up, ahead, vec.cross(up, ahead))
+
+    def laid(self, vector: Vector) -> tuple[Floats, Floats]:
+        """The parts of vectors ahead and to the left."""
+        return vec.dot(vector, self.ahead), vec.dot(vector, self.left)
+
+    def raised(self, x: Floats, y: Floats) -> tuple[NDArray[np.float32], ...]:
+        """Vectors of such parts."""
+        found = vec.add(vec.scale(self.ahead, x), vec.scale(self.left, y))
+        return tuple(component.astype(np.float32) for component in found)
+
+
+def _known(vector: Vector) -> Vector:
+    """Vectors in float64, 0 where one is no number."""
+    x, y, z = (np.asarray(component, np.float64) for component in vector)
+    good = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+    return vec.choose(good, (x, y, z), (np.zeros_like(x),) * 3)
+
+
+def _others(
+    world: World,
+    population: Population,
+    rows: Rows,
+    within: Floats,
+    most: Floats,
+    own: Vector | None,
+    plane: _Plane,
+) -> Others:
+    """The nearest others of all species, at most `most` of each agent; their velocities where its `own` is given."""
+    count = np.clip(np.where(most > 0, most, 0), 0, limits.NEIGHBOURS).astype(np.intp)
+    n, widest = len(rows), int(count.max(initial=0))
+    place = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
+    reach = np.where(within > 0, within, -1).astype(np.float32)
+    radius = _radius(population)[rows]
+    found: list[tuple[NDArray[Any], ...]] = []
+    far = float(reach.max(initial=0.0, where=np.isfinite(reach)))
+    for number, (name, other) in enumerate(world.populations.items()):
+        if not len(other) or not widest:
+            continue
+        grid = grid_for(world, other, far if far > 0 else 1.0)
+        qid = population.ids[rows] if other is population else None
+        p = grid.pairs(None, reach, qx=place[0], qy=place[1], qz=place[2], qid=qid, threads=world.options.threads)
+        theirs = _known(vec.take(vec.named(other.start, "up"), p.j))
+        kept = np.flatnonzero(vec.dot(vec.take(plane.up, p.i), theirs) > 0)
+        i, j = p.i.take(kept), p.j.take(kept)
+        way = tuple(each.take(kept).astype(np.float64) for each in (p.dx, p.dy, p.dz))
+        moves = [] if own is None else [vec.sub(vec.take(own, i), _known(vec.take(vec.named(other.start, "velocity"), j)))]
+        first = population.ids[rows][i] < other.ids[j] if other is population else np.full(len(i), population.name < name)
+        flat = [vec.dot(v, vec.take(axis, i)) for v in (way, *moves) for axis in (plane.ahead, plane.left)]  # type: ignore[arg-type]
+        flat += [np.zeros(len(i))] * (4 - len(flat))
+        room = radius[i] + _radius(other)[j]
+        found.append((i, p.distance.take(kept), np.full(len(i), number), other.ids[j], *flat, room, first))
+    shape = (n, widest)
+    x, y, vx, vy, both = table = [np.zeros(shape) for _ in range(5)]
+    there, first = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
+    if found:
+        columns = [np.concatenate(column) for column in zip(*found, strict=True)]
+        order = np.lexsort((columns[3], columns[2], columns[1], columns[0]))  # by distance, then species and id
+        columns = [column.take(order) for column in columns]
+        asking = columns[0]
+        place_of = np.arange(len(asking)) - np.searchsorted(asking, asking)
+        kept = np.flatnonzero(place_of < count.take(asking))
+        at = asking.take(kept), place_of.take(kept)
+        for whole, column in zip(table, columns[4:9], strict=True):
+            whole[at] = column.take(kept)
+        there[at], first[at] = True, columns[9].take(kept)
+    return Others(x, y, vx, vy, both, there, first)
+
+
+def _radius(population: Population) -> Floats:
+    radius = population.start["radius"].astype(np.float64)
+    return np.where(np.isfinite(radius) & (radius > 0), radius, 0.0)
