@@ -21,7 +21,7 @@ from antdsl.plan.traverse import blocks, statements
 from antdsl.program import typed
 from antdsl.program.model import Program
 from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.senses import GIVES_SET, SET_SENSES
+from antdsl.program.tables.set_senses import GIVES_SET, SET_SENSES
 from antdsl.program.tables.vocabulary import BUILTINS, GIVEN, OTHER_OPS, REDUCERS, SIGN_OPS
 from antdsl.program.traverse import parts
 from antdsl.runtime import FieldStart, MeshData, Setting, World, set_param

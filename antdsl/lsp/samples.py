@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from antdsl.program.tables import senses
+from antdsl.program.tables import senses, set_senses
 from antdsl.program.tables.things import KINDS_OF_THINGS
 
 # Words inside a line.
@@ -76,7 +76,7 @@ _PLAIN_FORMS = {
 CALL_FORMS = {
     **_PLAIN_FORMS,
     **{row.name: row.sample for row in senses.spoken("call") if row.sample},
-    **{row.op: row.sample for row in senses.SET_SENSES.values()},
+    **{row.op: row.sample for row in set_senses.SET_SENSES.values()},
 }
 SET_FORMS = {
     "sum": "sum(n in neighbours(20 mm): n.load)",

@@ -25,7 +25,7 @@ from antdsl.program.model import (
 )
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.rows import Cost
-from antdsl.program.tables.senses import SET_SENSES
+from antdsl.program.tables.set_senses import SET_SENSES
 from antdsl.program.tables.vocabulary import COSTS
 from antdsl.program.traverse import parts
 from antdsl.program.types.folding import constant_behind

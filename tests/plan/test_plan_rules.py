@@ -15,7 +15,7 @@ from antdsl.plan.traverse import needed, operands, statements
 from antdsl.program import model
 from antdsl.program.model import Dim
 from antdsl.program.tables import vocabulary
-from antdsl.program.tables.senses import SET_SENSES
+from antdsl.program.tables.set_senses import SET_SENSES
 
 
 def test_every_operation_of_the_vocabulary_has_a_rule():

@@ -24,7 +24,8 @@ from antdsl.program.names.scope import type_from_words
 from antdsl.program.tables import effects
 from antdsl.program.tables.effects import EFFECTS, Effect
 from antdsl.program.tables.rows import Arg, Builtin
-from antdsl.program.tables.senses import SENSES, SET_SENSES, WORDS, spoken
+from antdsl.program.tables.senses import SENSES, WORDS, spoken
+from antdsl.program.tables.set_senses import SET_SENSES
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.vocabulary import BUILTINS, COSTS, INTERVALS, SENSED_NAMES
 from antdsl.program.types import sets

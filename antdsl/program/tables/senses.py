@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import pi
 
-from antdsl.program.tables.rows import Arg, Builtin, Cost, Part, Sense, SetSense
+from antdsl.program.tables.rows import Arg, Builtin, Cost, Part, Sense
 
 HALF_TURN = (0.0, pi * (1 + 1e-6))  # an angle in float32 may come out a little larger than half a turn
 SHARE = (0.0, 1.0)
@@ -338,66 +338,6 @@ WORDS = (
         (), "push", "the world's up, laid along the ground", "uphill", spoken="name", sense=True, sample="steer toward(uphill)"
     ),
 )
-
-_WITHIN, _WITH = Arg("within", "length", optional=True), Arg("with", "condition", optional=True)
-_MOST = Arg("most", "number", optional=True)  # so many count, the nearest
-
-
-def _set(op: str, args: tuple[Arg, ...], help: str, result: str = "set") -> Builtin:
-    return Builtin(args, result, help, op)
-
-
-_SET_ROWS = (
-    SetSense(
-        "neighbours",
-        (
-            _set(
-                "neighbours",
-                (Arg("radius", "length"), Arg("fov", "angle", "360 deg"), Arg("of", "species", optional=True), _MOST),
-                "others of its own species (or of another) near it and in its field of view",
-            ),
-        ),
-        ("set.agents",),
-        Cost(600, "{thing}", within=0),
-        "count(neighbours(radius: 20 mm, fov: 270 deg))",
-    ),
-    SetSense(
-        "all",
-        (
-            _set("all", (Arg("of", "items"), _WITHIN, _WITH, _MOST), "items or agents"),
-            _set("all", (Arg("of", "species"), _WITHIN, _WITH, _MOST), "agents"),
-        ),
-        ("set.items", "set.every", "set.agents"),
-        Cost(100, "all {thing}", within=0),
-        "count(all(food, within: 40 mm))",
-    ),
-    SetSense(
-        "feelers",
-        (
-            _set(
-                "feelers",
-                (Arg("on", "obstacle"), Arg("count", "count", "3"), Arg("spread", "angle", "35 deg"), Arg("reach", "length")),
-                "rays ahead along the velocity and turned about up, evenly out to `spread` on either side: the hits",
-            ),
-        ),
-        ("ray",),
-        Cost(400, "{count} rays on {thing}", times=0, often=3),
-        "any(feelers(stones, count: 3, spread: 35 deg, reach: 6 mm))",
-    ),
-    SetSense(
-        "nearest",
-        (
-            _set("nearest", (Arg("of", "items"), _WITHIN, _WITH), "the nearest, or none", "item"),
-            _set("nearest", (Arg("of", "species"), _WITHIN, _WITH), "the nearest, or none", "agent"),
-            _set("nearest", (Arg("of", "set"),), "the nearest of a set, or none", "any"),
-        ),
-        (),  # the nearest of one of the sets above
-        None,
-        "nearest(food, within: 40 mm)",
-    ),
-)
-SET_SENSES: dict[str, SetSense] = {row.op: row for row in _SET_ROWS}
-GIVES_SET = frozenset(row.op for row in _SET_ROWS if row.rows[0].result == "set")  # the others give one of a set
 
 
 def spoken(how: str) -> tuple[Builtin, ...]:

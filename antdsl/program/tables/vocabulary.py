@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import pi
 
 from antdsl.program.model import Dim, Kind
-from antdsl.program.tables import senses
+from antdsl.program.tables import senses, set_senses
 from antdsl.program.tables.rows import Arg, Builtin, Cost
 from antdsl.program.tables.things import KINDS_OF_THINGS
 
@@ -224,7 +224,7 @@ def _with_senses(plain: dict[str, tuple[Builtin, ...]]) -> dict[str, tuple[Built
     found = dict(plain)
     for row in senses.spoken("call"):
         found[row.name] = (*found.get(row.name, ()), row)
-    return found | {row.op: row.rows for row in senses.SET_SENSES.values()}
+    return found | {row.op: row.rows for row in set_senses.SET_SENSES.values()}
 
 
 # Called as functions. Names with several rows are told apart by the first argument's type; the first row that fits wins.

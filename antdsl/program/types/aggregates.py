@@ -9,7 +9,7 @@ from typing import cast
 from antdsl.program.expectations import GEOMETRY, MOTION, AtStart, Bodily, CellValue, Measured, Other, Whole
 from antdsl.program.model import Binding, Dim, Expr, Kind, Local, ParamRef, Rate, Reduce, Thing, Type
 from antdsl.program.names.scope import BOOL, NUMBER, Declared, Scope, attributes_of, bad, did_you_mean, listed, type_from_words
-from antdsl.program.tables.senses import GIVES_SET
+from antdsl.program.tables.set_senses import GIVES_SET
 from antdsl.program.tables.vocabulary import GIVEN, SENSED_NAMES
 from antdsl.program.traverse import written
 from antdsl.program.types import calls, expressions, operators
