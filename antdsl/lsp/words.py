@@ -177,6 +177,7 @@ SCENE_HELP = {
     "radius": "how far about that place",
     "points": "a file of places",
     "density": "a map that says where they are many",
+    "apart": "how far from each other at least, or `even`",
     "by": "`above`, or `area`: undersides too",
     "at": "a place, `[x, y, z]`",
     "look_at": "what the camera looks at",

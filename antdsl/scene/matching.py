@@ -256,6 +256,14 @@ def _placement(scene: Scene, program: Program, report: Report, place: Placement,
     if place.by == "area" and place.inside is not None:
         words = "agents that begin `inside` stand where lines from there end, and are not spread by area"
         report.error("wrong-value", words, scene.span(*path, "by", key=True), "leave `by` out")
+    for key in ("apart", "seed"):
+        if getattr(place, key) is not None and place.points is not None:
+            words = f"agents at `points` stand where these are, and nothing is left for `{key}` to say"
+            report.error("wrong-value", words, scene.span(*path, key, key=True), f"leave `{key}` out")
+    if place.apart == "even" and (place.inside is not None or (place.density is not None and place.by != "area")):
+        words = f"how much room there is {'inside' if place.inside is not None else 'by `density` from above'} is not known"
+        advice = "write a length, such as `apart: 10 mm`" + ("" if place.inside is not None else ", or add `by: area`")
+        report.error("wrong-value", words, scene.span(*path, "apart", key=True), advice)
     _around(scene, report, place.around, place.radius, *path)
 
 

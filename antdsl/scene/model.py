@@ -9,6 +9,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Fiel
 
 from antdsl import limits
 from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.tables.vocabulary import LENGTH
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import (
     Angle,
@@ -24,8 +25,10 @@ from antdsl.scene.values import (
     Word,
     number,
     one_of,
+    positive,
     refuse,
     whole,
+    word_or,
 )
 
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
@@ -109,6 +112,7 @@ class CurveThing(Part):
 
 
 Strength = Annotated[float, BeforeValidator(number(-1, 1))]
+Apart = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH)))]
 By = Annotated[str, BeforeValidator(one_of("above", "area"))]
 Falloff = Annotated[str, BeforeValidator(one_of("none", "linear", "smooth"))]
 
@@ -262,7 +266,8 @@ def _point_or_name(value: Any) -> str:
 class Placement(Part):
     """Where a crowd begins: scattered on a surface (all of it, by the `density` that a map paints, or within `radius` of a point
     or an item, by itself of the scene's origin), at given points, or where lines from a point or an item end, `inside`
-    of something. `by` says whether they are dropped onto it from above or spread over its area, undersides too."""
+    of something. `by` says whether they are dropped onto it from above or spread over its area, undersides too. `apart`: how
+    far from each other at least, or as `even` as there is room for. `seed` takes the place of the scene's."""
 
     on: Name | None = None
     inside: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None
@@ -271,6 +276,8 @@ class Placement(Part):
     points: FilePath | None = None
     density: Name | None = None
     by: By = "above"
+    apart: Apart | None = None
+    seed: Annotated[int, BeforeValidator(whole(0, 2**64 - 1))] | None = None
 
 
 class CrowdLine(Part):

@@ -123,7 +123,8 @@ class PlaceData:
     else evenly over the surfaces, or as densely as the map `density` says. `on` narrows to some surfaces (empty: all).
 
     With `by_area` agents stand on the front of faces, whichever way these look, and `radius` is that of a ball; `points` go to
-    the nearest place of a surface."""
+    the nearest place of a surface. `apart`: how far (mm) centres are from each other, at least; inf: as far as all who begin
+    there with the same have room for. `seed`: of the places, instead of the setting's."""
 
     on: tuple[str, ...] = ()
     around: Point | None = None
@@ -132,6 +133,8 @@ class PlaceData:
     points: NDArray[np.float64] | None = None
     density: str | None = None
     by_area: bool = False
+    apart: float = 0.0
+    seed: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -204,6 +204,13 @@ Name = Annotated[str, BeforeValidator(_name)]
 FilePath = Annotated[str, BeforeValidator(_path)]
 AnyQuantity = Annotated[Quantity, BeforeValidator(_quantity)]
 Length = Annotated[Quantity, BeforeValidator(of_dim(LENGTH))]
+
+
+def word_or(word: str, other: Callable[[Any], Quantity]) -> Callable[[Any], Quantity | str]:
+    """One word, or a quantity."""
+    return lambda value: word if str(value) == word else other(value)
+
+
 PositiveLength = Annotated[Quantity, BeforeValidator(positive(LENGTH))]
 PositiveTime = Annotated[Quantity, BeforeValidator(positive(TIME))]
 Angle = Annotated[Quantity, BeforeValidator(of_dim(ANGLE))]

@@ -6,6 +6,7 @@ allocated."""
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -379,4 +380,13 @@ def _place(staging: Staging, places: Places, place: Placement, *path: Key) -> st
         points=points,
         density=place.density,
         by_area=place.by == "area",
+        apart=_apart(scene, place.apart),
+        seed=place.seed,
     )
+
+
+def _apart(scene: Scene, apart: Quantity | str | None) -> float:
+    """How far apart (mm) agents of a line begin; inf: evenly."""
+    if isinstance(apart, str):
+        return math.inf
+    return _length(scene, apart) or 0.0
