@@ -117,6 +117,7 @@ SETTING_FORMS = {
     "combine": "field heat on ground { cell 10 mm; combine max }",
     "limit": "field heat on ground { cell 10 mm; limit 5 }",
 }
+_WALK = "crowd: [{species: forager, from: forager.ant, count: 1, walk: {direction: [1, 0, 0], speed: 30 mm/s, length: 40 mm}}]"
 SCENE_FORMS = {
     "antdsl": "antdsl: 1",
     "extends": "extends: scene.yaml",
@@ -148,6 +149,10 @@ SCENE_FORMS = {
     "points": "crowd: [{species: forager, from: forager.ant, count: 50, place: {points: starts.json}}]",
     "density": "crowd: [{species: forager, from: forager.ant, count: 50, place: {on: ground, density: damp}}]",
     "by": "crowd: [{species: forager, from: forager.ant, count: 50, place: {on: ground, by: area}}]",
+    "walk": _WALK,
+    "direction": _WALK,
+    "speed": _WALK,
+    "length": _WALK,
     "apart": "crowd: [{species: forager, from: forager.ant, count: 50, place: {on: ground, apart: even}}]",
     "at": "camera: {at: [0, 300, 200], look_at: [0, 0, 0]}",
     "look_at": "camera: {at: [0, 300, 200], look_at: [0, 0, 0]}",

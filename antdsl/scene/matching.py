@@ -206,6 +206,9 @@ def _crowd(scene: Scene, program: Program, report: Report) -> None:
         if line.species not in program.species:
             _unknown(report, scene, ("crowd", number, "species"), "no program has a species", program.species, key=False)
         _placement(scene, program, report, line.place, "crowd", number, "place")
+        if line.walk is not None and not any(line.walk.direction):
+            where = scene.span("crowd", number, "walk", "direction")
+            report.error("wrong-value", "`[0, 0, 0]` leads nowhere", where, "write a direction, such as `[1, 0, 0]`")
     if total > limits.AGENTS:
         report.error(
             "too-large", f"{total:,} agents are more than {limits.AGENTS:,}", scene.span("crowd"), "write a smaller `count`"

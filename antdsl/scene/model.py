@@ -21,6 +21,7 @@ from antdsl.scene.values import (
     Length,
     Name,
     PositiveLength,
+    PositiveSpeed,
     PositiveTime,
     Word,
     number,
@@ -280,6 +281,18 @@ class Placement(Part):
     seed: Annotated[int, BeforeValidator(whole(0, 2**64 - 1))] | None = None
 
 
+Along = Annotated[float, BeforeValidator(number(-1e6, 1e6))]
+
+
+class Walk(Part):
+    """A way that agents are led instead of deciding for themselves: in a direction of the scene's axes, at one speed, and when
+    they have gone so far they stand."""
+
+    direction: tuple[Along, Along, Along]
+    speed: PositiveSpeed
+    length: PositiveLength
+
+
 class CrowdLine(Part):
     """Agents of one species. `body` is what pictures draw; by itself it goes by the species' name."""
 
@@ -287,6 +300,7 @@ class CrowdLine(Part):
     source: FilePath = Field(alias="from")
     count: Annotated[int, BeforeValidator(whole(0, limits.AGENTS))]
     place: Placement = Placement()
+    walk: Walk | None = None
     body: Body | None = None
 
 

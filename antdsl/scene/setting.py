@@ -137,14 +137,25 @@ class PlaceData:
     seed: int | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class WalkData:
+    """A way that agents are led: a unit vector along which they set out, laid along the ground, mm/s, and mm."""
+
+    direction: Point
+    speed: float
+    length: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdData:
-    """`count` agents of one species; `group` is the number of this line of the scene, from 0."""
+    """`count` agents of one species; `group` is the number of this line of the scene, from 0. Those with a `walk` sense and
+    decide nothing."""
 
     species: str
     count: int
     place: PlaceData = PlaceData()
     group: int = 0
+    walk: WalkData | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,6 +18,7 @@ from antdsl.runtime.binding.spacing import Drawn, Room, spread, takes_room
 from antdsl.runtime.binding.start_places import COVERED, PLACEMENT_FRAME, TURN, StartPlaces
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.lifecycle import come_alive, deaths_and_births, settle_newborn
+from antdsl.runtime.moving import walks
 from antdsl.runtime.moving.tilting import settle
 from antdsl.runtime.world import AXES, Crowded, Population, World, add_rows, empty_population, select_rows
 from antdsl.scene.setting import CrowdData, PlaceData
@@ -154,6 +155,7 @@ def begin(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
     come_alive(world, joined)
     for name, rows in joined.items():
         _set_out(world, world.populations[name], rows)
+        walks.set_out(world, world.populations[name], rows)
         settle(world, world.populations[name], rows)
     settle_newborn(world)  # while rows are theirs: who dies at birth has asked for it all the same
     births = set(settled_in("births"))

@@ -27,7 +27,7 @@ from antdsl.scene.geometry.meshes import RawMesh, placed, read_mesh, within_reac
 from antdsl.scene.geometry.points import POINT_BYTES, PointsError, read_points
 from antdsl.scene.load import Scene
 from antdsl.scene.matching import const_base
-from antdsl.scene.model import UNIT_MM, CurveThing, MeshThing, Placement, Point, UsdCamera, UsdThing, millimetres
+from antdsl.scene.model import UNIT_MM, CurveThing, MeshThing, Placement, Point, UsdCamera, UsdThing, Walk, millimetres
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.cached import once_a_mesh
@@ -106,7 +106,13 @@ def stage(
         name: group[0].position for name, group in items.items() if group
     }
     crowds = tuple(
-        stage_of.CrowdData(line.species, line.count, _place(staging, places, line.place, "crowd", number, "place"), number)
+        stage_of.CrowdData(
+            line.species,
+            line.count,
+            _place(staging, places, line.place, "crowd", number, "place"),
+            number,
+            _walk(scene, line.walk),
+        )
         for number, line in enumerate(model.crowd)
     )
     check_densities(staging, maps)
@@ -383,6 +389,16 @@ def _place(staging: Staging, places: Places, place: Placement, *path: Key) -> st
         apart=_apart(scene, place.apart),
         seed=place.seed,
     )
+
+
+def _walk(scene: Scene, walk: Walk | None) -> stage_of.WalkData | None:
+    if walk is None:
+        return None
+    model = scene.model
+    x, y, z = walk.direction
+    size = math.hypot(x, y, z)
+    speed = walk.speed.length(model.unit_mm) if walk.speed.bare else walk.speed.base(model.unit_mm, float(1 / model.fps))
+    return stage_of.WalkData((x / size, y / size, z / size), speed, walk.length.length(model.unit_mm))
 
 
 def _apart(scene: Scene, apart: Quantity | str | None) -> float:
