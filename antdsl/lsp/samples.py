@@ -117,6 +117,7 @@ SETTING_FORMS = {
     "combine": "field heat on ground { cell 10 mm; combine max }",
     "limit": "field heat on ground { cell 10 mm; limit 5 }",
 }
+_HEIGHT = "world: {arena: {height: hills.png, extent: [400 mm, 400 mm], scale: 30 mm, offset: 2 mm}}"
 _WALK = "crowd: [{species: forager, from: forager.ant, count: 1, walk: {direction: [1, 0, 0], speed: 30 mm/s, length: 40 mm}}]"
 SCENE_FORMS = {
     "antdsl": "antdsl: 1",
@@ -158,6 +159,9 @@ SCENE_FORMS = {
     "look_at": "camera: {at: [0, 300, 200], look_at: [0, 0, 0]}",
     "focal": "camera: {at: [0, 300, 200], look_at: [0, 0, 0], focal: 35 mm}",
     "mesh": "world: {hill: {mesh: hill.ply, voxel: 2 mm}}",
+    "height": _HEIGHT,
+    "extent": _HEIGHT,
+    "offset": _HEIGHT,
     "voxel": "world: {hill: {mesh: hill.ply, voxel: 2 mm}}",
     "keys": "world: {lorry: {mesh: lorry.ply, keys: {1: {at: [0, 0, 0]}, 48: {at: [20, 0, 0]}}}}",
     "attributes": "output: {attributes: [P, v, id, state]}",

@@ -78,6 +78,22 @@ class MeshThing(Part):
     voxel: PositiveLength | None = None
 
 
+class HeightThing(Part):
+    """A surface of heights: a 16-bit grey image (.png, .tif), or an array of an .npz file (`array`, where it has several;
+    `layer`, of one with three dimensions). `extent`: how far it goes along x and the other level axis, about its own origin; a
+    sample of 1 is `scale` high, and all are raised by `offset`."""
+
+    height: FilePath
+    extent: tuple[PositiveLength, PositiveLength]
+    scale: Length
+    offset: Length | None = None
+    array: Name | None = None
+    layer: Annotated[int, BeforeValidator(whole(0, 100_000))] | None = None
+    at: Point | None = None
+    rotate: tuple[Angle, Angle, Angle] | None = None
+    keys: Keys = {}
+
+
 class UsdEach(Part):
     """What the points of a USD file have as items where the file says nothing: a radius, and values of attributes."""
 
@@ -209,6 +225,7 @@ class ItemThing(Part):
 # The key that says what a thing of the world is, unless it is the name of an item.
 HEADS: dict[str, tuple[str, type[Part]]] = {
     "mesh": ("mesh-thing", MeshThing),
+    "height": ("height-thing", HeightThing),
     "usd": ("usd-thing", UsdThing),
     "curve": ("curve-thing", CurveThing),
     "tangent": ("tangent-thing", TangentFlow),
@@ -219,9 +236,9 @@ HEADS: dict[str, tuple[str, type[Part]]] = {
     "painted": ("painted-thing", PaintedThing),
 }
 # Those that name a file of the thing's own, and what a kind of thing may be here.
-FILE_HEADS = ("mesh", "usd", "curve", "painted")
+FILE_HEADS = ("mesh", "height", "usd", "curve", "painted")
 MODELS: dict[str, tuple[type, ...]] = {
-    "surface": (MeshThing, UsdThing), "obstacle": (MeshThing, UsdThing), "solid": (MeshThing, UsdThing),
+    "surface": (MeshThing, HeightThing, UsdThing), "obstacle": (MeshThing, UsdThing), "solid": (MeshThing, UsdThing),
     "curve": (CurveThing, UsdThing), "items": (dict, UsdThing), "flow": (FlowThing, PaintedThing), "map": (PaintedThing,),
 }  # fmt: skip
 
@@ -247,6 +264,7 @@ def _items(value: Any) -> Any:
 
 WorldThing = Annotated[
     Annotated[MeshThing, Tag("mesh-thing")]
+    | Annotated[HeightThing, Tag("height-thing")]
     | Annotated[UsdThing, Tag("usd-thing")]
     | Annotated[CurveThing, Tag("curve-thing")]
     | Annotated[TangentFlow, Tag("tangent-thing")]

@@ -195,7 +195,8 @@ class Setting:
     (`forager.smell`), those absent take their default; `first_frame` is the number of the first simulated frame. Meshes, items
     and curves are where they are at that frame; `moves` says where they go. `camera` is one that a file brings. With
     `by_rays` agents stick to meshes by two rays a step and do not walk over triangles. `orient`: what bodies stand across: the
-    ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`."""
+    ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`. `deviations`: how far (mm)
+    the triangles of surfaces that are made of heights lie from bilinear patches, at most."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -218,6 +219,7 @@ class Setting:
     moves: Moves = field(default_factory=Moves)
     camera: CameraData | None = None
     detail: DetailData | None = None
+    deviations: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def dt(self) -> float:
