@@ -189,3 +189,29 @@ def test_a_dense_crowd_has_the_same_values_in_any_order_of_rows_threads_and_chun
     seen = play(DENSE, crowd(400, radius=18), world="ant 1\nuse steering\nworld { surface ground }\n", steps=6, fps=24, ways=many)
     now = kept(seen.world, count=8)
     assert sum(len(about) == 8 for about in now.values()) > 350 and sum(seen["hits"]) > 5 and len(now) != 400
+
+
+def test_pairs_across_species_begin_at_birth_and_each_keeps_its_own() -> None:
+    text = f"""species b {{ {STILL} start s
+      state s {{ when frame == 3 and id == 0 -> s {{ die }} }} }}
+    species a {{
+      knows = 0 for each b, strongest 2
+      kin = 1 for each a, strongest 1
+      sum_of = 0
+      on spawn {{ velocity = vector(0 mm/s, 0 mm/s, 0 mm/s); knows[nearest(b)] = 3; kin[n in a] += n.id }}
+      start s
+      state s {{
+        sum_of = sum(n in b: knows[n]) + sum(n in a: kin[n])
+        when frame == 2 and id == 0 -> s {{ spawn a; knows[n in b] += n.id + 1 }}
+      }}
+    }}"""
+    told: list[dict[int, dict[int, float]]] = []
+
+    def note(world: World) -> None:
+        told.append(kept(world, "knows", count=2))
+
+    others = crowd(species="b", at=[(1, 0), (8, 0), (30, 0)])
+    play(text, crowd(at=[(0, 0), (9, 0)]), others, steps=5, ways=EVERY_WAY, each=note)
+    assert told[0] == {0: {0: 3.0}, 1: {1: 3.0}}
+    assert told[1] == {0: {0: 4.0, 2: 3.0}, 1: {1: 3.0}, 2: {0: 3.0}}  # 3 about b 2, and 2 about b 1, for which there is no room
+    assert told[-1] == {0: {2: 3.0}, 1: {1: 3.0}, 2: {}}
