@@ -211,4 +211,4 @@ def test_an_agent_that_is_run_again_gets_all_that_it_was_given() -> None:
     step(world)
     ants = world.populations["a"]
     assert again == list(zip(ants.now["load"].tolist(), ants.now["seen"].tolist(), strict=True))
-    assert sorted(ants.now["load"].tolist()) == pytest.approx([0.1, 1.4])
+    assert sorted(ants.now["load"].tolist()) == pytest.approx([0.1, 1.4], abs=1e-6)
