@@ -148,6 +148,21 @@ def test_of_many_neighbours_the_nearest_count(radius: float) -> None:
     assert counts.max() == limits.NEIGHBOURS and (radius == 0 or len(set(seen["mood"])) > 1)
 
 
+def test_a_crowd_in_one_sheet_that_comes_to_lie_level_is_searched_as_before() -> None:
+    def run(options: Options) -> list[str]:
+        world = bind(plans.rich(), plans.crowd(200), options)
+        found = []
+        for frame in range(6):
+            for population in world.populations.values():
+                tall = np.linspace(0, 2, len(population), dtype=np.float32) if frame < 3 else np.float32(0)
+                population.start["position.y"][:] = population.now["position.y"][:] = tall
+            step(world)
+            found.append(state_hash(world))
+        return found
+
+    assert run(Options(backend="native", wait_for_code=True)) == run(Options(backend="numpy"))
+
+
 def test_too_many_in_a_radius_are_told_as_numpy_tells_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "WITHIN_RADIUS", 300)
     told = []

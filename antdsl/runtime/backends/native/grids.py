@@ -152,6 +152,8 @@ class Grids:
 
     def _sheet(self, other: Population, places: list[NDArray[np.float32]], shape: Shape) -> bool:
         """Whether a crowd lies in one sheet: only speed hangs on it, so it is not asked each time."""
+        if not shape.extent[2] > 0:
+            return False  # one layer of cells already
         count, since, known = self._sheets.get(other.name, (-1, 0, False))
         if count != len(other) or since >= _AGAIN:
             known, since = shape.is_sheet(places), 0
