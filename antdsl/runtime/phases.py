@@ -15,7 +15,7 @@ from antdsl.numerics.sorting import interleaved, stable_order
 from antdsl.plan.ir import Kind
 from antdsl.program.tables.effects import settled_in
 from antdsl.runtime import claims, digging, faults, lifecycle
-from antdsl.runtime.moving import advance, moving_geometry, tilting
+from antdsl.runtime.moving import advance, moving_geometry, tilting, walks
 from antdsl.runtime.world import Population, World, select_rows
 
 _SORT_EVERY, _SORT_FROM = 16, 2048  # frames, agents
@@ -70,8 +70,9 @@ def blend(world: World) -> None:
 
 def _run(world: World, block: str) -> None:
     for population in world.populations.values():
-        if len(population):
-            world.backend.run(world, population, block)
+        rows = walks.awake(world, population)
+        if len(population) if rows is None else len(rows):
+            world.backend.run(world, population, block, rows)
 
 
 def effects(world: World) -> None:

@@ -206,6 +206,9 @@ def _crowd(scene: Scene, program: Program, report: Report) -> None:
         if line.species not in program.species:
             _unknown(report, scene, ("crowd", number, "species"), "no program has a species", program.species, key=False)
         _placement(scene, program, report, line.place, "crowd", number, "place")
+        if line.walk is not None and not any(line.walk.direction):
+            where = scene.span("crowd", number, "walk", "direction")
+            report.error("wrong-value", "`[0, 0, 0]` leads nowhere", where, "write a direction, such as `[1, 0, 0]`")
     if total > limits.AGENTS:
         report.error(
             "too-large", f"{total:,} agents are more than {limits.AGENTS:,}", scene.span("crowd"), "write a smaller `count`"
@@ -256,6 +259,14 @@ def _placement(scene: Scene, program: Program, report: Report, place: Placement,
     if place.by == "area" and place.inside is not None:
         words = "agents that begin `inside` stand where lines from there end, and are not spread by area"
         report.error("wrong-value", words, scene.span(*path, "by", key=True), "leave `by` out")
+    for key in ("apart", "seed"):
+        if getattr(place, key) is not None and place.points is not None:
+            words = f"agents at `points` stand where these are, and nothing is left for `{key}` to say"
+            report.error("wrong-value", words, scene.span(*path, key, key=True), f"leave `{key}` out")
+    if place.apart == "even" and (place.inside is not None or (place.density is not None and place.by != "area")):
+        words = f"how much room there is {'inside' if place.inside is not None else 'by `density` from above'} is not known"
+        advice = "write a length, such as `apart: 10 mm`" + ("" if place.inside is not None else ", or add `by: area`")
+        report.error("wrong-value", words, scene.span(*path, "apart", key=True), advice)
     _around(scene, report, place.around, place.radius, *path)
 
 

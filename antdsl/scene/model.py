@@ -9,6 +9,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Fiel
 
 from antdsl import limits
 from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.tables.vocabulary import LENGTH
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import (
     Angle,
@@ -20,12 +21,15 @@ from antdsl.scene.values import (
     Length,
     Name,
     PositiveLength,
+    PositiveSpeed,
     PositiveTime,
     Word,
     number,
     one_of,
+    positive,
     refuse,
     whole,
+    word_or,
 )
 
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
@@ -74,6 +78,22 @@ class MeshThing(Part):
     voxel: PositiveLength | None = None
 
 
+class HeightThing(Part):
+    """A surface of heights: a 16-bit grey image (.png, .tif), or an array of an .npz file (`array`, where it has several;
+    `layer`, of one with three dimensions). `extent`: how far it goes along x and the other level axis, about its own origin; a
+    sample of 1 is `scale` high, and all are raised by `offset`."""
+
+    height: FilePath
+    extent: tuple[PositiveLength, PositiveLength]
+    scale: Length
+    offset: Length | None = None
+    array: Name | None = None
+    layer: Annotated[int, BeforeValidator(whole(0, 100_000))] | None = None
+    at: Point | None = None
+    rotate: tuple[Angle, Angle, Angle] | None = None
+    keys: Keys = {}
+
+
 class UsdEach(Part):
     """What the points of a USD file have as items where the file says nothing: a radius, and values of attributes."""
 
@@ -109,6 +129,7 @@ class CurveThing(Part):
 
 
 Strength = Annotated[float, BeforeValidator(number(-1, 1))]
+Apart = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH)))]
 By = Annotated[str, BeforeValidator(one_of("above", "area"))]
 Falloff = Annotated[str, BeforeValidator(one_of("none", "linear", "smooth"))]
 
@@ -204,6 +225,7 @@ class ItemThing(Part):
 # The key that says what a thing of the world is, unless it is the name of an item.
 HEADS: dict[str, tuple[str, type[Part]]] = {
     "mesh": ("mesh-thing", MeshThing),
+    "height": ("height-thing", HeightThing),
     "usd": ("usd-thing", UsdThing),
     "curve": ("curve-thing", CurveThing),
     "tangent": ("tangent-thing", TangentFlow),
@@ -214,9 +236,9 @@ HEADS: dict[str, tuple[str, type[Part]]] = {
     "painted": ("painted-thing", PaintedThing),
 }
 # Those that name a file of the thing's own, and what a kind of thing may be here.
-FILE_HEADS = ("mesh", "usd", "curve", "painted")
+FILE_HEADS = ("mesh", "height", "usd", "curve", "painted")
 MODELS: dict[str, tuple[type, ...]] = {
-    "surface": (MeshThing, UsdThing), "obstacle": (MeshThing, UsdThing), "solid": (MeshThing, UsdThing),
+    "surface": (MeshThing, HeightThing, UsdThing), "obstacle": (MeshThing, UsdThing), "solid": (MeshThing, UsdThing),
     "curve": (CurveThing, UsdThing), "items": (dict, UsdThing), "flow": (FlowThing, PaintedThing), "map": (PaintedThing,),
 }  # fmt: skip
 
@@ -242,6 +264,7 @@ def _items(value: Any) -> Any:
 
 WorldThing = Annotated[
     Annotated[MeshThing, Tag("mesh-thing")]
+    | Annotated[HeightThing, Tag("height-thing")]
     | Annotated[UsdThing, Tag("usd-thing")]
     | Annotated[CurveThing, Tag("curve-thing")]
     | Annotated[TangentFlow, Tag("tangent-thing")]
@@ -262,7 +285,8 @@ def _point_or_name(value: Any) -> str:
 class Placement(Part):
     """Where a crowd begins: scattered on a surface (all of it, by the `density` that a map paints, or within `radius` of a point
     or an item, by itself of the scene's origin), at given points, or where lines from a point or an item end, `inside`
-    of something. `by` says whether they are dropped onto it from above or spread over its area, undersides too."""
+    of something. `by` says whether they are dropped onto it from above or spread over its area, undersides too. `apart`: how
+    far from each other at least, or as `even` as there is room for. `seed` takes the place of the scene's."""
 
     on: Name | None = None
     inside: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None
@@ -271,6 +295,20 @@ class Placement(Part):
     points: FilePath | None = None
     density: Name | None = None
     by: By = "above"
+    apart: Apart | None = None
+    seed: Annotated[int, BeforeValidator(whole(0, 2**64 - 1))] | None = None
+
+
+Along = Annotated[float, BeforeValidator(number(-1e6, 1e6))]
+
+
+class Walk(Part):
+    """A way that agents are led instead of deciding for themselves: in a direction of the scene's axes, at one speed, and when
+    they have gone so far they stand."""
+
+    direction: tuple[Along, Along, Along]
+    speed: PositiveSpeed
+    length: PositiveLength
 
 
 class CrowdLine(Part):
@@ -280,6 +318,7 @@ class CrowdLine(Part):
     source: FilePath = Field(alias="from")
     count: Annotated[int, BeforeValidator(whole(0, limits.AGENTS))]
     place: Placement = Placement()
+    walk: Walk | None = None
     body: Body | None = None
 
 

@@ -6,6 +6,7 @@ allocated."""
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,12 +22,24 @@ from antdsl.program.tables.vocabulary import LENGTH
 from antdsl.scene import setting as stage_of
 from antdsl.scene.document import Key
 from antdsl.scene.geometry.closed import check_closed, check_sides
+from antdsl.scene.geometry.heights import deviation, read_heights, surface_of
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.meshes import RawMesh, placed, read_mesh, within_reach
+from antdsl.scene.geometry.meshes import RawMesh, placed, read_mesh, sound, within_reach
 from antdsl.scene.geometry.points import POINT_BYTES, PointsError, read_points
 from antdsl.scene.load import Scene
 from antdsl.scene.matching import const_base
-from antdsl.scene.model import UNIT_MM, CurveThing, MeshThing, Placement, Point, UsdCamera, UsdThing, millimetres
+from antdsl.scene.model import (
+    UNIT_MM,
+    CurveThing,
+    HeightThing,
+    MeshThing,
+    Placement,
+    Point,
+    UsdCamera,
+    UsdThing,
+    Walk,
+    millimetres,
+)
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.cached import once_a_mesh
@@ -51,6 +64,7 @@ class Staging:
     hashes: dict[str, str] = field(default_factory=dict)
     raw: dict[str, RawMesh] = field(default_factory=dict)  # surfaces and obstacles as their files have them
     moves: dict[str, MeshMoves] = field(default_factory=dict)  # by mesh
+    deviations: dict[str, float] = field(default_factory=dict)  # mm, of surfaces of heights: triangles from bilinear patches
     layers: dict[str, Any] = field(default_factory=dict)  # USD files that were judged, by name
 
     def read(self, text: str, cap: int, *path: Key) -> bytes | None:
@@ -105,7 +119,13 @@ def stage(
         name: group[0].position for name, group in items.items() if group
     }
     crowds = tuple(
-        stage_of.CrowdData(line.species, line.count, _place(staging, places, line.place, "crowd", number, "place"), number)
+        stage_of.CrowdData(
+            line.species,
+            line.count,
+            _place(staging, places, line.place, "crowd", number, "place"),
+            number,
+            _walk(scene, line.walk),
+        )
         for number, line in enumerate(model.crowd)
     )
     check_densities(staging, maps)
@@ -151,6 +171,7 @@ def stage(
         ),
         camera=camera,
         detail=_detail(scene, camera),
+        deviations=staging.deviations,
     )
     return made, staging.report, staging.hashes
 
@@ -195,20 +216,23 @@ def _meshes(staging: Staging, kind: str) -> dict[str, stage_of.MeshData]:
     found = {}
     for name, thing in staging.program.world.items():
         value = staging.scene.model.world.get(name)
-        if thing.kind == kind and isinstance(value, MeshThing | UsdThing):
+        if thing.kind == kind and isinstance(value, MeshThing | HeightThing | UsdThing):
             mesh = _mesh(staging, name, value)
             if mesh is not None:
                 found[name] = mesh
     return found
 
 
-def _mesh(staging: Staging, name: str, value: MeshThing | UsdThing) -> stage_of.MeshData | None:
+def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing) -> stage_of.MeshData | None:
     """A mesh where it is at the first frame; how it moves goes into `staging.moves`."""
     scene, report = staging.scene, staging.report
     up, unit_mm = scene.model.up, scene.model.unit_mm
     if isinstance(value, UsdThing):
         key, shown, factor, own_up = "prim", value.prim, value.scale, up
         found = usd_mesh(staging, name, value)
+    elif isinstance(value, HeightThing):
+        key, shown, factor, own_up = "height", value.height, 1.0, "y"
+        found = _heights(staging, name, value)
     else:
         key, shown = "mesh", value.mesh
         factor, own_up = UNIT_MM[value.units or scene.model.units] * value.scale, value.up or up
@@ -260,6 +284,25 @@ def _still_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
         key = "mesh" if value.group is None else "group"
         staging.report.error("bad-mesh", f"the mesh `{value.mesh}` {why}", staging.scene.span("world", name, key), why.help)
         return None
+
+
+def _heights(staging: Staging, name: str, value: HeightThing) -> tuple[RawMesh, None] | None:
+    """A surface of samples, in mm, y up."""
+    data = staging.read(value.height, limits.MESH_BYTES, "world", name, "height")
+    if data is None:
+        return None
+    unit_mm = staging.scene.model.unit_mm
+    offset = 0.0 if value.offset is None else value.offset.length(unit_mm)
+    try:
+        heights = offset + value.scale.length(unit_mm) * read_heights(data, value.height, value.array, value.layer)
+        x, z = (side.length(unit_mm) for side in value.extent)
+        raw = sound(*surface_of(heights, (x, z)))
+    except MeshError as why:
+        span = staging.scene.span("world", name, "height")
+        staging.report.error("bad-mesh", f"the heights `{value.height}` {why}", span, why.help)
+        return None
+    staging.deviations[name] = deviation(heights)
+    return raw, None
 
 
 def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
@@ -379,4 +422,23 @@ def _place(staging: Staging, places: Places, place: Placement, *path: Key) -> st
         points=points,
         density=place.density,
         by_area=place.by == "area",
+        apart=_apart(scene, place.apart),
+        seed=place.seed,
     )
+
+
+def _walk(scene: Scene, walk: Walk | None) -> stage_of.WalkData | None:
+    if walk is None:
+        return None
+    model = scene.model
+    x, y, z = walk.direction
+    size = math.hypot(x, y, z)
+    speed = walk.speed.length(model.unit_mm) if walk.speed.bare else walk.speed.base(model.unit_mm, float(1 / model.fps))
+    return stage_of.WalkData((x / size, y / size, z / size), speed, walk.length.length(model.unit_mm))
+
+
+def _apart(scene: Scene, apart: Quantity | str | None) -> float:
+    """How far apart (mm) agents of a line begin; inf: evenly."""
+    if isinstance(apart, str):
+        return math.inf
+    return _length(scene, apart) or 0.0
