@@ -17,11 +17,11 @@ HIGH = 6.0  # m, of the whole range of the image
 
 
 def heights() -> np.ndarray:
-    """Hills of 40 m across and folds of 12 m, float64[SAMPLES, SAMPLES] in m; rows go along z, columns along x."""
+    """Hills of 70 m across and folds of 15 m, float64[SAMPLES, SAMPLES] in m; rows go along z, columns along x."""
     axis = np.linspace(-SIDE / 2, SIDE / 2, SAMPLES)
     x, z = np.meshgrid(axis, axis)
     places = np.stack([x.ravel(), z.ravel()], axis=1)
-    height = 2.0 * waves(places, 41, 40.0, 4) + 0.4 * waves(places, 42, 12.0, 4)
+    height = 1.3 * waves(places, 41, 70.0, 2) + 0.12 * waves(places, 42, 15.0, 2)
     return np.clip(height.reshape(SAMPLES, SAMPLES) + HIGH / 2, 0.0, HIGH)
 
 
@@ -30,5 +30,4 @@ if __name__ == "__main__":
     Image.fromarray(whole).save(HERE / "height.png", optimize=True)
     half = SIDE / 2
     corners = [(-half, -half), (half, -half), (half, half), (-half, half), (-half, -half)]
-    points = [(a[0] + (b[0] - a[0]) * k / 40, a[1] + (b[1] - a[1]) * k / 40) for a, b in zip(corners, corners[1:], strict=False) for k in range(40)]
-    (HERE / "rim.json").write_text(json.dumps([[x, 0.0, z] for x, z in [*points, corners[0]]]))
+    (HERE / "rim.json").write_text(json.dumps([[x, 0.0, z] for x, z in corners]) + "\n")
