@@ -1,7 +1,7 @@
 """Writes floor.ply, wall.ply and legs.ply of this example: `python examples/roaches/make_kitchen.py`.
 
-Millimetres, y up: a kitchen floor of 2.4 × 2 m with a wall behind it, the legs of a table and of two chairs. The floor and the wall
-are the area that roaches are allowed on, of few faces. The same numbers give the same files."""
+Millimetres, y up: a kitchen floor of 2.4 × 2 m with a wall behind it, the legs of a table and of two chairs. The floor and the
+wall are the area that roaches are allowed on, of few faces. The same numbers give the same files."""
 
 from pathlib import Path
 

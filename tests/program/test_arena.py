@@ -1,4 +1,4 @@
-"""Hunters and prey: the mistakes of the document that they come from are not made, and what it counts per frame is had per second."""
+"""Hunters and prey: the mistakes of the document that they come from are not made; what it counts per frame is had per second."""
 
 from __future__ import annotations
 
