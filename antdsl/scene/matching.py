@@ -14,9 +14,10 @@ from antdsl.program.model import Const, Dim, Kind, Program, WorldThing
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import dimension_words, shown, unit_of, with_unit
 from antdsl.scene import adjusting
+from antdsl.scene.crowd_model import Placement
 from antdsl.scene.document import Key
 from antdsl.scene.load import Scene
-from antdsl.scene.model import FILE_HEADS, MODELS, FlowThing, MeshThing, PaintedThing, Placement, UsdThing
+from antdsl.scene.model import FILE_HEADS, MODELS, FlowThing, MeshThing, PaintedThing, UsdThing
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.stability import spreading

@@ -5,11 +5,17 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
+from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
 from antdsl import limits
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.tables.vocabulary import LENGTH
+from antdsl.scene.crowd_model import CrowdLine as CrowdLine
+from antdsl.scene.crowd_model import Placement as Placement
+from antdsl.scene.crowd_model import Walk as Walk
+from antdsl.scene.parts import Keys, PointOrName
+from antdsl.scene.parts import Part as Part
+from antdsl.scene.parts import PlaceKey as PlaceKey
+from antdsl.scene.parts import Point as Point
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import (
     Angle,
@@ -21,46 +27,23 @@ from antdsl.scene.values import (
     Length,
     Name,
     PositiveLength,
-    PositiveSpeed,
     PositiveTime,
     Word,
     number,
     one_of,
-    positive,
     refuse,
     whole,
-    word_or,
 )
 
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
 Unit = Annotated[str, BeforeValidator(one_of(*UNIT_MM))]
-Body = Annotated[str, BeforeValidator(one_of("ant", "person", "arrow", "ball"))]
 Stick = Annotated[str, BeforeValidator(one_of("triangles", "rays"))]
 Orient = Annotated[str, BeforeValidator(one_of("normal", "turns", "probes"))]
 Axis = Annotated[str, BeforeValidator(one_of("y", "z"))]
 Purpose = Annotated[str, BeforeValidator(one_of("render", "proxy"))]
-Point = tuple[Length, Length, Length]
 
 DEFAULT_ATTRIBUTES = ("P", "v", "orient", "id", "pscale", "Cd", "state")
-
-
-class Part(BaseModel):
-    """A mapping of the scene: keys that are not listed are refused."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, populate_by_name=False, arbitrary_types_allowed=True, hide_input_in_errors=True
-    )
-
-
-class PlaceKey(Part):
-    """Where a thing is at one frame; between keys it goes evenly, before the first and after the last it rests."""
-
-    at: Point | None = None
-    rotate: tuple[Angle, Angle, Angle] | None = None
-
-
-Keys = dict[Annotated[int, BeforeValidator(whole(-limits.FRAMES, limits.FRAMES * 1000))], PlaceKey]
 
 
 class MeshThing(Part):
@@ -129,8 +112,6 @@ class CurveThing(Part):
 
 
 Strength = Annotated[float, BeforeValidator(number(-1, 1))]
-Apart = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH)))]
-By = Annotated[str, BeforeValidator(one_of("above", "area"))]
 Falloff = Annotated[str, BeforeValidator(one_of("none", "linear", "smooth"))]
 
 
@@ -278,56 +259,12 @@ WorldThing = Annotated[
 ]
 
 
-def _point_or_name(value: Any) -> str:
-    return "point" if isinstance(value, list) else "named"
-
-
-class Placement(Part):
-    """Where a crowd begins: scattered on a surface (all of it, by the `density` that a map paints, or within `radius` of a point
-    or an item, by itself of the scene's origin), at given points, or where lines from a point or an item end, `inside`
-    of something. `by` says whether they are dropped onto it from above or spread over its area, undersides too. `apart`: how
-    far from each other at least, or as `even` as there is room for. `seed` takes the place of the scene's."""
-
-    on: Name | None = None
-    inside: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None
-    around: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None
-    radius: PositiveLength | None = None
-    points: FilePath | None = None
-    density: Name | None = None
-    by: By = "above"
-    apart: Apart | None = None
-    seed: Annotated[int, BeforeValidator(whole(0, 2**64 - 1))] | None = None
-
-
-Along = Annotated[float, BeforeValidator(number(-1e6, 1e6))]
-
-
-class Walk(Part):
-    """A way that agents are led instead of deciding for themselves: in a direction of the scene's axes, at one speed, and when
-    they have gone so far they stand."""
-
-    direction: tuple[Along, Along, Along]
-    speed: PositiveSpeed
-    length: PositiveLength
-
-
-class CrowdLine(Part):
-    """Agents of one species. `body` is what pictures draw; by itself it goes by the species' name."""
-
-    species: Name
-    source: FilePath = Field(alias="from")
-    count: Annotated[int, BeforeValidator(whole(0, limits.AGENTS))]
-    place: Placement = Placement()
-    walk: Walk | None = None
-    body: Body | None = None
-
-
 class FieldStart(Part):
     """Starting values of a field: `start` everywhere, or only within `radius` of a point or an item (by itself: of the
     origin)."""
 
     start: Annotated[float, BeforeValidator(number(0, 1e9))]
-    around: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None
+    around: PointOrName | None = None
     radius: PositiveLength | None = None
 
 

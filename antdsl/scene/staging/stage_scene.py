@@ -6,7 +6,6 @@ allocated."""
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,7 +15,6 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
-from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Const, Expr, Op, ParamRef, Program
 from antdsl.program.tables.vocabulary import LENGTH
 from antdsl.scene import setting as stage_of
@@ -33,11 +31,8 @@ from antdsl.scene.model import (
     CurveThing,
     HeightThing,
     MeshThing,
-    Placement,
-    Point,
     UsdCamera,
     UsdThing,
-    Walk,
     millimetres,
 )
 from antdsl.scene.paths import PathRefused
@@ -45,6 +40,7 @@ from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.cached import once_a_mesh
 from antdsl.scene.staging.item_placement import check_crowds, items_of
 from antdsl.scene.staging.moves import MeshMoves, Moves
+from antdsl.scene.staging.stage_crowd import length, place, point, walk
 from antdsl.scene.staging.stage_flows import check_densities, stage_flows
 from antdsl.scene.staging.stage_things import curve_places, moving_mesh, placed_moves, usd_camera, usd_mesh
 
@@ -122,9 +118,9 @@ def stage(
         stage_of.CrowdData(
             line.species,
             line.count,
-            _place(staging, places, line.place, "crowd", number, "place"),
+            place(staging, places, line.place, "crowd", number, "place"),
             number,
-            _walk(scene, line.walk),
+            walk(scene, line.walk),
         )
         for number, line in enumerate(model.crowd)
     )
@@ -134,8 +130,8 @@ def stage(
     starts = {
         name: stage_of.FieldStart(
             start.start,
-            _point(staging, places, start.around, start.radius, "fields", name),
-            _length(scene, start.radius),
+            point(staging, places, start.around, start.radius, "fields", name),
+            length(scene, start.radius),
         )
         for name, start in model.fields.items()
     }
@@ -181,35 +177,13 @@ def _detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.Detail
     model = scene.model
     if model.lod is None or model.camera is None or isinstance(model.camera, str):
         return None
-    near, far = model.lod.near.length(model.unit_mm), _length(scene, model.lod.far)
+    near, far = model.lod.near.length(model.unit_mm), length(scene, model.lod.far)
     if camera is not None:
         places = camera.at
     else:
         assert not isinstance(model.camera, UsdCamera)
         places = np.array([millimetres(model.camera.at, model.unit_mm)])
     return stage_of.DetailData(places, near, float("inf") if far is None else far, model.frames.first)
-
-
-def _length(scene: Scene, value: Quantity | None) -> float | None:
-    return None if value is None else value.length(scene.model.unit_mm)
-
-
-Places = Mapping[str, stage_of.Point]
-
-
-def _point(
-    staging: Staging, places: Places, around: Point | str | None, radius: Quantity | None, *path: Key, key: str = "around"
-) -> stage_of.Point | None:
-    """Where something lies about: a point, an item's place, the origin where only a radius is given."""
-    if around is None:
-        return None if radius is None else (0.0, 0.0, 0.0)
-    if not isinstance(around, str):
-        return millimetres(around, staging.scene.model.unit_mm)
-    if around not in places and staging.report.ok:
-        near = nearest_name(around, places)
-        help = f"did you mean `{near}`?" if near else None
-        staging.report.error("unknown-thing", f"no item is named `{around}`", staging.scene.span(*path, key), help)
-    return places.get(around)
 
 
 def _meshes(staging: Staging, kind: str) -> dict[str, stage_of.MeshData]:
@@ -405,40 +379,3 @@ def _curves(staging: Staging) -> dict[str, NDArray[np.float64]]:
             if places is not None:
                 found[name] = places
     return found
-
-
-def _place(staging: Staging, places: Places, place: Placement, *path: Key) -> stage_of.PlaceData:
-    scene = staging.scene
-    points = None
-    if place.points is not None:
-        points = staging.points(place.points, 1, *path, "points")
-        if points is not None:
-            points = points * scene.model.unit_mm
-    return stage_of.PlaceData(
-        on=(place.on,) if place.on is not None else (),
-        around=_point(staging, places, place.around, place.radius, *path),
-        inside=_point(staging, places, place.inside, None, *path, key="inside"),
-        radius=_length(scene, place.radius),
-        points=points,
-        density=place.density,
-        by_area=place.by == "area",
-        apart=_apart(scene, place.apart),
-        seed=place.seed,
-    )
-
-
-def _walk(scene: Scene, walk: Walk | None) -> stage_of.WalkData | None:
-    if walk is None:
-        return None
-    model = scene.model
-    x, y, z = walk.direction
-    size = math.hypot(x, y, z)
-    speed = walk.speed.length(model.unit_mm) if walk.speed.bare else walk.speed.base(model.unit_mm, float(1 / model.fps))
-    return stage_of.WalkData((x / size, y / size, z / size), speed, walk.length.length(model.unit_mm))
-
-
-def _apart(scene: Scene, apart: Quantity | str | None) -> float:
-    """How far apart (mm) agents of a line begin; inf: evenly."""
-    if isinstance(apart, str):
-        return math.inf
-    return _length(scene, apart) or 0.0
