@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from compilers import need_llvmlite, need_numba
 
 from antdsl import resources
 from antdsl.bench import CASES, Job
@@ -21,7 +22,6 @@ from antdsl.bench.measuring import hand_written, measure
 from antdsl.bench.processes import Failed, measured
 from antdsl.bench.programs import BOIDS, NODE
 from antdsl.bench.tables import HEADS, Result, about, as_json, between, from_json, phases, ratio_text, whole_step
-from antdsl.numerics import compiled
 from antdsl.runtime.backends import NumpyBackend
 from antdsl.runtime.backends.native import machine as native_machine
 from antdsl.runtime.backends.native.object_cache import VARIABLE
@@ -98,7 +98,7 @@ def test_machine_code_is_there_before_steps_are_measured_and_its_making_and_load
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Whatever earlier runs have kept: each function is made once, and loaded once from the folder that then has it."""
-    pytest.importorskip("llvmlite")
+    need_llvmlite()
     made: list[str] = []
     by_numpy: list[str] = []
     plain, make = NumpyBackend.run, native_machine.object_code
@@ -129,7 +129,7 @@ def test_machine_code_is_there_before_steps_are_measured_and_its_making_and_load
 
 
 def test_code_that_no_folder_keeps_has_no_time_to_be_loaded_in(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    pytest.importorskip("llvmlite")
+    need_llvmlite()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.chdir(tmp_path)  # a folder within it is not trusted
     found = measure(Job("node", 60, ("native",), turns=1, steps=1))
@@ -155,8 +155,7 @@ def test_words_of_what_was_measured() -> None:
 
 
 def test_the_hand_written_frame_does_all_its_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    if not compiled.available():
-        pytest.skip("needs numba")
+    need_numba()
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     bound = importlib.import_module("bound")
     ants = bound.Bound(2000)
