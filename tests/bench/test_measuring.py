@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import sys
 from dataclasses import replace
@@ -21,7 +22,8 @@ from antdsl.bench.machine import machine
 from antdsl.bench.measuring import hand_written, measure
 from antdsl.bench.processes import Failed, measured
 from antdsl.bench.programs import BOIDS, NODE
-from antdsl.bench.tables import HEADS, Result, about, as_json, between, from_json, phases, ratio_text, whole_step
+from antdsl.bench.tables import HEADS, Result, about, as_json, between, from_json, phases, ratio_text, told, whole_step
+from antdsl.cli.printing.bench_tables import show
 from antdsl.runtime.backends import NumpyBackend
 from antdsl.runtime.backends.native import machine as native_machine
 from antdsl.runtime.backends.native.object_cache import VARIABLE
@@ -121,7 +123,7 @@ def test_machine_code_is_there_before_steps_are_measured_and_its_making_and_load
     assert found.set_up.code and found.set_up.kept and found.set_up.second
     assert os.environ.get(VARIABLE) == before and list(tmp_path.iterdir()) == []
     (row,) = whole_step(Result((found,)))
-    assert "" not in row[-3:] and row[HEADS.index("code")] != ""
+    assert "" not in row[-3:] and row[HEADS.index("code, CPU s")] != ""
     other = measure(Job("node", 60, ("numpy",), turns=1, steps=1))
     assert (other.set_up.code, other.set_up.kept) == (None, None)
     (row,) = whole_step(Result((other,)))
@@ -134,6 +136,22 @@ def test_code_that_no_folder_keeps_has_no_time_to_be_loaded_in(monkeypatch: pyte
     monkeypatch.chdir(tmp_path)  # a folder within it is not trusted
     found = measure(Job("node", 60, ("native",), turns=1, steps=1))
     assert found.set_up.code and found.set_up.kept is None
+    (line,) = told(Result((found,)))
+    assert line.startswith("native: compiled code is not kept in") and "in the working directory" in line
+
+
+def test_where_there_is_no_machine_code_that_is_told_with_the_times(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(native_machine, "unavailable", lambda: "llvmlite is not there: install it")
+    found = measure(Job("node", 1, ("native", "numpy"), turns=1, steps=1))
+    (line,) = told(Result((found,)))
+    assert line.startswith("native: NumPy runs instead of machine code") and line.endswith("llvmlite is not there: install it")
+    assert Measured.from_json(json.loads(json.dumps(found.as_json()))) == found
+    show(Result((found,), found))
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0].startswith("node, 1 agent; ") and printed[1] == line
+    assert {"grew by, MiB", "first step, CPU s"} <= {words.split("  ")[0] for words in printed}
 
 
 def test_words_of_what_was_measured() -> None:
