@@ -222,9 +222,6 @@ def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.
             self.steps += 1
             return self.steps > 4
 
-        def cancelled(self) -> bool:
-            return False
-
         def result(self) -> Any:
             return done
 

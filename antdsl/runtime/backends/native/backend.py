@@ -20,7 +20,6 @@ from antdsl.runtime.backends.native.runner import Block, Chunk
 from antdsl.runtime.backends.native.tables import Rooms, Tables
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 from antdsl.runtime.backends.reference import Agent
-from antdsl.runtime.moving import moving_geometry
 from antdsl.runtime.requests import Effects
 from antdsl.runtime.world import AXES, Population, World
 
@@ -94,10 +93,8 @@ class NativeBackend(NumpyBackend):
             return
         if self._timed and machine.available() and not machine.host().x86:
             return  # elsewhere a program may not be allowed to read the counter
-        facts = Facts(moving_geometry.moving(world) is not None, world.detail is not None, self._timed)
+        facts = Facts.of(world.setting, timed=self._timed)
         ready = known(world.plan, facts)
-        if self._coming is not None and self._coming.cancelled():
-            self._coming = None
         wanted = waits or (self._begun and compiled.pays(len(world), sum(world.worked.values())))
         if ready is None and self._coming is None and wanted:
             self._coming = beside(world.plan, self.blocks, facts)
