@@ -97,11 +97,11 @@ def _draw_paths(draw: ImageDraw.ImageDraw, view: View, paths: Paths, depth: NDAr
     count, frames = paths.places.shape[:2]
     points = paths.places.reshape(-1, 3)
     there = np.isfinite(points).all(axis=1)
-    seen = np.zeros(len(points), np.bool_)
-    seen[there] = _unhidden(points[there], view, depth)
-    flat = np.zeros((len(points), 2))
-    flat[seen] = view.project(points[seen])[0]
-    seen, flat = seen.reshape(count, frames), flat.reshape(count, frames, 2)
+    shown = np.zeros(len(points), np.bool_)
+    shown[there] = _unhidden(points[there], view, depth)
+    places = np.zeros((len(points), 2))
+    places[shown] = view.project(points[shown])[0]
+    seen, flat = shown.reshape(count, frames), places.reshape(count, frames, 2)
     width = 3 if view.height >= 900 else 2
     order = [*range(paths.now), *reversed(range(paths.now, frames - 1))]  # from each end towards the agent
     for k in order:
