@@ -24,11 +24,12 @@ _SHARP = 1 / 128  # 1 + cosine of two sides' outward directions: below it their 
 
 
 class Faces:
-    """Triangles with corners float64[m,3,3] (mm). Of those that are `brief`, asked for few faces, no tables are made."""
+    """Triangles with corners float64[m,3,3] (mm). Of those that are `brief`, asked for few faces, no tables are made. `largest`:
+    the coordinate (mm) that a hair goes by, where it is not that of all corners."""
 
-    def __init__(self, corners: Floats, brief: bool = False) -> None:
+    def __init__(self, corners: Floats, brief: bool = False, largest: float | None = None) -> None:
         self.corners = corners
-        self.hair = HAIR * float(np.abs(corners).max(initial=0.0))
+        self.hair = HAIR * (float(np.abs(corners).max(initial=0.0)) if largest is None else largest)
         self._brief = brief or len(corners) > _TABLES
         self._normals: Floats | None = None
         self._planes: tuple[Floats, Floats] | None = None

@@ -78,13 +78,14 @@ class RayScene:
     processor. So it only names faces, of triangles that are a hair wider than they are: what a ray meets and where, and which
     place is nearest, is worked out in float64 from the face named and those that meet it there. Of equally near ones the first
     mesh counts, then the first face. A scene that is `brief`, asked for a single step, knows less well who is far from it, and
-    is made faster.
+    is made faster. A hair goes by the largest coordinate, or by `largest` (mm) where what lies beyond it is a backdrop.
     """
 
     _brief = False
+    _largest: float | None = None
 
-    def __init__(self, vertices: Vectors, faces: NDArray[np.int32], brief: bool = False) -> None:
-        self._brief = brief
+    def __init__(self, vertices: Vectors, faces: NDArray[np.int32], brief: bool = False, largest: float | None = None) -> None:
+        self._brief, self._largest = brief, largest
         self._fill([(vertices, faces)])
 
     @classmethod
@@ -103,7 +104,7 @@ class RayScene:
         middle = (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2 if corners.size else np.zeros(3)
         # Whole metres, and none at all near zero: one more stone at the rim moves no bit of a ray at the others.
         self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > FAR else np.zeros(3)
-        self._faces = Faces(corners - self.origin, self._brief)
+        self._faces = Faces(corners - self.origin, self._brief, self._largest)
         self._scene: Any = None
         self._grid: DistanceGrid | None = None
         self._refined = False

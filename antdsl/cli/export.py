@@ -1,4 +1,4 @@
-"""`antdsl export CACHE --to FILE`: a cache for other programs, as USD."""
+"""`antdsl export CACHE --to FILE`: a cache for other programs, as USD or as a table of keyframes."""
 
 from __future__ import annotations
 
@@ -12,20 +12,30 @@ from antdsl.cli.exits import Exit, Stop
 
 def export(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
-    to: Path = typer.Option(..., "--to", metavar="FILE", help="Where to: a .usdc (small), .usda (text) or .usd file."),
+    to: Path = typer.Option(..., "--to", metavar="FILE", help="Where to: a .usdc (small), .usda (text), .usd or .csv file."),
+    form: str = typer.Option(
+        None, "--as", metavar="WORD", help="Of USD: instances, or xforms (one an agent). [default: instances]", show_default=False
+    ),
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Which frames. [default: all]", show_default=False),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
-    """Write a cache as a USD file: agents as instances, meshes, items, camera. Needs the extra [usd]."""
+    """Write a cache as a USD file (agents, meshes, items, camera; needs the extra [usd]), or keyframes of agents as CSV."""
     from antdsl.cli.arguments import frame_range
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
+    from antdsl.outputs.exports import EXPORTS, export_for
     from antdsl.outputs.gallery import Gallery, NoPicture
-    from antdsl.outputs.usd_export import SUFFIXES, export_usd
     from antdsl.scene.geometry.usd import UsdError
 
-    if to.suffix.lower() not in SUFFIXES:
-        raise typer.BadParameter(f"`{to.name}` is none of {', '.join(SUFFIXES)}", param_hint="--to")
+    export = export_for(to)
+    if export is None:
+        endings = ", ".join(ending for each in EXPORTS for ending in each.endings)
+        raise typer.BadParameter(f"`{to.name}` is none of {endings}", param_hint="--to")
+    word = form if form is not None else next(iter(export.forms))
+    if word not in export.forms:
+        raise typer.BadParameter(
+            f"`{to.name}` cannot be written as `{word}`: there is {', '.join(export.forms)}", param_hint="--as"
+        )
     file_to_write(to, "--to")
     between = frame_range(frames)
     try:
@@ -35,7 +45,7 @@ def export(
         there = [f for f in gallery.cache.frames() if between is None or between.first <= f <= between.last]
         if not there:
             raise Stop(Exit.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has")
-        export_usd(gallery, there, to)
+        export.forms[word](gallery, there, to)
     except ManifestError as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:

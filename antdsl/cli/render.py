@@ -15,6 +15,7 @@ from antdsl.cli.exits import Exit, Stop
 if TYPE_CHECKING:
     from antdsl.outputs.cutting import Cut
     from antdsl.outputs.gallery import Gallery
+    from antdsl.outputs.paths import Window
     from antdsl.outputs.pictures.model import Camera, Picture
 
 SHEET = 9  # pictures on a contact sheet where no frames are named
@@ -37,10 +38,19 @@ def render(
     sheet: bool = typer.Option(False, "--sheet", help="One picture with several frames on it, and the last frame by itself."),
     film: bool = typer.Option(False, "--film", help="An .mp4; needs the extra [video]."),
     show: str = typer.Option(
-        "trail", "--show", metavar="WORD,…", help="What to draw besides: trail, flow, feelers, velocity, ids; `none` for nothing."
+        "trail",
+        "--show",
+        metavar="WORD,…",
+        help="What to draw besides: trail, flow, feelers, velocity, paths, ids; `none` for nothing.",
+    ),
+    window: str = typer.Option(
+        "1..2", "--window", metavar="A..B", help="Paths: so many seconds before the frame and after it, 60 at most."
     ),
     agents: str = typer.Option(
-        None, "--agents", metavar="ID,…", help="Only these agents' ids, velocities, feelers; the eye camera follows the first."
+        None,
+        "--agents",
+        metavar="ID,…",
+        help="Only these agents' ids, velocities, paths, feelers; the eye camera follows the first.",
     ),
     width: int = typer.Option(960, "--width", min=16, max=8192, help="Pixels."),
     height: int = typer.Option(540, "--height", min=16, max=8192, help="Pixels."),
@@ -59,10 +69,11 @@ def render(
     from antdsl.cli.arguments import frame_range
     from antdsl.cli.run import at_once
 
-    gallery = _gallery(cache, _cut(cut))
+    words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
+    seconds = _window(window)
+    gallery = _gallery(cache, _cut(cut), seconds if "paths" in words else None)
     wanted = _frames(gallery, frame_range(frames), every, sheet, film)
     followed = _ids(agents)
-    words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
     folder = out if out is not None else cache / "pictures"
     folder_to_write(folder, "--out", *(["film.mp4"] if film else ["sheet.png"] if sheet else []))
     folder.mkdir(parents=True, exist_ok=True)
@@ -87,13 +98,24 @@ def _cut(text: str | None) -> Cut | None:
     return found
 
 
-def _gallery(folder: Path, cut: Cut | None) -> Gallery:
+def _window(text: str) -> Window:
+    from antdsl.outputs.paths import MOST_SECONDS, Window
+
+    found = Window.of(text)
+    if found is None:
+        raise typer.BadParameter(
+            f"`{text}` is no window of seconds such as `1..2`, {MOST_SECONDS:g} at most", param_hint="--window"
+        )
+    return found
+
+
+def _gallery(folder: Path, cut: Cut | None, window: Window | None) -> Gallery:
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
     from antdsl.outputs.gallery import Gallery, NoPicture
 
     try:
-        return Gallery(open_cache(folder), cut)
+        return Gallery(open_cache(folder), cut, window)
     except (ManifestError, CacheError) as why:
         raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except NoPicture as why:

@@ -19,6 +19,7 @@ from antdsl.outputs.cache.manifest import CameraEntry, SpeciesEntry
 from antdsl.outputs.cutting import Cut
 from antdsl.outputs.feelers import rays
 from antdsl.outputs.flow_arrows import drawn
+from antdsl.outputs.paths import Walks, Window
 from antdsl.outputs.pictures.camera import three
 from antdsl.outputs.pictures.model import Arrows, Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
 from antdsl.outputs.pictures.trails import robust_full
@@ -37,15 +38,17 @@ class NoPicture(Exception):
 
 
 class Gallery:
-    """Makes pictures of one cache. Frames asked for in order let the legs of agents move on between them."""
+    """Makes pictures of one cache. Frames asked for in order let the legs of agents move on between them. With a `window` they
+    hold paths: where each agent is in the frames of so many seconds before and after."""
 
-    def __init__(self, cache: Cache, cut: Cut | None = None) -> None:
+    def __init__(self, cache: Cache, cut: Cut | None = None, window: Window | None = None) -> None:
         self.cache, self.manifest, self._cut = cache, cache.manifest, cut
         missing = [name for name in WANTED if name not in self.manifest.attributes]
         if missing:
             raise NoPicture(f"the cache has no attribute `{missing[0]}`, which pictures need")
         above, below = self.manifest.fps.split("/")
         self.dt = int(below) / int(above)
+        self._walks = None if window is None else Walks(cache, self.dt, window)
         self.static = cache.static()
         self._stones = tuple(self._solid(m.name, m.kind) for m in self.manifest.meshes if m.kind != "solid")
         self._dug = DugSolids(cache, self.static, cut)
@@ -59,7 +62,7 @@ class Gallery:
         self._places: dict[str, NDArray[np.float64]] = {}
 
     def picture(self, frame: int, *, agents: frozenset[int] = frozenset()) -> Picture:
-        """One frame. With `agents` only those ids have what `ids` and `velocity` show."""
+        """One frame. With `agents` only those ids have what `ids`, `velocity` and `paths` show."""
         arrays = self.cache.frame(frame)
         if self._first is None:
             frames = self.cache.frames()
@@ -152,7 +155,7 @@ class Gallery:
                 ids=ids[rows],
                 velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
             )
-            made += [self._with_feelers(part, species) for part in _parted(crowd, agents)]
+            made += [self._with_lines(part, species, number, frame) for part in _parted(crowd, agents)]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
                 legend += [
@@ -161,8 +164,10 @@ class Gallery:
                 ]
         return tuple(made), tuple(legend)
 
-    def _with_feelers(self, crowd: Crowd, species: SpeciesEntry) -> Crowd:
-        """The crowd with the rays of its feelers, where they are to be seen."""
+    def _with_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
+        """The crowd with its paths and the rays of its feelers, where they are to be seen."""
+        if crowd.ids is not None and self._walks is not None:
+            crowd = replace(crowd, paths=self._walks.at(frame, number, np.asarray(crowd.ids, np.int64)))
         if not species.feelers or crowd.ids is None or not len(crowd.position):
             return crowd
         ahead, up = (turned(crowd.orient, np.tile(axis, (len(crowd.position), 1))) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))

@@ -1,10 +1,10 @@
-"""A cache as a USD stage: a point instancer a species, the world's meshes, items and camera, all over time, in the scene's units
-and axes. USD has its own ways: quaternions real part first, colours linear, focal lengths in tenths of a unit."""
+"""A cache as a USD stage: a point instancer a species or an Xform an agent, the world's meshes, items and camera, all over
+time, in the scene's units and axes. USD has its own ways: quaternions real part first, colours linear, focal lengths in tenths
+of a unit."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -19,64 +19,53 @@ from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decoded
 from antdsl.outputs.pictures.model import Crowd, Item, Solid
+from antdsl.outputs.usd_parts import ROOT, Samples, box, identifier, name_states, still_mesh, vectors
+from antdsl.outputs.usd_xforms import XformWriter
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
 from antdsl.whole import whole
 
-SUFFIXES = (".usd", ".usda", ".usdc")
-_ROOT = "/World"
 _APERTURE = 36.0  # mm
 _SAVE_EVERY = 50  # frames that wait in memory for their place in the file
 _OWN = frozenset(["frame", "P", "v", "orient", "id", "pscale", "Cd", "species", "v_ground"])
 
 
-def export_usd(gallery: Gallery, frames: Iterable[int], path: Path, watch: Callable[[int], None] = lambda frame: None) -> None:
-    """Write these frames into a file that ends in one of SUFFIXES. It is in its place whole or not at all.
+def export_instances(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
+    """Write these frames into a USD file with one point instancer a species. It is in its place whole or not at all.
 
     UsdError without usd-core, CacheError for a frame that is damaged, OSError where nothing can be written."""
+    _export(gallery, frames, path, _CrowdWriter)
+
+
+def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
+    """The same with one Xform an agent, as programs read them that animate objects one by one."""
+    _export(gallery, frames, path, XformWriter)
+
+
+def _export(gallery: Gallery, frames: Iterable[int], path: Path, crowds: type[_CrowdWriter] | type[XformWriter]) -> None:
     frames = list(frames)
     with whole(path, path.suffix) as part:
         try:
             stage = pxr("Usd").Stage.CreateNew(str(part))
         except pxr("Tf").ErrorException as problem:
             raise OSError(None, "cannot be written", str(path)) from problem
-        writer = _Writer(stage, gallery, frames)
+        writer = _Writer(stage, gallery, frames, crowds)
         for number, frame in enumerate(frames):
             writer.frame(frame)
-            watch(frame)
             if number % _SAVE_EVERY == _SAVE_EVERY - 1:
                 stage.Save()
         stage.Save()
         del writer, stage  # the file is closed before it is moved
 
 
-class _Samples:
-    """Values of one attribute over time. One that stays is written where it begins and where it ends, since USD goes evenly from
-    sample to sample."""
-
-    def __init__(self, attribute: Any, convert: Callable[[NDArray[Any]], Any], kind: Any = np.float64) -> None:
-        self._attribute, self._convert, self._kind = attribute, convert, kind
-        self._value: NDArray[Any] | None = None
-        self._written = self._seen = 0
-
-    def set(self, frame: int, values: Any) -> None:
-        value = np.ascontiguousarray(values, self._kind)
-        if self._value is None or not np.array_equal(self._value, value):
-            if self._value is not None and self._seen > self._written:
-                self._attribute.Set(self._convert(self._value), self._seen)
-            self._attribute.Set(self._convert(value), frame)
-            self._value, self._written = value, frame
-        self._seen = frame
-
-
 class _Writer:
     """A stage that is filled frame by frame."""
 
-    def __init__(self, stage: Any, gallery: Gallery, frames: list[int]) -> None:
-        self.stage, self.gallery, self.frames = stage, gallery, frames
-        self._crowds: dict[str, _CrowdWriter] = {}
+    def __init__(self, stage: Any, gallery: Gallery, frames: list[int], crowds: type[_CrowdWriter] | type[XformWriter]) -> None:
+        self.stage, self.gallery, self.frames, self._kind = stage, gallery, frames, crowds
+        self._crowds: dict[str, _CrowdWriter | XformWriter] = {}
         self._meshes: dict[str, _MeshWriter] = {}
-        self._items: dict[str, tuple[_Samples, ...]] = {}
+        self._items: dict[str, tuple[Samples, ...]] = {}
         geom, manifest = pxr("UsdGeom"), gallery.manifest
         self.unit_mm = UNIT_MM[manifest.units]
         geom.SetStageMetersPerUnit(stage, self.unit_mm / 1000)
@@ -86,7 +75,7 @@ class _Writer:
         stage.SetStartTimeCode(frames[0])
         stage.SetEndTimeCode(frames[-1])
         stage.SetMetadata("comment", f"antdsl {__version__}: {manifest.scene}, seed {manifest.seed}")
-        world = geom.Xform.Define(stage, _ROOT)
+        world = geom.Xform.Define(stage, ROOT)
         pxr("Usd").ModelAPI(world).SetKind("assembly")
         stage.SetDefaultPrim(world.GetPrim())
         self._camera()
@@ -97,12 +86,12 @@ class _Writer:
         whole = {crowd.species: crowd for crowd in picture.crowds}
         for number, species in enumerate(self.gallery.manifest.species):
             if species.name not in self._crowds:
-                self._crowds[species.name] = _CrowdWriter(self.stage, self.gallery, species.name, whole[species.name].body)
+                self._crowds[species.name] = self._kind(self.stage, self.gallery, species.name, whole[species.name].body)
             rows = np.flatnonzero(arrays["species"] == number) if "species" in arrays else np.arange(len(arrays["P"]))
             self._crowds[species.name].frame(frame, whole[species.name], arrays, rows)
         for solid in picture.solids:
             if solid.name not in self._meshes:
-                self._meshes[solid.name] = _MeshWriter(self.stage, f"{_ROOT}/{identifier(solid.name)}")
+                self._meshes[solid.name] = _MeshWriter(self.stage, f"{ROOT}/{identifier(solid.name)}")
             self._meshes[solid.name].frame(frame, solid)
         for item in picture.items:
             self._item(frame, item)
@@ -111,12 +100,12 @@ class _Writer:
         camera = self.gallery.camera(self.frames[0])
         if camera is None:
             return
-        made = pxr("UsdGeom").Camera.Define(self.stage, f"{_ROOT}/camera")
+        made = pxr("UsdGeom").Camera.Define(self.stage, f"{ROOT}/camera")
         tenths = 10.0 / self.unit_mm  # of a millimetre in the stage's unit
         made.CreateHorizontalApertureAttr(_APERTURE * tenths)
         made.CreateVerticalApertureAttr(_APERTURE * 9 / 16 * tenths)
-        move = _Samples(made.AddTransformOp(), lambda rows: pxr("Gf").Matrix4d(*rows.ravel().tolist()))
-        focal, focus = (_Samples(a, lambda v: float(v[0])) for a in (made.GetFocalLengthAttr(), made.GetFocusDistanceAttr()))
+        move = Samples(made.AddTransformOp(), lambda rows: pxr("Gf").Matrix4d(*rows.ravel().tolist()))
+        focal, focus = (Samples(a, lambda v: float(v[0])) for a in (made.GetFocalLengthAttr(), made.GetFocusDistanceAttr()))
         for frame in self.frames if self.gallery.camera_moves else self.frames[:1]:
             camera = self.gallery.camera(frame)
             assert camera is not None
@@ -137,15 +126,15 @@ class _Writer:
         if item.shape == "none" or item.radius <= 0:
             return
         if item.name not in self._items:
-            path = f"{_ROOT}/items/{identifier(item.name)}"
+            path = f"{ROOT}/items/{identifier(item.name)}"
             made = pxr("UsdGeom").Xform.Define(self.stage, path)
             move, size = made.AddTranslateOp(), made.AddScaleOp(pxr("UsdGeom").XformOp.PrecisionDouble)
-            self._items[item.name] = tuple(_Samples(op, lambda v: pxr("Gf").Vec3d(*v.tolist())) for op in (move, size))
+            self._items[item.name] = tuple(Samples(op, lambda v: pxr("Gf").Vec3d(*v.tolist())) for op in (move, size))
             points, faces, colour = placed(item.shape)
             if self.gallery.manifest.up == "z":
                 points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
-            mesh = _mesh(self.stage, f"{path}/shape", points, faces)
-            mesh.CreateDisplayColorPrimvar("vertex").Set(_vectors(decoded(colour)))
+            mesh = still_mesh(self.stage, f"{path}/shape", points, faces)
+            mesh.CreateDisplayColorPrimvar("vertex").Set(vectors(decoded(colour)))
         place, scale = self._items[item.name]
         place.set(frame, item.position)
         scale.set(frame, np.full(3, item.radius * max(min(item.left, 1.0), 1e-9) ** (1 / 3)))
@@ -157,20 +146,18 @@ class _CrowdWriter:
     def __init__(self, stage: Any, gallery: Gallery, species: str, shape: str) -> None:
         entry = next(entry for entry in gallery.manifest.species if entry.name == species)
         self.body = body(shape)
-        path = f"{_ROOT}/{identifier(species)}"
+        path = f"{ROOT}/{identifier(species)}"
         self.made = pxr("UsdGeom").PointInstancer.Define(stage, path)
         prim = self.made.GetPrim()
         pxr("UsdGeom").Scope.Define(stage, f"{path}/poses")
         targets = []
         for number, points in enumerate(self.body.poses):
-            mesh = _mesh(stage, f"{path}/poses/pose_{number:02d}", points, self.body.faces)
+            mesh = still_mesh(stage, f"{path}/poses/pose_{number:02d}", points, self.body.faces)
             targets.append(mesh.GetPath())
         self.made.CreatePrototypesRel().SetTargets(targets)
-        for machine in entry.machines:
-            name = "states" if machine is entry.machines[0] else f"{machine.name}.states"
-            prim.SetCustomDataByKey(identifier(name), pxr("Vt").StringArray([state.name for state in machine.states]))
+        name_states(prim, entry)
         self._reach = float(np.linalg.norm(self.body.poses.reshape(-1, 3), axis=1).max())
-        self._samples: dict[str, _Samples] = {}
+        self._samples: dict[str, Samples] = {}
 
     def frame(self, frame: int, crowd: Crowd, arrays: Arrays, rows: NDArray[np.intp]) -> None:
         """The agents of a frame, in the cache's order, which is that of their ids."""
@@ -221,7 +208,7 @@ class _CrowdWriter:
             }
             array, kind = kinds.get(name, (vt.Vec3fArray, np.float32))
             create = getattr(self.made, f"Create{name[0].upper()}{name[1:]}Attr")
-            self._samples[name] = _Samples(create(), array.FromNumpy, kind)
+            self._samples[name] = Samples(create(), array.FromNumpy, kind)
         self._samples[name].set(frame, values)
 
     def _primvar(self, frame: int, name: str, kind: str, values: Any) -> None:
@@ -231,7 +218,7 @@ class _CrowdWriter:
             kinds = {"Color3fArray": (vt.Vec3fArray, np.float32), "IntArray": (vt.IntArray, np.int32)}
             array, dtype = kinds.get(kind, (vt.FloatArray, np.float32))
             api = pxr("UsdGeom").PrimvarsAPI(self.made)
-            self._samples[key] = _Samples(
+            self._samples[key] = Samples(
                 api.CreatePrimvar(identifier(name), getattr(types, kind), "vertex"), array.FromNumpy, dtype
             )
         self._samples[key].set(frame, values)
@@ -245,38 +232,13 @@ class _MeshWriter:
         made.CreateSubdivisionSchemeAttr("none")
         made.CreateDoubleSidedAttr(True)
         whole = pxr("Vt").IntArray.FromNumpy
-        self._counts = _Samples(made.CreateFaceVertexCountsAttr(), whole, np.int32)
-        self._corners = _Samples(made.CreateFaceVertexIndicesAttr(), whole, np.int32)
-        self._points = _Samples(made.CreatePointsAttr(), _vectors, np.float32)
-        self._extent = _Samples(made.CreateExtentAttr(), _vectors, np.float32)
+        self._counts = Samples(made.CreateFaceVertexCountsAttr(), whole, np.int32)
+        self._corners = Samples(made.CreateFaceVertexIndicesAttr(), whole, np.int32)
+        self._points = Samples(made.CreatePointsAttr(), vectors, np.float32)
+        self._extent = Samples(made.CreateExtentAttr(), vectors, np.float32)
 
     def frame(self, frame: int, solid: Solid) -> None:
         self._counts.set(frame, np.full(len(solid.faces), 3))
         self._corners.set(frame, np.ravel(solid.faces))
         self._points.set(frame, solid.vertices)
-        self._extent.set(frame, _box(solid.vertices))
-
-
-def _mesh(stage: Any, path: str, points: NDArray[Any], faces: NDArray[Any]) -> Any:
-    """A mesh that stays as it is."""
-    made = pxr("UsdGeom").Mesh.Define(stage, path)
-    made.CreatePointsAttr(_vectors(points))
-    made.CreateFaceVertexCountsAttr(pxr("Vt").IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
-    made.CreateFaceVertexIndicesAttr(pxr("Vt").IntArray.FromNumpy(np.ascontiguousarray(faces, np.int32).ravel()))
-    made.CreateSubdivisionSchemeAttr("none")
-    made.CreateExtentAttr(_vectors(_box(points)))
-    return made
-
-
-def _vectors(values: NDArray[Any]) -> Any:
-    return pxr("Vt").Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
-
-
-def _box(points: NDArray[Any]) -> NDArray[Any]:
-    return np.stack([points.min(axis=0), points.max(axis=0)]) if len(points) else np.zeros((2, 3))
-
-
-def identifier(name: str) -> str:
-    """A name as USD allows it."""
-    word = re.sub("[^A-Za-z0-9_]", "_", name)
-    return word if re.match("[A-Za-z_]", word) else f"_{word}"
+        self._extent.set(frame, box(solid.vertices))

@@ -277,3 +277,17 @@ def test_an_ant_in_the_shade_of_a_rock_is_darker():
         return image[body][:, 0].mean()
 
     assert brightness((floor(), roof)) < 0.8 * brightness((floor(),))
+
+
+def test_no_face_stands_out_over_its_neighbours():
+    """Triangles are widened for rays by hairs, which go by what is looked at and not by the wide table below it."""
+    vertices, faces = sphere(4)
+    ball = Solid("ball", vertices * 50, faces, "stone")
+    still = setting((ball,), np.array([0.0, 1, 0]))
+    corners = ball.vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    corners, normal = corners[normal[:, 1] > -0.5], normal[normal[:, 1] > -0.5]  # the others have the table before them
+    near_a_side = (corners * np.array([0.495, 0.495, 0.01])[:, None]).sum(axis=1)
+    assert not still.rays.occluded(near_a_side + 0.001 * normal, normal, 5.0).any()
+    assert still.rays.cast(near_a_side + 0.5 * normal, -normal).t == pytest.approx(0.5, abs=1e-4)

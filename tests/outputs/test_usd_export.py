@@ -122,11 +122,11 @@ def test_what_stays_for_a_while_does_not_drift(tmp_path: Path) -> None:
     """USD goes evenly from sample to sample: one that stays until it jumps has a sample before the jump."""
     from pxr import Sdf, Usd
 
-    from antdsl.outputs.usd_export import _Samples
+    from antdsl.outputs.usd_parts import Samples
 
     stage = Usd.Stage.CreateInMemory()
     attribute = stage.DefinePrim("/a").CreateAttribute("x", Sdf.ValueTypeNames.Float)
-    samples = _Samples(attribute, lambda v: float(v[0]))
+    samples = Samples(attribute, lambda v: float(v[0]))
     for frame, value in enumerate((1, 1, 1, 1, 9, 9, 3), 1):
         samples.set(frame, value)
     assert attribute.GetTimeSamples() == [1, 4, 5, 6, 7]

@@ -25,12 +25,21 @@ class Solid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Paths:
+    """Where agents are over some frames, one after the other: `places` (n, frames, 3), not a number where one is not there.
+    `now` is the place of the picture's own frame among them."""
+
+    places: Array
+    now: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Crowd:
     """Agents of one species. `position` (n, 3), `orient` (n, 4) quaternions x, y, z, w that turn +x to the heading and +y to up,
     `scale` (n,) body lengths in world units, `colour` (n, 3) display values 0..1, `walked` (n,) distance in world units,
     which drives the legs.
 
-    `ids`, `velocity` (n, 3) and `feelers` (k, 2, 3: starts and ends) are needed only where they are to be shown."""
+    `ids`, `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are to be shown."""
 
     species: str
     position: Array
@@ -42,6 +51,7 @@ class Crowd:
     ids: NDArray[np.int64] | None = None
     velocity: Array | None = None
     feelers: Array | None = None
+    paths: Paths | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

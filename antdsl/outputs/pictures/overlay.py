@@ -1,4 +1,4 @@
-"""What is written over a drawn picture: velocity and feelers as lines, ids, the legend of states, the frame's number."""
+"""What is written over a drawn picture: paths, velocity and feelers as lines, ids, the legend of states, the frame's number."""
 
 from functools import cache
 
@@ -9,7 +9,7 @@ from PIL import ImageDraw, ImageFont
 
 from antdsl.bodies.body import turned
 from antdsl.outputs.pictures.camera import View
-from antdsl.outputs.pictures.model import Arrows, Crowd, LegendRow, Picture
+from antdsl.outputs.pictures.model import Arrows, Crowd, LegendRow, Paths, Picture
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -18,6 +18,8 @@ _VELOCITY, _FEELER = (255, 250, 235), (255, 96, 64)
 _HEAD, _SPREAD = 0.34, 0.45  # of an arrow: how long its head is, and how wide (radians)
 _AHEAD = 0.25  # seconds of way that a velocity line shows
 _MOST_IDS = 2000
+_WAS, _WILL_BE = (20, 24, 30), (255, 236, 120)  # of paths
+_PATH_ALPHA, _PATH_SHADES = (40, 235), 8  # at the far ends and at the agent; steps between them
 
 
 @cache
@@ -32,7 +34,7 @@ def draw_overlay(
     """`image` with the lines, ids, legend and frame number that `show` and `picture` ask for, less what is behind ground.
 
     `far`: distance of the still things per sample, rows first."""
-    lines = [word for word in ("flow", "velocity", "feelers", "ids") if word in show]
+    lines = [word for word in ("flow", "velocity", "paths", "feelers", "ids") if word in show]
     if not (lines or picture.legend or picture.frame is not None):
         return image
     canvas = PillowImage.fromarray(image)
@@ -40,6 +42,9 @@ def draw_overlay(
     depth = far.reshape(view.height, samples, view.width, samples)[:, samples // 2, :, samples // 2]
     for flow in picture.flows if "flow" in show else ():
         _draw_arrows(draw, view, flow, _unhidden(flow.position, view, depth))
+    for crowd in picture.crowds if "paths" in show else ():
+        if crowd.paths is not None:
+            _draw_paths(draw, view, crowd.paths, depth)
     for crowd in picture.crowds:
         seen = _visible(crowd, view, depth)
         if "velocity" in show and crowd.velocity is not None:
@@ -84,6 +89,29 @@ def _draw_lines(draw: ImageDraw.ImageDraw, view: View, ends: Array, colour: tupl
     width = 2 if view.height >= 900 else 1
     for a, b, c, d in pairs[kept].tolist():
         draw.line((a, b, c, d), fill=(*colour, 215), width=width)
+
+
+def _draw_paths(draw: ImageDraw.ImageDraw, view: View, paths: Paths, depth: NDArray[np.float32]) -> None:
+    """Ways gone dark, ways to go bright, from place to place, fainter towards their ends. Pieces with an end that is hidden, or
+    not there, are left out; what is nearest to now lies on top."""
+    count, frames = paths.places.shape[:2]
+    points = paths.places.reshape(-1, 3)
+    there = np.isfinite(points).all(axis=1)
+    shown = np.zeros(len(points), np.bool_)
+    shown[there] = _unhidden(points[there], view, depth)
+    places = np.zeros((len(points), 2))
+    places[shown] = view.project(points[shown])[0]
+    seen, flat = shown.reshape(count, frames), places.reshape(count, frames, 2)
+    width = 3 if view.height >= 900 else 2
+    order = [*range(paths.now), *reversed(range(paths.now, frames - 1))]  # from each end towards the agent
+    for k in order:
+        ahead = k >= paths.now
+        share = (k + 1 - paths.now) / max(frames - 1 - paths.now, 1) if ahead else (paths.now - k) / max(paths.now, 1)
+        shade = np.ceil((1.0 - share) * _PATH_SHADES) / _PATH_SHADES
+        alpha = round(_PATH_ALPHA[0] + (_PATH_ALPHA[1] - _PATH_ALPHA[0]) * float(shade))
+        both = seen[:, k] & seen[:, k + 1]
+        for line in flat[both, k : k + 2].reshape(-1, 4).tolist():
+            draw.line(line, fill=(*(_WILL_BE if ahead else _WAS), alpha), width=width)
 
 
 def _draw_arrows(draw: ImageDraw.ImageDraw, view: View, flow: Arrows, seen: NDArray[np.bool_]) -> None:

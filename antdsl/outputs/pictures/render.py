@@ -26,7 +26,7 @@ from antdsl.outputs.pictures.trails import TrailCloth, dyed
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-SHOWN = ("trail", "flow", "feelers", "velocity", "ids")
+SHOWN = ("trail", "flow", "feelers", "velocity", "paths", "ids")
 _CONTACT_RAYS = 4
 
 

@@ -91,7 +91,10 @@ def _assembled(parts: tuple[Part, ...], middle: Array, extent: float, base: floa
     painted = np.concatenate(
         [np.zeros((len(part.vertices), 4), np.float32) if part.painted is None else part.painted for part in parts]
     )
-    return Setting(RayScene(vertices, faces), faces, normal, painted, kind, middle, extent, base, up.astype(np.float32), parts)
+    # The table is wide: by its coordinates all faces would be widened so far that they stand out over their neighbours.
+    near = max((float(np.abs(part.vertices).max(initial=0.0)) for part in parts if part.kind != looks.TABLE), default=extent)
+    rays = RayScene(vertices, faces, largest=max(near, extent))
+    return Setting(rays, faces, normal, painted, kind, middle, extent, base, up.astype(np.float32), parts)
 
 
 def is_floor(vertices: Array, faces: NDArray[np.int32], up: Array) -> bool:

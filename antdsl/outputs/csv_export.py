@@ -1,0 +1,41 @@
+"""A cache as keyframes in a table of text: one row an agent and frame, with place, angles and scale."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from antdsl.outputs.euler_angles import Angles
+from antdsl.outputs.gallery import Gallery
+from antdsl.whole import whole
+
+HEAD = "id,frame,tx,ty,tz,rx,ry,rz,sx,sy,sz,species"
+_READ = frozenset(["P", "orient", "pscale", "id", "species"])
+_ROW = "%d,%d" + ",%.9g" * 9  # nine digits give a float32 back to the last bit
+
+
+def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
+    """Write these frames as CSV, frame by frame, in the scene's units and axes. It is in its place whole or not at all.
+
+    Angles are degrees about x, then y, then z, without jumps from frame to frame; with the scale, which is the body's length,
+    they bring a body of length 1 along +x with +y up into its place.
+
+    CacheError for a frame that is damaged, OSError where nothing can be written."""
+    angles = [Angles() for _ in gallery.manifest.species]
+    with whole(path, path.suffix) as part, open(part, "w", encoding="utf-8", newline="\n") as file:
+        file.write(HEAD + "\n")
+        for frame in frames:
+            arrays = gallery.cache.frame(frame, _READ)
+            count = len(arrays["P"])
+            which = np.asarray(arrays["species"]) if "species" in arrays else np.zeros(count, np.int16)
+            numbers = np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(count)
+            for number, species in enumerate(gallery.manifest.species):
+                rows = np.flatnonzero(which == number)
+                rows = rows[np.argsort(numbers[rows], kind="stable")]
+                table = np.empty((len(rows), 11))
+                table[:, 0], table[:, 1], table[:, 2:5] = numbers[rows], frame, arrays["P"][rows]
+                table[:, 5:8] = angles[number].of(numbers[rows], arrays["orient"][rows])
+                table[:, 8:] = arrays["pscale"][rows, None]
+                file.write(f"{_ROW},{species.name}\n" * len(rows) % tuple(table.ravel().tolist()))

@@ -1,0 +1,51 @@
+"""Orientations as angles about x, y and z, as animation curves hold them: without jumps from frame to frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.body import rotation
+
+Floats = NDArray[np.float64]
+_LOCKED = 1e-6  # cosine of the middle angle below which only the sum or difference of the others is known
+
+
+class Angles:
+    """Angles about x, then y, then z of agents that are asked for frame by frame. Of all angles that say the same, each agent has
+    those nearest to its last ones, in the sum of squares; of those who come, nearest to 0."""
+
+    def __init__(self) -> None:
+        self._ids: NDArray[np.int64] = np.empty(0, np.int64)
+        self._last: Floats = np.empty((0, 3))
+
+    def of(self, ids: NDArray[np.int64], orient: NDArray[np.floating]) -> Floats:
+        """Degrees (n, 3) of quaternions (n, 4: x, y, z, w); a quaternion of no length turns nothing. `ids` (n,) ascend."""
+        before = np.zeros((len(ids), 3))
+        if len(self._ids):
+            at = np.minimum(np.searchsorted(self._ids, ids), len(self._ids) - 1)
+            before = np.where((self._ids[at] == ids)[:, None], self._last[at], before)
+        found = nearest_angles(rotation(np.asarray(orient, np.float64)), before)
+        self._ids, self._last = ids.copy(), found
+        return np.degrees(found)
+
+
+def nearest_angles(turn: Floats, before: Floats) -> Floats:
+    """Radians (n, 3) about x, then y, then z that make matrices (n, 3, 3) for columns, nearest to those `before`.
+
+    The outer angle is found first, the others of what is left when it is taken away, so that the three make the matrix even where
+    the middle one is near 90 degrees (M. Day, Extracting Euler Angles from a Rotation Matrix, Insomniac Games, 2014)."""
+    flat = np.hypot(turn[:, 0, 0], turn[:, 1, 0])
+    outer = np.where(flat > _LOCKED, np.arctan2(turn[:, 1, 0], turn[:, 0, 0]), before[:, 2])
+    c, s = np.cos(outer), np.sin(outer)
+    middle = np.arctan2(-turn[:, 2, 0], c * turn[:, 0, 0] + s * turn[:, 1, 0])
+    inner = np.arctan2(s * turn[:, 0, 2] - c * turn[:, 1, 2], c * turn[:, 1, 1] - s * turn[:, 0, 1])
+    one = _unwound(np.stack([inner, middle, outer], axis=1), before)
+    other = _unwound(np.stack([inner + np.pi, np.pi - middle, outer + np.pi], axis=1), before)
+    nearer = ((other - before) ** 2).sum(axis=1) < ((one - before) ** 2).sum(axis=1)
+    return np.where(nearer[:, None], other, one)
+
+
+def _unwound(angles: Floats, before: Floats) -> Floats:
+    """Each by the whole turns that bring it nearest to the one before."""
+    return angles - 2 * np.pi * np.round((angles - before) / (2 * np.pi))

@@ -1,0 +1,91 @@
+"""Where agents of a cache were and will be: their places in the frames before and after one, as they walked."""
+
+from __future__ import annotations
+
+import re
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.body import turned
+from antdsl.outputs.cache.cache_reader import Cache, CacheError
+from antdsl.outputs.pictures.model import Paths
+
+MOST_SECONDS = 60.0  # of each side of a window
+_LIFT = 0.06  # of a body's length: how far above the ground a path is drawn, along the agent's up
+_READ = frozenset(["P", "orient", "pscale", "id", "species"])
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Seconds before a frame and after it."""
+
+    before: float = 1.0
+    after: float = 2.0
+
+    @staticmethod
+    def of(text: str) -> Window | None:
+        """From words such as `1..2`; None when they are not such, or ask for more than MOST_SECONDS."""
+        found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*\.\.\s*(\d+(?:\.\d+)?)\s*", text)
+        made = None if found is None else Window(float(found[1]), float(found[2]))
+        return None if made is None or max(made.before, made.after) > MOST_SECONDS else made
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """A frame's agents: places a little above the ground, float32[n,3]; numbers and species, in ascending order of both."""
+
+    place: NDArray[np.float32]
+    ids: NDArray[np.int64]
+    species: NDArray[np.int64]
+
+
+class Walks:
+    """The frames round about those that are drawn, each read once as long as frames are asked for in order."""
+
+    def __init__(self, cache: Cache, dt: float, window: Window) -> None:
+        self._cache, self._window = cache, window
+        self._before, self._after = round(window.before / dt), round(window.after / dt)
+        self._there = frozenset(cache.frames())
+        self._kept: OrderedDict[int, _Seen | None] = OrderedDict()
+
+    def at(self, frame: int, species: int, ids: NDArray[np.int64]) -> Paths:
+        """The paths of some agents of one species; not a number in frames in which an agent is not there, or that are not."""
+        places = np.full((len(ids), self._before + 1 + self._after, 3), np.nan)
+        for k in range(places.shape[1]):
+            seen = self._seen(frame - self._before + k)
+            if seen is None:
+                continue
+            first, last = np.searchsorted(seen.species, (species, species + 1))
+            own = seen.ids[first:last]
+            if not len(own):
+                continue
+            row = np.minimum(np.searchsorted(own, ids), len(own) - 1)
+            known = own[row] == ids
+            places[known, k] = seen.place[first:last][row[known]]
+        return Paths(places, self._before)
+
+    def _seen(self, frame: int) -> _Seen | None:
+        if frame not in self._there:
+            return None
+        if frame not in self._kept:
+            while len(self._kept) > self._before + self._after + 1:
+                self._kept.popitem(last=False)
+            self._kept[frame] = self._read(frame)
+        self._kept.move_to_end(frame)
+        return self._kept[frame]
+
+    def _read(self, frame: int) -> _Seen | None:
+        try:
+            arrays = self._cache.frame(frame, _READ)
+        except CacheError:  # a damaged frame leaves a gap in the lines
+            return None
+        place = np.asarray(arrays["P"], np.float64)
+        up = turned(np.asarray(arrays["orient"], np.float64), np.tile([0.0, 1.0, 0.0], (len(place), 1)))
+        place = place + _LIFT * np.asarray(arrays["pscale"], np.float64)[:, None] * up
+        ids = np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(len(place))
+        species = np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(len(place), np.int64)
+        order = np.lexsort((ids, species))
+        return _Seen(place[order].astype(np.float32), ids[order], species[order])
