@@ -126,6 +126,7 @@ SCENE_FORMS = {
     "frames": "frames: 1..240",
     "preroll": "preroll: 48",
     "substeps": "substeps: 2",
+    "contacts": "contacts: hard",
     "seed": "seed: 7",
     "from": "from: {cache: out/scene, frame: 240}",
     "world": "world: {ground: {mesh: ground.ply}}",

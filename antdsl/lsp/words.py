@@ -155,6 +155,7 @@ SCENE_HELP = {
     "frames": "first and last frame, `1..240`",
     "preroll": "steps before the first frame, not written",
     "substeps": "how often the moving part is done in a step",
+    "contacts": "how bodies keep apart: `off`, `soft`, `hard`",
     "seed": "where all chance begins",
     "from": "the program, or a cache to go on from",
     "world": "what the programs walk on, go round and find",

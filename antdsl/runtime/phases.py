@@ -15,7 +15,7 @@ from antdsl.numerics.sorting import interleaved, stable_order
 from antdsl.plan.ir import Kind
 from antdsl.program.tables.effects import settled_in
 from antdsl.runtime import claims, digging, faults, lifecycle
-from antdsl.runtime.moving import advance, moving_geometry, tilting
+from antdsl.runtime.moving import advance, contacts, moving_geometry, tilting
 from antdsl.runtime.world import Population, World, select_rows
 
 _SORT_EVERY, _SORT_FROM = 16, 2048  # frames, agents
@@ -95,13 +95,15 @@ def fields(world: World) -> None:
 
 
 def move(world: World) -> None:
-    """Advances all agents along the surfaces, substep by substep."""
+    """Advances all agents along the surfaces, substep by substep; then bodies that stand in each other part."""
     with np.errstate(all="ignore"):
         for population in world.populations.values():
             tilting.stand_up(population)
         for substep in range(world.setting.substeps):
+            before = {name: population.position for name, population in world.populations.items()}
             for population in world.populations.values():
                 advance.move(world, population, substep)
+            contacts.resolve(world, before, world.dt / world.setting.substeps)
 
 
 def measure(world: World) -> None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from antdsl.scene.staging.moves import Moves
 
 Point = tuple[float, float, float]
+Contacts = Literal["off", "soft", "hard"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,12 +137,14 @@ class PlaceData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdData:
-    """`count` agents of one species; `group` is the number of this line of the scene, from 0."""
+    """`count` agents of one species; `group` is the number of this line of the scene, from 0. `body` names what they look like;
+    empty: what suits the species' name."""
 
     species: str
     count: int
     place: PlaceData = PlaceData()
     group: int = 0
+    body: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,11 +183,12 @@ class Setting:
     """Everything that binding a plan needs. `unit_mm` is the length of `u`; `up` a unit vector; `params` by qualified name
     (`forager.smell`), those absent take their default; `first_frame` is the number of the first simulated frame. Meshes, items
     and curves are where they are at that frame; `moves` says where they go. `camera` is one that a file brings. With
-    `by_rays` agents stick to meshes by two rays a step and do not walk over triangles."""
+    `by_rays` agents stick to meshes by two rays a step and do not walk over triangles. `contacts` says how bodies keep apart."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
     by_rays: bool = False
+    contacts: Contacts = "off"
     up: Point = (0.0, 1.0, 0.0)
     unit_mm: float = 1.0
     seed: int = 0

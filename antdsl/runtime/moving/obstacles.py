@@ -26,6 +26,16 @@ def slide(world: World, population: Population, step: Vector, up: Vector, radius
     return step
 
 
+def slide_some(world: World, population: Population, rows: NDArray[np.intp], step: Vector, up: Vector) -> Vector:
+    """As `slide`, of some agents alone, from where they are now."""
+    place, radius = vec.take(vec.named(population.now, "position"), rows), population.now["radius"][rows]
+    for name in world.plan.of_kind("obstacle"):
+        if name in world.obstacles:
+            scene = mesh_of(world, name)
+            step = _along(scene, place, step, up, radius, scene.clearance(*place), world.options.threads)
+    return step
+
+
 def mesh_of(world: World, name: str) -> RayScene:
     """An obstacle that nobody walks through; solids are none."""
     scene = world.obstacles[name]

@@ -105,7 +105,9 @@ def stage(
         name: group[0].position for name, group in items.items() if group
     }
     crowds = tuple(
-        stage_of.CrowdData(line.species, line.count, _place(staging, places, line.place, "crowd", number, "place"), number)
+        stage_of.CrowdData(
+            line.species, line.count, _place(staging, places, line.place, "crowd", number, "place"), number, line.body or ""
+        )
         for number, line in enumerate(model.crowd)
     )
     check_densities(staging, maps)
@@ -128,6 +130,7 @@ def stage(
         fps=model.fps,
         substeps=model.substeps,
         by_rays=model.stick == "rays",
+        contacts=model.contacts,
         up=_UP[model.up],
         unit_mm=model.unit_mm,
         seed=model.seed,
