@@ -34,6 +34,12 @@ Rows = NDArray[np.intp]
 _F = np.float32
 _DEAD = 5e-4  # of the room of two: an overlap that nobody is moved for, so that who lies still stays so
 _FINE = 40  # digits of a term in a sum, below the widest overlap
+_MAGIC = 1.5 * 2.0 ** (52 - _FINE)
+_SHARES = 1 << 20  # a share is a multiple of one in so many
+_SPREADS = 3  # contacts along which it is told how locked in agents are
+_OUTWARD = 10.0  # times the difference of two, by which the outer one makes room
+_LEAST = 1 / 64  # of the whole: what the inner one makes room for at least
+_EAGER = 1.5  # times the mean of its contacts, by which one in a crowd is moved
 _LONGER = 1.005  # times the way allowed, above which a correction is not made: less is the rounding of a seam
 _SOFT = 0.1  # s, in which two part by the most of their overlap
 
@@ -79,39 +85,65 @@ def _apart(crowd: Crowd, near: Near, before: Mapping[str, Floats], dt: float, ef
     room = np.maximum(room, np.sqrt(dot(walked, walked)))
     mass = crowd.of(lambda p: p.now["mass"]).take(rows).astype(np.float64)
     light = np.where(crowd.of(lambda p: p.quarantined).take(rows), 0.0, 1 / np.maximum(mass, 1e-30))
-    both = np.maximum(light.take(i) + light.take(j), 1e-300)
-    one, other = share * light.take(i) / both, share * light.take(j) / both
     dead = (near.radius.take(i) + near.radius.take(j)) * _DEAD
     magic = np.ldexp(1.5, int(np.frexp(near.radius.max())[1]) - _FINE + 52)
     gone = np.zeros((3, len(rows)))
     for _ in range(effort.looks):
         gap, way = near.gaps(gone)
-        seen, acted = gone, False
+        touching = np.flatnonzero(gap < -dead)
+        if not len(touching):
+            break
+        seen, one, other = gone, *_shares(near, touching, -gap.take(touching), light)
         for _ in range(effort.sweeps):
             since = gone - seen
-            now = gap + dot(way, since.take(i, axis=1) - since.take(j, axis=1)) if acted else gap
+            now = gap + dot(way, since.take(i, axis=1) - since.take(j, axis=1))
             some = np.flatnonzero(now < -dead)
             if not len(some):
                 break
-            acted = True
-            gone = gone + _swept(near, some, -now.take(some), way.take(some, axis=1), one.take(some), other.take(some), magic)
+            deep = now.take(some) * -share
+            gone = gone + _swept(near, some, deep, way.take(some, axis=1), one.take(some), other.take(some), magic)
             gone = _within(gone, walked, room)
-        if not acted:
-            break
     return gone
 
 
+def _shares(near: Near, touching: Rows, deep: Floats, light: Floats) -> tuple[Floats, Floats]:
+    """What of their overlap the first and the second of each pair make room for, together 1: the lighter more, and the one that
+    is less locked in. `deep`: overlaps of the pairs that touch, mm; `light`: 1 / mass, 0 of who is not to be moved.
+
+    Locked in is who is deep in others that are deep in others: the overlaps of each, added up along contacts again and again
+    (power iteration to the first eigenvector of the contact graph, whose values fall from the middle of a heap to its rim)."""
+    i, j, count = near.i.take(touching), near.j.take(touching), len(near.rows)
+    part = _rounded(deep / deep.max())
+    locked = np.bincount(i, part, count) + np.bincount(j, part, count)
+    for _ in range(_SPREADS):
+        locked = locked + (np.bincount(i, locked.take(j), count) + np.bincount(j, locked.take(i), count))
+        locked = _rounded(locked / locked.max())
+    first, second = locked.take(near.i), locked.take(near.j)
+    outer = 0.5 + _OUTWARD * (second - first) / np.maximum(first + second, 1e-300)
+    outer = np.minimum(np.maximum(outer, _LEAST), 1 - _LEAST)
+    one, other = light.take(near.i) * outer, light.take(near.j) * (1 - outer)
+    both = one + other
+    share = np.round(one / np.maximum(both, 1e-300) * _SHARES) / _SHARES
+    return share, np.where(both > 0, 1 - share, 0.0)
+
+
+def _rounded(terms: Floats) -> Floats:
+    """Numbers up to 1 as multiples of a quantum, of which sums are exact."""
+    return (terms + _MAGIC) - _MAGIC
+
+
 def _swept(near: Near, some: Rows, deep: Floats, way: Floats, one: Floats, other: Floats, magic: float) -> Floats:
-    """One sweep over pairs that are so deep in each other: the mean (3, k) of what each agent's contacts ask of it, mm."""
+    """One sweep over pairs that are so deep in each other: what (3, k) mm each agent's contacts ask of it together."""
     count = len(near.rows)
     i, j = near.i.take(some), near.j.take(some)
+    weight = np.bincount(i, one, count) + np.bincount(j, other, count)
     contacts = np.bincount(i, minlength=count) + np.bincount(j, minlength=count)
+    part = np.where(contacts > 1, _EAGER, 1.0) / np.maximum(weight, 1.0)
     asked = np.empty((3, count))
     for axis in range(3):
         first, second = way[axis] * (deep * one), way[axis] * (deep * other)
         first, second = (first + magic) - magic, (second + magic) - magic
-        asked[axis] = np.bincount(i, first, count) - np.bincount(j, second, count)
-    asked /= np.maximum(contacts, 1)
+        asked[axis] = (np.bincount(i, first, count) - np.bincount(j, second, count)) * part
     asked -= near.up * dot(asked, near.up)
     return asked
 
