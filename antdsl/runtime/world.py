@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from antdsl.runtime.faults import FaultLog
     from antdsl.runtime.lod import Detail
     from antdsl.runtime.motion_measures import Motion
-    from antdsl.runtime.moving.capsules import Near
     from antdsl.senses.neighbours import CellGrid
 
 DTYPES: Mapping[ir.Kind, type[np.generic]] = {
@@ -205,7 +204,6 @@ class World:
     detail: Detail | None = None
     crowded: list[Crowded] = field(default_factory=list)  # lines of the crowd that found no room for all
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step once all have acted
-    touching: Near | None = None  # bodies that touch, where contacts have looked for them in this step
     stepping: bool = False  # between the first and the last phase of a step
 
     @property

@@ -23,7 +23,7 @@ from antdsl.senses.touching import within_reach
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-SLACK = 0.25  # of its width: how far beyond its trunk an agent is looked about, since it will yet be moved
+SLACK = 0.15  # of its width: how far beyond its trunk an agent is looked about, since it will yet be moved
 _OPPOSITE = -0.5  # cosine between two ways of standing, below which agents are on two sides of something
 _NOWHERE = 1e-6  # of a width: so near each other, two axes give no direction
 _SPREAD = 0x9E3779B1  # an odd number, that numbers pairs of ids
@@ -76,9 +76,10 @@ class Crowd:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Near:
-    """Pairs of capsules that touch or nearly do. `rows` of the crowd that are in any, ascending; `i` and `j` count these, and the
-    first of a pair comes first by species and id. Of each row, as it stood when they were found: `middle`, `ahead` and `up`
-    (3, k), `half` and `radius` (k), mm. `drawn` (3, m): ways to part where a pair has none of its own."""
+    """Pairs of capsules that are near each other. `rows` of the crowd that are in any, ascending; `i` and `j` count these, and
+    the first of a pair comes first by species and id. Of each row, as it stood when they were found: `middle`, `ahead` and `up`
+    (3, k), `half` and `radius` (k), mm. `drawn` gives ways (3, m) to part for pairs of rows
+    that have none of their own."""
 
     rows: Rows
     i: Rows
@@ -88,50 +89,57 @@ class Near:
     up: Floats
     half: Floats
     radius: Floats
-    drawn: Callable[[Rows], Floats]
+    drawn: Callable[[Rows, Rows], Floats]
 
-    def gaps(self, gone: Floats) -> tuple[Floats, Floats]:
-        """How far the pairs are from touching (float64[m] mm, below 0 inside each other) once all rows have gone by (3, k) mm,
-        and unit vectors (3, m) from the second to the first of each, the shortest way to part."""
-        at = self.middle + gone
-        return _gaps(at, self.ahead, self.up, self.half, self.radius, self.i, self.j, self.drawn)
+    def gaps(self, gone: Floats | None = None, which: Rows | None = None) -> tuple[Floats, Floats]:
+        """How far pairs, all or some, are from touching (float64[m] mm, below 0 inside each other) once rows have gone by (3, k)
+        mm, and unit vectors (3, m) from the second to the first of each, the shortest way to part."""
+        at = self.middle if gone is None else self.middle + gone
+        i, j = (self.i, self.j) if which is None else (self.i.take(which), self.j.take(which))
+
+        def drawn(lost: Rows) -> Floats:
+            return self.drawn(i.take(lost), j.take(lost))
+
+        return _gaps(at, self.ahead, self.up, self.half, self.radius, i, j, drawn)
 
 
 def find(crowd: Crowd) -> Near:
-    """The pairs of a crowd that touch, or may once agents have moved by a quarter of their width."""
+    """The pairs of a crowd whose capsules may touch, whichever way they lie."""
     pairs = within_reach(crowd.middle, crowd.half + crowd.radius * (1 + 2 * SLACK), crowd.key)
-    rows, number = _used(len(crowd), pairs.i, pairs.j)
-    i, j = number.take(pairs.i), number.take(pairs.j)
+    rows, i, j = part_of(len(crowd), pairs.i, pairs.j)
     key = crowd.key.take(rows)
     late = key.take(i) > key.take(j)
     i, j = np.where(late, j, i), np.where(late, i, j)
     middle = np.stack([part.take(rows) for part in crowd.middle])
     ahead, up = (np.stack([part.take(rows) for part in crowd.vector(name)]).astype(np.float64) for name in ("heading", "up"))
-    half, radius = crowd.half.take(rows), crowd.radius.take(rows)
 
-    def drawn(which: Rows) -> Floats:
-        return _drawn(crowd, rows, up, i.take(which), j.take(which))
+    def drawn(first: Rows, second: Rows) -> Floats:
+        return _drawn(crowd, rows, up, first, second)
 
-    gap, _ = _gaps(middle, ahead, up, half, radius, i, j, drawn)
-    keep = np.flatnonzero(gap < (radius.take(i) + radius.take(j)) * (2 * SLACK))
-    i, j = i.take(keep), j.take(keep)
-    some, number = _used(len(rows), i, j)
-    near_rows, i, j = rows.take(some), number.take(i), number.take(j)
-    up = up.take(some, axis=1)
-
-    def drawn_of_near(which: Rows) -> Floats:
-        return _drawn(crowd, near_rows, up, i.take(which), j.take(which))
-
-    middle, ahead = middle.take(some, axis=1), ahead.take(some, axis=1)
-    return Near(near_rows, i, j, middle, ahead, up, half.take(some), radius.take(some), drawn_of_near)
+    return Near(rows, i, j, middle, ahead, up, crowd.half.take(rows), crowd.radius.take(rows), drawn)
 
 
-def _used(count: int, i: Rows, j: Rows) -> tuple[Rows, Rows]:
-    """Numbers below a count that occur, ascending, and for each number its place among them."""
+def depths(world: World) -> Floats:
+    """How deep each agent of a crowd (float64[n], species by species) is in the worst of the others, in widths of its own trunk;
+    0 apart."""
+    crowd = Crowd(world)
+    near = find(crowd)
+    deep = np.zeros(len(crowd))
+    if len(near.i):
+        gap, _ = near.gaps()
+        inside = np.flatnonzero(gap < 0)
+        for k in (near.i.take(inside), near.j.take(inside)):
+            np.maximum.at(deep, near.rows.take(k), -gap.take(inside) / (2 * near.radius.take(k)))
+    return deep
+
+
+def part_of(count: int, i: Rows, j: Rows) -> tuple[Rows, Rows, Rows]:
+    """Which of so many rows are in some pairs, ascending, and the pairs by where these stand among them."""
     there = np.zeros(count, np.bool_)
     there[i] = True
     there[j] = True
-    return np.flatnonzero(there), np.cumsum(there) - 1
+    number = np.cumsum(there) - 1
+    return np.flatnonzero(there), number.take(i), number.take(j)
 
 
 def _gaps(

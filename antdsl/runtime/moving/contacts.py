@@ -23,7 +23,7 @@ from antdsl.numerics import elementary
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vector_rows import length
 from antdsl.numerics.vectors import dot
-from antdsl.runtime.moving.capsules import SLACK, Crowd, Near, find
+from antdsl.runtime.moving.capsules import Crowd, Near, find, part_of
 from antdsl.runtime.moving.obstacles import slide_some
 from antdsl.runtime.moving.tilting import limits
 from antdsl.runtime.world import AXES, Population, World
@@ -41,6 +41,8 @@ _OUTWARD = 10.0  # times the difference of two, by which the outer one makes roo
 _LEAST = 1 / 64  # of the whole: what the inner one makes room for at least
 _EAGER = 1.5  # times the mean of its contacts, by which one in a crowd is moved
 _LONGER = 1.005  # times the way allowed, above which a correction is not made: less is the rounding of a seam
+_STEEPEST = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
+_BACK = 3  # times that one is led back which got farther than it may
 _SOFT = 0.1  # s, in which two part by the most of their overlap
 
 
@@ -52,12 +54,11 @@ class Effort:
     sweeps: int
 
 
-EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1), "hard": Effort(3, 4)}
+EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1), "hard": Effort(4, 3)}
 
 
 def resolve(world: World, before: Mapping[str, Floats], dt: float) -> None:
     """Move apart who stands in another. `before`: where each species was (n, 3) when the substep began, which took `dt` s."""
-    world.touching = None
     effort = EFFORTS.get(world.setting.contacts)
     crowd = Crowd(world) if effort is not None and len(world) > 1 else None
     if effort is None or crowd is None:
@@ -72,80 +73,109 @@ def resolve(world: World, before: Mapping[str, Floats], dt: float) -> None:
         if len(some):
             rows = near.rows.take(some) - crowd.first[number]
             _walk(world, population, rows, gone.take(some, axis=1), before[population.name], dt)
-    if bool((dot(gone, gone) <= (2 * SLACK * near.radius) ** 2).all()):
-        world.touching = near  # nobody came near whom it had not been near
 
 
 def _apart(crowd: Crowd, near: Near, before: Mapping[str, Floats], dt: float, effort: Effort, share: float) -> Floats:
     """By what (3, k) mm the rows of `near` are to be moved."""
     rows, i, j = near.rows, near.i, near.j
-    start = crowd.of(lambda p: before[p.name]).take(rows, axis=0)
-    walked = np.ascontiguousarray((crowd.of(lambda p: p.position).take(rows, axis=0) - start).T)
-    room = np.maximum(crowd.of(lambda p: p.now["max_speed"]).take(rows), _F(0)).astype(np.float64) * dt
-    room = np.maximum(room, np.sqrt(dot(walked, walked)))
-    mass = crowd.of(lambda p: p.now["mass"]).take(rows).astype(np.float64)
-    light = np.where(crowd.of(lambda p: p.quarantined).take(rows), 0.0, 1 / np.maximum(mass, 1e-30))
-    dead = (near.radius.take(i) + near.radius.take(j)) * _DEAD
-    magic = np.ldexp(1.5, int(np.frexp(near.radius.max())[1]) - _FINE + 52)
+    start, place = crowd.of(lambda p: before[p.name]), crowd.of(lambda p: p.position)
+    speed, mass = crowd.of(lambda p: p.now["max_speed"]), crowd.of(lambda p: p.now["mass"])
+    frozen, feet = crowd.of(lambda p: p.quarantined), crowd.of(lambda p: p.normal)
+    magic = np.ldexp(1.5, int(np.frexp(near.radius.max())[1]) + 1 - _FINE + 52)
     gone = np.zeros((3, len(rows)))
+    which = np.arange(len(i))
     for _ in range(effort.looks):
-        gap, way = near.gaps(gone)
-        touching = np.flatnonzero(gap < -dead)
+        gap, way = near.gaps(gone, which)
+        first, second = i.take(which), j.take(which)
+        least = (near.radius.take(first) + near.radius.take(second)) * _DEAD
+        touching = np.flatnonzero(gap < -least)
         if not len(touching):
             break
-        seen, one, other = gone, *_shares(near, touching, -gap.take(touching), light)
+        met = np.zeros(len(rows), np.bool_)
+        met[first.take(touching)] = True
+        met[second.take(touching)] = True
+        part = np.flatnonzero(met.take(first) | met.take(second))  # others are not reached by what these are moved in a sweep
+        some, first, second = part_of(len(rows), first.take(part), second.take(part))
+        who = rows.take(some)
+        light = np.where(frozen.take(who), 0.0, 1 / np.maximum(mass.take(who).astype(np.float64), 1e-30))
+        walked = np.ascontiguousarray((place.take(who, axis=0) - start.take(who, axis=0)).T)
+        room = np.maximum(np.maximum(speed.take(who), _F(0)).astype(np.float64) * dt, np.sqrt(dot(walked, walked)))
+        normal = np.ascontiguousarray(feet.take(who, axis=0).T).astype(np.float64)
+        pairs = _Pairs(first, second, gap.take(part), way.take(part, axis=1), least.take(part), light, normal, magic)
+        seen = gone.take(some, axis=1)
+        led = seen
         for _ in range(effort.sweeps):
-            since = gone - seen
-            now = gap + dot(way, since.take(i, axis=1) - since.take(j, axis=1))
-            some = np.flatnonzero(now < -dead)
-            if not len(some):
+            asked = pairs.swept(led - seen, share)
+            if asked is None:
                 break
-            deep = now.take(some) * -share
-            gone = gone + _swept(near, some, deep, way.take(some, axis=1), one.take(some), other.take(some), magic)
-            gone = _within(gone, walked, room)
+            led = _within(led + asked, walked, room)
+        gone[:, some] = led
+        moved = (gone[0] != 0) | (gone[1] != 0) | (gone[2] != 0)
+        which = np.flatnonzero(moved.take(i) | moved.take(j))
     return gone
 
 
-def _shares(near: Near, touching: Rows, deep: Floats, light: Floats) -> tuple[Floats, Floats]:
-    """What of their overlap the first and the second of each pair make room for, together 1: the lighter more, and the one that
-    is less locked in. `deep`: overlaps of the pairs that touch, mm; `light`: 1 / mass, 0 of who is not to be moved.
+class _Pairs:
+    """Pairs of agents, `i` and `j` of them, as one look found them: gaps and ways to part stay these for its sweeps. All
+    that these need is laid out in one row: of the first of each pair, then of the second, axis after axis."""
+
+    def __init__(
+        self, i: Rows, j: Rows, gap: Floats, way: Floats, dead: Floats, light: Floats, normal: Floats, magic: float
+    ) -> None:
+        self._count, self._gap, self._way, self._least, self._magic = len(light), gap, way, -dead, magic
+        self._both = np.concatenate([i, j])
+        self._along = np.concatenate([self._both, self._both + len(light), self._both + 2 * len(light)])
+        ways, normal = np.concatenate([way, -way], axis=1), normal.take(self._both, axis=1)
+        ways -= normal * dot(ways, normal)  # along the ground under the feet of each: who is pushed into it makes no room
+        self._shares = _shares(i, j, np.where(gap < -dead, -gap, 0.0), light, dot(ways, ways))
+        self._ways = ways * (self._shares / np.maximum(dot(ways, ways), _STEEPEST))
+
+    def swept(self, since: Floats, share: float) -> Floats | None:
+        """One sweep, when agents have gone by (3, k) mm since the look: what each one's contacts ask of it together (3, k) mm, by
+        a share of what is left of their overlaps; None where nobody is in anybody."""
+        count, m = self._count, len(self._gap)
+        gone = since.take(self._both, axis=1)
+        gap = self._gap + dot(self._way, gone[:, :m] - gone[:, m:])
+        touching = gap < self._least
+        if not touching.any():
+            return None
+        deep = np.where(touching, gap, 0.0) * -share
+        terms = self._ways * np.concatenate([deep, deep])
+        terms = (terms + self._magic) - self._magic
+        flags = np.concatenate([touching, touching])
+        weight = np.bincount(self._both, self._shares * flags, count)
+        crowded = np.bincount(self._both, flags, count) > 1
+        part = np.where(crowded, _EAGER, 1.0) / np.maximum(weight, 1.0)
+        asked: Floats = np.bincount(self._along, terms.ravel(), 3 * count).astype(np.float64).reshape(3, count) * part
+        return asked
+
+
+def _shares(i: Rows, j: Rows, deep: Floats, light: Floats, level: Floats) -> Floats:
+    """What of their overlap the first of each pair and then (2 m) the second of each make room for, together 1: the lighter more,
+    and the one that is less locked in. `deep`: overlaps, mm; `light`: 1 / mass of each agent, 0 of who is not to be moved; `level`: how much of the
+    way to part lies along the ground of each (2 m), squared.
 
     Locked in is who is deep in others that are deep in others: the overlaps of each, added up along contacts again and again
     (power iteration to the first eigenvector of the contact graph, whose values fall from the middle of a heap to its rim)."""
-    i, j, count = near.i.take(touching), near.j.take(touching), len(near.rows)
-    part = _rounded(deep / deep.max())
-    locked = np.bincount(i, part, count) + np.bincount(j, part, count)
+    count, touch = len(light), deep > 0
+    both, far = np.concatenate([i[touch], j[touch]]), np.concatenate([j[touch], i[touch]])
+    deep = _rounded(deep[touch] / deep.max())
+    locked: Floats = np.bincount(both, np.concatenate([deep, deep]), count).astype(np.float64)
     for _ in range(_SPREADS):
-        locked = locked + (np.bincount(i, locked.take(j), count) + np.bincount(j, locked.take(i), count))
+        locked = locked + np.bincount(both, locked.take(far), count)
         locked = _rounded(locked / locked.max())
-    first, second = locked.take(near.i), locked.take(near.j)
+    first, second = locked.take(i), locked.take(j)
     outer = 0.5 + _OUTWARD * (second - first) / np.maximum(first + second, 1e-300)
     outer = np.minimum(np.maximum(outer, _LEAST), 1 - _LEAST)
-    one, other = light.take(near.i) * outer, light.take(near.j) * (1 - outer)
-    both = one + other
-    share = np.round(one / np.maximum(both, 1e-300) * _SHARES) / _SHARES
-    return share, np.where(both > 0, 1 - share, 0.0)
+    one, other = light.take(i) * outer * level[: len(i)], light.take(j) * (1 - outer) * level[len(i) :]
+    total = one + other
+    share = np.round(one / np.maximum(total, 1e-300) * _SHARES) / _SHARES
+    return np.concatenate([share, np.where(total > 0, 1 - share, 0.0)])
 
 
 def _rounded(terms: Floats) -> Floats:
     """Numbers up to 1 as multiples of a quantum, of which sums are exact."""
     return (terms + _MAGIC) - _MAGIC
-
-
-def _swept(near: Near, some: Rows, deep: Floats, way: Floats, one: Floats, other: Floats, magic: float) -> Floats:
-    """One sweep over pairs that are so deep in each other: what (3, k) mm each agent's contacts ask of it together."""
-    count = len(near.rows)
-    i, j = near.i.take(some), near.j.take(some)
-    weight = np.bincount(i, one, count) + np.bincount(j, other, count)
-    contacts = np.bincount(i, minlength=count) + np.bincount(j, minlength=count)
-    part = np.where(contacts > 1, _EAGER, 1.0) / np.maximum(weight, 1.0)
-    asked = np.empty((3, count))
-    for axis in range(3):
-        first, second = way[axis] * (deep * one), way[axis] * (deep * other)
-        first, second = (first + magic) - magic, (second + magic) - magic
-        asked[axis] = (np.bincount(i, first, count) - np.bincount(j, second, count)) * part
-    asked -= near.up * dot(asked, near.up)
-    return asked
 
 
 def _within(gone: Floats, walked: Floats, room: Floats) -> Floats:
@@ -164,16 +194,20 @@ def _walk(world: World, population: Population, rows: Rows, gone: Floats, before
     normal = vec.columns(population.normal[rows], np.float32)
     way = (gone[0].astype(_F), gone[1].astype(_F), gone[2].astype(_F))
     way = slide_some(world, population, rows, way, normal)
-    moved = world.ground.move(
-        population.footing.take(rows),
-        vec.rows(way),
-        vec.rows(vec.take(vec.named(now, "heading"), rows)),
-        vec.rows(normal),
-        now["size"][rows].astype(np.float64),
-        world.options.threads,
-    )
     start = before[rows]
     most = np.maximum(now["max_speed"][rows].astype(np.float64) * dt, length(population.position[rows] - start))
+    size, heading = now["size"][rows].astype(np.float64), vec.rows(vec.take(vec.named(now, "heading"), rows))
+    threads = world.options.threads
+    moved = world.ground.move(population.footing.take(rows), vec.rows(way), heading, vec.rows(normal), size, threads)
+    for _ in range(_BACK):  # ground that bends may lead farther than the plane: back towards the start by as much
+        way_there = moved.position - start
+        far = length(way_there)
+        over = np.flatnonzero(far > most * _LONGER)
+        if not len(over):
+            break
+        back = way_there[over] * (most[over] / far[over] - 1.0)[:, None]
+        again = moved.take(over)
+        moved.put(over, world.ground.move(again.footing, back, again.heading, again.up, size[over], threads))
     fair = np.flatnonzero(length(moved.position - start) <= most * _LONGER)
     if len(fair) < len(rows):
         rows, moved = rows[fair], moved.take(fair)
