@@ -30,6 +30,7 @@ from antdsl.runtime.world import AXES, Population, World
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
+Flags = NDArray[np.bool_]
 
 _F = np.float32
 _DEAD = 5e-4  # of the room of two: an overlap that nobody is moved for, so that who lies still stays so
@@ -42,19 +43,23 @@ _LEAST = 1 / 64  # of the whole: what the inner one makes room for at least
 _EAGER = 1.5  # times the mean of its contacts, by which one in a crowd is moved
 _LONGER = 1.005  # times the way allowed, above which a correction is not made: less is the rounding of a seam
 _STEEPEST = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
+_MISSED = 0.02  # of a radius: who ends so far from where it was to is looked at again
+_HELD = 0.5  # of the way it was to go: who comes on by less is held by an obstacle, a border or a fall, and others make the room
 _BACK = 3  # times that one is led back which got farther than it may
 _SOFT = 0.1  # s, in which two part by the most of their overlap
 
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How much is done about overlaps in a substep: `looks` measure all pairs anew, each with so many `sweeps`."""
+    """How much is done about overlaps in a substep: `looks` measure pairs anew, each with so many `sweeps`; further `rounds`
+    are for those whom the ground led elsewhere, or something held."""
 
     looks: int
     sweeps: int
+    rounds: int
 
 
-EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1), "hard": Effort(4, 3)}
+EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(4, 3, 3)}
 
 
 def resolve(world: World, before: Mapping[str, Floats], dt: float) -> None:
@@ -64,26 +69,50 @@ def resolve(world: World, before: Mapping[str, Floats], dt: float) -> None:
     if effort is None or crowd is None:
         return
     near = find(crowd)
+    if not len(near.i):
+        return
     share = 1.0 if world.setting.contacts == "hard" else 1.0 - float(elementary.exp(_F(-dt / _SOFT)))
-    gone = _apart(crowd, near, before, dt, effort, share) if len(near.i) else np.zeros((3, 0))
-    moved = np.flatnonzero((gone[0] != 0) | (gone[1] != 0) | (gone[2] != 0))
+    which, held = np.arange(len(near.i)), crowd.of(lambda p: p.quarantined).take(near.rows)
+    for _ in range(effort.rounds):
+        asked = _apart(crowd, near, which, held, before, dt, effort, share)
+        some = np.flatnonzero((asked[0] != 0) | (asked[1] != 0) | (asked[2] != 0))
+        got = _walked(crowd, near.rows.take(some), asked.take(some, axis=1), before, dt)
+        near.middle[:, some] += got
+        wanted = asked.take(some, axis=1)
+        short = wanted - got
+        missed = dot(short, short) > (_MISSED * near.radius.take(some)) ** 2
+        if not missed.any():
+            break
+        held = held.copy()
+        held[some[missed & (dot(got, wanted) < _HELD * dot(wanted, wanted))]] = True
+        touched = np.zeros(len(held), np.bool_)
+        touched[some[missed]] = True
+        which = np.flatnonzero(touched.take(near.i) | touched.take(near.j))
+
+
+def _walked(crowd: Crowd, rows: Rows, gone: Floats, before: Mapping[str, Floats], dt: float) -> Floats:
+    """Walk rows of a crowd, ascending, by (3, k) mm each; gives by what they have come on."""
+    got = np.zeros_like(gone)
     for number, population in enumerate(crowd.species):
-        first, last = np.searchsorted(near.rows.take(moved), crowd.first[number : number + 2])
-        some = moved[first:last]
-        if len(some):
-            rows = near.rows.take(some) - crowd.first[number]
-            _walk(world, population, rows, gone.take(some, axis=1), before[population.name], dt)
+        first, last = np.searchsorted(rows, crowd.first[number : number + 2])
+        if last > first:
+            own = rows[first:last] - crowd.first[number]
+            place = population.position[own]
+            _walk(crowd.world, population, own, gone[:, first:last], before[population.name], dt)
+            got[:, first:last] = (population.position[own] - place).T
+    return got
 
 
-def _apart(crowd: Crowd, near: Near, before: Mapping[str, Floats], dt: float, effort: Effort, share: float) -> Floats:
-    """By what (3, k) mm the rows of `near` are to be moved."""
+def _apart(
+    crowd: Crowd, near: Near, which: Rows, held: Flags, before: Mapping[str, Floats], dt: float, effort: Effort, share: float
+) -> Floats:
+    """By what (3, k) mm the rows of `near` are to be moved for some of the pairs; who is `held` is not."""
     rows, i, j = near.rows, near.i, near.j
     start, place = crowd.of(lambda p: before[p.name]), crowd.of(lambda p: p.position)
     speed, mass = crowd.of(lambda p: p.now["max_speed"]), crowd.of(lambda p: p.now["mass"])
-    frozen, feet = crowd.of(lambda p: p.quarantined), crowd.of(lambda p: p.normal)
+    feet = crowd.of(lambda p: p.normal)
     magic = np.ldexp(1.5, int(np.frexp(near.radius.max())[1]) + 1 - _FINE + 52)
     gone = np.zeros((3, len(rows)))
-    which = np.arange(len(i))
     for _ in range(effort.looks):
         gap, way = near.gaps(gone, which)
         first, second = i.take(which), j.take(which)
@@ -97,7 +126,7 @@ def _apart(crowd: Crowd, near: Near, before: Mapping[str, Floats], dt: float, ef
         part = np.flatnonzero(met.take(first) | met.take(second))  # others are not reached by what these are moved in a sweep
         some, first, second = part_of(len(rows), first.take(part), second.take(part))
         who = rows.take(some)
-        light = np.where(frozen.take(who), 0.0, 1 / np.maximum(mass.take(who).astype(np.float64), 1e-30))
+        light = np.where(held.take(some), 0.0, 1 / np.maximum(mass.take(who).astype(np.float64), 1e-30))
         walked = np.ascontiguousarray((place.take(who, axis=0) - start.take(who, axis=0)).T)
         room = np.maximum(np.maximum(speed.take(who), _F(0)).astype(np.float64) * dt, np.sqrt(dot(walked, walked)))
         normal = np.ascontiguousarray(feet.take(who, axis=0).T).astype(np.float64)
@@ -152,8 +181,8 @@ class _Pairs:
 
 def _shares(i: Rows, j: Rows, deep: Floats, light: Floats, level: Floats) -> Floats:
     """What of their overlap the first of each pair and then (2 m) the second of each make room for, together 1: the lighter more,
-    and the one that is less locked in. `deep`: overlaps, mm; `light`: 1 / mass of each agent, 0 of who is not to be moved; `level`: how much of the
-    way to part lies along the ground of each (2 m), squared.
+    and the one that is less locked in. `deep`: overlaps, mm; `light`: 1 / mass of each agent, 0 of who is not to be moved;
+    `level`: how much of the way to part lies along the ground of each (2 m), squared.
 
     Locked in is who is deep in others that are deep in others: the overlaps of each, added up along contacts again and again
     (power iteration to the first eigenvector of the contact graph, whose values fall from the middle of a heap to its rim)."""
