@@ -24,6 +24,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.vector_rows import length
 from antdsl.numerics.vectors import dot
 from antdsl.runtime.moving.capsules import Crowd, Near, find, part_of
+from antdsl.runtime.moving.falling import floating, pushed_in_the_air
 from antdsl.runtime.moving.obstacles import slide_some
 from antdsl.runtime.moving.tilting import limits
 from antdsl.runtime.world import AXES, Population, World
@@ -228,6 +229,8 @@ def _walk(world: World, population: Population, rows: Rows, gone: Floats, before
     size, heading = now["size"][rows].astype(np.float64), vec.rows(vec.take(vec.named(now, "heading"), rows))
     threads = world.options.threads
     moved = world.ground.move(population.footing.take(rows), vec.rows(way), heading, vec.rows(normal), size, threads)
+    if world.solids and len(some := floating(world, population, rows)):
+        moved.put(some, pushed_in_the_air(world, population, rows[some], gone.T[some]))
     for _ in range(_BACK):  # ground that bends may lead farther than the plane: back towards the start by as much
         way_there = moved.position - start
         far = length(way_there)
