@@ -26,7 +26,6 @@ from antdsl.numerics.vectors import dot
 from antdsl.runtime.moving.capsules import Crowd, Near, find, part_of
 from antdsl.runtime.moving.falling import floating, pushed_in_the_air
 from antdsl.runtime.moving.obstacles import slide_some
-from antdsl.runtime.moving.tilting import limits
 from antdsl.runtime.world import AXES, Population, World
 
 Floats = NDArray[np.float64]
@@ -248,25 +247,16 @@ def _walk(world: World, population: Population, rows: Rows, gone: Floats, before
 
 
 def _put(world: World, population: Population, rows: Rows, moved: Move) -> None:
-    """Where corrections have led some agents. Bodies turn with the ground as far as they may in a step; else they lean, and the
-    steps that come turn them."""
-    now, start = population.now, population.start
-    pushed = vec.columns(moved.position - population.position[rows], np.float32)
-    up, heading = vec.columns(moved.up, np.float32), vec.columns(moved.heading, np.float32)
+    """Where corrections have led the feet of some agents. Bodies stay as they stand, or they would be in others again: they
+    lean, and the next step turns them after their feet."""
+    now = population.now
+    pushed, up = vec.columns(moved.position - population.position[rows], np.float32), vec.columns(moved.up, np.float32)
     velocity = vec.take(vec.named(now, "velocity"), rows)
-    dt = _F(world.dt / world.setting.substeps)
-    size = vec.length(pushed)
+    size, dt = vec.length(pushed), _F(world.dt / world.setting.substeps)
     against = vec.unit(pushed, (size * 0,) * 3)
     back = np.minimum(np.maximum(-vec.dot(velocity, against), _F(0)), size / dt)
     velocity = vec.flat(vec.add(velocity, vec.scale(against, back)), up)
-    upright = vec.take(vec.named(now, "up"), rows)
-    lean = vec.sub(upright, vec.columns(population.normal[rows], np.float32))
-    tilt = vec.sub(up, vec.take(vec.named(start, "up"), rows))
-    most = limits({name: now[name][rows] for name in ("max_speed", "size", "max_turn")}, _F(world.dt))
-    stands = (vec.dot(lean, lean) == 0) & (vec.dot(tilt, tilt) <= most * most)
-    turned = {"up": vec.choose(stands, up, upright)}
-    turned["heading"] = vec.choose(stands, heading, vec.take(vec.named(now, "heading"), rows))
-    for name, value in (("position", vec.columns(moved.position, np.float32)), ("velocity", velocity), *turned.items()):
+    for name, value in (("position", vec.columns(moved.position, np.float32)), ("velocity", velocity)):
         for axis, component in zip(AXES, value, strict=True):
             now[f"{name}.{axis}"][rows] = component
     footing, position, normals = population.footing.copy(), population.position.copy(), population.normal.copy()
