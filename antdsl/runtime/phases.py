@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics import vectors as vec
 from antdsl.numerics.sorting import interleaved, stable_order
 from antdsl.plan.ir import Kind
 from antdsl.program.tables.effects import settled_in
@@ -101,9 +102,10 @@ def move(world: World) -> None:
             tilting.stand_up(population)
         for substep in range(world.setting.substeps):
             before = {name: population.position for name, population in world.populations.items()}
+            facing = {name: vec.copy(vec.named(population.now, "heading")) for name, population in world.populations.items()}
             for population in world.populations.values():
                 advance.move(world, population, substep)
-            contacts.resolve(world, before, world.dt / world.setting.substeps)
+            contacts.resolve(world, before, facing, world.dt / world.setting.substeps)
 
 
 def measure(world: World) -> None:

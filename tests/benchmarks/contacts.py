@@ -1,5 +1,5 @@
-"""How a heap comes apart: equal shares, shares by how locked in agents are, and the order of `roach crowd sim` (document 003, R10),
-in which one after the other is frozen, from the most locked-in outward.
+"""How a heap comes apart: equal shares, shares by how locked in agents are, and the order of the roach crowd sim (document 003,
+R10), in which one after the other is frozen, from the most locked-in outward.
 
 `python tests/benchmarks/contacts.py --agents 1000 --radius 20` prints for each method the frames until nobody is deeper than a
 thousandth of its width in another, who is deep after one and two seconds, and processor milliseconds of a step."""
@@ -86,17 +86,17 @@ def main() -> None:
     parser.add_argument("--radius", type=float, default=20.0)
     parser.add_argument("--most", type=int, default=240)
     asked = parser.parse_args()
-    kept: tuple[Callable[..., Any], float] = contacts._apart, contacts._OUTWARD
+    kept: tuple[Callable[..., Any], float, float] = contacts._apart, contacts._OUTWARD, contacts._PRESSED
     print("| method | free after | deep after 1 s | after 2 s | ms a step |\n|---|---|---|---|---|")
     for name, solve, outward in (
         ("Jacobi, equal shares", kept[0], 0.0),
         ("Jacobi, shares by how locked in", kept[0], kept[1]),
         ("R10: frozen one by one, outward", outward_from_the_most_locked_in, kept[1]),
     ):
-        contacts._apart, contacts._OUTWARD = solve, outward  # type: ignore[assignment, misc]
+        contacts._apart, contacts._OUTWARD, contacts._PRESSED = solve, outward, min(outward, kept[2])  # type: ignore[assignment, misc]
         made = world(CrowdData("ant", asked.agents, heap(asked.agents, asked.radius)))
         print(f"| {name} | {measured(made, asked.most)} |", flush=True)
-    contacts._apart, contacts._OUTWARD = kept  # type: ignore[misc]
+    contacts._apart, contacts._OUTWARD, contacts._PRESSED = kept  # type: ignore[misc]
 
 
 if __name__ == "__main__":

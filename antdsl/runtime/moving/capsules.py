@@ -96,6 +96,10 @@ class Near:
         mm, and unit vectors (3, m) from the second to the first of each, the shortest way to part."""
         at = self.middle if gone is None else self.middle + gone
         i, j = (self.i, self.j) if which is None else (self.i.take(which), self.j.take(which))
+        return self.between(at, i, j)
+
+    def between(self, at: Floats, i: Rows, j: Rows) -> tuple[Floats, Floats]:
+        """The same of pairs `i` and `j` of rows, whose middles are at places (3, k) mm."""
 
         def drawn(lost: Rows) -> Floats:
             return self.drawn(i.take(lost), j.take(lost))
