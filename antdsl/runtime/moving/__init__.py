@@ -3,4 +3,5 @@
 `advance` is the order: acceleration, limits of speed and turn, `obstacles` that shorten a step, the ground's own move,
 headings. `falling` lets those drop whose ground was dug away; `moving_geometry` carries agents with things that move;
 `tilting` turns bodies after the ground under their feet, with `rises` and `heads` keeping heads out of what rises before them.
+`contacts` parts bodies (`capsules`) that stand in each other, once all species have walked.
 `clearances` tells how far everybody is from obstacles, at least, so that few have to ask with rays."""
