@@ -132,6 +132,7 @@ SCENE_FORMS = {
     "substeps": "substeps: 2",
     "stick": "stick: triangles",
     "orient": "orient: normal",
+    "contacts": "contacts: hard",
     "seed": "seed: 7",
     "from": "from: {cache: out/scene, frame: 240}",
     "world": "world: {ground: {mesh: ground.ply}}",

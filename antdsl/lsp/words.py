@@ -160,6 +160,7 @@ SCENE_HELP = {
     "substeps": "how often the moving part is done in a step",
     "stick": "how agents stay on meshes: over `triangles`, or by `rays`",
     "orient": "what bodies stand across: the ground's `normal`, the last two directions (`turns`), the ways to two `probes`",
+    "contacts": "how bodies keep apart: `off`, `soft`, `hard`",
     "seed": "where all chance begins",
     "from": "the program, or a cache to go on from",
     "world": "what the programs walk on, go round and find",

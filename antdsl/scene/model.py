@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
@@ -40,6 +40,7 @@ UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 Unit = Annotated[str, BeforeValidator(one_of(*UNIT_MM))]
 Stick = Annotated[str, BeforeValidator(one_of("triangles", "rays"))]
 Orient = Annotated[str, BeforeValidator(one_of("normal", "turns", "probes"))]
+Contacts = Annotated[Literal["off", "soft", "hard"], BeforeValidator(one_of("off", "soft", "hard"))]
 Axis = Annotated[str, BeforeValidator(one_of("y", "z"))]
 Purpose = Annotated[str, BeforeValidator(one_of("render", "proxy"))]
 
@@ -321,6 +322,7 @@ class SceneModel(Part):
     substeps: Annotated[int, BeforeValidator(whole(1, 64))] = 1
     stick: Stick = "triangles"
     orient: Orient = "normal"
+    contacts: Contacts = "off"
     seed: Annotated[int, BeforeValidator(whole(0, 2**64 - 1))] = 0
     start: StartFrom | None = Field(None, alias="from")
     world: dict[Name, WorldThing] = {}

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from antdsl.scene.staging.moves import Moves
 
 Point = tuple[float, float, float]
+Contacts = Literal["off", "soft", "hard"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,13 +150,14 @@ class WalkData:
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdData:
     """`count` agents of one species; `group` is the number of this line of the scene, from 0. Those with a `walk` sense and
-    decide nothing."""
+    decide nothing. `body` names what they look like; empty: what suits the species' name."""
 
     species: str
     count: int
     place: PlaceData = PlaceData()
     group: int = 0
     walk: WalkData | None = None
+    body: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,12 +198,14 @@ class Setting:
     and curves are where they are at that frame; `moves` says where they go. `camera` is one that a file brings. With
     `by_rays` agents stick to meshes by two rays a step and do not walk over triangles. `orient`: what bodies stand across: the
     ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`. `deviations`: how far (mm)
-    the triangles of surfaces that are made of heights lie from bilinear patches, at most."""
+    the triangles of surfaces that are made of heights lie from bilinear patches, at most. `contacts` says how bodies
+    keep apart."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
     by_rays: bool = False
     orient: str = "normal"
+    contacts: Contacts = "off"
     up: Point = (0.0, 1.0, 0.0)
     unit_mm: float = 1.0
     seed: int = 0

@@ -121,6 +121,7 @@ def stage(
             place(staging, places, line.place, "crowd", number, "place"),
             number,
             walk(scene, line.walk),
+            line.body or "",
         )
         for number, line in enumerate(model.crowd)
     )
@@ -145,6 +146,7 @@ def stage(
         substeps=model.substeps,
         by_rays=model.stick == "rays",
         orient=model.orient,
+        contacts=model.contacts,
         up=_UP[model.up],
         unit_mm=model.unit_mm,
         seed=model.seed,
