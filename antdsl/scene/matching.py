@@ -106,8 +106,9 @@ def _thing(scene: Scene, program: Program, report: Report, name: str, thing: Wor
     for head in FILE_HEADS if not isinstance(value, PaintedThing) else ():
         if (file := getattr(value, head, None)) is not None:
             _file(scene, report, file, "world", name, head)
+    if isinstance(value, UsdThing):
+        _only_items(scene, report, name, thing, value)
     if isinstance(value, MeshThing | UsdThing):
-        _each(scene, report, name, thing)
         if thing.kind == "solid" and value.voxel is None:
             report.error(
                 "missing-key", f"`{name}` is solid, and nothing says how fine", scene.span("world", name),
@@ -156,19 +157,28 @@ def _attributes(
             _dimension(scene, report, quantity, declared[key].type.dim, key, *path, key)
 
 
-def _each(scene: Scene, report: Report, name: str, thing: WorldThing) -> None:
-    value = scene.model.world[name]
-    if isinstance(value, UsdThing) and "each" in value.model_fields_set:
-        if thing.kind != "items":
-            report.error(
-                "wrong-kind",
-                f"`each` is for items, and `{name}` is a {thing.kind}",
-                scene.span("world", name, "each", key=True),
-                "delete it",
-            )
-        else:
-            known = [a.name for a in thing.attributes] + ["radius"]
-            _attributes(scene, report, name, thing, value.each.model_extra or {}, known, "world", name, "each")
+def _only_items(scene: Scene, report: Report, name: str, thing: WorldThing, value: UsdThing) -> None:
+    """What a part of a USD file says of items alone, against what the program declares of them."""
+    keys = [key for key in ("each", "kind", "turn") if key in value.model_fields_set]
+    if thing.kind != "items":
+        for key in keys:
+            words = f"`{key}` is for items, and `{name}` is a {thing.kind}"
+            report.error("wrong-kind", words, scene.span("world", name, key, key=True), "delete it")
+        return
+    declared = {a.name: a.type for a in thing.attributes}
+    if "each" in keys:
+        _attributes(scene, report, name, thing, value.each.model_extra or {}, [*declared, "radius"], "world", name, "each")
+    axes = value.turn if isinstance(value.turn, tuple) else ()
+    for number, attribute in enumerate(axes or ([] if value.turn is None else [str(value.turn)])):
+        place: tuple[Key, ...] = ("world", name, "turn", number) if axes else ("world", name, "turn")
+        wanted, words = (Dim(), "is a part of a direction, without unit") if axes else (Dim(angle=1), "is an angle")
+        if attribute not in declared:
+            _unknown(report, scene, place, f"`{name}` has no attribute", declared, key=False)
+        elif declared[attribute].dim != wanted:
+            has = dimension_words(declared[attribute].dim)
+            message = f"what `turn` gives `{attribute}` {words}, and `{attribute}` of `{name}` is {has}"
+            help = f"declare `{attribute} = 0`" if axes else f"declare `{attribute} = 0 deg`"
+            report.error("wrong-unit", message, scene.span(*place), help)
 
 
 def _stays(scene: Scene, report: Report, name: str) -> None:

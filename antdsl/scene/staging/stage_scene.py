@@ -207,7 +207,7 @@ def _mesh(staging: Staging, name: str, value: MeshThing | UsdThing) -> stage_of.
     scene, report = staging.scene, staging.report
     up, unit_mm = scene.model.up, scene.model.unit_mm
     if isinstance(value, UsdThing):
-        key, shown, factor, own_up = "prim", value.prim, value.scale, up
+        key, shown, factor, own_up = "prim", value.path, value.scale, up
         found = usd_mesh(staging, name, value)
     else:
         key, shown = "mesh", value.mesh
