@@ -16,7 +16,7 @@ from antdsl.program.tables.units import dimension_words, shown, unit_of, with_un
 from antdsl.scene import adjusting
 from antdsl.scene.document import Key
 from antdsl.scene.load import Scene
-from antdsl.scene.model import FILE_HEADS, MODELS, FlowThing, MeshThing, PaintedThing, Placement, UsdThing
+from antdsl.scene.model import FILE_HEADS, MODELS, FlowThing, MeshThing, PaintedThing, Placement, UsdPlaces, UsdThing
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.stability import spreading
@@ -249,7 +249,10 @@ def _placement(scene: Scene, program: Program, report: Report, place: Placement,
     if place.on is not None and place.on not in grounds:
         _unknown(report, scene, (*path, "on"), "no surface is named", grounds, key=False)
     if place.points is not None:
-        _file(scene, report, place.points, *path, "points")
+        if isinstance(place.points, UsdPlaces):
+            _file(scene, report, place.points.usd, *path, "points", "usd")
+        else:
+            _file(scene, report, place.points, *path, "points")
         if place.around is not None:
             words = "agents are placed at points or around a place, not both"
             report.error("wrong-value", words, scene.span(*path, "around", key=True), "keep one of them")

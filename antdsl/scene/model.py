@@ -267,6 +267,18 @@ def _point_or_name(value: Any) -> str:
     return "point" if isinstance(value, list) else "named"
 
 
+class UsdPlaces(Part):
+    """Places of a USD file: the points or empties below a prim, or all empties of a kind, by itself the species' name."""
+
+    usd: FilePath
+    prim: Word | None = None
+    kind: Word | None = None
+
+
+def _file_or_usd(value: Any) -> str:
+    return "usd-places" if isinstance(value, dict) else "points-file"
+
+
 class Placement(Part):
     """Where a crowd begins: scattered on a surface (all of it, by the `density` that a map paints, or within `radius` of a point
     or an item, by itself of the scene's origin), at given points, or where lines from a point or an item end, `inside`
@@ -276,7 +288,10 @@ class Placement(Part):
     inside: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None
     around: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None
     radius: PositiveLength | None = None
-    points: FilePath | None = None
+    points: (
+        Annotated[Annotated[FilePath, Tag("points-file")] | Annotated[UsdPlaces, Tag("usd-places")], Discriminator(_file_or_usd)]
+        | None
+    ) = None
     density: Name | None = None
     by: By = "above"
 

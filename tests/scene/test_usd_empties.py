@@ -224,3 +224,27 @@ def test_without_usd_core_the_extra_is_named(tmp_path: Path, monkeypatch: pytest
     errors.pxr.cache_clear()
     assert {d.code for d in report.errors} == {"missing-extra"}
     assert report.errors[0].help == 'install it: pip install "antdsl[usd]"'
+
+
+def test_agents_begin_at_empties(tmp_path: Path) -> None:
+    places = [(-40, 10), (0, 20), (55, -5)]
+    boids = "".join(
+        f'def Xform "boid{k}" {{\n custom string userProperties:kind = "roach"\n double3 xformOp:translate = ({x}, {y}, 3)\n'
+        f' uniform token[] xformOpOrder = ["xformOp:translate"]\n}}\n'
+        for k, (x, y) in enumerate(places)
+    )
+    opened(tmp_path, text=SET + boids)
+    text = (tmp_path / "scene.yaml").read_text().replace("count: 5, place: {on: floor, radius: 200 mm}", "count: 3, place: PLACE")
+    for place in ("{on: floor, points: {usd: set.usda}}", "{points: {usd: set.usda, prim: /, kind: roach}}"):
+        (tmp_path / "scene.yaml").write_text(text.replace("PLACE", place))
+        shot, report = open_scene(tmp_path / "scene.yaml", Choices())
+        assert shot is not None, report.errors
+        points = shot.setting.crowds[0].place.points
+        assert points is not None and points.tolist() == [[10 * x, 10 * y, 30] for x, y in places]
+    crowd = next(iter(simulate(shot, Options(backend="numpy")))).populations["roach"]
+    born = np.array([crowd.now[f"position.{axis}"] for axis in "xyz"]).T[np.argsort(crowd.ids)]
+    assert np.abs(born - [[10 * x, 10 * y, 0] for x, y in places]).max() < 12, "a step of 200 mm/s from there, on the floor"
+    for place, at in (("{points: {usd: set.usda, kind: bed}}", "bed"), ("{points: {usd: none.usda}}", "none.usda")):
+        (tmp_path / "scene.yaml").write_text(text.replace("PLACE", place))
+        _, report = open_scene(tmp_path / "scene.yaml", Choices())
+        assert [each[1] for each in told(report)] == [at], told(report)

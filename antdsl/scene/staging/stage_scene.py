@@ -26,14 +26,14 @@ from antdsl.scene.geometry.meshes import RawMesh, placed, read_mesh, within_reac
 from antdsl.scene.geometry.points import POINT_BYTES, PointsError, read_points
 from antdsl.scene.load import Scene
 from antdsl.scene.matching import const_base
-from antdsl.scene.model import UNIT_MM, CurveThing, MeshThing, Placement, Point, UsdCamera, UsdThing, millimetres
+from antdsl.scene.model import UNIT_MM, CurveThing, MeshThing, Placement, Point, UsdCamera, UsdPlaces, UsdThing, millimetres
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.cached import once_a_mesh
 from antdsl.scene.staging.item_placement import check_crowds, items_of
 from antdsl.scene.staging.moves import MeshMoves, Moves
 from antdsl.scene.staging.stage_flows import check_densities, stage_flows
-from antdsl.scene.staging.stage_things import curve_places, moving_mesh, placed_moves, usd_camera, usd_mesh
+from antdsl.scene.staging.stage_things import curve_places, moving_mesh, placed_moves, usd_camera, usd_mesh, usd_places
 
 _UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _WIDEST = 1e6  # body lengths: ants in a whole county
@@ -367,7 +367,9 @@ def _curves(staging: Staging) -> dict[str, NDArray[np.float64]]:
 def _place(staging: Staging, places: Places, place: Placement, *path: Key) -> stage_of.PlaceData:
     scene = staging.scene
     points = None
-    if place.points is not None:
+    if isinstance(place.points, UsdPlaces):
+        points = usd_places(staging, place.points, *path)
+    elif place.points is not None:
         points = staging.points(place.points, 1, *path, "points")
         if points is not None:
             points = points * scene.model.unit_mm

@@ -24,6 +24,7 @@ from antdsl.scene.model import (
     PlaceKey,
     Point,
     UsdCamera,
+    UsdPlaces,
     UsdThing,
     millimetres,
 )
@@ -291,6 +292,17 @@ def usd_items(staging: Staging, name: str, value: UsdThing) -> UsdPoints | None:
     moved = [applied(ways[min(k, len(ways) - 1)], found.places[min(k, len(found.places) - 1)]) for k in range(count)]
     ahead = applied(np.concatenate([ways[0][:, :3], np.zeros((3, 1))], axis=1), found.ahead) * np.sign(value.scale)
     return replace(found, places=np.stack(moved), radius=found.radius * abs(value.scale), ahead=ahead)
+
+
+def usd_places(staging: Staging, value: UsdPlaces, *path: Key) -> Floats | None:
+    """The places (n, 3), at the first frame, of a line of the crowd's points or empties, in mm and the scene's axes."""
+    from antdsl.scene.geometry.usd import read_usd_points
+
+    species = staging.scene.model.crowd[int(path[1])].species
+    kind = species if value.kind is None and value.prim is None else value.kind
+    place = (*path, "points")
+    found = _usd(staging, value.usd, value.prim or "/", "render", place, lambda stage: read_usd_points(stage, kind))
+    return None if found is None else found.places[0]
 
 
 def riding(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Point) -> Floats:
