@@ -263,10 +263,6 @@ WorldThing = Annotated[
 ]
 
 
-def _point_or_name(value: Any) -> str:
-    return "point" if isinstance(value, list) else "named"
-
-
 class UsdPlaces(Part):
     """Places of a USD file: the points or empties below a prim, or all empties of a kind, by itself the species' name."""
 
@@ -285,8 +281,8 @@ class Placement(Part):
     of something. `by` says whether they are dropped onto it from above or spread over its area, undersides too."""
 
     on: Name | None = None
-    inside: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None
-    around: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None
+    inside: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_text)] | None = None
+    around: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_text)] | None = None
     radius: PositiveLength | None = None
     points: (
         Annotated[Annotated[FilePath, Tag("points-file")] | Annotated[UsdPlaces, Tag("usd-places")], Discriminator(_file_or_usd)]
@@ -311,7 +307,7 @@ class FieldStart(Part):
     origin)."""
 
     start: Annotated[float, BeforeValidator(number(0, 1e9))]
-    around: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)] | None = None
+    around: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_text)] | None = None
     radius: PositiveLength | None = None
 
 
