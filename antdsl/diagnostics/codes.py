@@ -161,7 +161,7 @@ CODES: dict[str, str] = {
     "unknown-thing": "the scene names something that no program declares",
     "unlaid-field": "a field that is smelled is neither laid by anybody nor started by the scene",
     "unstable-field": "a field spreads faster than its cells can follow at the scene's frame rate",
-    "usd-left-out": "shapes below a prim are of types that are not read",
+    "usd-left-out": "shapes below a prim are of types that are not read, or properties have names that no attribute has",
     "use-cycle": "files use each other in a circle, or one path means two files",
     "wrong-kind": "something is of another kind than its place wants",
     "wrong-value": "a value of the scene is not of the kind that its key wants",

@@ -24,8 +24,8 @@ def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
 
     CacheError for a frame that is damaged, OSError where nothing can be written."""
     angles = [Angles() for _ in gallery.manifest.species]
-    with whole(path, path.suffix) as part, open(part, "w", encoding="utf-8", newline="\n") as file:
-        file.write(HEAD + "\n")
+    with whole(path, path.suffix) as part, open(part, "wb") as file:
+        file.write(f"{HEAD}\n".encode())
         for frame in frames:
             arrays = gallery.cache.frame(frame, _READ)
             count = len(arrays["P"])
@@ -38,4 +38,5 @@ def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
                 table[:, 0], table[:, 1], table[:, 2:5] = numbers[rows], frame, arrays["P"][rows]
                 table[:, 5:8] = angles[number].of(numbers[rows], arrays["orient"][rows])
                 table[:, 8:] = arrays["pscale"][rows, None]
-                file.write(f"{_ROW},{species.name}\n" * len(rows) % tuple(table.ravel().tolist()))
+                text = f"{_ROW},{species.name}\n" * len(rows) % tuple(table.ravel().tolist())
+                file.write(text.encode())

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from antdsl import limits
 from antdsl.program.tables.vocabulary import LENGTH
 from antdsl.scene.parts import Part, PointOrName
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.values import FilePath, Name, PositiveLength, PositiveSpeed, number, one_of, positive, whole, word_or
+from antdsl.scene.values import FilePath, Name, PositiveLength, PositiveSpeed, Word, number, one_of, positive, whole, word_or
 
 Body = Annotated[str, BeforeValidator(one_of("ant", "person", "arrow", "ball"))]
 Apart = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH)))]
 Along = Annotated[float, BeforeValidator(number(-1e6, 1e6))]
 By = Annotated[str, BeforeValidator(one_of("above", "area"))]
+
+
+class UsdPlaces(Part):
+    """Places of a USD file: the points or empties below a prim, or all empties of a kind, by itself the species' name."""
+
+    usd: FilePath
+    prim: Word | None = None
+    kind: Word | None = None
+
+
+def _file_or_usd(value: Any) -> str:
+    return "usd-places" if isinstance(value, dict) else "points-file"
 
 
 class Placement(Part):
@@ -28,7 +40,10 @@ class Placement(Part):
     inside: PointOrName | None = None
     around: PointOrName | None = None
     radius: PositiveLength | None = None
-    points: FilePath | None = None
+    points: (
+        Annotated[Annotated[FilePath, Tag("points-file")] | Annotated[UsdPlaces, Tag("usd-places")], Discriminator(_file_or_usd)]
+        | None
+    ) = None
     density: Name | None = None
     by: By = "above"
     apart: Apart | None = None

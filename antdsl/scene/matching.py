@@ -14,7 +14,7 @@ from antdsl.program.model import Const, Dim, Kind, Program, WorldThing
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import dimension_words, shown, unit_of, with_unit
 from antdsl.scene import adjusting
-from antdsl.scene.crowd_model import Placement
+from antdsl.scene.crowd_model import Placement, UsdPlaces
 from antdsl.scene.document import Key
 from antdsl.scene.load import Scene
 from antdsl.scene.model import FILE_HEADS, MODELS, FlowThing, MeshThing, PaintedThing, UsdThing
@@ -76,22 +76,12 @@ def _world(scene: Scene, program: Program, report: Report) -> None:
             message = (
                 f"the program's {thing.kind} `{name}` has no {'place' if thing.kind == 'items' else 'geometry'} in the scene"
             )
-            report.error(
-                "missing-thing",
-                message,
-                place,
-                f"add `{name}: {row.scene}` to `world`",
-                labels=(Label(thing.span, "declared here"),),
-            )
+            advice = f"add `{name}: {row.scene}` to `world`"
+            report.error("missing-thing", message, place, advice, labels=(Label(thing.span, "declared here"),))
         elif not isinstance(given[name], MODELS[thing.kind]):
             message = f"`{name}` is {row.given} in the program, and something else here"
-            report.error(
-                "wrong-kind",
-                message,
-                scene.span("world", name),
-                f"write `{name}: {row.scene}`",
-                labels=(Label(thing.span, "declared here"),),
-            )
+            place, advice = scene.span("world", name), f"write `{name}: {row.scene}`"
+            report.error("wrong-kind", message, place, advice, labels=(Label(thing.span, "declared here"),))
         else:
             _thing(scene, program, report, name, thing)
 
@@ -107,8 +97,9 @@ def _thing(scene: Scene, program: Program, report: Report, name: str, thing: Wor
     for head in FILE_HEADS if not isinstance(value, PaintedThing) else ():
         if (file := getattr(value, head, None)) is not None:
             _file(scene, report, file, "world", name, head)
+    if isinstance(value, UsdThing):
+        _only_items(scene, report, name, thing, value)
     if isinstance(value, MeshThing | UsdThing):
-        _each(scene, report, name, thing)
         if thing.kind == "solid" and value.voxel is None:
             report.error(
                 "missing-key", f"`{name}` is solid, and nothing says how fine", scene.span("world", name),
@@ -157,19 +148,28 @@ def _attributes(
             _dimension(scene, report, quantity, declared[key].type.dim, key, *path, key)
 
 
-def _each(scene: Scene, report: Report, name: str, thing: WorldThing) -> None:
-    value = scene.model.world[name]
-    if isinstance(value, UsdThing) and "each" in value.model_fields_set:
-        if thing.kind != "items":
-            report.error(
-                "wrong-kind",
-                f"`each` is for items, and `{name}` is a {thing.kind}",
-                scene.span("world", name, "each", key=True),
-                "delete it",
-            )
-        else:
-            known = [a.name for a in thing.attributes] + ["radius"]
-            _attributes(scene, report, name, thing, value.each.model_extra or {}, known, "world", name, "each")
+def _only_items(scene: Scene, report: Report, name: str, thing: WorldThing, value: UsdThing) -> None:
+    """What a part of a USD file says of items alone, against what the program declares of them."""
+    keys = [key for key in ("each", "kind", "turn") if key in value.model_fields_set]
+    if thing.kind != "items":
+        for key in keys:
+            words = f"`{key}` is for items, and `{name}` is a {thing.kind}"
+            report.error("wrong-kind", words, scene.span("world", name, key, key=True), "delete it")
+        return
+    declared = {a.name: a.type for a in thing.attributes}
+    if "each" in keys:
+        _attributes(scene, report, name, thing, value.each.model_extra or {}, [*declared, "radius"], "world", name, "each")
+    axes = value.turn if isinstance(value.turn, tuple) else ()
+    for number, attribute in enumerate(axes or ([] if value.turn is None else [str(value.turn)])):
+        place: tuple[Key, ...] = ("world", name, "turn", number) if axes else ("world", name, "turn")
+        wanted, words = (Dim(), "is a part of a direction, without unit") if axes else (Dim(angle=1), "is an angle")
+        if attribute not in declared:
+            _unknown(report, scene, place, f"`{name}` has no attribute", declared, key=False)
+        elif declared[attribute].dim != wanted:
+            has = dimension_words(declared[attribute].dim)
+            message = f"what `turn` gives `{attribute}` {words}, and `{attribute}` of `{name}` is {has}"
+            help = f"declare `{attribute} = 0`" if axes else f"declare `{attribute} = 0 deg`"
+            report.error("wrong-unit", message, scene.span(*place), help)
 
 
 def _stays(scene: Scene, report: Report, name: str) -> None:
@@ -233,9 +233,8 @@ def _around(scene: Scene, report: Report, around: object, radius: object, *path:
     if isinstance(around, str) and around not in item_names(scene) and not scene.model.items_come_later:
         _unknown(report, scene, (*path, "around"), "no item is named", item_names(scene), key=False)
     if around is not None and radius is None:
-        report.error(
-            "missing-key", "`around` says nothing without `radius`", scene.span(*path, "around", key=True), "add `radius: 50 mm`"
-        )
+        at = scene.span(*path, "around", key=True)
+        report.error("missing-key", "`around` says nothing without `radius`", at, "add `radius: 50 mm`")
 
 
 def _placement(scene: Scene, program: Program, report: Report, place: Placement, *path: Key) -> None:
@@ -243,7 +242,10 @@ def _placement(scene: Scene, program: Program, report: Report, place: Placement,
     if place.on is not None and place.on not in grounds:
         _unknown(report, scene, (*path, "on"), "no surface is named", grounds, key=False)
     if place.points is not None:
-        _file(scene, report, place.points, *path, "points")
+        if isinstance(place.points, UsdPlaces):
+            _file(scene, report, place.points.usd, *path, "points", "usd")
+        else:
+            _file(scene, report, place.points, *path, "points")
         if place.around is not None:
             words = "agents are placed at points or around a place, not both"
             report.error("wrong-value", words, scene.span(*path, "around", key=True), "keep one of them")
@@ -265,9 +267,9 @@ def _placement(scene: Scene, program: Program, report: Report, place: Placement,
             words = f"agents at `points` stand where these are, and nothing is left for `{key}` to say"
             report.error("wrong-value", words, scene.span(*path, key, key=True), f"leave `{key}` out")
     if place.apart == "even" and (place.inside is not None or (place.density is not None and place.by != "area")):
-        words = f"how much room there is {'inside' if place.inside is not None else 'by `density` from above'} is not known"
-        advice = "write a length, such as `apart: 10 mm`" + ("" if place.inside is not None else ", or add `by: area`")
-        report.error("wrong-value", words, scene.span(*path, "apart", key=True), advice)
+        what, more = ("inside", "") if place.inside is not None else ("by `density` from above", ", or add `by: area`")
+        advice = f"write a length, such as `apart: 10 mm`{more}"
+        report.error("wrong-value", f"how much room there is {what} is not known", scene.span(*path, "apart", key=True), advice)
     _around(scene, report, place.around, place.radius, *path)
 
 

@@ -89,10 +89,13 @@ class UsdEach(Part):
 
 class UsdThing(Part):
     """What lies at and below a prim of a USD file: meshes, one curve, or points. Units, axes, places and time are the file's;
-    `scale`, `rotate`, `at` and `keys` come after them."""
+    `scale`, `rotate`, `at` and `keys` come after them. Items may be all empties below the prim, by itself anywhere in the file,
+    that are of a `kind`, by itself the items' own name; `turn` names attributes that take the way they face."""
 
     usd: FilePath
-    prim: Word
+    prim: Word | None = None
+    kind: Word | None = None
+    turn: Name | tuple[Name, Name, Name] | None = None
     purpose: Purpose = "render"
     at: Point | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None
@@ -100,6 +103,11 @@ class UsdThing(Part):
     voxel: PositiveLength | None = None
     keys: Keys = {}
     each: UsdEach = UsdEach()
+
+    @property
+    def path(self) -> str:
+        """The path of the prim; the whole file where none is named."""
+        return "/" if self.prim is None else self.prim
 
 
 class CurveThing(Part):

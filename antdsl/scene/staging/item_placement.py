@@ -8,12 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.numerics.elementary import wide_atan2
+from antdsl.program.model import Dim, Kind, WorldThing
+from antdsl.program.tables.units import dimension_words, with_unit
 from antdsl.scene import setting as stage_of
 from antdsl.scene.model import ItemThing, UsdThing
+from antdsl.scene.quantities import BadQuantity, parse_quantity
 from antdsl.scene.staging.cached import once_a_mesh
 from antdsl.scene.staging.stage_things import frames_of, item_places, riding, usd_items
 
 if TYPE_CHECKING:
+    from antdsl.scene.geometry.usd import UsdPoints
     from antdsl.scene.staging.stage_scene import Staging
 
 DEFAULT_ITEM_RADIUS = 10.0  # mm
@@ -24,7 +30,7 @@ def items_of(staging: Staging, name: str, surfaces: Mapping[str, stage_of.MeshDa
     """Items of one name as they are at the first frame, and their places (frames, n, 3); None for what are no items."""
     value, thing = staging.scene.model.world[name], staging.program.world.get(name)
     if isinstance(value, UsdThing) and thing is not None and thing.kind == "items":
-        return _usd_items(staging, name, value, {a.name for a in thing.attributes})
+        return _usd_items(staging, name, value, thing)
     if not isinstance(value, dict):
         return None
     model = staging.scene.model
@@ -122,8 +128,8 @@ def _within(mesh: stage_of.MeshData, middle: stage_of.Point, radius: float, axes
     return bool((inside & (size > 0) & (height * height <= square * size)).any())
 
 
-def _usd_items(staging: Staging, name: str, value: UsdThing, declared: set[str]) -> Laid | None:
-    """Points of a USD file as items: radius and attributes by the file, else by `each`, else the usual."""
+def _usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldThing) -> Laid | None:
+    """Points or empties of a USD file as items: radius and attributes by the file, else by `each`, else the usual."""
     found = usd_items(staging, name, value)
     if found is None:
         return None
@@ -131,13 +137,71 @@ def _usd_items(staging: Staging, name: str, value: UsdThing, declared: set[str])
     dt = float(1 / model.fps)
     each = {key: quantity.base(model.unit_mm, dt) for key, quantity in (value.each.model_extra or {}).items()}
     radius = None if value.each.radius is None else value.each.radius.length(model.unit_mm)
+    own = {a.name: a.type.dim for a in thing.attributes if a.type.kind is Kind.NUMBER}
+    columns = {key: _in_base_units(staging, name, value, found, key, dim) for key, dim in own.items()}
+    wide = _in_base_units(staging, name, value, found, "radius", Dim(length=1)) * abs(value.scale)
+    for key, column in zip(_turned_keys(value), _turned(model.up, value, found.ahead), strict=True):
+        columns[key] = np.where(np.isfinite(columns[key]), columns[key], column)
+    _tell_near_misses(staging, name, value, found, [*own, "radius"])
     made = []
     for number, item in enumerate(found.names):
-        own = {key: float(v[number]) for key, v in found.values.items() if key in declared and np.isfinite(v[number])}
-        wide = found.radius[number]
-        wide = float(wide) if np.isfinite(wide) and wide > 0 else DEFAULT_ITEM_RADIUS if radius is None else radius
-        made.append(stage_of.ItemData(item, three(found.places[0, number]), wide, {**each, **own}))
+        given = {key: float(column[number]) for key, column in columns.items() if np.isfinite(column[number])}
+        sizes = (found.radius[number], wide[number], DEFAULT_ITEM_RADIUS if radius is None else radius)
+        size = next(float(size) for size in sizes if np.isfinite(size) and size > 0)
+        made.append(stage_of.ItemData(item, three(found.places[0, number]), size, {**each, **given}))
     return tuple(made), found.places
+
+
+def _in_base_units(staging: Staging, name: str, value: UsdThing, found: UsdPoints, key: str, dim: Dim) -> NDArray[np.float64]:
+    """What the file says of an attribute (n,), nan where it says nothing: numbers are in the file's unit of length, degrees and
+    seconds, words are numbers with a unit as in a scene."""
+    factor = float(found.unit**dim.length * np.radians(1.0) ** dim.angle)
+    column: NDArray[np.float64] = found.values.get(key, np.full(len(found.names), np.nan)) * factor
+    model = staging.scene.model
+    for number, text in enumerate(found.texts.get(key, ())):
+        if not text:
+            continue
+        span, where = staging.scene.span("world", name, "usd"), f"`{key}` of `{found.names[number]}` in `{value.usd}`"
+        try:
+            quantity = parse_quantity(text)
+        except BadQuantity as why:
+            help = why.help or f"write a number, or one with a unit: `{with_unit(1, dim)}`"
+            staging.report.error("bad-usd", f"{where} says `{text}`, which {why}", span, help)
+            return column
+        if quantity.dim != dim:
+            words = f"{where} says `{text}`, and `{key}` is {dimension_words(dim)}"
+            staging.report.error("wrong-unit", words, span, f"write it like `{with_unit(1, dim)}`")
+            return column
+        column[number] = quantity.base(model.unit_mm, float(1 / model.fps))
+    return column
+
+
+def _turned_keys(value: UsdThing) -> tuple[str, ...]:
+    return () if value.turn is None else value.turn if isinstance(value.turn, tuple) else (value.turn,)
+
+
+def _turned(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """The columns for the attributes that take the way that empties face: a unit vector, or its angle from +x about the scene's
+    up, counted to the left; nan for what faces no way, or straight up or down."""
+    if value.turn is None:
+        return []
+    size = np.sqrt((ahead[:, 0] * ahead[:, 0] + ahead[:, 1] * ahead[:, 1]) + ahead[:, 2] * ahead[:, 2])
+    x, y, z = (np.where(size > 0, ahead[:, k] / np.where(size > 0, size, 1.0), np.nan) for k in range(3))
+    if isinstance(value.turn, tuple):
+        return [x, y, z]
+    left = -z if up == "y" else y
+    level = np.sqrt(x * x + left * left)
+    return [np.where(level > 1e-6, wide_atan2(left, x), np.nan)]
+
+
+def _tell_near_misses(staging: Staging, name: str, value: UsdThing, found: UsdPoints, known: list[str]) -> None:
+    """Warn of properties of the file that no attribute takes, where one is named nearly so. Others mean other programs."""
+    for key in sorted({*found.values, *found.texts} - {*known, "kind", "name"}):
+        near = nearest_name(key, known)
+        if near:
+            words = f"`{key}` of `{value.usd}` is read by no attribute of `{name}`"
+            span = staging.scene.span("world", name, "usd")
+            staging.report.warning("usd-left-out", words, span, f"did you mean `{near}`?")
 
 
 def three(place: NDArray[np.float64]) -> stage_of.Point:

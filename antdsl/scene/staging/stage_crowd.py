@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.scene import setting as stage_of
-from antdsl.scene.crowd_model import Placement, Walk
+from antdsl.scene.crowd_model import Placement, UsdPlaces, Walk
 from antdsl.scene.document import Key
 from antdsl.scene.load import Scene
 from antdsl.scene.model import Point, millimetres
 from antdsl.scene.quantities import Quantity
+from antdsl.scene.staging.stage_things import usd_places
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import Staging
@@ -43,7 +44,9 @@ def point(
 def place(staging: Staging, places: Places, place: Placement, *path: Key) -> stage_of.PlaceData:
     scene = staging.scene
     points = None
-    if place.points is not None:
+    if isinstance(place.points, UsdPlaces):
+        points = usd_places(staging, place.points, *path)
+    elif place.points is not None:
         points = staging.points(place.points, 1, *path, "points")
         if points is not None:
             points = points * scene.model.unit_mm

@@ -204,7 +204,7 @@ def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing
     scene, report = staging.scene, staging.report
     up, unit_mm = scene.model.up, scene.model.unit_mm
     if isinstance(value, UsdThing):
-        key, shown, factor, own_up = "prim", value.prim, value.scale, up
+        key, shown, factor, own_up = "prim", value.path, value.scale, up
         found = usd_mesh(staging, name, value)
     elif isinstance(value, HeightThing):
         key, shown, factor, own_up = "height", value.height, 1.0, "y"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene import setting as stage_of
+from antdsl.scene.crowd_model import UsdPlaces
 from antdsl.scene.document import Key
 from antdsl.scene.geometry.matrices import applied, has_inverse
 from antdsl.scene.geometry.mesh_text import MeshError
@@ -152,11 +153,11 @@ def usd_mesh(staging: Staging, name: str, value: UsdThing) -> tuple[RawMesh, Mes
     """The meshes below a prim, in mm and the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_mesh
 
-    found = _usd(staging, value.usd, value.prim, value.purpose, ("world", name), read_usd_mesh)
+    found = _usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_mesh)
     if found is None:
         return None
     if found.passed_over:
-        words = f"shapes of the types {', '.join(found.passed_over)} below `{value.prim}` are not read"
+        words = f"shapes of the types {', '.join(found.passed_over)} below `{value.path}` are not read"
         staging.report.warning("usd-left-out", words, staging.scene.span("world", name, "prim"), "turn them into meshes")
     return found.raw, found.moves
 
@@ -200,7 +201,7 @@ def usd_paint(staging: Staging, name: str, thing: PaintedThing, mesh: UsdThing, 
     if not isinstance(attribute, str):
         staging.report.error("bad-paint", "a primvar has one name", span, f"write `attribute: {attribute[0]}`")
         return None
-    found = _usd(staging, mesh.usd, mesh.prim, mesh.purpose, ("world", name), lambda stage: read_usd_mesh(stage, [attribute]))
+    found = _usd(staging, mesh.usd, mesh.path, mesh.purpose, ("world", name), lambda stage: read_usd_mesh(stage, [attribute]))
     if found is None:
         return None
     values = found.values[attribute] * thing.strength
@@ -226,7 +227,7 @@ def curve_places(staging: Staging, name: str, value: CurveThing | UsdThing) -> F
     if isinstance(value, UsdThing):
         from antdsl.scene.geometry.usd import read_usd_curve
 
-        found = _usd(staging, value.usd, value.prim, value.purpose, ("world", name), read_usd_curve)
+        found = _usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_curve)
         factor, own_up = value.scale, model.up
     else:
         files = sequence(staging, value.curve, "world", name, "curve") if "#" in value.curve else [value.curve]
@@ -274,12 +275,13 @@ def item_places(staging: Staging, name: str, item: str, thing: ItemThing) -> Flo
 
 
 def usd_items(staging: Staging, name: str, value: UsdThing) -> UsdPoints | None:
-    """The points below a prim, moved as the scene says."""
+    """The points below a prim, or the empties of a kind, moved as the scene says."""
     from dataclasses import replace
 
     from antdsl.scene.geometry.usd import read_usd_points
 
-    found = _usd(staging, value.usd, value.prim, value.purpose, ("world", name), read_usd_points)
+    kind = name if value.kind is None and value.prim is None else value.kind
+    found = _usd(staging, value.usd, value.path, value.purpose, ("world", name), lambda stage: read_usd_points(stage, kind))
     if found is None:
         return None
     ways = _ways(staging, value, value.scale, staging.scene.model.up)
@@ -289,7 +291,19 @@ def usd_items(staging: Staging, name: str, value: UsdThing) -> UsdPoints | None:
         ways = ways[:1]
     count = max(len(found.places), len(ways))
     moved = [applied(ways[min(k, len(ways) - 1)], found.places[min(k, len(found.places) - 1)]) for k in range(count)]
-    return replace(found, places=np.stack(moved), radius=found.radius * abs(value.scale))
+    ahead = applied(np.concatenate([ways[0][:, :3], np.zeros((3, 1))], axis=1), found.ahead) * np.sign(value.scale)
+    return replace(found, places=np.stack(moved), radius=found.radius * abs(value.scale), ahead=ahead)
+
+
+def usd_places(staging: Staging, value: UsdPlaces, *path: Key) -> Floats | None:
+    """The places (n, 3), at the first frame, of a line of the crowd's points or empties, in mm and the scene's axes."""
+    from antdsl.scene.geometry.usd import read_usd_points
+
+    species = staging.scene.model.crowd[int(path[1])].species
+    kind = species if value.kind is None and value.prim is None else value.kind
+    place = (*path, "points")
+    found = _usd(staging, value.usd, value.prim or "/", "render", place, lambda stage: read_usd_points(stage, kind))
+    return None if found is None else found.places[0]
 
 
 def riding(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Point) -> Floats:

@@ -1,4 +1,4 @@
-"""Points prims and locators as items: where each is at every frame, its radius and its numbers."""
+"""Points prims and empties as items: where each is at every frame, which way it faces, its radius, numbers and words."""
 
 from __future__ import annotations
 
@@ -9,31 +9,45 @@ from typing import Any
 import numpy as np
 
 from antdsl import limits
+from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.scene.geometry.matrices import applied, scale
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 from antdsl.scene.geometry.usd.shapes import BAKE, check_bytes
 from antdsl.scene.geometry.usd.stage import Floats, UsdStage
 
+_USER = "userProperties"  # the namespace into which Blender, Maya and others export what users gave an object
+_KINDS_TOLD = 12
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdPoints:
     """`places` (frames, n, 3) in mm, one frame where all stand still. `radius` (n,) in mm, nan where the file says nothing.
-    `values`: primvars with one number a point, by name."""
+    `values`: primvars and user properties with one number a point, by name, in the file's units, nan where a point has none;
+    `texts`: user properties that are words, "" where there is none. `ahead` (n, 3): where each one's own +x leads at the first
+    frame, nan for points, which face no way. `unit`: the file's unit of length in mm."""
 
     names: tuple[str, ...]
     places: Floats
     radius: Floats
     values: Mapping[str, Floats]
+    texts: Mapping[str, tuple[str, ...]]
+    ahead: Floats
+    unit: float
 
 
-def read_usd_points(stage: UsdStage) -> UsdPoints:
-    """The points of all Points prims at or below the prim; where there are none, its children that have a place, one each."""
+def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
+    """The points of all Points prims at or below the prim; where there are none, its children that have a place, one each. With a
+    `kind` all prims below it instead, however deep, whose `userProperties:kind` is that word."""
     geom = pxr("UsdGeom")
-    found = [prim for prim in stage.below(stage.prim) if prim.IsA(geom.Points)]
-    parts = [_cloud(stage, prim) for prim in found] or [_locator(stage, prim) for prim in _children(stage)]
+    clouds = [prim for prim in stage.below(stage.prim) if prim.IsA(geom.Points)] if kind is None else []
+    empties = [] if clouds else _children(stage) if kind is None else _of_kind(stage, kind)
+    if len(empties) > limits.AGENTS:
+        raise UsdError("too-large", f"below `{stage.prim.GetPath()}` are more than {limits.AGENTS:,} places")
+    check_bytes(len(empties) * len(stage.times) * 24, f"the places below `{stage.prim.GetPath()}`")
+    parts = [_cloud(stage, prim) for prim in clouds] or [_empty(stage, prim) for prim in empties]
     if not parts:
         raise UsdError(
-            "no-such-prim", f"there are neither points nor locators below `{stage.prim.GetPath()}`", "name a Points prim"
+            "no-such-prim", f"there are neither points nor empties below `{stage.prim.GetPath()}`", "name a Points prim"
         )
     counts = [part.places.shape[1] for part in parts]
     if sum(counts) > limits.AGENTS:
@@ -46,6 +60,7 @@ def read_usd_points(stage: UsdStage) -> UsdPoints:
     names = [name for part in parts for name in part.names]
     again = {name for name in names if names.count(name) > 1} if len(names) <= 1000 else set()
     keys = sorted({key for part in parts for key in part.values})
+    words = sorted({key for part in parts for key in part.texts})
     return UsdPoints(
         names=tuple(f"{name}_{number}" if name in again else name for number, name in enumerate(names)),
         places=places,
@@ -54,6 +69,12 @@ def read_usd_points(stage: UsdStage) -> UsdPoints:
             key: np.concatenate([part.values.get(key, np.full(n, np.nan)) for part, n in zip(parts, counts, strict=True)])
             for key in keys
         },
+        texts={
+            key: tuple(text for part, n in zip(parts, counts, strict=True) for text in part.texts.get(key, ("",) * n))
+            for key in words
+        },
+        ahead=np.concatenate([part.ahead for part in parts]),
+        unit=scale(stage.to_scene),
     )
 
 
@@ -75,7 +96,8 @@ def _cloud(stage: UsdStage, prim: Any) -> UsdPoints:
     one = scale(ways[0])
     width = np.broadcast_to(widths, count) if len(widths) in (1, count) and count else np.full(count, np.nan)
     names = tuple(_names(prim, count))
-    return UsdPoints(names, places, width / 2 * one, _numbers(stage, prim, count))
+    values = _numbers(stage, prim, count)
+    return UsdPoints(names, places, width / 2 * one, values, {}, np.full((count, 3), np.nan), scale(stage.to_scene))
 
 
 def _names(prim: Any, count: int) -> list[str]:
@@ -105,6 +127,40 @@ def _children(stage: UsdStage) -> list[Any]:
     ]
 
 
-def _locator(stage: UsdStage, prim: Any) -> UsdPoints:
+def _of_kind(stage: UsdStage, kind: str) -> list[Any]:
+    """The prims below that say they are of a kind; UsdError with the kinds that there are where none is of it."""
+    found: list[Any] = []
+    others: set[str] = set()
+    for prim in stage.below(stage.prim):
+        attribute = prim.GetAttribute(f"{_USER}:kind")
+        word = attribute.Get(stage.first) if attribute and attribute.HasValue() else None
+        if word is not None and str(word) == kind and prim.IsA(pxr("UsdGeom").Xformable):
+            found.append(prim)
+        elif word is not None and len(others) < _KINDS_TOLD:
+            others.add(str(word)[: limits.NAME_CHARACTERS])
+    if found:
+        return found
+    where, near = stage.prim.GetPath(), nearest_name(kind, others)
+    if near:
+        help = f"did you mean `kind: {near}`?"
+    elif others:
+        help = "there are the kinds " + ", ".join(f"`{word}`" for word in sorted(others))
+    else:
+        help = f'give empties the property `kind` with the text "{kind}", or name the prim above them: `prim: /set/{kind}`'
+    raise UsdError("no-such-prim", f'nothing below `{where}` has `{_USER}:kind = "{kind}"`', help, "kind")
+
+
+def _empty(stage: UsdStage, prim: Any) -> UsdPoints:
+    """A prim that is nothing but a place: an Xform, a locator, an empty of Blender."""
     ways = stage.matrices(prim, stage.travels(prim))
-    return UsdPoints((prim.GetName(),), ways[:, None, :, 3], np.full(1, np.nan), _numbers(stage, prim, 1))
+    values, texts = _numbers(stage, prim, 1), {}
+    for attribute in prim.GetAuthoredPropertiesInNamespace(_USER):
+        name = str(attribute.GetName()).removeprefix(f"{_USER}:")
+        value = attribute.Get(stage.first) if ":" not in name and hasattr(attribute, "HasValue") else None
+        if isinstance(value, bool | int | float):
+            values[name] = np.full(1, float(value))
+        elif isinstance(value, str) and len(value) <= limits.NAME_CHARACTERS:
+            texts[name] = (value,)
+    return UsdPoints(
+        (prim.GetName(),), ways[:, None, :, 3], np.full(1, np.nan), values, texts, ways[:1, :, 0], scale(stage.to_scene)
+    )

@@ -1,0 +1,250 @@
+"""Empties of other programs as items: by kind or below a prim, with places, ways they face and properties."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pxr = pytest.importorskip("pxr")
+
+from antdsl import limits  # noqa: E402
+from antdsl.diagnostics import Report  # noqa: E402
+from antdsl.pipeline import Choices, Shot, open_scene, simulate  # noqa: E402
+from antdsl.runtime import Options  # noqa: E402
+
+PROGRAM = """ant 1
+use steering
+world {
+  surface floor
+  items lures    { reach = 300 mm; since = 0 s; strength = 1 }
+  items aligners { reach = 500 mm; facing = 0 deg; pace = 60 mm/s; ax = 0; ay = 0; az = 0 }
+}
+species roach {
+  size 30 mm
+  max_speed 200 mm/s
+  let lure = nearest(lures, with: distance(it) < it.reach and time > it.since)
+  on spawn {
+    velocity = sum(a in all(aligners): rotate(vector(1, 0, 0), about: up, by: a.facing) * a.pace)
+  }
+  start run
+  state run { steer if lure then seek(lure) else coast() }
+  layers { state }
+}
+"""
+SCENE = """antdsl: 1
+units: mm
+up: {up}
+frames: 1..10
+world:
+  floor: {{mesh: floor.obj}}
+  lures: {lures}
+  aligners: {aligners}
+crowd:
+  - {{species: roach, from: roach.ant, count: 5, place: {{on: floor, radius: 200 mm}}}}
+"""
+# As Blender writes empties: Xforms with matrices or ops, custom properties in the namespace userProperties.
+SET = """#usda 1.0
+(
+  metersPerUnit = 0.01
+  upAxis = "Z"
+  timeCodesPerSecond = 24
+  defaultPrim = "root"
+)
+def Xform "root" {
+  def Xform "crumb" {
+    custom string userProperties:kind = "lures"
+    custom double userProperties:reach = 12
+    custom string userProperties:since = "0.5 s"
+    custom int userProperties:strength = 3
+    custom string userProperties:blender:object_name = "crumb"
+    double3 xformOp:translate = (10, 20, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    def Xform "below" {
+      custom token userProperties:kind = "lures"
+      custom string userProperties:reach = "7 cm"
+      double3 xformOp:translate.timeSamples = { 1: (0, 0, 5), 10: (9, 0, 5) }
+      uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+  }
+  def Xform "arrows" {
+    float3 xformOp:rotateXYZ = (0, 0, 90)
+    uniform token[] xformOpOrder = ["xformOp:rotateXYZ"]
+    def Xform "one" {
+      custom float userProperties:pace = 5
+      double3 xformOp:translate = (1, 0, 0)
+      float3 xformOp:rotateXYZ = (0, 0, 30)
+      float3 xformOp:scale = (2, 2, 2)
+      uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ", "xformOp:scale"]
+    }
+    def Xform "steep" {
+      float3 xformOp:rotateXYZ = (0, -90, 0)
+      uniform token[] xformOpOrder = ["xformOp:rotateXYZ"]
+    }
+    def Xform "told" {
+      custom double userProperties:facing = -45
+    }
+  }
+  def Xform "lamp" {
+    custom string userProperties:kind = "scares"
+  }
+}
+"""
+LURES, ALIGNERS = "{usd: set.usda}", "{usd: set.usda, prim: /root/arrows, turn: facing}"
+
+
+def opened(
+    folder: Path, lures: str = LURES, aligners: str = ALIGNERS, *, text: str = SET, up: str = "z"
+) -> tuple[Shot | None, Report]:
+    corners = ("-900 -900 0", "900 -900 0", "900 900 0", "-900 900 0")
+    if up == "y":
+        corners = ("-900 0 900", "900 0 900", "900 0 -900", "-900 0 -900")
+    (folder / "floor.obj").write_text("".join(f"v {c}\n" for c in corners) + "f 1 2 3\nf 1 3 4\n")
+    (folder / "roach.ant").write_text(PROGRAM)
+    (folder / "set.usda").write_text(text)
+    (folder / "scene.yaml").write_text(SCENE.format(up=up, lures=lures, aligners=aligners))
+    return open_scene(folder / "scene.yaml", Choices())
+
+
+def items(folder: Path, *scene: str, **more: str) -> dict[str, dict[str, tuple[np.ndarray, dict[str, float]]]]:
+    shot, report = opened(folder, *scene, **more)
+    assert shot is not None and not report.errors, report.errors
+    return {
+        name: {item.name: (np.array(item.position), dict(item.attributes)) for item in them}
+        for name, them in shot.setting.items.items()
+    }
+
+
+def test_empties_of_a_kind_are_found_anywhere_with_their_properties(tmp_path: Path) -> None:
+    lures = items(tmp_path)["lures"]
+    assert list(lures) == ["crumb", "below"]
+    place, given = lures["crumb"]
+    assert place.tolist() == [100, 200, 0]
+    assert given == {"reach": 120, "since": 0.5, "strength": 3}, "numbers in the file's unit, words with theirs"
+    place, given = lures["below"]
+    assert place.tolist() == [100, 200, 50] and given == {"reach": 70}
+
+
+def test_ways_that_empties_face_are_those_of_local_to_world(tmp_path: Path) -> None:
+    aligners = items(tmp_path)["aligners"]
+    place, given = aligners["one"]
+    assert np.allclose(place, [0, 10, 0], atol=1e-6), "its parent is turned by a quarter"
+    assert given["facing"] == pytest.approx(np.radians(120)) and given["pace"] == pytest.approx(50)
+    assert "facing" not in aligners["steep"][1], "straight up is no angle"
+    assert aligners["told"][1]["facing"] == pytest.approx(np.radians(-45)), "a property of that name goes before"
+
+
+def test_the_scenes_axes_and_its_own_turn_come_after(tmp_path: Path) -> None:
+    aligners = items(tmp_path, up="y")["aligners"]
+    place, given = aligners["one"]
+    assert np.allclose(place, [0, 0, -10], atol=1e-6) and given["facing"] == pytest.approx(np.radians(120))
+    turned = items(tmp_path, LURES, "{usd: set.usda, prim: /root/arrows, turn: facing, rotate: [0, 0, -100]}")["aligners"]["one"]
+    assert turned[1]["facing"] == pytest.approx(np.radians(20))
+    axes = items(tmp_path, LURES, "{usd: set.usda, prim: /root/arrows, turn: [ax, ay, az]}")["aligners"]
+    found = [axes["one"][1][key] for key in ("ax", "ay", "az")]
+    assert found == pytest.approx([np.cos(np.radians(120)), np.sin(np.radians(120)), 0], abs=1e-6)
+    assert [axes["steep"][1][key] for key in ("ax", "ay", "az")] == pytest.approx([0, 0, 1], abs=1e-6)
+
+
+def test_what_moves_in_the_file_moves_and_agents_read_the_properties(tmp_path: Path) -> None:
+    shot, report = opened(tmp_path)
+    assert shot is not None, report.errors
+    track = shot.setting.moves.items["lures"]
+    assert track[:, 0].tolist() == [[100, 200, 0]] * 10 and track[-1, 1].tolist() == [190, 200, 50]
+    crowd = next(iter(simulate(shot, Options(backend="numpy")))).populations["roach"]
+    way = np.array([crowd.now[f"velocity.{axis}"] for axis in "xyz"]).mean(axis=1)
+    paces, angles = np.array([50, 60, 60]), np.radians([120, 0, -45])
+    assert way == pytest.approx([paces @ np.cos(angles), paces @ np.sin(angles), 0], abs=0.01), "aligners say where to"
+
+
+def told(report: Report) -> list[tuple[str, str, str]]:
+    return [(d.code, "" if d.span is None else d.span.text, f"{d.message}; {d.help}") for d in report.diagnostics]
+
+
+@pytest.mark.parametrize(
+    ("lures", "aligners", "old", "new", "code", "at", "words"),
+    [
+        ("{usd: set.usda, kind: lurs}", ALIGNERS, "", "", "no-such-prim", "lurs", "`kind: lures`"),
+        ("{usd: set.usda, kind: beds}", ALIGNERS, "", "", "no-such-prim", "beds", "the kinds `lures`, `scares`"),
+        (LURES, ALIGNERS, ' = "lures"', ' = ""', "no-such-prim", "", "there are the kinds"),
+        (LURES, ALIGNERS, '"7 cm"', '"7 elbows"', "bad-usd", "set.usda", "`reach` of `below` in `set.usda` says `7 elbows`"),
+        (LURES, ALIGNERS, '"7 cm"', '"7 s"', "wrong-unit", "set.usda", "`reach` is a length"),
+        (
+            LURES,
+            ALIGNERS,
+            "userProperties:reach = 12",
+            "userProperties:reech = 12",
+            "usd-left-out",
+            "set.usda",
+            "did you mean `reach`",
+        ),
+        (LURES, "{usd: set.usda, prim: /root/arrows, turn: fcing}", "", "", "unknown-thing", "fcing", "`facing`"),
+        (LURES, "{usd: set.usda, prim: /root/arrows, turn: pace}", "", "", "wrong-unit", "pace", "`pace = 0 deg`"),
+        (LURES, "{usd: set.usda, prim: /root/arrows, turn: [ax, ay, pace]}", "", "", "wrong-unit", "pace", "`pace = 0`"),
+    ],
+)
+def test_mistakes_are_told(tmp_path: Path, lures: str, aligners: str, old: str, new: str, code: str, at: str, words: str) -> None:
+    _, report = opened(tmp_path, lures, aligners, text=SET.replace(old, new) if old else SET)
+    found = [each for each in told(report) if each[0] == code]
+    assert len(found) == 1, told(report)
+    assert found[0][1] == at or not at
+    assert words in found[0][2]
+
+
+def test_a_surface_has_no_kind_and_a_file_may_be_a_surface_whole(tmp_path: Path) -> None:
+    quad = 'def Mesh "m" {\n point3f[] points = [(-90,-90,0),(90,-90,0),(90,90,0),(-90,90,0)]\n'
+    quad += " int[] faceVertexCounts = [4]\n int[] faceVertexIndices = [0,1,2,3]\n}"
+    opened(tmp_path, text=SET + quad)
+    text = (tmp_path / "scene.yaml").read_text()
+    (tmp_path / "scene.yaml").write_text(text.replace("{mesh: floor.obj}", "{usd: set.usda, kind: floor}"))
+    _, report = open_scene(tmp_path / "scene.yaml", Choices())
+    assert [each[:2] for each in told(report)] == [("wrong-kind", "kind")]
+    (tmp_path / "scene.yaml").write_text(text.replace("{mesh: floor.obj}", "{usd: set.usda}"))
+    shot, report = open_scene(tmp_path / "scene.yaml", Choices())
+    assert shot is not None and np.abs(shot.setting.surfaces["floor"].vertices).max() == 900, report.errors
+
+
+def test_too_many_are_refused_before_they_are_placed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "AGENTS", 4)
+    many = SET + "".join(f'def Xform "n{k}" {{\n custom string userProperties:kind = "lures"\n}}\n' for k in range(9))
+    shot, report = opened(tmp_path, text=many)
+    assert shot is None and "too-large" in {d.code for d in report.errors}
+
+
+def test_without_usd_core_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from antdsl.scene.geometry.usd import errors
+
+    errors.pxr.cache_clear()
+    for name in [name for name in sys.modules if name.split(".")[0] == "pxr"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    _, report = opened(tmp_path)
+    errors.pxr.cache_clear()
+    assert {d.code for d in report.errors} == {"missing-extra"}
+    assert report.errors[0].help == 'install it: pip install "antdsl[usd]"'
+
+
+def test_agents_begin_at_empties(tmp_path: Path) -> None:
+    places = [(-40, 10), (0, 20), (55, -5)]
+    boids = "".join(
+        f'def Xform "boid{k}" {{\n custom string userProperties:kind = "roach"\n double3 xformOp:translate = ({x}, {y}, 3)\n'
+        f' uniform token[] xformOpOrder = ["xformOp:translate"]\n}}\n'
+        for k, (x, y) in enumerate(places)
+    )
+    opened(tmp_path, text=SET + boids)
+    text = (tmp_path / "scene.yaml").read_text().replace("count: 5, place: {on: floor, radius: 200 mm}", "count: 3, place: PLACE")
+    for place in ("{on: floor, points: {usd: set.usda}}", "{points: {usd: set.usda, prim: /, kind: roach}}"):
+        (tmp_path / "scene.yaml").write_text(text.replace("PLACE", place))
+        shot, report = open_scene(tmp_path / "scene.yaml", Choices())
+        assert shot is not None, report.errors
+        points = shot.setting.crowds[0].place.points
+        assert points is not None and points.tolist() == [[10 * x, 10 * y, 30] for x, y in places]
+    crowd = next(iter(simulate(shot, Options(backend="numpy")))).populations["roach"]
+    born = np.array([crowd.now[f"position.{axis}"] for axis in "xyz"]).T[np.argsort(crowd.ids)]
+    assert np.abs(born - [[10 * x, 10 * y, 0] for x, y in places]).max() < 12, "a step of 200 mm/s from there, on the floor"
+    for place, at in (("{points: {usd: set.usda, kind: bed}}", "bed"), ("{points: {usd: none.usda}}", "none.usda")):
+        (tmp_path / "scene.yaml").write_text(text.replace("PLACE", place))
+        _, report = open_scene(tmp_path / "scene.yaml", Choices())
+        assert [each[1] for each in told(report)] == [at], told(report)
