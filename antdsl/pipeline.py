@@ -88,10 +88,15 @@ def _checked(loaded: Loaded, strict: bool, memo: Memo | None = None) -> tuple[Pr
 
 @standard()
 def open_scene(
-    path: Path | str, choices: Choices | None = None, *, parsed: Parsed | None = None, thorough: bool = True
+    path: Path | str,
+    choices: Choices | None = None,
+    *,
+    parsed: Parsed | None = None,
+    thorough: bool = True,
+    raw: bool = False,
 ) -> tuple[Shot | None, Report]:
     """Everything from a scene's file to a shot: read, compile, match, lower, optimise, stage. `parsed` as in `compile_files`,
-    `thorough` as in `passes.optimise`."""
+    `thorough` as in `passes.optimise`; `raw`: the plan as lowered, before any pass."""
     path = Path(path)
     from antdsl import passes, plan
     from antdsl.scene.adjusting import with_fields
@@ -119,7 +124,8 @@ def open_scene(
     inputs = {"antdsl": __version__, "scene": scene.digest(), **loaded.hashes(), **meshes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
-    return Shot(scene, program, passes.optimise(lowered, thorough=thorough), setting, inputs, loaded), report
+    made = lowered if raw else passes.optimise(lowered, thorough=thorough)
+    return Shot(scene, program, made, setting, inputs, loaded), report
 
 
 def _read_scene(

@@ -41,6 +41,8 @@ NUMBERS = (
     "pal.fear",
     "pal.speed / 10 mm/s",
     "pal.age / 1 s",
+    "bonds[pal]",
+    "sum(n in neighbours(40 mm): bonds[n] * n.luck)",
     "falloff(meal, floor: size)",
     "falloff(pal, floor: 5 mm)",
     "distance(way_in) / 40 mm",
@@ -103,6 +105,12 @@ CONDITIONS = (
     "other_mood.state == calm",
 )
 _TAKEN = (" take 0.3 load from trail", " take all load from alarm_mark", " take all load from meal", " take all from trail")
+BONDS = (
+    "bonds[pal] += {v}{rate}",
+    "bonds[nearest(a)] = {v}",
+    "bonds[n in neighbours(40 mm)] -= (n.luck - 0.4){rate}",
+    "bonds[n in all(a, within: 50 mm, most: 3)] = bonds[n] * 0.5 + n.fear",
+)
 TARGETS = ("p", "q", "r", "previous", "choose { p: 1; q: luck + 1; r: count(neighbours(20 mm)) }")
 
 
@@ -151,7 +159,7 @@ class Sensing:
 
     def lines(self, body: bool) -> str:
         rng, found = self.rng, []
-        kinds = ["fear", "luck", "lay", "mark", "give", "emit", "pal"] + ([] if body else ["spawn", "die"])
+        kinds = ["fear", "luck", "lay", "mark", "give", "emit", "pal", "bond"] + ([] if body else ["spawn", "die"])
         for kind in rng.sample(kinds, rng.randint(0, 3)):
             rate = " * 1 /s" if body else ""
             found.append(
@@ -165,6 +173,7 @@ class Sensing:
                         ("emit ping", "emit ping(within: 30 mm)", "emit ping to pal", "emit ping(within: 20 mm) to nearest(a)")
                     ),
                     "pal": rng.choice(("pal = nearest(a)", "pal = random(a)", "pal = nearest(neighbours(40 mm, 200 deg))")),
+                    "bond": rng.choice(BONDS).format(v=self.bounded(), rate=rate),
                     "spawn": "spawn a",
                     "die": "die",
                 }[kind]
@@ -201,6 +210,7 @@ load = 0
 fear = 0 relax to 0.2 over 2 s
 luck = uniform(0, 1)
 pal = none of a
+bonds = 0 relax to 0 over 1 s for each a, strongest {rng.choice((1, 2, 4))}
 let meal = nearest(food, with: load > 0, within: 80 mm)
 let around_me = count(neighbours({rng.choice((20, 35))} mm))
 {self.declared}{self._latch()}

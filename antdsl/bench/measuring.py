@@ -63,18 +63,21 @@ def _measure(job: Job) -> Measured:
     if job.bound:
         runners[BOUND] = hand_written(agents)
     costs = _turns(runners, worlds, steps, job.turns)
+    told = [f"{name}: {sentence}" for name, each in worlds.items() for sentence in each.backend.told()]
+    kept, kept_told = _code_kept(world)
     return Measured(
         job=job,
         agents=agents,
         steps=steps,
         costs=costs,
-        set_up=SetUp(start, compile_, bound_s, first, code if has_code else None, _code_kept(world), second),
+        set_up=SetUp(start, compile_, bound_s, first, code if has_code else None, kept, second),
         memory=most - before,
         state=_state_bytes(world),
         nodes=_nodes(shot),
         counts=count_step(world),
         neighbours=_neighbours(world, case.sight) if case.sight else None,
         cached=_cached(shot, options[0], job.turns * steps) if job.cache else None,
+        told=tuple(dict.fromkeys(told + [f"{job.backends[0]}: {sentence}" for sentence in kept_told])),
     )
 
 
@@ -129,14 +132,16 @@ def with_code(world: World) -> bool:
     return world.backend.ready is not None
 
 
-def _code_kept(world: World) -> float | None:
-    """CPU seconds until a world has machine code that another run has kept; None without any, or where nothing can be kept."""
+def _code_kept(world: World) -> tuple[float | None, list[str]]:
+    """CPU seconds until a world has machine code that another run has kept; None without any, or where nothing can be kept, with
+    sentences on why."""
     if not with_code(world):
-        return None
+        return None, []
     ready.forget()
     again = NativeBackend(world.plan)
     _, seconds = _timed(lambda: again.have_code(world))
-    return None if again.told() else seconds
+    told = again.told()
+    return (None if told else seconds), told
 
 
 def _turns(runners: dict[str, Callable[[], None]], worlds: dict[str, World], steps: int, turns: int) -> dict[str, Cost]:

@@ -22,11 +22,11 @@ def scaled(setting: Setting, agents: int) -> Setting:
     def point(place: Point) -> Point:
         return (place[0] * by, place[1] * by, place[2] * by)
 
-    crowds, left = [], agents
-    for number, crowd in enumerate(setting.crowds):
-        last = number == len(setting.crowds) - 1
-        count = left if last else round(crowd.count * agents / before)
-        left -= count
+    crowds, passed = [], 0
+    for crowd in setting.crowds:
+        first = round(passed * agents / before)  # of all that come before, so that what rounding leaves does not add up
+        passed += crowd.count
+        count = round(passed * agents / before) - first
         at = crowd.place
         radius = None if at.radius is None else at.radius * by
         points = None if at.points is None else at.points * by

@@ -33,8 +33,8 @@ def backend_of(measured: Measured) -> str:
 
 SET_UP = ("start", "compile", "bind", "first step", "code", "code kept", "second step")
 HEADS = (
-    "backend", "CPU ms", "wall ms", "frames/s", "µs per agent", "of the bound", "cache, CPU ms", "bytes per agent",
-    *SET_UP,
+    "backend", "CPU ms", "wall ms", "frames/s", "µs per agent", "of the bound", "cache, CPU ms",
+    "bytes per agent", "grew by, MiB", *(f"{name}, CPU s" for name in SET_UP),
 )  # fmt: skip
 
 
@@ -46,7 +46,7 @@ def set_up_of(found: Measured) -> list[str]:
 
 
 def whole_step(result: Result) -> list[list[str]]:
-    """A row of HEADS for each backend. Set-up in CPU seconds; bytes: of what is kept, and by how much the process grew."""
+    """A row of HEADS for each backend. Bytes are those of what is kept of the agents; `grew by` is told of the process."""
     rows = []
     for found in result.alone:
         name = backend_of(found)
@@ -60,7 +60,8 @@ def whole_step(result: Result) -> list[list[str]]:
                 f"{1000 * cost.cpu_ms / max(found.agents, 1):.2f}",
                 ratio_text(found.ratios(name, BOUND)) if BOUND in found.costs else "",
                 "" if found.cached is None else f"{1000 * found.cached[0]:.2f}",
-                f"{found.state / max(found.agents, 1):,.0f}, {found.memory / max(found.agents, 1):,.0f}",
+                f"{found.state / max(found.agents, 1):,.0f}",
+                f"{found.memory / 2**20:,.0f}",
                 *set_up_of(found),
             ]
         )
@@ -94,11 +95,17 @@ def between(result: Result) -> list[str]:
     ]
 
 
+def told(result: Result) -> list[str]:
+    """What was otherwise than asked, each line once."""
+    measured = [*result.alone, *([] if result.together is None else [result.together])]
+    return list(dict.fromkeys(line for each in measured for line in each.told))
+
+
 def about(result: Result) -> str:
     """The case, its agents and what else is known of it."""
     found = result.alone[0]
     case = CASES.get(found.job.case)
-    words = [f"{found.job.case}, {found.agents:,} agents"]
+    words = [f"{found.job.case}, {found.agents:,} {'agent' if found.agents == 1 else 'agents'}"]
     words += [case.about] if case is not None else []
     words += [f"{found.neighbours:.1f} neighbours each"] if found.neighbours is not None else []
     words.append(f"{found.nodes:,} nodes of the plan")

@@ -1,13 +1,34 @@
 """The bodies by name, each made once, and which one suits a species."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 
 from antdsl.bodies.ant import ant
 from antdsl.bodies.body import Body
 from antdsl.bodies.figures import arrow, ball, person
 
+
+@dataclass(frozen=True, slots=True)
+class Capsule:
+    """The room that a trunk takes, legs and feelers left out, in body lengths: a capsule `length` long and `width` wide along the
+    heading, whose middle is `height` above the feet and `ahead` of them."""
+
+    length: float
+    width: float
+    height: float
+    ahead: float = 0.0
+
+
 BODIES: dict[str, Callable[[bool], Body]] = {"ant": ant, "person": person, "arrow": arrow, "ball": ball}
+
+# As long and wide as the meshes: of an ant from gaster to head; of who stands, shoulder to shoulder all round.
+CAPSULES: dict[str, Capsule] = {
+    "ant": Capsule(0.92, 0.23, 0.165, -0.04),
+    "person": Capsule(0.84, 0.84, 1.1),
+    "arrow": Capsule(1.0, 0.6, 0.15),
+    "ball": Capsule(1.0, 1.0, 0.5),
+}
 
 _WORDS: tuple[tuple[str, str], ...] = (
     ("person", "person"),

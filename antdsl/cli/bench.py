@@ -24,7 +24,7 @@ def bench(
     backend: list[str] = typer.Option([], "--backend", metavar="NAME", help="A backend; several are told as ratios."),
     pairs: int = typer.Option(20, "--pairs", min=1, max=10_000, help="Turns of each; under 20 no interval is told."),
     steps: int = typer.Option(0, "--steps", min=0, max=100_000, help="Steps in a turn; 0 takes as many as make 20 ms."),
-    threads: int = typer.Option(1, "--threads", min=1, max=256, help="Threads for rays and chunks."),
+    threads: int = typer.Option(1, "--threads", min=1, max=256, help="Threads for rays, kernels and NumPy's chunks."),
     cache: bool = typer.Option(False, "--cache", help="Also measure steps whose frames are written to a cache."),
     json_: Path = typer.Option(None, "--json", metavar="FILE", help="Write all that was measured; `-` prints it."),
     list_: bool = typer.Option(False, "--list", help="List the cases and stop."),

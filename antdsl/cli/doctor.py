@@ -110,7 +110,7 @@ def _machine_code(problems: list[str]) -> None:
     kept = ObjectCache()
     kept.get("0" * 64)  # there is none of that name; the folder is looked at
     for sentence in kept.told:
-        typer.echo(f"-       {'compiled code':<16} {sentence}")
+        typer.echo(f"-       {'folder of code':<16} {sentence}")
 
 
 def _files(problems: list[str]) -> None:

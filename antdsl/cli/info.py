@@ -13,6 +13,7 @@ from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
     from antdsl.outputs.cache.cache_reader import Cache
+    from antdsl.outputs.cache.manifest import MeshEntry
 
 
 def info(
@@ -51,7 +52,7 @@ def describe(cache: Cache) -> list[str]:
             lines.append(f"states       {species.name}.{machine.name}: {' '.join(state.name for state in machine.states)}")
     lines += [f"field        {field.name}, cells of {field.cell:g} {manifest.units}" for field in manifest.fields]
     lines += [f"items        {items.name}: {' '.join(items.names)}" for items in manifest.items]
-    lines += [f"mesh         {mesh.name} ({mesh.kind})" for mesh in manifest.meshes]
+    lines += [f"mesh         {mesh.name} ({mesh.kind}){_patches(mesh, manifest.units)}" for mesh in manifest.meshes]
     checkpoints = cache.checkpoints()
     lines.append(f"checkpoints  {' '.join(map(str, checkpoints)) if checkpoints else 'none'}")
     if inside and inside[-1] in hashes:
@@ -60,6 +61,13 @@ def describe(cache: Cache) -> list[str]:
     lines.append("made from")
     lines += [f"  {value}  {name}" for name, value in manifest.inputs.items()]
     return lines
+
+
+def _patches(mesh: MeshEntry, units: str) -> str:
+    """Of a surface of heights, how near its triangles are to the bilinear surface through its samples."""
+    if mesh.deviation is None:
+        return ""
+    return f", samples of heights: at most {mesh.deviation:.3g} {units} off the bilinear surface through them"
 
 
 def _fps(text: str) -> str:

@@ -11,6 +11,7 @@ from antdsl.cli.exits import Exit, Stop
 
 if TYPE_CHECKING:
     from antdsl.plan.ir import Plan
+    from antdsl.scene.setting import Setting
 
 
 def plan(
@@ -19,28 +20,40 @@ def plan(
     native: bool = typer.Option(
         False, "--native", help="What of it is machine code: stages, counts of instructions, what NumPy is called for."
     ),
-    code: bool = typer.Option(False, "--ir", help="With --native, the machine code too, in LLVM's language."),
+    code: bool = typer.Option(False, "--ir", help="As --native, with the machine code too, in LLVM's language."),
 ) -> None:
     """Print the array passes that a program became."""
     from antdsl import passes, pipeline
     from antdsl import plan as planning
     from antdsl.cli.printing.reports import demand
 
-    program, report = pipeline.check_path(file)
-    if program is not None and report.ok:
-        lowered, findings = planning.lower(program)
-        report.extend(findings)
+    setting: Setting | None = None
+    made: Plan | None = None
+    if file.suffix == ".ant":
+        program, report = pipeline.check_path(file)
+        if program is not None and report.ok:
+            lowered, findings = planning.lower(program)
+            report.extend(findings)
+            made = lowered if raw else passes.optimise(lowered)
+    else:
+        shot, report = pipeline.open_scene(file, raw=raw)
+        if shot is not None:
+            made, setting = shot.plan, shot.setting
     demand(report)
-    if program is None:
+    if made is None:
         raise Stop(Exit.FINDINGS)
-    made = lowered if raw else passes.optimise(lowered)
-    typer.echo(_as_code(made, code) if native else planning.show(made))
+    typer.echo(_as_code(made, setting, code) if native or code else planning.show(made))
 
 
-def _as_code(made: Plan, code: bool) -> str:
+def _as_code(made: Plan, setting: Setting | None, code: bool) -> str:
+    """`setting`: of the scene; None for a program by itself."""
     from antdsl.runtime.backends.native import listing, machine
+    from antdsl.runtime.backends.native.programs import Facts
 
-    if not machine.available():
-        raise Stop(Exit.FINDINGS, "machine code cannot be made here: llvmlite is not there", "pip install llvmlite")
-    found = listing.of_plan(made, machine.host())
-    return listing.show(found) + (f"\n{found.text}" if code else "")
+    if why := machine.unavailable():
+        raise Stop(Exit.FINDINGS, f"error: no machine code can be made here: {why}")
+    found = listing.of_plan(made, machine.host(), listing.STILL if setting is None else Facts.of(setting))
+    words = (
+        "as on ground that stands still, without `lod`: a scene that uses this may have other code\n" if setting is None else ""
+    )
+    return words + listing.show(found) + (f"\n{found.text}" if code else "")

@@ -25,7 +25,7 @@ def preview(
     set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another value for a param: forager.smell=50mm"),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
     threads: int = typer.Option(
-        0, "--threads", min=0, max=256, help="Threads for rays and chunks; 0 takes all cores. Changes no result."
+        0, "--threads", min=0, max=256, help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores. Changes no result."
     ),
     host: str = typer.Option(
         None, "--host", metavar="HOST", help="Listen at another address than this machine's own; needs --let-others-in."
@@ -128,8 +128,6 @@ def _serve(live: Live, scene: Path, listening: Listening, *, open_it: bool, othe
         pass  # the way in which a preview ends
     finally:
         live.stop()
-        for note in live.session.world.backend.told() if live.is_open else ():
-            typer.echo(note, err=True)
 
 
 def _open(address: str) -> None:

@@ -39,7 +39,7 @@ def run(
     ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
     threads: int = typer.Option(
-        0, "--threads", min=0, max=256, help="Threads for rays and chunks; 0 takes all cores. Changes no result."
+        0, "--threads", min=0, max=256, help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores. Changes no result."
     ),
     chunk: int = typer.Option(16_384, "--chunk", min=1, max=10_000_000, help="Agents worked on at once. Changes no result."),
     summary: Path = typer.Option(None, "--summary", metavar="FILE", help="Write counts, speeds and measures as JSON."),
@@ -200,7 +200,7 @@ def _go(recording: Recording, quiet: bool, again: str) -> None:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        for note in () if quiet else recording.world.backend.told():
+        for note in recording.world.backend.told():
             say(note, err=True)
     if recording.stop and not recording.complete:
         raise Stop(Exit.INTERRUPTED, f"stopped after frame {recording.frame}", f"go on with: {again}")

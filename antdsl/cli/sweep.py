@@ -76,7 +76,7 @@ def sweep(
     failed: list[Outcome] = []
     try:
         with _stoppable(), _progress(len(todo), quiet) as watch:
-            for outcome in run_all(todo, processes, threads, watch.frame):
+            for outcome in run_all(todo, processes, threads, watch.frame, watch.noted):
                 watch.finished(outcome)
                 if outcome.measures is None:
                     failed.append(outcome)
@@ -163,6 +163,7 @@ class _Watch:
 
     def __init__(self, total: int, quiet: bool) -> None:
         self.total, self.quiet, self.count = total, quiet, 0
+        self.notes: set[str] = set()
 
     def frame(self, job: Job, frame: int) -> None:
         """A run has come to a frame."""
@@ -174,6 +175,12 @@ class _Watch:
             say(f"failed: {outcome.job.name}: {outcome.problem}", err=True)
         elif not self.quiet:
             self.say(f"{self.count} of {self.total}: {outcome.job.name}, {outcome.measures['frames']} frames")
+
+    def noted(self, sentence: str) -> None:
+        """Something was otherwise than asked: told once, however many runs say it."""
+        if sentence not in self.notes:
+            self.notes.add(sentence)
+            say(sentence, err=True)
 
     def say(self, line: str) -> None:
         say(line)

@@ -34,7 +34,9 @@ def test(
         None, "--fail-under", metavar="N", min=0, max=100, help="Fail if less than N % of the states and changes were met."
     ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
-    threads: int = typer.Option(0, "--threads", min=0, max=256, help="Threads for rays and chunks; 0 takes all cores."),
+    threads: int = typer.Option(
+        0, "--threads", min=0, max=256, help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores."
+    ),
     backend: Backend = typer.Option(
         Backend.native, "--backend", help="As of `run`; `reference` is slow and plain: one agent at a time. Changes no verdict."
     ),
@@ -95,6 +97,8 @@ def test(
         except KeyboardInterrupt:
             stopped = True
             progress.clear()
+        for note in work.told:
+            say(note, err=True)
         show(goldens.report, to_stderr=True)
         report.extend(goldens.report)
         verdicts = settle(everything)

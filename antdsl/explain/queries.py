@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.explain.account import accounts
 from antdsl.explain.history import CacheHistory
@@ -14,6 +16,7 @@ from antdsl.explain.opening import ExplainError, open_shot
 from antdsl.explain.replaying import Replay
 from antdsl.explain.strip import strip
 from antdsl.outputs.cache.cache_reader import Cache
+from antdsl.runtime.moving.walks import is_led
 
 
 def explain(
@@ -101,10 +104,13 @@ def _whom(cache: Cache, species: str, agent: int, frame: int) -> str:
 
 
 def absent(replay: Replay, species: str, agent: int, frame: int) -> ExplainError:
-    """Why nobody was traced: the agent did not live, or was set aside."""
+    """Why nobody was traced: the agent did not live, was set aside, or is led by the scene."""
     world = replay.begin(frame)
     population = world.populations[species]
-    if agent in population.ids:
+    row = int(population.rows_of(np.array([agent]))[0])
+    if row >= 0 and is_led(world, population)[row]:
+        return ExplainError(f"{species} {agent} decides nothing: it goes as the `walk` of its line of the crowd says", "")
+    if row >= 0:
         return ExplainError(
             f"{species} {agent} was set aside after a fault, and did nothing in the step to frame {frame}",
             "`antdsl run` told the value that was no number",

@@ -16,6 +16,7 @@ from antdsl.passes.hoist import hoist
 from antdsl.plan.ir import Node, Plan
 from antdsl.plan.lowering.source_map import Notes
 from antdsl.runtime import FaultStop, Population, World, state_hash, step
+from antdsl.runtime.moving.walks import is_led
 from antdsl.runtime.phases import PHASES
 from antdsl.scene.matching import layer_order
 
@@ -89,7 +90,7 @@ class Replay:
     def _look(self, world: World, species: str, agent: int, look: Look[T]) -> T | None:
         population = world.populations[species]
         row = int(population.rows_of(np.array([agent]))[0])
-        if row < 0 or population.quarantined[row]:
+        if row < 0 or population.quarantined[row] or is_led(world, population)[row]:
             return None
         return look(
             world, population, traced(world, population, self.plan.species[species], row, self.notes[species], self.became)

@@ -198,6 +198,9 @@ class _Index:
     def comprehension(self, node: nodes.Comprehension) -> None:
         self.element(node.variable)
 
+    def each_of(self, node: nodes.IndexAll) -> None:
+        self.element(node.variable)
+
     def reference(self, node: nodes.NameRef) -> None:
         name = node.name.text
         self.by_place(node.name, "given" if name in GIVEN else "word" if name in _WORDS else "?")
@@ -239,6 +242,7 @@ _BY_PLACE: dict[type, tuple[tuple[str, str], ...]] = {
 _RULES: dict[type, Callable[[_Index, Any], None]] = {
     nodes.Use: _Index.use, nodes.Spec: _Index.spec, nodes.SpecLine: _Index.spec_line, nodes.Quantity: _Index.quantity,
     nodes.Setting: _Index.setting, nodes.Layer: _Index.layer, nodes.On: _Index.handler, nodes.NameRef: _Index.reference,
-    nodes.Comprehension: _Index.comprehension, nodes.Member: _Index.member, nodes.Call: _Index.call,
+    nodes.Comprehension: _Index.comprehension, nodes.IndexAll: _Index.each_of, nodes.Member: _Index.member,
+    nodes.Call: _Index.call,
     nodes.Ask: _Index.ask, nodes.Target: _Index.target,
 }  # fmt: skip

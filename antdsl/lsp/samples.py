@@ -119,6 +119,8 @@ SETTING_FORMS = {
     "deposits": "field heat on ground { cell 10 mm; half_life 8 s; deposits first }",
     "limit": "field heat on ground { cell 10 mm; limit 5 }",
 }
+_HEIGHT = "world: {arena: {height: hills.png, extent: [400 mm, 400 mm], scale: 30 mm, offset: 2 mm}}"
+_WALK = "crowd: [{species: forager, from: forager.ant, count: 1, walk: {direction: [1, 0, 0], speed: 30 mm/s, length: 40 mm}}]"
 SCENE_FORMS = {
     "antdsl": "antdsl: 1",
     "extends": "extends: scene.yaml",
@@ -128,6 +130,9 @@ SCENE_FORMS = {
     "frames": "frames: 1..240",
     "preroll": "preroll: 48",
     "substeps": "substeps: 2",
+    "stick": "stick: triangles",
+    "orient": "orient: normal",
+    "contacts": "contacts: hard",
     "seed": "seed: 7",
     "from": "from: {cache: out/scene, frame: 240}",
     "world": "world: {ground: {mesh: ground.ply}}",
@@ -148,10 +153,18 @@ SCENE_FORMS = {
     "points": "crowd: [{species: forager, from: forager.ant, count: 50, place: {points: starts.json}}]",
     "density": "crowd: [{species: forager, from: forager.ant, count: 50, place: {on: ground, density: damp}}]",
     "by": "crowd: [{species: forager, from: forager.ant, count: 50, place: {on: ground, by: area}}]",
+    "walk": _WALK,
+    "direction": _WALK,
+    "speed": _WALK,
+    "length": _WALK,
+    "apart": "crowd: [{species: forager, from: forager.ant, count: 50, place: {on: ground, apart: even}}]",
     "at": "camera: {at: [0, 300, 200], look_at: [0, 0, 0]}",
     "look_at": "camera: {at: [0, 300, 200], look_at: [0, 0, 0]}",
     "focal": "camera: {at: [0, 300, 200], look_at: [0, 0, 0], focal: 35 mm}",
     "mesh": "world: {hill: {mesh: hill.ply, voxel: 2 mm}}",
+    "height": _HEIGHT,
+    "extent": _HEIGHT,
+    "offset": _HEIGHT,
     "voxel": "world: {hill: {mesh: hill.ply, voxel: 2 mm}}",
     "keys": "world: {lorry: {mesh: lorry.ply, keys: {1: {at: [0, 0, 0]}, 48: {at: [20, 0, 0]}}}}",
     "attributes": "output: {attributes: [P, v, id, state]}",

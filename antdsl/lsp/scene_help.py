@@ -19,7 +19,7 @@ from antdsl.syntax.words import FIELD_SETTINGS, FIXED_SETTINGS
 _KEY = re.compile(r"^(\s*)(?:- )?([A-Za-z_.][A-Za-z_0-9.]*):")
 _PARTS: dict[str, type[model.Part]] = {
     "place": model.Placement, "camera": model.Camera, "lod": model.LevelOfDetail, "output": model.Output, "from": model.StartFrom,
-    "crowd": model.CrowdLine,
+    "crowd": model.CrowdLine, "walk": model.Walk,
 }  # fmt: skip
 
 

@@ -106,7 +106,12 @@ def _per_member(part: Reduce | SetOf) -> Iterator[object]:
     return parts(body) if body is not None else iter(())
 
 
+_PAIR = 100  # operations that it takes to find a place for a value per pair
+
+
 def _operations(part: object) -> int:
+    if isinstance(part, Assign) and (part.of is not None or part.over is not None):
+        return _PAIR
     if isinstance(part, (Steer, Face, Assign)):
         return 3
     if not isinstance(part, Op):

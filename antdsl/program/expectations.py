@@ -125,5 +125,6 @@ MOTION = {
     "heads_inside": "number",
     "overlap_start": "number",
     "overlap_p99": "number",
+    "deep_max": "number",
     "straightness": "number",
 }

@@ -103,20 +103,21 @@ def _reach(population: Population, entry: Asked, other: Population, flags: NDArr
 
 def deaths_and_births(world: World) -> None:
     """Take the dead out, then put the new ones in: ids by (parent's species, parent's id, place in the text)."""
-    coming = _coming(world)
+    coming, bereft = _coming(world), False
     for population in world.populations.values():
         if dying := population.effects.drained("die"):
             dead = np.zeros(len(population), np.bool_)
             for entry in dying:
                 dead[entry.rows] = True
             select_rows(population, np.flatnonzero(~dead))
+            bereft = True
     generation = 0
     while coming and generation < limits.BIRTHS_IN_A_ROW:
         newborn = {name: _bear(world, world.populations[name], births) for name, births in coming.items()}
         come_alive(world, {name: rows for name, rows in newborn.items() if len(rows)})
         coming = _coming(world)
         generation += 1
-    for population in world.populations.values():
+    for population in world.populations.values() if bereft else ():
         forget_the_dead(world, population)
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.binding.spacing import takes_room
+from antdsl.runtime.moving.capsules import depths
 from antdsl.runtime.moving.heads import heads_inside
 from antdsl.senses.overlaps import worst_overlaps
 
@@ -26,9 +27,12 @@ _MOVED = 3.0  # body lengths walked in a window, to have a way at all
 _WISH = 0.2  # a push that is meant
 _STILL = 0.03  # of max_speed: standing
 _TOUCH = 0.01  # of the room that two take: closer than this they stand in each other
+_DEEP = 0.05  # of its width: farther in another than this an agent is seen to be
+_AT_EVERY_STEP = 2_000  # agents whose trunks are measured in every step; of so many times more, as many times more seldom
 _COUNTS = (
     "turns", "tilts", "overlaps", "standing", "wishing", "ways", "circling", "straightness", "steps",
     "tilt_max", "step_max", "heads", "heads_inside", "placed", "overlapping",
+    "deep_max",
 )  # fmt: skip
 _WAYS = ("ids", "start", "path", "age")
 
@@ -62,6 +66,7 @@ class Motion:
     heads_inside: int = 0
     placed: int = 0
     overlapping: int = 0
+    deep_max: float = 0.0
     windows: dict[str, Window] = field(default_factory=dict)
 
     def reset(self) -> None:
@@ -103,6 +108,9 @@ class Motion:
     def observe(self, world: World) -> None:
         """Count one step; called after the move, before the ground goes on."""
         second = max(1, round(1.0 / world.dt))
+        every = second if world.setting.contacts == "off" else 1 + len(world) // _AT_EVERY_STEP
+        if self.steps % every == 0 and len(world) > 1:
+            self.deep_max = max(self.deep_max, float((depths(world) > _DEEP).mean()))
         for population in world.populations.values():
             if len(population):
                 self._step(world, population)
@@ -163,7 +171,7 @@ class Motion:
 
     def summary(self) -> dict[str, float]:
         """turn_p99, tilt_p99, tilt_max (degrees a step), step_max (of the longest step allowed), circling, standing,
-        heads_inside, overlap_start (shares), overlap_p99 (0 apart .. 1 in one place), straightness."""
+        heads_inside, overlap_start, deep_max (shares), overlap_p99 (0 apart .. 1 in one place), straightness."""
         return {
             "turn_p99": _percentile(self.turns) * 180.0,
             "tilt_p99": _percentile(self.tilts) * 180.0,
@@ -174,6 +182,7 @@ class Motion:
             "heads_inside": self.heads_inside / max(1, self.heads),
             "overlap_start": self.overlapping / max(1, self.placed),
             "overlap_p99": _percentile(self.overlaps),
+            "deep_max": self.deep_max,
             "straightness": self.straightness / max(1, self.ways),
         }
 

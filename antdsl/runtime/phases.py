@@ -11,11 +11,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics import vectors as vec
 from antdsl.numerics.sorting import interleaved, stable_order
 from antdsl.plan.ir import Kind
 from antdsl.program.tables.effects import settled_in
 from antdsl.runtime import claims, digging, faults, lifecycle
-from antdsl.runtime.moving import advance, moving_geometry, tilting
+from antdsl.runtime.moving import advance, contacts, moving_geometry, tilting, walks
 from antdsl.runtime.world import Population, World, select_rows
 
 _SORT_EVERY, _SORT_FROM = 16, 2048  # frames, agents
@@ -70,8 +71,9 @@ def blend(world: World) -> None:
 
 def _run(world: World, block: str) -> None:
     for population in world.populations.values():
-        if len(population):
-            world.backend.run(world, population, block)
+        rows = walks.awake(world, population)
+        if len(population) if rows is None else len(rows):
+            world.backend.run(world, population, block, rows)
 
 
 def effects(world: World) -> None:
@@ -95,13 +97,16 @@ def fields(world: World) -> None:
 
 
 def move(world: World) -> None:
-    """Advances all agents along the surfaces, substep by substep."""
+    """Advances all agents along the surfaces, substep by substep; then bodies that stand in each other part."""
     with np.errstate(all="ignore"):
         for population in world.populations.values():
             tilting.stand_up(population)
         for substep in range(world.setting.substeps):
+            before = {name: population.position for name, population in world.populations.items()}
+            facing = {name: vec.copy(vec.named(population.now, "heading")) for name, population in world.populations.items()}
             for population in world.populations.values():
                 advance.move(world, population, substep)
+            contacts.resolve(world, before, facing, world.dt / world.setting.substeps)
 
 
 def measure(world: World) -> None:

@@ -229,6 +229,7 @@ def _allowed(path: tuple[Key, ...]) -> list[str]:
         "keys": model.PlaceKey,
         "place": model.Placement,
         "crowd": model.CrowdLine,
+        "walk": model.Walk,
         "fields": model.FieldStart,
         "camera": model.Camera,
         "lod": model.LevelOfDetail,

@@ -14,9 +14,10 @@ from antdsl.program.model import Const, Dim, Kind, Program, WorldThing
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import dimension_words, shown, unit_of, with_unit
 from antdsl.scene import adjusting
+from antdsl.scene.crowd_model import Placement, UsdPlaces
 from antdsl.scene.document import Key
 from antdsl.scene.load import Scene
-from antdsl.scene.model import FILE_HEADS, MODELS, FlowThing, MeshThing, PaintedThing, Placement, UsdPlaces, UsdThing
+from antdsl.scene.model import FILE_HEADS, MODELS, FlowThing, MeshThing, PaintedThing, UsdThing
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.stability import spreading
@@ -75,22 +76,12 @@ def _world(scene: Scene, program: Program, report: Report) -> None:
             message = (
                 f"the program's {thing.kind} `{name}` has no {'place' if thing.kind == 'items' else 'geometry'} in the scene"
             )
-            report.error(
-                "missing-thing",
-                message,
-                place,
-                f"add `{name}: {row.scene}` to `world`",
-                labels=(Label(thing.span, "declared here"),),
-            )
+            advice = f"add `{name}: {row.scene}` to `world`"
+            report.error("missing-thing", message, place, advice, labels=(Label(thing.span, "declared here"),))
         elif not isinstance(given[name], MODELS[thing.kind]):
             message = f"`{name}` is {row.given} in the program, and something else here"
-            report.error(
-                "wrong-kind",
-                message,
-                scene.span("world", name),
-                f"write `{name}: {row.scene}`",
-                labels=(Label(thing.span, "declared here"),),
-            )
+            place, advice = scene.span("world", name), f"write `{name}: {row.scene}`"
+            report.error("wrong-kind", message, place, advice, labels=(Label(thing.span, "declared here"),))
         else:
             _thing(scene, program, report, name, thing)
 
@@ -216,6 +207,9 @@ def _crowd(scene: Scene, program: Program, report: Report) -> None:
         if line.species not in program.species:
             _unknown(report, scene, ("crowd", number, "species"), "no program has a species", program.species, key=False)
         _placement(scene, program, report, line.place, "crowd", number, "place")
+        if line.walk is not None and not any(line.walk.direction):
+            where = scene.span("crowd", number, "walk", "direction")
+            report.error("wrong-value", "`[0, 0, 0]` leads nowhere", where, "write a direction, such as `[1, 0, 0]`")
     if total > limits.AGENTS:
         report.error(
             "too-large", f"{total:,} agents are more than {limits.AGENTS:,}", scene.span("crowd"), "write a smaller `count`"
@@ -239,9 +233,8 @@ def _around(scene: Scene, report: Report, around: object, radius: object, *path:
     if isinstance(around, str) and around not in item_names(scene) and not scene.model.items_come_later:
         _unknown(report, scene, (*path, "around"), "no item is named", item_names(scene), key=False)
     if around is not None and radius is None:
-        report.error(
-            "missing-key", "`around` says nothing without `radius`", scene.span(*path, "around", key=True), "add `radius: 50 mm`"
-        )
+        at = scene.span(*path, "around", key=True)
+        report.error("missing-key", "`around` says nothing without `radius`", at, "add `radius: 50 mm`")
 
 
 def _placement(scene: Scene, program: Program, report: Report, place: Placement, *path: Key) -> None:
@@ -269,6 +262,14 @@ def _placement(scene: Scene, program: Program, report: Report, place: Placement,
     if place.by == "area" and place.inside is not None:
         words = "agents that begin `inside` stand where lines from there end, and are not spread by area"
         report.error("wrong-value", words, scene.span(*path, "by", key=True), "leave `by` out")
+    for key in ("apart", "seed"):
+        if getattr(place, key) is not None and place.points is not None:
+            words = f"agents at `points` stand where these are, and nothing is left for `{key}` to say"
+            report.error("wrong-value", words, scene.span(*path, key, key=True), f"leave `{key}` out")
+    if place.apart == "even" and (place.inside is not None or (place.density is not None and place.by != "area")):
+        what, more = ("inside", "") if place.inside is not None else ("by `density` from above", ", or add `by: area`")
+        advice = f"write a length, such as `apart: 10 mm`{more}"
+        report.error("wrong-value", f"how much room there is {what} is not known", scene.span(*path, "apart", key=True), advice)
     _around(scene, report, place.around, place.radius, *path)
 
 

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
+from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
 from antdsl import limits
 from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.scene.crowd_model import CrowdLine as CrowdLine
+from antdsl.scene.crowd_model import Placement as Placement
+from antdsl.scene.crowd_model import Walk as Walk
+from antdsl.scene.parts import Keys, PointOrName
+from antdsl.scene.parts import Part as Part
+from antdsl.scene.parts import PlaceKey as PlaceKey
+from antdsl.scene.parts import Point as Point
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.values import (
     Angle,
@@ -31,32 +38,13 @@ from antdsl.scene.values import (
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
 Unit = Annotated[str, BeforeValidator(one_of(*UNIT_MM))]
-Body = Annotated[str, BeforeValidator(one_of("ant", "person", "arrow", "ball"))]
 Stick = Annotated[str, BeforeValidator(one_of("triangles", "rays"))]
 Orient = Annotated[str, BeforeValidator(one_of("normal", "turns", "probes"))]
+Contacts = Annotated[Literal["off", "soft", "hard"], BeforeValidator(one_of("off", "soft", "hard"))]
 Axis = Annotated[str, BeforeValidator(one_of("y", "z"))]
 Purpose = Annotated[str, BeforeValidator(one_of("render", "proxy"))]
-Point = tuple[Length, Length, Length]
 
 DEFAULT_ATTRIBUTES = ("P", "v", "orient", "id", "pscale", "Cd", "state")
-
-
-class Part(BaseModel):
-    """A mapping of the scene: keys that are not listed are refused."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, populate_by_name=False, arbitrary_types_allowed=True, hide_input_in_errors=True
-    )
-
-
-class PlaceKey(Part):
-    """Where a thing is at one frame; between keys it goes evenly, before the first and after the last it rests."""
-
-    at: Point | None = None
-    rotate: tuple[Angle, Angle, Angle] | None = None
-
-
-Keys = dict[Annotated[int, BeforeValidator(whole(-limits.FRAMES, limits.FRAMES * 1000))], PlaceKey]
 
 
 class MeshThing(Part):
@@ -72,6 +60,22 @@ class MeshThing(Part):
     rotate: tuple[Angle, Angle, Angle] | None = None
     scale: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
     voxel: PositiveLength | None = None
+
+
+class HeightThing(Part):
+    """A surface of heights: a 16-bit grey image (.png, .tif), or an array of an .npz file (`array`, where it has several;
+    `layer`, of one with three dimensions). `extent`: how far it goes along x and the other level axis, about its own origin; a
+    sample of 1 is `scale` high, and all are raised by `offset`."""
+
+    height: FilePath
+    extent: tuple[PositiveLength, PositiveLength]
+    scale: Length
+    offset: Length | None = None
+    array: Name | None = None
+    layer: Annotated[int, BeforeValidator(whole(0, 100_000))] | None = None
+    at: Point | None = None
+    rotate: tuple[Angle, Angle, Angle] | None = None
+    keys: Keys = {}
 
 
 class UsdEach(Part):
@@ -117,7 +121,6 @@ class CurveThing(Part):
 
 
 Strength = Annotated[float, BeforeValidator(number(-1, 1))]
-By = Annotated[str, BeforeValidator(one_of("above", "area"))]
 Falloff = Annotated[str, BeforeValidator(one_of("none", "linear", "smooth"))]
 
 
@@ -212,6 +215,7 @@ class ItemThing(Part):
 # The key that says what a thing of the world is, unless it is the name of an item.
 HEADS: dict[str, tuple[str, type[Part]]] = {
     "mesh": ("mesh-thing", MeshThing),
+    "height": ("height-thing", HeightThing),
     "usd": ("usd-thing", UsdThing),
     "curve": ("curve-thing", CurveThing),
     "tangent": ("tangent-thing", TangentFlow),
@@ -222,9 +226,9 @@ HEADS: dict[str, tuple[str, type[Part]]] = {
     "painted": ("painted-thing", PaintedThing),
 }
 # Those that name a file of the thing's own, and what a kind of thing may be here.
-FILE_HEADS = ("mesh", "usd", "curve", "painted")
+FILE_HEADS = ("mesh", "height", "usd", "curve", "painted")
 MODELS: dict[str, tuple[type, ...]] = {
-    "surface": (MeshThing, UsdThing), "obstacle": (MeshThing, UsdThing), "solid": (MeshThing, UsdThing),
+    "surface": (MeshThing, HeightThing, UsdThing), "obstacle": (MeshThing, UsdThing), "solid": (MeshThing, UsdThing),
     "curve": (CurveThing, UsdThing), "items": (dict, UsdThing), "flow": (FlowThing, PaintedThing), "map": (PaintedThing,),
 }  # fmt: skip
 
@@ -250,6 +254,7 @@ def _items(value: Any) -> Any:
 
 WorldThing = Annotated[
     Annotated[MeshThing, Tag("mesh-thing")]
+    | Annotated[HeightThing, Tag("height-thing")]
     | Annotated[UsdThing, Tag("usd-thing")]
     | Annotated[CurveThing, Tag("curve-thing")]
     | Annotated[TangentFlow, Tag("tangent-thing")]
@@ -263,51 +268,12 @@ WorldThing = Annotated[
 ]
 
 
-class UsdPlaces(Part):
-    """Places of a USD file: the points or empties below a prim, or all empties of a kind, by itself the species' name."""
-
-    usd: FilePath
-    prim: Word | None = None
-    kind: Word | None = None
-
-
-def _file_or_usd(value: Any) -> str:
-    return "usd-places" if isinstance(value, dict) else "points-file"
-
-
-class Placement(Part):
-    """Where a crowd begins: scattered on a surface (all of it, by the `density` that a map paints, or within `radius` of a point
-    or an item, by itself of the scene's origin), at given points, or where lines from a point or an item end, `inside`
-    of something. `by` says whether they are dropped onto it from above or spread over its area, undersides too."""
-
-    on: Name | None = None
-    inside: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_text)] | None = None
-    around: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_text)] | None = None
-    radius: PositiveLength | None = None
-    points: (
-        Annotated[Annotated[FilePath, Tag("points-file")] | Annotated[UsdPlaces, Tag("usd-places")], Discriminator(_file_or_usd)]
-        | None
-    ) = None
-    density: Name | None = None
-    by: By = "above"
-
-
-class CrowdLine(Part):
-    """Agents of one species. `body` is what pictures draw; by itself it goes by the species' name."""
-
-    species: Name
-    source: FilePath = Field(alias="from")
-    count: Annotated[int, BeforeValidator(whole(0, limits.AGENTS))]
-    place: Placement = Placement()
-    body: Body | None = None
-
-
 class FieldStart(Part):
     """Starting values of a field: `start` everywhere, or only within `radius` of a point or an item (by itself: of the
     origin)."""
 
     start: Annotated[float, BeforeValidator(number(0, 1e9))]
-    around: Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_text)] | None = None
+    around: PointOrName | None = None
     radius: PositiveLength | None = None
 
 
@@ -364,6 +330,7 @@ class SceneModel(Part):
     substeps: Annotated[int, BeforeValidator(whole(1, 64))] = 1
     stick: Stick = "triangles"
     orient: Orient = "normal"
+    contacts: Contacts = "off"
     seed: Annotated[int, BeforeValidator(whole(0, 2**64 - 1))] = 0
     start: StartFrom | None = Field(None, alias="from")
     world: dict[Name, WorldThing] = {}

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from antdsl.scene.staging.moves import Moves
 
 Point = tuple[float, float, float]
+Contacts = Literal["off", "soft", "hard"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,7 +124,8 @@ class PlaceData:
     else evenly over the surfaces, or as densely as the map `density` says. `on` narrows to some surfaces (empty: all).
 
     With `by_area` agents stand on the front of faces, whichever way these look, and `radius` is that of a ball; `points` go to
-    the nearest place of a surface."""
+    the nearest place of a surface. `apart`: how far (mm) centres are from each other, at least; inf: as far as all who begin
+    there with the same have room for. `seed`: of the places, instead of the setting's."""
 
     on: tuple[str, ...] = ()
     around: Point | None = None
@@ -132,16 +134,30 @@ class PlaceData:
     points: NDArray[np.float64] | None = None
     density: str | None = None
     by_area: bool = False
+    apart: float = 0.0
+    seed: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class WalkData:
+    """A way that agents are led: a unit vector along which they set out, laid along the ground, mm/s, and mm."""
+
+    direction: Point
+    speed: float
+    length: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdData:
-    """`count` agents of one species; `group` is the number of this line of the scene, from 0."""
+    """`count` agents of one species; `group` is the number of this line of the scene, from 0. Those with a `walk` sense and
+    decide nothing. `body` names what they look like; empty: what suits the species' name."""
 
     species: str
     count: int
     place: PlaceData = PlaceData()
     group: int = 0
+    walk: WalkData | None = None
+    body: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,12 +197,15 @@ class Setting:
     (`forager.smell`), those absent take their default; `first_frame` is the number of the first simulated frame. Meshes, items
     and curves are where they are at that frame; `moves` says where they go. `camera` is one that a file brings. With
     `by_rays` agents stick to meshes by two rays a step and do not walk over triangles. `orient`: what bodies stand across: the
-    ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`."""
+    ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`. `deviations`: how far (mm)
+    the triangles of surfaces that are made of heights lie from bilinear patches, at most. `contacts` says how bodies
+    keep apart."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
     by_rays: bool = False
     orient: str = "normal"
+    contacts: Contacts = "off"
     up: Point = (0.0, 1.0, 0.0)
     unit_mm: float = 1.0
     seed: int = 0
@@ -204,6 +223,7 @@ class Setting:
     moves: Moves = field(default_factory=Moves)
     camera: CameraData | None = None
     detail: DetailData | None = None
+    deviations: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def dt(self) -> float:

@@ -19,7 +19,7 @@ from antdsl.scene.quantities import BadQuantity, Quantity, parse_number, parse_q
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 _WORD_CHARACTERS = 1000
-LENGTH, ANGLE, TIME = Dim(length=1), Dim(angle=1), Dim(time=1)
+LENGTH, ANGLE, TIME, SPEED = Dim(length=1), Dim(angle=1), Dim(time=1), Dim(length=1, time=-1)
 
 
 def refuse(message: str, help: str = "") -> PydanticCustomError:
@@ -204,7 +204,15 @@ Name = Annotated[str, BeforeValidator(_name)]
 FilePath = Annotated[str, BeforeValidator(_path)]
 AnyQuantity = Annotated[Quantity, BeforeValidator(_quantity)]
 Length = Annotated[Quantity, BeforeValidator(of_dim(LENGTH))]
+
+
+def word_or(word: str, other: Callable[[Any], Quantity]) -> Callable[[Any], Quantity | str]:
+    """One word, or a quantity."""
+    return lambda value: word if str(value) == word else other(value)
+
+
 PositiveLength = Annotated[Quantity, BeforeValidator(positive(LENGTH))]
+PositiveSpeed = Annotated[Quantity, BeforeValidator(positive(SPEED))]
 PositiveTime = Annotated[Quantity, BeforeValidator(positive(TIME))]
 Angle = Annotated[Quantity, BeforeValidator(of_dim(ANGLE))]
 Fps = Annotated[Fraction, BeforeValidator(_fps)]

@@ -20,7 +20,8 @@ Told = Callable[[Run, int, int], None]
 
 @dataclass(slots=True)
 class Work:
-    """What is to be found out besides the outcomes, and who is told: `done` of each case, `frame` of how far a run is."""
+    """What is to be found out besides the outcomes, and who is told: `done` of each case, `frame` of how far a run is. `told` has
+    sentences for the user on what was otherwise than asked in a run, each once; none of it changes a verdict."""
 
     options: Options
     coverage: Coverage = field(default_factory=Coverage)
@@ -29,6 +30,8 @@ class Work:
     done: Callable[[Case], None] = lambda case: None
     frame: Told = lambda run, frame, last: None
     built: Built = field(default_factory=Built)  # runs of one scene differ by seeds and params and stand on the same ground
+    told: dict[str, None] = field(default_factory=dict)
+    worlds: list[World] = field(default_factory=list)  # of the run under way
 
 
 def run_cases(runs: Iterable[Run], work: Work) -> None:
@@ -43,6 +46,10 @@ def run_cases(runs: Iterable[Run], work: Work) -> None:
                 _fail(run, Failure(problem.message, problem.span))
         except (OSError, MemoryError) as why:
             _fail(run, Failure(f"the run came to an end: {why or type(why).__name__}".lower(), None))
+        finally:
+            for world in work.worlds:
+                work.told |= dict.fromkeys(world.backend.told())
+            work.worlds.clear()
         for case in run.cases:  # what a run took is shared by its cases
             case.outcome = "failed" if case.failures else "passed"
             case.seconds = (perf_counter() - started) / len(run.cases)
@@ -98,6 +105,7 @@ def _run(run: Run, work: Work, moments: dict[int, Moment]) -> None:
 def _begin(shot: Shot, seed: int, work: Work) -> World:
     """The world at the first frame."""
     world = bind(shot.plan, replace(shot.setting, seed=seed), work.options, built=work.built)
+    work.worlds.append(world)
     if world.faults.reported:
         raise FaultStop(world.faults.reported[0])  # at birth
     work.coverage.watch(world, shot.program)

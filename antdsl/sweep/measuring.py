@@ -20,9 +20,11 @@ class Unfit(Exception):
     """The scene cannot be opened any more; the message says why."""
 
 
-def measure(job: Job, threads: int, built: Built, told: Callable[[int], None]) -> dict[str, Any]:
-    """Simulate a run and give its measures, by name: numbers, and None for what did not happen. `told` hears of each frame;
-    `built` has what the runs before this one made of meshes.
+def measure(
+    job: Job, threads: int, built: Built, told: Callable[[int], None], noted: Callable[[str], None] = lambda sentence: None
+) -> dict[str, Any]:
+    """Simulate a run and give its measures, by name: numbers, and None for what did not happen. `told` hears of each frame,
+    `noted` at the end of what was otherwise than asked; `built` has what the runs before this one made of meshes.
 
     Everything but `seconds` and `fps` is the same for the same job."""
     shot, report = open_scene(Path(job.scene), job.choices())
@@ -44,6 +46,8 @@ def measure(job: Job, threads: int, built: Built, told: Callable[[int], None]) -
         worst = max(worst, surface_error(world))
         recording.steps += 1
         told(world.frame)
+    for sentence in world.backend.told():
+        noted(sentence)
     recording.frame, recording.surface_error = world.frame, worst
     recording.hash = state_hash(world)
     recording.spend("step", began)

@@ -34,9 +34,14 @@ class Outcome:
 
 
 def run_all(
-    jobs: Sequence[Job], processes: int, threads: int, told: Callable[[Job, int], None] = lambda job, frame: None
+    jobs: Sequence[Job],
+    processes: int,
+    threads: int,
+    told: Callable[[Job, int], None] = lambda job, frame: None,
+    noted: Callable[[str], None] = lambda sentence: None,
 ) -> Iterator[Outcome]:
-    """Run jobs on so many processes and give each outcome as it comes. `told` hears now and then how far a run is."""
+    """Run jobs on so many processes and give each outcome as it comes. `told` hears now and then how far a run is, `noted` what
+    was otherwise than asked, a sentence for each run and cause."""
     waiting = list(reversed(jobs))
     workers: list[_Worker] = []
     try:
@@ -48,7 +53,7 @@ def run_all(
             for worker in list(workers):
                 if worker.pipe not in ready or worker.job is None:
                     continue
-                outcome = worker.listen(told)
+                outcome = worker.listen(told, noted)
                 if outcome is None:
                     continue
                 yield outcome
@@ -82,7 +87,7 @@ class _Worker:
         with suppress(OSError):  # it is dead; `listen` will find out
             self.pipe.send(job)
 
-    def listen(self, told: Callable[[Job, int], None]) -> Outcome | None:
+    def listen(self, told: Callable[[Job, int], None], noted: Callable[[str], None]) -> Outcome | None:
         """What it has to say: the outcome of its job, or None while that is under way."""
         assert self.job is not None
         try:
@@ -93,6 +98,9 @@ class _Worker:
             return self._finish(None, _how_it_ended(self.process.exitcode))
         if word == "frame":
             told(self.job, value)
+            return None
+        if word == "note":
+            noted(value)
             return None
         return self._finish(value, "") if word == "done" else self._finish(None, value)
 
@@ -142,17 +150,17 @@ def _work(pipe: Connection, threads: int) -> None:
                     said = time.monotonic()
                     pipe.send(("frame", frame))
 
-            pipe.send(_outcome(job, threads, built, told))
+            pipe.send(_outcome(job, threads, built, told, lambda sentence: pipe.send(("note", sentence))))
             built.forget()
 
 
-def _outcome(job: Job, threads: int, built: Built, told: Callable[[int], None]) -> tuple[str, Any]:
+def _outcome(job: Job, threads: int, built: Built, told: Callable[[int], None], noted: Callable[[str], None]) -> tuple[str, Any]:
     from antdsl.outputs.starting import StartError
     from antdsl.runtime import BindError, FaultStop
     from antdsl.sweep.measuring import Unfit, measure
 
     try:
-        return "done", measure(job, threads, built, told)
+        return "done", measure(job, threads, built, told, noted)
     except (BindError, StartError) as why:
         return "failed", "; ".join(problem.message for problem in why.report.errors)
     except (Unfit, FaultStop, OSError) as why:

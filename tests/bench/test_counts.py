@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from compilers import need_llvmlite
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from counts import RECORDED, grown
@@ -46,7 +47,8 @@ def worlds() -> Iterator[tuple[World, World]]:
 def test_nothing_has_grown_beyond_what_is_recorded(cases: tuple[str, ...]) -> None:
     """In a process of its own: what was compiled for other tests would do some of the work. Without cases, all of them."""
     words = [sys.executable, str(BENCHMARKS / "counts.py"), *cases, "--print"]
-    done = subprocess.run(words, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    done = subprocess.run(words, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     lines = grown(json.loads(done.stdout), json.loads(RECORDED.read_text(encoding="utf-8")))
     assert not lines, "\n".join(
@@ -88,7 +90,7 @@ def test_a_line_more_in_a_program_is_counted(backend: str, monkeypatch: pytest.M
     from antdsl.bench import programs
 
     if backend == "native":
-        pytest.importorskip("llvmlite")
+        need_llvmlite()
 
     def counts() -> dict[str, int]:
         shot = case_of("node").make(60)

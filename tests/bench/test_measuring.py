@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import sys
 from dataclasses import replace
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from compilers import need_llvmlite, need_numba
 
 from antdsl import resources
 from antdsl.bench import CASES, Job
@@ -20,8 +22,8 @@ from antdsl.bench.machine import machine
 from antdsl.bench.measuring import hand_written, measure
 from antdsl.bench.processes import Failed, measured
 from antdsl.bench.programs import BOIDS, NODE
-from antdsl.bench.tables import HEADS, Result, about, as_json, between, from_json, phases, ratio_text, whole_step
-from antdsl.numerics import compiled
+from antdsl.bench.tables import HEADS, Result, about, as_json, between, from_json, phases, ratio_text, told, whole_step
+from antdsl.cli.printing.bench_tables import show
 from antdsl.runtime.backends import NumpyBackend
 from antdsl.runtime.backends.native import machine as native_machine
 from antdsl.runtime.backends.native.object_cache import VARIABLE
@@ -98,7 +100,7 @@ def test_machine_code_is_there_before_steps_are_measured_and_its_making_and_load
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Whatever earlier runs have kept: each function is made once, and loaded once from the folder that then has it."""
-    pytest.importorskip("llvmlite")
+    need_llvmlite()
     made: list[str] = []
     by_numpy: list[str] = []
     plain, make = NumpyBackend.run, native_machine.object_code
@@ -121,7 +123,7 @@ def test_machine_code_is_there_before_steps_are_measured_and_its_making_and_load
     assert found.set_up.code and found.set_up.kept and found.set_up.second
     assert os.environ.get(VARIABLE) == before and list(tmp_path.iterdir()) == []
     (row,) = whole_step(Result((found,)))
-    assert "" not in row[-3:] and row[HEADS.index("code")] != ""
+    assert "" not in row[-3:] and row[HEADS.index("code, CPU s")] != ""
     other = measure(Job("node", 60, ("numpy",), turns=1, steps=1))
     assert (other.set_up.code, other.set_up.kept) == (None, None)
     (row,) = whole_step(Result((other,)))
@@ -129,11 +131,27 @@ def test_machine_code_is_there_before_steps_are_measured_and_its_making_and_load
 
 
 def test_code_that_no_folder_keeps_has_no_time_to_be_loaded_in(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    pytest.importorskip("llvmlite")
+    need_llvmlite()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.chdir(tmp_path)  # a folder within it is not trusted
     found = measure(Job("node", 60, ("native",), turns=1, steps=1))
     assert found.set_up.code and found.set_up.kept is None
+    (line,) = told(Result((found,)))
+    assert line.startswith("native: compiled code is not kept in") and "in the working directory" in line
+
+
+def test_where_there_is_no_machine_code_that_is_told_with_the_times(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(native_machine, "unavailable", lambda: "llvmlite is not there: install it")
+    found = measure(Job("node", 1, ("native", "numpy"), turns=1, steps=1))
+    (line,) = told(Result((found,)))
+    assert line.startswith("native: NumPy runs instead of machine code") and line.endswith("llvmlite is not there: install it")
+    assert Measured.from_json(json.loads(json.dumps(found.as_json()))) == found
+    show(Result((found,), found))
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0].startswith("node, 1 agent; ") and printed[1] == line
+    assert {"grew by, MiB", "first step, CPU s"} <= {words.split("  ")[0] for words in printed}
 
 
 def test_words_of_what_was_measured() -> None:
@@ -155,8 +173,7 @@ def test_words_of_what_was_measured() -> None:
 
 
 def test_the_hand_written_frame_does_all_its_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    if not compiled.available():
-        pytest.skip("needs numba")
+    need_numba()
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     bound = importlib.import_module("bound")
     ants = bound.Bound(2000)

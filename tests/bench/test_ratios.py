@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,15 @@ def test_a_scaled_crowd_stands_as_densely(agents: int) -> None:
     reach = np.percentile(np.hypot(place[:, 0], place[:, 2]), 95)
     assert reach == pytest.approx(70 * by * np.sqrt(0.95), rel=0.06)
     assert world.items["food"].position[0] == pytest.approx(np.array([120, 0, 90]) * by, abs=20 * by)
+
+
+@pytest.mark.parametrize(("agents", "counts"), [(3, [1, 0, 1, 0, 1]), (5, [1] * 5), (12, [2, 3, 2, 3, 2]), (1, [0, 0, 1, 0, 0])])
+def test_however_a_crowd_of_parts_is_scaled_there_are_as_many_as_asked(agents: int, counts: list[int]) -> None:
+    shot, _ = open_scene(EXAMPLES / "foraging" / "scene.yaml")
+    assert shot is not None
+    crowd = replace(shot.setting.crowds[0], count=1)
+    made = scaled(replace(shot.setting, crowds=(crowd,) * 5), agents)
+    assert [each.count for each in made.crowds] == counts
 
 
 def test_what_cannot_be_scaled_is_refused() -> None:

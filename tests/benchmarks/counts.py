@@ -1,7 +1,8 @@
 """What a step of some cases is made of, counted exactly, beside what was recorded in `counts.json`.
 
 `python tests/benchmarks/counts.py` prints what differs and leaves with 1 where anything has grown; `--record` writes the counts
-anew, which is to be said in the commit, with why. `--print` prints them. Compiled kernels are turned off."""
+anew, which is to be said in the commit, with why. `--print` prints them. Compiled kernels are turned off; where no machine code
+can be made, the native backend is left out, and nothing can be recorded."""
 
 from __future__ import annotations
 
@@ -30,12 +31,16 @@ def counted(cases: Sequence[str] = ()) -> Counts:
     from antdsl.bench.cases import case_of
     from antdsl.bench.counting import counts_of
     from antdsl.runtime.backends import BACKENDS
+    from antdsl.runtime.backends.native import machine
 
+    left_out = {"reference"}  # nobody waits for the definition's speed
+    if not machine.available():
+        left_out.add("native")  # which would run what NumPy runs
     found = {}
     for name, agents in ((name, agents) for name, agents in COUNTED if not cases or name in cases):
         shot = case_of(name).make(agents)
         for backend in BACKENDS:
-            if backend != "reference":  # nobody waits for the definition's speed
+            if backend not in left_out:
                 found[f"{name} {agents or ''} {backend}".replace("  ", " ")] = counts_of(shot.plan, shot.setting, backend)
     return found
 
@@ -64,6 +69,11 @@ def main() -> None:
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, "NUMBA_DISABLE_JIT": "1"})
     if given.record and given.cases:
         parser.error("--record takes all cases")
+    if given.record:
+        from antdsl.runtime.backends.native import machine
+
+        if why := machine.unavailable():
+            raise SystemExit(f"--record takes all backends: {why}")
     found = counted(given.cases)
     if given.print or given.record:
         text = json.dumps(found, indent=2, sort_keys=True) + "\n"

@@ -9,7 +9,7 @@ import trimesh
 
 from antdsl.bodies.ant import LEGS, POSES, STEP, STRIDE, ant, foot_at
 from antdsl.bodies.body import orientation, turned
-from antdsl.bodies.catalogue import BODIES, body, body_of
+from antdsl.bodies.catalogue import BODIES, CAPSULES, body, body_of
 from antdsl.bodies.placed import PLACED, placed, shape_of
 from antdsl.program.tables.colours import COLOURS, default_rgb, rgb
 
@@ -140,3 +140,14 @@ def test_the_foraging_ground_has_relief_and_a_shelf_that_overhangs():
     middle = ground.triangles_center[down]
     assert down.sum() > 100 and (middle[:, 0] > 100).all() and (middle[:, 2] < -150).all()
     assert trimesh.load(EXAMPLES / "foraging" / "boulder.ply", process=False).is_watertight
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_the_room_that_a_body_takes_is_that_of_its_mesh(name: str) -> None:
+    """Nothing of the capsule is longer or wider than what is drawn; of a body without legs it is as long and wide as that."""
+    room, drawn = CAPSULES[name], BODIES[name](False).poses[0]
+    size = drawn.max(axis=0) - drawn.min(axis=0)
+    assert room.width <= room.length <= max(size[0], size[2]) * 1.05 and room.width <= size[2] * 1.05
+    if name != "ant":
+        assert room.width >= size[2] * 0.9 and room.length >= max(size[0], size[2]) * 0.9
+    assert drawn[:, 1].min() < room.height < drawn[:, 1].max()

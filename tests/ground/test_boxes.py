@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from compilers import need_numba
 from meshes import ball, terrain
 from numpy.typing import NDArray
 from open_shapes import joined, soup
@@ -93,7 +94,7 @@ def test_ground_without_a_triangle_is_met_nowhere() -> None:
 
 
 def test_the_compiled_twin_meets_the_same_to_the_bit() -> None:
-    pytest.importorskip("numba")
+    need_numba()
     from antdsl.ground.mesh.boxes_compiled import first_of, gather
     from antdsl.ground.mesh.face_table import packed
 

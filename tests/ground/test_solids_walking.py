@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib.util import find_spec
 
 import meshes
 import numpy as np
 import pytest
+from compilers import need_numba
 
 from antdsl.ground.protocol import Move
 from antdsl.ground.solid import Volume, move
 from antdsl.numerics import compiled
 
 BODY = 5.0
-FAST = find_spec("numba") is not None
+FAST = compiled.available()
 
 
 def made(mesh: meshes.Mesh, voxel: float = 1.0) -> Volume:
@@ -173,7 +173,7 @@ def test_who_loses_the_ground_goes_to_what_is_left(quick: int) -> None:
 
 
 def test_the_compiled_walk_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("numba")
+    need_numba()
     rng = np.random.default_rng(5)
     for solid in (cube(), cheese()):
         ways = unit(rng.normal(size=(300, 3)))

@@ -22,7 +22,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 ROOMS = (
     "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "bootstrap", "syntax", "program",
     "highlighting", "graphs", "numerics", "scene", "loading", "plan", "passes", "casting", "ground",
-    "senses", "fields", "runtime", "reload", "bodies", "files", "pipeline", "checking", "outputs",
+    "senses", "fields", "bodies", "runtime", "reload", "files", "pipeline", "checking", "outputs",
     "specs", "explain", "sweep", "bench", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.

@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from compilers import need_numba
 
 ROOT = Path(__file__).resolve().parents[2]
 # One of each example; what lies beside them has the same program and ground.
@@ -68,7 +69,7 @@ def test_every_example_without_them(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("processor", ["host", "nehalem"])
 def test_every_example_with_kernels_compiled_for_another_processor(processor: str, tmp_path: Path) -> None:
-    pytest.importorskip("numba")
+    need_numba()
     chosen = (
         {} if processor == "host" else {"NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
     )

@@ -23,6 +23,7 @@ species ant {
   let friend = nearest(ant)
   start search
   state search { steer seek(meal); when meal.load > 0 take 1 load from meal -> carry }
+  state bond { likes[m in neighbours(9 mm)] += m.load * 1 /s; when after 1 s -> carry }
   state carry { steer seek(nearest(nest)); when likes[friend] > friend.load -> search }
 }
 species beetle {
@@ -53,6 +54,8 @@ def keys(text: str, word: str, nth: int = 0) -> list[tuple[str, ...]]:
         ("load) }", 0, ("attribute", "food", "load")),
         ("carry) <=", 0, ("state", "ant", "main", "carry")),  # the only species with such a state
         ("friend]", 0, ("own", "ant", "friend")),
+        ("likes[m", 0, ("own", "ant", "likes")),
+        ("load * 1", 0, ("own", "ant", "load")),
         ("one else", 0, ("inner", "/nowhere/ant.ant", "nearer", "one")),
         ("food, two", 0, ("thing", "food")),
     ],
@@ -124,3 +127,8 @@ def test_what_is_taken_from_is_looked_into_for_steps() -> None:
     source = Source("/nowhere/ant.ant", text)
     _, report = compile_files([Path("/nowhere/ant.ant")], strict=True, parsed={source.path: syntax.parse(source)})
     assert any(each.span is not None and "/step" in each.span.text for each in report.diagnostics)
+
+
+def test_a_name_for_each_of_a_set_is_known_where_the_line_uses_it() -> None:
+    assert keys(PROGRAM, "m in neighbours") == keys(PROGRAM, "m.load * 1")
+    assert keys(PROGRAM, "m.load * 1") == [("element", str(PROGRAM.index("m in neighbours")), "m")]

@@ -182,10 +182,7 @@ def test_chains_of_lets_do_not_go_deep_or_grow():
 
 @pytest.mark.parametrize(
     ("members", "line"),
-    [
-        ("likes = 0 for each a, strongest 8\nstart s\nstate s { steer heading }", 10),
-        ("start s\non collision(other) { x += 1 }\nx = 0\nstate s { steer heading * x }", 11),
-    ],
+    [("start s\non collision(other) { x += 1 }\nx = 0\nstate s { steer heading * x }", 11)],
 )
 def test_what_cannot_run_is_refused_at_its_place(members, line):
     world = "ant 1\nworld {\n  surface ground\n  solid hill\n  items food\n  items nest\n  obstacle stones\n  curve way_in\n}\n"

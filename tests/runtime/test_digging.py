@@ -8,6 +8,7 @@ from pathlib import Path
 import digging_shots
 import numpy as np
 import pytest
+from compilers import need_numba
 from test_cli import antdsl
 
 from antdsl.bodies.shapes import sphere
@@ -251,7 +252,7 @@ def test_a_surface_has_no_voxels(tmp_path):
 
 
 def test_kernels_give_the_same_bits(shot, watched, monkeypatch):
-    pytest.importorskip("numba")
+    need_numba()
     from antdsl.numerics import compiled
 
     if not compiled.available():
@@ -266,10 +267,9 @@ def test_kernels_give_the_same_bits(shot, watched, monkeypatch):
 @pytest.mark.parametrize("kernels", [False, True])
 def test_cells_are_found_alike_however_many_are_asked_for(kernels, monkeypatch):
     """Rows of the nearest and cells near a place, one by one and all at once, with NumPy and compiled."""
+    if kernels:
+        need_numba()
     from antdsl.numerics import compiled
-
-    if kernels and not compiled.available():
-        pytest.skip("kernels cannot be compiled here")
 
     def grown(fast: bool) -> GrowingCells:
         monkeypatch.setattr(compiled, "wanted", lambda count: fast)
@@ -325,11 +325,10 @@ def test_feelers_meet_a_ball_where_it_is_and_run_along_it_free():
 
 
 def test_the_field_between_nodes_is_the_same_compiled(monkeypatch):
+    need_numba()
     from antdsl.ground.solid import trilinear
     from antdsl.numerics import compiled
 
-    if not compiled.available():
-        pytest.skip("kernels cannot be compiled here")
     draw = np.random.default_rng(1)
     volume = Volume.from_mesh(*digging_shots.hill(), 0.7)
     assert isinstance(volume, Volume)

@@ -15,7 +15,7 @@ from antdsl.program.types.folding import constant_behind
 from antdsl.runtime import bind, step
 
 STUDY = Path(__file__).resolve().parents[2] / "examples" / "foraging_study"
-RUNS = ("default", "reward_0", "no_decay", "reward_50", "ants_100", "fields", "separation_first")
+RUNS = ("default", "reward_0", "no_decay", "reward_50", "ants_100", "fields", "separation_first", "nearest_source")
 
 
 def opened(name: str) -> Shot:
@@ -31,7 +31,10 @@ def shots() -> dict[str, Shot]:
 
 def test_a_run_differs_from_the_default_in_what_the_thesis_names_only(shots: dict[str, Shot]) -> None:
     base = shots["default"]
-    params = {"reward_0": {"forager.reward": 0.0}, "reward_50": {"forager.reward": 50.0}, "fields": {"forager.fields": 1.0}}
+    params = {
+        "reward_0": {"forager.reward": 0.0}, "reward_50": {"forager.reward": 50.0}, "fields": {"forager.fields": 1.0},
+        "nearest_source": {"forager.pooled": 1.0},
+    }  # fmt: skip
     for name, shot in shots.items():
         model = shot.scene.model
         assert dict(shot.setting.params) == params.get(name, {}), name
@@ -69,6 +72,22 @@ def test_food_is_found_carried_and_marked_and_no_crumb_is_lost(shots: dict[str, 
     assert 0.9 * 25 / 24 < float(world.fields["trail"].values.max()) <= 25 / 24 * 1.0001
 
 
+def test_the_scent_may_fall_off_from_the_nearest_source_whichever_the_crumb_came_from(shots: dict[str, Shot]) -> None:
+    laid = {}
+    for name in ("default", "nearest_source"):
+        world = bind(shots[name].plan, shots[name].setting)
+        ants, food = world.populations["forager"], world.items["food"].position
+        # All have a crumb of the donut and stand about home, which is nearer to the apple.
+        ants.now["load"][:], ants.now["source"][:] = 1, 1
+        ants.now["main.state"][:] = next(m.states for m in ants.plan.machines).index("seek_home")
+        far = np.linalg.norm(food[:, None] - ants.position, axis=2)
+        assert (far[0] < far[1]).all()
+        step(world)
+        laid[name] = float(world.fields["trail"].values.max()), 25 / 24 * 30 / (far[1] if name == "default" else far[0]).min()
+    assert all(found == pytest.approx(wanted, rel=0.02) for found, wanted in laid.values()), laid
+    assert laid["nearest_source"][0] > 1.5 * laid["default"][0]
+
+
 def test_the_table_beside_the_thesis(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     compare = runpy.run_path(str(STUDY / "compare.py"))
     published = {name: (apple or 900, donut or 2000) for name, (apple, donut) in compare["PUBLISHED"].items()}
@@ -87,6 +106,7 @@ def test_the_table_beside_the_thesis(tmp_path: Path, capsys: pytest.CaptureFixtu
 
     assert compare["main"](write(published)) == 0
     told = capsys.readouterr().out
+    assert "nearest_source" in told
     assert "0.788" in told and "1.175" in told and "1.330" in told and "2 of 2" in told and "FAILS" not in told
     assert compare["main"](write({**published, "reward_50": (900, 3000), "no_decay": (900, 4999)})) == 1
     told = capsys.readouterr().out

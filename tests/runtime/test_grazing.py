@@ -13,8 +13,11 @@ from test_program import checked, complaints
 
 from antdsl import passes, plan
 from antdsl.fields.pheromone import UNIT
+from antdsl.plan.register_reads import places
 from antdsl.runtime import FieldStart, MeshData, Options, Setting, World, bind, state_hash, step
 from antdsl.runtime.backends.native import machine
+from antdsl.runtime.backends.reference import Agent, with_winnings
+from antdsl.runtime.requests import Effects
 
 SHEEP = Path(__file__).parents[1] / "programs" / "sheep.ant"
 NATIVE = Options(backend="native", chunk=8, threads=2, shuffle_rows=5, wait_for_code=True)
@@ -96,12 +99,12 @@ def test_all_backends_graze_alike() -> None:
     assert all(each == found[0][: len(each)] for each in found)
 
 
-def play(lines: str, places: list[tuple[float, float]], steps: int, start: float, declared: str = "load = 0") -> World:
+def play(lines: str, at: list[tuple[float, float]], steps: int, start: float, declared: str = "load = 0") -> World:
     """Agents with those changes at places, on cells that hold `start`, the same in every way."""
     text = f"species a {{ {declared}\nstart p\nstate p {{ {lines} }}\nstate q {{ when false -> p }} }}"
     made = passes.optimise(plan_of(text, WORLD))
     ground = {"ground": MeshData(*meshes.grid(60.0, 4))}
-    setting = Setting(seed=7, surfaces=ground, crowds=(crowd(at=places),), field_start={"grass": FieldStart(start, None, None)},
+    setting = Setting(seed=7, surfaces=ground, crowds=(crowd(at=at),), field_start={"grass": FieldStart(start, None, None)},
                       items={"food": ()})  # fmt: skip
     hashes, world = set(), None
     for way in WAYS:
@@ -184,3 +187,28 @@ def test_what_cannot_be_taken_is_told(line: str, code: str) -> None:
         f"{WORLD}species a {{ load = 0; weight = 1 g\nstart p\nstate p {{ {line} }}\nstate q {{ when false -> p }} }}"
     )
     assert code in [d.code for d in report.errors], complaints(report)
+
+
+def test_an_agent_that_is_run_again_gets_all_that_it_was_given() -> None:
+    """As `explain` does: the reference takes one agent through the step, with what the world has settled."""
+    text = "species a { load = 0.1; seen = 0\nstart p\nstate p { when true take all load from grass -> q { seen = load } }\n"
+    made = passes.optimise(plan_of(text + "state q { when false -> p } }", WORLD))
+    setting = Setting(seed=7, surfaces={"ground": MeshData(*meshes.grid(60.0, 4))}, crowds=(crowd(at=[(0, 0)] * 2),),
+                      field_start={"grass": FieldStart(1.3, None, None)}, items={"food": ()})  # fmt: skip
+    world, again = bind(made, setting), []
+
+    def watch(world: World) -> None:
+        ants = world.populations["a"]
+        for row in range(len(ants)):
+            now = {name: array[row : row + 1].copy() for name, array in ants.start.items()}
+            agent = Agent(world, ants, row, now, 0, Effects(), places(ants.plan))
+            agent.run("decide")
+            with_winnings(agent, ants)
+            agent.run("act")
+            again.append((float(now["load"][0]), float(now["seen"][0])))
+
+    world.watchers.append(watch)
+    step(world)
+    ants = world.populations["a"]
+    assert again == list(zip(ants.now["load"].tolist(), ants.now["seen"].tolist(), strict=True))
+    assert sorted(ants.now["load"].tolist()) == pytest.approx([0.1, 1.4], abs=1e-6)

@@ -104,3 +104,15 @@ def test_most_takes_the_nearest_and_at_a_tie_the_lesser_id() -> None:
     assert seen["odd"] == [1 + 3, 3 + 5, 3 + 1, 1 + 5, 3 + 1, 1 + 3]
     assert seen["own"] == [0, 1, 1, 2, 1, 0]
     assert seen["meals"][0] == 12 and seen["meals"][5] == 12
+
+
+def test_the_nearest_few_are_the_same_where_several_regions_ask_for_them() -> None:
+    text = f"""species a {{ x = 0; y = 0
+      {STILL}
+      start s
+      state s {{
+        when id > 3 -> s {{ x = count(n in neighbours(40 mm, most: 3): n.id > 3) }}
+        when true -> s {{ y = sum(n in neighbours(40 mm, most: 3): n.id) }}
+      }} }}"""
+    seen = play(text, crowd(9, radius=40), ways=(WAYS[0], NATIVE, WAYS[2]))
+    assert any(seen["x"]) and all(x == 0 for x in seen["x"][:4]) and sum(y > 0 for y in seen["y"]) >= 3

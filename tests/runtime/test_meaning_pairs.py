@@ -157,3 +157,61 @@ def test_a_checkpoint_goes_on_to_the_same_values() -> None:
         step(again)
         assert state_hash(again) == hashes[number]
     assert kept(again) == kept(world)
+
+
+DENSE = """species a {
+  likes = 0 relax to 0 over 5 s for each a, strongest 8
+  hits = 0
+  max_speed 100 mm/s
+  start s
+  on bump { hits += 1; likes[nearest(a)] -= 0.05 }
+  state s {
+    steer wander()
+    likes[n in neighbours(30 mm)] += (distance(n) / 30 mm - 0.4) * 10 %/s
+    likes[nearest(neighbours(30 mm, most: 4))] -= 5 %/s
+    when chance 30 %/s -> t { emit bump to nearest(a) }
+    when chance 2 %/s -> s { spawn a }
+    when age > 0.2 s and chance 9 %/s -> s { die }
+  }
+  state t { steer wander(); when after 0.2 s -> s }
+  layers { state; limit(sum(n in neighbours(30 mm, most: 6): direction(n) * likes[n]), 0.3) }
+}"""
+
+
+@pytest.mark.slow
+def test_a_dense_crowd_has_the_same_values_in_any_order_of_rows_threads_and_chunks() -> None:
+    """More others in reach than are looked at, births and deaths."""
+    many = (
+        Options(backend="native", wait_for_code=True),
+        Options(backend="numpy", threads=2, shuffle_rows=3, chunk=300),
+        Options(backend="native", wait_for_code=True, threads=2, shuffle_rows=7, chunk=64),
+    )
+    seen = play(DENSE, crowd(400, radius=18), world="ant 1\nuse steering\nworld { surface ground }\n", steps=6, fps=24, ways=many)
+    now = kept(seen.world, count=8)
+    assert sum(len(about) == 8 for about in now.values()) > 350 and sum(seen["hits"]) > 5 and len(now) != 400
+
+
+def test_pairs_across_species_begin_at_birth_and_each_keeps_its_own() -> None:
+    text = f"""species b {{ {STILL} start s
+      state s {{ when frame == 3 and id == 0 -> s {{ die }} }} }}
+    species a {{
+      knows = 0 for each b, strongest 2
+      kin = 1 for each a, strongest 1
+      sum_of = 0
+      on spawn {{ velocity = vector(0 mm/s, 0 mm/s, 0 mm/s); knows[nearest(b)] = 3; kin[n in a] += n.id }}
+      start s
+      state s {{
+        sum_of = sum(n in b: knows[n]) + sum(n in a: kin[n])
+        when frame == 2 and id == 0 -> s {{ spawn a; knows[n in b] += n.id + 1 }}
+      }}
+    }}"""
+    told: list[dict[int, dict[int, float]]] = []
+
+    def note(world: World) -> None:
+        told.append(kept(world, "knows", count=2))
+
+    others = crowd(species="b", at=[(1, 0), (8, 0), (30, 0)])
+    play(text, crowd(at=[(0, 0), (9, 0)]), others, steps=5, ways=EVERY_WAY, each=note)
+    assert told[0] == {0: {0: 3.0}, 1: {1: 3.0}}
+    assert told[1] == {0: {0: 4.0, 2: 3.0}, 1: {1: 3.0}, 2: {0: 3.0}}  # 3 about b 2, and 2 about b 1, for which there is no room
+    assert told[-1] == {0: {2: 3.0}, 1: {1: 3.0}, 2: {}}

@@ -16,6 +16,7 @@ from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.pipeline import open_scene
 from antdsl.plan import ir
 from antdsl.runtime import FaultStop, Options, World, bind, state_hash, step
+from antdsl.runtime.backends.native import backend as native_backend
 from antdsl.runtime.backends.native import listing, machine, ready
 from antdsl.runtime.backends.native.block import Writer
 from antdsl.runtime.backends.native.emitter import elementwise
@@ -148,6 +149,21 @@ def test_of_many_neighbours_the_nearest_count(radius: float) -> None:
     assert counts.max() == limits.NEIGHBOURS and (radius == 0 or len(set(seen["mood"])) > 1)
 
 
+def test_a_crowd_in_one_sheet_that_comes_to_lie_level_is_searched_as_before() -> None:
+    def run(options: Options) -> list[str]:
+        world = bind(plans.rich(), plans.crowd(200), options)
+        found = []
+        for frame in range(6):
+            for population in world.populations.values():
+                tall = np.linspace(0, 2, len(population), dtype=np.float32) if frame < 3 else np.float32(0)
+                population.start["position.y"][:] = population.now["position.y"][:] = tall
+            step(world)
+            found.append(state_hash(world))
+        return found
+
+    assert run(Options(backend="native", wait_for_code=True)) == run(Options(backend="numpy"))
+
+
 def test_too_many_in_a_radius_are_told_as_numpy_tells_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "WITHIN_RADIUS", 300)
     told = []
@@ -207,9 +223,6 @@ def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.
             self.steps += 1
             return self.steps > 4
 
-        def cancelled(self) -> bool:
-            return False
-
         def result(self) -> Any:
             return done
 
@@ -251,6 +264,76 @@ def test_no_operations_are_fused(target: str) -> None:
     code = machine.assembly(listing.of_plan(plans.rich(), chosen).text, chosen)
     assert len(code.splitlines()) > 2000
     assert not [line for line in code.splitlines() if any(word in line for word in FUSED)]
+
+
+def test_what_implies_that_operations_are_fused_does_not_bring_it_back() -> None:
+    """As `xop` of AMD's Bulldozer, which has `fma4` with it."""
+    text = """declare <8 x float> @llvm.fma.v8f32(<8 x float>, <8 x float>, <8 x float>)
+define void @a(ptr %p) {
+  %x = load <8 x float>, ptr %p
+  %y = call <8 x float> @llvm.fma.v8f32(<8 x float> %x, <8 x float> %x, <8 x float> %x)
+  store <8 x float> %y, ptr %p
+  ret void
+}"""
+
+    def fused(features: str) -> bool:
+        return "vfm" in machine.assembly(text, machine.Target("x86_64-unknown-linux-gnu", "bdver2", features))
+
+    assert fused("+avx,-fma,-fma4,+xop")
+    assert not fused(machine.named({"avx": True, "fma": True, "fma4": True, "xop": True}))
+
+
+def asked_of_the_reference(program: str, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What the reference is asked to work out while a crowd takes two steps with the same states as NumPy's."""
+    wanted, plain, asked = play(program, crowd(300, radius=60), steps=2, ways=(NUMPY,)), native_backend.Agent.value, []
+
+    def value(agent: native_backend.Agent, node: ir.Node) -> Any:
+        asked.append(node.op)
+        return plain(agent, node)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(native_backend.Agent, "value", value)
+        world = bind(wanted.world.plan, wanted.world.setting, NATIVE)
+        for _ in range(2):
+            step(world)
+    assert state_hash(world) == state_hash(wanted.world)
+    return asked
+
+
+def test_a_radius_is_worked_out_of_few_agents_and_never_where_that_takes_the_crowd(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before the first search, to choose its cells by."""
+    text = "species a {{ n = 0\n let near = count(neighbours(9 mm))\n state s {{ n = count(neighbours({})) }} }}"
+    assert asked_of_the_reference(text.format("9 mm + n * 0.1 mm"), monkeypatch) == ["add"] * 8
+    assert asked_of_the_reference(text.format("9 mm + near * 1 mm"), monkeypatch) == ["const"] * 8, "the radius of `near`"
+
+
+class Crowd:
+    """What is read of a population to learn how far its agents are apart."""
+
+    def __init__(self, places: Any) -> None:
+        self.start = {f"position.{axis}": places[:, k] for k, axis in enumerate("xyz")}
+        self._count = len(places)
+
+    def __len__(self) -> int:
+        return self._count
+
+
+def test_what_holds_some_agents_is_found_of_lines_sheets_and_clouds() -> None:
+    rng = np.random.default_rng(2)
+    for extents, wanted in (((1000, 0, 0), 8.0), ((1000, 1000, 0), 89.4), ((1000, 1000, 1000), 200.0), ((0, 0, 0), 0.0)):
+        places = (rng.random((1000, 3)) * extents).astype(np.float32)
+        population: Any = Crowd(places)
+        assert native_backend._spacing(population) == pytest.approx(wanted, rel=0.01)
+
+
+def test_arrays_of_cells_that_nobody_asks_for_any_more_are_let_go() -> None:
+    """Radii that grow with time ask for cells of other sizes all the time."""
+    text = "species a { n = 0\n reach = 5 mm\n state s { reach = reach * 1.06\n n = count(neighbours(reach)) } }"
+    seen = play(text, crowd(200, radius=40), steps=60, ways=(NATIVE, NUMPY))
+    grids = seen.world.backend._grids  # type: ignore[attr-defined]
+    sizes = {size for _, size in grids._kept}
+    assert sizes == {size for _, size in grids._asked} and 0 < len(sizes) <= 1 + 16
+    assert {key[:2] for key in grids._lies._known if len(key) == 3} == set(grids._kept)
 
 
 def test_what_is_machine_code_is_told() -> None:

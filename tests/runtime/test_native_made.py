@@ -18,6 +18,7 @@ import pytest
 from meaning import crowd, play
 
 from antdsl.runtime import Options, World, bind, state_hash, step
+from antdsl.runtime.backends.native import backend as native_backend
 from antdsl.runtime.backends.native import machine, object_cache, ready
 
 pytestmark = pytest.mark.skipif(not machine.available(), reason="llvmlite is not installed")
@@ -107,21 +108,68 @@ def test_an_edit_compiles_what_it_changes_and_a_number_nothing(afresh: Callable[
     assert len(compiled) == 1 and "@a.act.0" in compiled[0]
 
 
-def test_what_is_asked_for_last_is_made_first_and_of_many_the_first_are_not_made(
-    afresh: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As where a program is saved again and again."""
-    compiled = afresh()
-    worlds = [play(EDITED.format(number=1, sign="+" + k * " pace *"), crowd(3, radius=5), ways=(NUMPY,)).world for k in range(7)]
-    go = Event()
+def programs_saved(count: int) -> list[World]:
+    """Worlds of a program that is saved again and again, each with a line that differs."""
+    return [
+        play(EDITED.format(number=1, sign="+" + k * " pace *"), crowd(3, radius=5), ways=(NUMPY,)).world for k in range(count)
+    ]
+
+
+def test_what_is_asked_for_last_is_made_first_and_what_nobody_waits_for_is_not_made(afresh: Callable[[], list[str]]) -> None:
+    compiled, go = afresh(), Event()
+    worlds = programs_saved(7)
     ready._worker().submit(go.wait)
     coming = [ready.beside(each.plan, each.backend.blocks, ready.Facts(False, False)) for each in worlds]  # type: ignore[attr-defined]
+    del coming[1::2]
     go.set()
-    made = [each.result() for each in coming[3:]]
-    assert [each.cancelled() for each in coming] == [True] * 3 + [False] * 4
+    made = [each.result() for each in coming]
     blocks = [text for text in compiled if "@a.act.0" in text]
-    assert blocks == [each.program.units["a.act.0"] for each in reversed(made)]
+    assert blocks == [each.program.units["a.act.0"] for each in reversed(made)] and len(blocks) == 4
+    ready._worker().submit(int).result()
     assert not ready._asked
+
+
+def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
+    afresh: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    afresh()
+    asked: list[Any] = []
+
+    def beside(*what: Any) -> Any:
+        asked.append(ready.beside(*what))
+        return asked[-1]
+
+    monkeypatch.setattr(native_backend, "beside", beside)
+    monkeypatch.setattr(native_backend.compiled, "pays", lambda agents, spent: True)
+    worlds = [bind(each.plan, each.setting, Options(backend="native")) for each in programs_saved(7)]
+    go = Event()
+    ready._worker().submit(go.wait)
+    for _ in range(3):
+        for world in worlds:
+            step(world)
+    go.set()
+    for each in asked:
+        each.result()
+    for world in worlds:
+        step(world)
+    assert len(asked) == 7 and all(world.backend.ready is not None for world in worlds)  # type: ignore[attr-defined]
+
+
+def test_a_world_that_is_gone_has_no_code_made(afresh: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled, go = afresh(), Event()
+    monkeypatch.setattr(native_backend.compiled, "pays", lambda agents, spent: True)
+    (saved,) = programs_saved(1)
+    world = bind(saved.plan, saved.setting, Options(backend="native"))
+    ready._worker().submit(go.wait)
+    for _ in range(2):
+        step(world)
+    assert len(ready._asked) == 1
+    del world
+    gc.collect()
+    go.set()
+    while ready._asked:
+        ready._worker().submit(int).result()
+    assert compiled == []
 
 
 def test_a_plan_that_is_gone_leaves_no_code_behind(afresh: Callable[[], list[str]]) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from compilers import need_llvmlite
 
 from antdsl.runtime.backends.native import object_cache
 from antdsl.runtime.backends.native.machine import Target, host, load, object_code
@@ -91,7 +92,7 @@ def test_what_is_put_is_there_for_other_runs(folder: Path, monkeypatch: pytest.M
 
 
 def test_a_kept_object_file_runs(folder: Path) -> None:
-    pytest.importorskip("llvmlite")
+    need_llvmlite()
     import ctypes
 
     text = """define void @twice(ptr %table, i64 %first, i64 %last) {
@@ -113,7 +114,7 @@ def test_a_kept_object_file_runs(folder: Path) -> None:
 
 
 def test_a_key_is_of_all_that_code_depends_on() -> None:
-    pytest.importorskip("llvmlite")
+    need_llvmlite()
 
     def of(text: str, triple: str, cpu: str, features: str, *versions: str) -> str:
         return key(text, Target(triple, cpu, features), versions=versions)

@@ -7,12 +7,15 @@ from collections.abc import Sequence
 import meshes
 import numpy as np
 import pytest
+from compilers import need_numba
 from meaning import WAYS
 from plan_text import plan_of
 
 from antdsl.passes import optimise
 from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, Setting, World, bind, state_hash, step
 from antdsl.runtime.backends.native import machine
+from antdsl.runtime.backends.native.programs import Facts
+from antdsl.runtime.moving import moving_geometry
 from antdsl.scene.setting import Moves, SolidData
 from antdsl.scene.staging.moves import MeshMoves
 
@@ -156,9 +159,11 @@ def test_on_ground_that_has_moved_the_cells_go_along() -> None:
     moves = Moves(meshes={"ground": MeshMoves.rigid(way, len(ground[0]))})
     got, world = smelled(setting(ground, 1, moves=moves), [(0.2, 0, 0.2)], [(0, 0, -1)], (0, 1, 0), "10 mm", after=2)
     assert got == [cell(world, (10, 0, 0), (0, 1, 0))]
+    assert moving_geometry.moving(world) is not None and Facts.of(world.setting) == Facts(moving=True, detail=False)
 
 
 def test_a_crowd_smells_alike_by_the_compiled_walk_and_by_the_plain_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    need_numba()
     from antdsl.numerics import compiled
 
     ground, count = meshes.grid(60.0, 9, lambda x, z: 4 * np.sin(x / 6) * np.cos(z / 5)), 300

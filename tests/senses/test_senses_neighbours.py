@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from compilers import need_numba
 from scipy.spatial import cKDTree
 
 from antdsl import limits
@@ -15,8 +16,8 @@ from antdsl.senses.neighbours import CellGrid, Pairs
 
 @pytest.fixture(autouse=True, params=["numpy", "compiled"])
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    if request.param == "compiled" and not compiled.available():
-        pytest.skip("needs numba")
+    if request.param == "compiled":
+        need_numba()
     monkeypatch.setattr(compiled, "wanted", lambda count: request.param == "compiled")
     return request.param
 

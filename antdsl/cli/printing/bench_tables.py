@@ -8,21 +8,22 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from antdsl.bench.tables import HEADS, Result, about, between, phases, whole_step
+from antdsl.bench.tables import HEADS, Result, about, between, phases, told, whole_step
 from antdsl.cli.printing.messages import say
 
 
 def show(result: Result) -> None:
     """Print it."""
     console = Console(highlight=False, soft_wrap=True)
-    with console.capture() as told:
-        console.print(Text(about(result)))
+    with console.capture() as printed:
+        for line in (about(result), *told(result)):
+            console.print(Text(line))
         names, *rows = [list(row) for row in zip(HEADS, *whole_step(result), strict=True)]
         console.print(_table(names, [row for row in rows if any(row[1:])]))
         for line in between(result):
             console.print(Text(line))
         console.print(_table(*phases(result)))
-    say(told.get())
+    say(printed.get())
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

@@ -87,6 +87,9 @@ def _asked(part: Part) -> Iterator[str]:
             yield f"{kind}: {', '.join(words)}"
 
 
+_KEPT = {"attribute": "attributes", "pair": "values per pair", "memory": "memory"}
+
+
 def _memory(program: Program) -> dict[str, str]:
     """For each species a few words; none where the program cannot be turned into a plan yet."""
     from antdsl import passes, plan
@@ -98,6 +101,7 @@ def _memory(program: Program) -> dict[str, str]:
     found = {}
     for name, species in passes.optimise(lowered).species.items():
         size = memory(species)
-        kept, attributes = size["attribute"] + size["memory"], size["attribute"]
-        found[name] = f", {kept} bytes an agent ({attributes} attributes, {size['memory']} memory), {size['temp']} more in a step"
+        kept = [f"{size[role]} {words}" for role, words in _KEPT.items() if size[role] or role != "pair"]
+        of_all = sum(size[role] for role in _KEPT)
+        found[name] = f", {of_all} bytes an agent ({', '.join(kept)}), {size['temp']} more in a step"
     return found

@@ -226,7 +226,7 @@ def describe(
             _species(world.populations[name], bodies.get(name), feelers.get(name, ())) for name in sorted(world.populations)
         ),
         meshes=(
-            *(MeshEntry(name=name, kind="surface", moves=name in setting.moves.meshes) for name in setting.surfaces),
+            *(_surface(setting, name) for name in setting.surfaces),
             *(MeshEntry(name=name, kind="obstacle", moves=name in setting.moves.meshes) for name in setting.obstacles),
             *(MeshEntry(name=name, kind="solid") for name in setting.solids),
         ),
@@ -244,6 +244,12 @@ def describe(
         ),
         camera=camera,
     )
+
+
+def _surface(setting: Setting, name: str) -> MeshEntry:
+    off = setting.deviations.get(name)
+    deviation = None if off is None else off / setting.unit_mm
+    return MeshEntry(name=name, kind="surface", moves=name in setting.moves.meshes, deviation=deviation)
 
 
 def _species(population: Population, body: str | None, feelers: tuple[FeelersEntry, ...]) -> SpeciesEntry:

@@ -60,11 +60,13 @@ class SpeciesEntry(Part):
 
 
 class MeshEntry(Part):
-    """`moves`: each frame has its vertices."""
+    """`moves`: each frame has its vertices. `deviation`: of a surface of heights, how far (scene units) its triangles lie from
+    the bilinear surface through its samples, at most."""
 
     name: Word
     kind: Literal["surface", "obstacle", "solid"]
     moves: bool = False
+    deviation: float | None = None
 
 
 class FieldEntry(Part):

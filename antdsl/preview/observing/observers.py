@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.observing.meter import Costs
+from antdsl.preview.observing.notes import Notes
 from antdsl.preview.observing.observer import Observer
 from antdsl.preview.observing.spec_judgement import Specs
 
@@ -22,6 +23,10 @@ def _breakpoints(live: Live) -> Observer:
     return Breakpoints(live.observer(Specs), live.tell_all)
 
 
+def _notes(live: Live) -> Observer:
+    return Notes()
+
+
 # What each Live makes one of, in this order; a handler gets at its own by `live.observer(Kind)`. A spec is judged before one asks
 # whether it failed.
-OBSERVERS: tuple[Callable[[Live], Observer], ...] = (Costs, _specs, _breakpoints)
+OBSERVERS: tuple[Callable[[Live], Observer], ...] = (Costs, _notes, _specs, _breakpoints)

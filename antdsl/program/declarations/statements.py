@@ -109,10 +109,10 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
         change = added(inner, line.value, type, block, f"{' '.join(target.span.text.split())} {line.op} ")
         return None if change is None else model.Assign(name, line.op, change, block.body, line.span, of, over, element)
     if block.commuting and name not in ("heading", "velocity"):
-        text = " ".join(line.value.span.text.split())
+        text, what = (" ".join(each.span.text.split()) for each in (line.value, target))
         scope.report.error(
-            "not-commuting", f"`{name}` is set in a handler, where several events may come at once", line.span,
-            f"add to it: `{name} += {text}`, or ask for the event in a change: `when EVENT -> … {{ {name} = {text} }}`",
+            "not-commuting", f"`{what}` is set in a handler, where several events may come at once", line.span,
+            f"add to it: `{what} += {text}`, or ask for the event in a change: `when EVENT -> … {{ {what} = {text} }}`",
         )  # fmt: skip
         return None
     new = wanted(inner, line.value, type, f"`{name}`")

@@ -21,10 +21,12 @@ def crowding(scene: Scene, world: World) -> Report:
         wide = f"{low} mm" if low == high else f"{low} to {high} mm"
         cover = f"{line.cover:,.0f} mm²" if line.area is None else f"{line.cover:,.0f} of {line.area:,.0f} mm²"
         words = f"only {line.fit:,} of {line.count:,} `{line.species}` find room where they begin"
-        words += f": with a radius of {wide} they cover {cover}"
         place = scene.model.crowd[line.group].place
+        words += f": with a radius of {wide} {'or half of `apart` ' if place.apart is not None else ''}they cover {cover}"
         help = "write a smaller `count`, or a smaller `radius` in the program"
-        if line.larger is not None:
+        if place.apart is not None:
+            help = "write a smaller `count`, a larger place, or a shorter length for `apart`"
+        elif line.larger is not None:
             larger = f"`radius: {_rounded_up(line.larger / scene.model.unit_mm)} {scene.model.units}`"
             help = f"write {larger}, a smaller `count`, or a smaller `radius` in the program"
         elif line.sides:

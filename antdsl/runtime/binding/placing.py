@@ -15,12 +15,13 @@ from antdsl.plan import ir
 from antdsl.plan.traverse import placed
 from antdsl.program.tables.effects import settled_in
 from antdsl.runtime.binding.spacing import Drawn, Room, spread, takes_room
-from antdsl.runtime.binding.start_places import PLACEMENT_FRAME, TURN, StartPlaces
+from antdsl.runtime.binding.start_places import COVERED, PLACEMENT_FRAME, TURN, StartPlaces
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.lifecycle import come_alive, deaths_and_births, settle_newborn
+from antdsl.runtime.moving import walks
 from antdsl.runtime.moving.tilting import settle
 from antdsl.runtime.world import AXES, Crowded, Population, World, add_rows, empty_population, select_rows
-from antdsl.scene.setting import CrowdData
+from antdsl.scene.setting import CrowdData, PlaceData
 
 
 def populate(world: World) -> None:
@@ -52,7 +53,7 @@ def arrive(world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]])
     if not joining:
         return {}
     starts = [StartPlaces(world, crowd) for crowd, _ in joining]
-    radius = _radii(world, joining, starts)
+    radius = _apart(world, joining, starts, _radii(world, joining, starts))
     room = Room(_rounding(world))
     for population in world.populations.values():
         room.begin_with(population.position, population.now["radius"].astype(np.float64))
@@ -116,6 +117,29 @@ def _radii(
     return [radius[crowd.species][own] for (crowd, _), own in zip(joining, lines, strict=True)]
 
 
+def _apart(
+    world: World,
+    joining: Sequence[tuple[CrowdData, NDArray[np.int64]]],
+    starts: Sequence[StartPlaces],
+    radius: list[NDArray[np.float64]],
+) -> list[NDArray[np.float64]]:
+    """The radii, where a line says how far apart its agents begin half of that at least. As even as there is room for: so far
+    that discs of that radius cover as much of the place as all find room for at random, those of all lines with that place."""
+    found = []
+    for (crowd, _), start, own in zip(joining, starts, radius, strict=True):
+        half = crowd.place.apart / 2
+        if np.isinf(half):
+            count = sum(c.count for c in world.setting.crowds if _spot(c.place) == _spot(crowd.place))
+            half = np.sqrt(COVERED * (start.area() or 0.0) / (np.pi * max(count, 1)))
+        found.append(np.maximum(own, half) if half > 0 else own)
+    return found
+
+
+def _spot(place: PlaceData) -> tuple[object, ...]:
+    """What two lines have in common that begin evenly in one place."""
+    return place.on, place.around, place.radius, place.density, place.by_area, place.apart
+
+
 def _rounding(world: World) -> float:
     """How exactly (mm) agents know where they are: float32 counts from the world's origin."""
     meshes = world.ground.meshes
@@ -131,6 +155,7 @@ def begin(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
     come_alive(world, joined)
     for name, rows in joined.items():
         _set_out(world, world.populations[name], rows)
+        walks.set_out(world, world.populations[name], rows)
         settle(world, world.populations[name], rows)
     settle_newborn(world)  # while rows are theirs: who dies at birth has asked for it all the same
     births = set(settled_in("births"))

@@ -101,7 +101,8 @@ class StartPlaces:
         return Drawn(footing, at, up, found & ~inside_obstacle(world, at) if not self.given else found)
 
     def _uniform(self, ids: Ids, index: int, site: str = "place") -> NDArray[np.float32]:
-        return randomness.uniform(self._world.setting.seed, PLACEMENT_FRAME, self._species, site, index, ids)
+        seed = self._world.setting.seed if self.place.seed is None else self.place.seed
+        return randomness.uniform(seed, PLACEMENT_FRAME, self._species, site, index, ids)
 
     def _points(self, ids: Ids, attempt: int) -> Floats:
         """Wanted places (n, 3), to be dropped onto the ground."""

@@ -20,6 +20,7 @@ from antdsl.runtime.moving.falling import in_the_air
 from antdsl.runtime.moving.obstacles import slide
 from antdsl.runtime.moving.orienting import orient
 from antdsl.runtime.moving.tilting import bodies
+from antdsl.runtime.moving.walks import is_led, led
 from antdsl.runtime.world import AXES, Population, World
 
 _HEADING_TIME = 0.1  # s, of the heading on its way to the direction of movement (T22)
@@ -42,6 +43,7 @@ def move(world: World, population: Population, substep: int) -> None:
     others = world.setting.orient != "normal"
     before = (vec.copy(_read(population, "velocity")), vec.copy(_read(population, "up")), population.normal) if others else None
     velocity = _velocity(world, population, up, dt, substep)
+    velocity = led(world, population, velocity, up)
     if population.quarantined.any():
         velocity = vec.choose(population.quarantined, (_F(0),) * 3, velocity)  # type: ignore[arg-type]
     wanted = vec.scale(velocity, dt)
@@ -201,7 +203,7 @@ def _no_slower(world: World, population: Population, step: Vector, up: Vector, d
     if LEAST not in now or not world.plan.of_kind("obstacle"):
         return step
     size, wanted = vec.length(step), _least(now) * dt
-    short = (size > _F(1e-9)) & (size < wanted * _F(0.999)) & ~population.quarantined
+    short = (size > _F(1e-9)) & (size < wanted * _F(0.999)) & ~population.quarantined & ~is_led(world, population)
     if not short.any():
         return step
     longer = vec.scale(step, np.where(short, wanted / np.where(size > 0, size, _F(1)), _F(0)))

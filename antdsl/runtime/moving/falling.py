@@ -5,12 +5,16 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from numpy.typing import NDArray
 
-from antdsl.ground.protocol import Footing, Move
+from antdsl.ground.protocol import Floats, Footing, Move
 from antdsl.numerics.vector_rows import length
 from antdsl.runtime.world import Population, World
 
+Rows = NDArray[np.intp]
+
 _LONGER = 1.005  # times the way allowed, above which a step is cut: less is the rounding of a seam
+_TOUCHES = 0.02  # of a body: how far from a solid who stands on it may be
 _LENGTHS = 7.5  # body lengths a second at which those fall whose max_speed is 0
 
 
@@ -31,3 +35,29 @@ def in_the_air(world: World, population: Population, moved: Move, dt: np.float32
     footing.put(rows, Footing.on_solids(solid, place))
     position[rows] = place
     return dataclasses.replace(moved, footing=footing, position=position)
+
+
+def floating(world: World, population: Population, rows: Rows) -> Rows:
+    """Which of some agents (their numbers among these, ascending) are in the air of a solid, on their way down."""
+    first = len(world.ground.names) - len(world.solids)
+    mesh = population.footing.mesh[rows]
+    found = np.zeros(len(rows), np.bool_)
+    for number, volume in enumerate(world.solids.values(), first):
+        some = np.flatnonzero(mesh == number)
+        found[some] = volume.sample(population.position[rows[some]]) > population.now["size"][rows[some]] * _TOUCHES
+    return np.flatnonzero(found)
+
+
+def pushed_in_the_air(world: World, population: Population, rows: Rows, way: Floats) -> Move:
+    """Where pushes (k, 3) mm lead agents that are in the air of a solid: straight there, but not into a solid."""
+    place = population.position[rows] + way
+    for volume in world.solids.values():
+        inside = volume.sample(place) < 0
+        place[inside] = population.position[rows[inside]]
+    mesh, up, heading = (
+        population.footing.mesh[rows],
+        population.normal[rows].astype(np.float64),
+        population.vector("heading")[rows],
+    )
+    no = np.zeros(len(rows), np.bool_)
+    return Move(Footing.on_solids(mesh, place), place, up, heading, heading, length(way), no, no)

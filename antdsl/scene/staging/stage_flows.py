@@ -240,7 +240,7 @@ def _painted(staging: Staging, name: str, thing: model.PaintedThing, width: int)
         values = usd_paint(staging, name, thing, mesh, width)
         return None if values is None else stage_of.Painted(surface, values, False)
     data = staging.read(thing.painted, limits.MESH_BYTES, "world", name, "painted")
-    if data is None or raw is None or not isinstance(mesh, model.MeshThing):
+    if data is None or raw is None or not isinstance(mesh, model.MeshThing | model.HeightThing):
         return None  # what is wrong with the mesh was told with the mesh
     span = staging.scene.span("world", name, "painted")
     attribute = name if thing.attribute is None else thing.attribute
@@ -262,9 +262,10 @@ def _painted(staging: Staging, name: str, thing: model.PaintedThing, width: int)
     values, of_faces = own
     values = values * thing.strength
     if width == 3:
-        values = values * (-1.0 if mesh.scale < 0 else 1.0)
         up = staging.scene.model.up
-        values = shortened(rotated(turned_up(values, mesh.up or up, up), first_turn(staging, mesh)))
+        mirrored, own_up = (mesh.scale < 0, mesh.up or up) if isinstance(mesh, model.MeshThing) else (False, "y")
+        values = values * (-1.0 if mirrored else 1.0)
+        values = shortened(rotated(turned_up(values, own_up, up), first_turn(staging, mesh)))
     return stage_of.Painted(surface, values if width == 3 else values[:, 0], of_faces)
 
 

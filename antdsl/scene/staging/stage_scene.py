@@ -15,25 +15,34 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
-from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Const, Expr, Op, ParamRef, Program
 from antdsl.program.tables.vocabulary import LENGTH
 from antdsl.scene import setting as stage_of
 from antdsl.scene.document import Key
 from antdsl.scene.geometry.closed import check_closed, check_sides
+from antdsl.scene.geometry.heights import deviation, read_heights, surface_of
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.meshes import RawMesh, placed, read_mesh, within_reach
+from antdsl.scene.geometry.meshes import RawMesh, placed, read_mesh, sound, within_reach
 from antdsl.scene.geometry.points import POINT_BYTES, PointsError, read_points
 from antdsl.scene.load import Scene
 from antdsl.scene.matching import const_base
-from antdsl.scene.model import UNIT_MM, CurveThing, MeshThing, Placement, Point, UsdCamera, UsdPlaces, UsdThing, millimetres
+from antdsl.scene.model import (
+    UNIT_MM,
+    CurveThing,
+    HeightThing,
+    MeshThing,
+    UsdCamera,
+    UsdThing,
+    millimetres,
+)
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.cached import once_a_mesh
 from antdsl.scene.staging.item_placement import check_crowds, items_of
 from antdsl.scene.staging.moves import MeshMoves, Moves
+from antdsl.scene.staging.stage_crowd import length, place, point, walk
 from antdsl.scene.staging.stage_flows import check_densities, stage_flows
-from antdsl.scene.staging.stage_things import curve_places, moving_mesh, placed_moves, usd_camera, usd_mesh, usd_places
+from antdsl.scene.staging.stage_things import curve_places, moving_mesh, placed_moves, usd_camera, usd_mesh
 
 _UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _WIDEST = 1e6  # body lengths: ants in a whole county
@@ -51,6 +60,7 @@ class Staging:
     hashes: dict[str, str] = field(default_factory=dict)
     raw: dict[str, RawMesh] = field(default_factory=dict)  # surfaces and obstacles as their files have them
     moves: dict[str, MeshMoves] = field(default_factory=dict)  # by mesh
+    deviations: dict[str, float] = field(default_factory=dict)  # mm, of surfaces of heights: triangles from bilinear patches
     layers: dict[str, Any] = field(default_factory=dict)  # USD files that were judged, by name
 
     def read(self, text: str, cap: int, *path: Key) -> bytes | None:
@@ -105,7 +115,14 @@ def stage(
         name: group[0].position for name, group in items.items() if group
     }
     crowds = tuple(
-        stage_of.CrowdData(line.species, line.count, _place(staging, places, line.place, "crowd", number, "place"), number)
+        stage_of.CrowdData(
+            line.species,
+            line.count,
+            place(staging, places, line.place, "crowd", number, "place"),
+            number,
+            walk(scene, line.walk),
+            line.body or "",
+        )
         for number, line in enumerate(model.crowd)
     )
     check_densities(staging, maps)
@@ -114,8 +131,8 @@ def stage(
     starts = {
         name: stage_of.FieldStart(
             start.start,
-            _point(staging, places, start.around, start.radius, "fields", name),
-            _length(scene, start.radius),
+            point(staging, places, start.around, start.radius, "fields", name),
+            length(scene, start.radius),
         )
         for name, start in model.fields.items()
     }
@@ -129,6 +146,7 @@ def stage(
         substeps=model.substeps,
         by_rays=model.stick == "rays",
         orient=model.orient,
+        contacts=model.contacts,
         up=_UP[model.up],
         unit_mm=model.unit_mm,
         seed=model.seed,
@@ -151,6 +169,7 @@ def stage(
         ),
         camera=camera,
         detail=_detail(scene, camera),
+        deviations=staging.deviations,
     )
     return made, staging.report, staging.hashes
 
@@ -160,7 +179,7 @@ def _detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.Detail
     model = scene.model
     if model.lod is None or model.camera is None or isinstance(model.camera, str):
         return None
-    near, far = model.lod.near.length(model.unit_mm), _length(scene, model.lod.far)
+    near, far = model.lod.near.length(model.unit_mm), length(scene, model.lod.far)
     if camera is not None:
         places = camera.at
     else:
@@ -169,46 +188,27 @@ def _detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.Detail
     return stage_of.DetailData(places, near, float("inf") if far is None else far, model.frames.first)
 
 
-def _length(scene: Scene, value: Quantity | None) -> float | None:
-    return None if value is None else value.length(scene.model.unit_mm)
-
-
-Places = Mapping[str, stage_of.Point]
-
-
-def _point(
-    staging: Staging, places: Places, around: Point | str | None, radius: Quantity | None, *path: Key, key: str = "around"
-) -> stage_of.Point | None:
-    """Where something lies about: a point, an item's place, the origin where only a radius is given."""
-    if around is None:
-        return None if radius is None else (0.0, 0.0, 0.0)
-    if not isinstance(around, str):
-        return millimetres(around, staging.scene.model.unit_mm)
-    if around not in places and staging.report.ok:
-        near = nearest_name(around, places)
-        help = f"did you mean `{near}`?" if near else None
-        staging.report.error("unknown-thing", f"no item is named `{around}`", staging.scene.span(*path, key), help)
-    return places.get(around)
-
-
 def _meshes(staging: Staging, kind: str) -> dict[str, stage_of.MeshData]:
     found = {}
     for name, thing in staging.program.world.items():
         value = staging.scene.model.world.get(name)
-        if thing.kind == kind and isinstance(value, MeshThing | UsdThing):
+        if thing.kind == kind and isinstance(value, MeshThing | HeightThing | UsdThing):
             mesh = _mesh(staging, name, value)
             if mesh is not None:
                 found[name] = mesh
     return found
 
 
-def _mesh(staging: Staging, name: str, value: MeshThing | UsdThing) -> stage_of.MeshData | None:
+def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing) -> stage_of.MeshData | None:
     """A mesh where it is at the first frame; how it moves goes into `staging.moves`."""
     scene, report = staging.scene, staging.report
     up, unit_mm = scene.model.up, scene.model.unit_mm
     if isinstance(value, UsdThing):
         key, shown, factor, own_up = "prim", value.path, value.scale, up
         found = usd_mesh(staging, name, value)
+    elif isinstance(value, HeightThing):
+        key, shown, factor, own_up = "height", value.height, 1.0, "y"
+        found = _heights(staging, name, value)
     else:
         key, shown = "mesh", value.mesh
         factor, own_up = UNIT_MM[value.units or scene.model.units] * value.scale, value.up or up
@@ -260,6 +260,25 @@ def _still_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
         key = "mesh" if value.group is None else "group"
         staging.report.error("bad-mesh", f"the mesh `{value.mesh}` {why}", staging.scene.span("world", name, key), why.help)
         return None
+
+
+def _heights(staging: Staging, name: str, value: HeightThing) -> tuple[RawMesh, None] | None:
+    """A surface of samples, in mm, y up."""
+    data = staging.read(value.height, limits.MESH_BYTES, "world", name, "height")
+    if data is None:
+        return None
+    unit_mm = staging.scene.model.unit_mm
+    offset = 0.0 if value.offset is None else value.offset.length(unit_mm)
+    try:
+        heights = offset + value.scale.length(unit_mm) * read_heights(data, value.height, value.array, value.layer)
+        x, z = (side.length(unit_mm) for side in value.extent)
+        raw = sound(*surface_of(heights, (x, z)))
+    except MeshError as why:
+        span = staging.scene.span("world", name, "height")
+        staging.report.error("bad-mesh", f"the heights `{value.height}` {why}", span, why.help)
+        return None
+    staging.deviations[name] = deviation(heights)
+    return raw, None
 
 
 def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
@@ -362,23 +381,3 @@ def _curves(staging: Staging) -> dict[str, NDArray[np.float64]]:
             if places is not None:
                 found[name] = places
     return found
-
-
-def _place(staging: Staging, places: Places, place: Placement, *path: Key) -> stage_of.PlaceData:
-    scene = staging.scene
-    points = None
-    if isinstance(place.points, UsdPlaces):
-        points = usd_places(staging, place.points, *path)
-    elif place.points is not None:
-        points = staging.points(place.points, 1, *path, "points")
-        if points is not None:
-            points = points * scene.model.unit_mm
-    return stage_of.PlaceData(
-        on=(place.on,) if place.on is not None else (),
-        around=_point(staging, places, place.around, place.radius, *path),
-        inside=_point(staging, places, place.inside, None, *path, key="inside"),
-        radius=_length(scene, place.radius),
-        points=points,
-        density=place.density,
-        by_area=place.by == "area",
-    )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene import setting as stage_of
+from antdsl.scene.crowd_model import UsdPlaces
 from antdsl.scene.document import Key
 from antdsl.scene.geometry.matrices import applied, has_inverse
 from antdsl.scene.geometry.mesh_text import MeshError
@@ -18,13 +19,13 @@ from antdsl.scene.geometry.meshes import RawMesh, mesh_arrays, rotated, sound, t
 from antdsl.scene.model import (
     UNIT_MM,
     CurveThing,
+    HeightThing,
     ItemThing,
     MeshThing,
     PaintedThing,
     PlaceKey,
     Point,
     UsdCamera,
-    UsdPlaces,
     UsdThing,
     millimetres,
 )
@@ -91,7 +92,7 @@ def _between(keys: Mapping[int, tuple[float, ...]], frames: Sequence[int]) -> Fl
     return np.stack([np.interp(np.array(frames, np.float64), times, values[:, axis]) for axis in range(3)], axis=1)
 
 
-def _ways(staging: Staging, value: MeshThing | UsdThing | CurveThing, factor: float, own_up: str) -> Floats | None:
+def _ways(staging: Staging, value: MeshThing | HeightThing | UsdThing | CurveThing, factor: float, own_up: str) -> Floats | None:
     """The ways (frames, 3, 4) of a file's places into the scene where the scene has keys for it."""
     model, frames = staging.scene.model, frames_of(staging)
     placed = key_places(value.keys, value.at, getattr(value, "rotate", None), frames, model.unit_mm)
@@ -162,7 +163,7 @@ def usd_mesh(staging: Staging, name: str, value: UsdThing) -> tuple[RawMesh, Mes
 
 
 def placed_moves(
-    staging: Staging, value: MeshThing | UsdThing, raw: RawMesh, inner: MeshMoves | None, factor: float, own_up: str
+    staging: Staging, value: MeshThing | HeightThing | UsdThing, raw: RawMesh, inner: MeshMoves | None, factor: float, own_up: str
 ) -> tuple[Floats, MeshMoves | None] | None:
     """The vertices at rest and the moves of a mesh that moves in its file, by keys, or both; None where it does neither."""
     ways = _ways(staging, value, factor, own_up)
@@ -177,7 +178,7 @@ def placed_moves(
     return rest, None if (ways == ways[0]).all() else MeshMoves.rigid(ways, len(rest))
 
 
-def first_turn(staging: Staging, value: MeshThing | UsdThing) -> tuple[float, float, float]:
+def first_turn(staging: Staging, value: MeshThing | HeightThing | UsdThing) -> tuple[float, float, float]:
     """How a mesh is turned at the first frame, radians about x, then y, then z."""
     placed = key_places(value.keys, value.at, value.rotate, frames_of(staging)[:1], staging.scene.model.unit_mm)
     if placed is not None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import compiled
 from antdsl.plan import ir
+from antdsl.plan.traverse import needed
 from antdsl.runtime.backends.native import listing, machine
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.grids import Arrays, Grids
@@ -20,11 +21,11 @@ from antdsl.runtime.backends.native.runner import Block, Chunk
 from antdsl.runtime.backends.native.tables import Rooms, Tables
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 from antdsl.runtime.backends.reference import Agent
-from antdsl.runtime.moving import moving_geometry
 from antdsl.runtime.requests import Effects
 from antdsl.runtime.world import AXES, Population, World
 
 _SAMPLED = 8  # agents whose radius is worked out before the first search, to choose cells by
+_CELL = 8  # agents in a cell, where no radius is known
 
 
 class NativeBackend(NumpyBackend):
@@ -94,10 +95,8 @@ class NativeBackend(NumpyBackend):
             return
         if self._timed and machine.available() and not machine.host().x86:
             return  # elsewhere a program may not be allowed to read the counter
-        facts = Facts(moving_geometry.moving(world) is not None, world.detail is not None, self._timed)
+        facts = Facts.of(world.setting, timed=self._timed)
         ready = known(world.plan, facts)
-        if self._coming is not None and self._coming.cancelled():
-            self._coming = None
         wanted = waits or (self._begun and compiled.pays(len(world), sum(world.worked.values())))
         if ready is None and self._coming is None and wanted:
             self._coming = beside(world.plan, self.blocks, facts)
@@ -154,16 +153,32 @@ class NativeBackend(NumpyBackend):
             widest[:] = 0
 
     def _cells(self, world: World, population: Population, block: str, code: BlockCode, number: int) -> Arrays:
-        """Cells for a search: they suit the greatest radius of the step before, or of some agents."""
+        """Cells for a search: they suit the greatest radius of the step before, or at first what `_guessed` gives."""
         assert self._grids is not None
         near, key = code.near[number], (population.name, block, number)
+        other = world.populations[near.species]
         if key not in self._widest:
-            found = [0.0]
-            for row in np.linspace(0, len(population) - 1, min(_SAMPLED, len(population))).astype(int):
-                agent = Agent(world, population, int(row), population.now, int(row), Effects(), {})
-                found += [float(agent.value(chosen.args[0])) for chosen in near.sets]
-            self._widest[key] = max((each for each in found if np.isfinite(each)), default=0.0)
-        widest, other = self._widest[key], world.populations[near.species]
+            self._widest[key] = _guessed(world, population, other, [chosen.args[0] for chosen in near.sets])
+        widest = self._widest[key]
         for axis in AXES:
             self._rooms.moved(other, f"position.{axis}", start=True)
         return self._grids.of(world, other, widest if widest > 0 else 1.0)
+
+
+def _guessed(world: World, population: Population, other: Population, radii: list[ir.Node]) -> float:
+    """The greatest radius (mm) of a search, of some agents as the reference works it out. One that itself asks about agents would
+    take time with their number; instead of it stands what holds about `_CELL` of the others."""
+    cheap = [radius for radius in radii if not any(each.op in ("set.agents", "set.every") for each in needed([radius]))]
+    found = [0.0] if len(cheap) == len(radii) else [_spacing(other)]
+    for row in np.linspace(0, len(population) - 1, min(_SAMPLED, len(population))).astype(int) if cheap else ():
+        agent = Agent(world, population, int(row), population.now, int(row), Effects(), {})
+        found += [float(agent.value(radius)) for radius in cheap]
+    return max((each for each in found if np.isfinite(each)), default=0.0)
+
+
+def _spacing(population: Population) -> float:
+    """The edge (mm) of a cell that holds about `_CELL` agents, whether they lie on a line, a sheet or in a space."""
+    places = (population.start[f"position.{axis}"] for axis in AXES)
+    extents = sorted((float(np.ptp(finite)) for place in places if len(finite := place[np.isfinite(place)])), reverse=True)
+    share = _CELL / max(len(population), 1)
+    return max((float(np.prod(extents[:k]) * share) ** (1 / k) for k in range(1, len(extents) + 1)), default=0.0)

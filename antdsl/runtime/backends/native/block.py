@@ -353,20 +353,16 @@ class BlockWriter(Writer):
         self.e.store_where(mask, self.base("now", what.register), self.row, value)
 
     def refuse(self, bad: Lanes, what: str, span: Any) -> None:
-        """Note the rows whose value is not finite."""
-        self.note(bad, self.code.faults, (what, span), 0)
-
-    def note(self, rows: Lanes, names: list[Any], name: Any, sort: int) -> None:
-        """Write down for which of the eight rows something rare has come up: (first row, sort and number of what, bits)."""
-        e = self.e
-        with e.inside(e.some(rows)):
-            names.append(name)  # one for each place that notes: there is room for one of each by eight rows
+        """Note the rows whose value is not finite: first of the eight, then the number of what is refused above their bits."""
+        e, faults = self.e, self.code.faults
+        with e.inside(e.some(bad)):
+            faults.append((what, span))  # one for each place that notes: there is room for one of each by eight rows
             notes = self.base("notes")
             count = e.load_one(notes, e.constant(0, I64, one=True), I64)
             place = e.op(f"mul i64 {count.name}, 2", I64, one=True)
             first = e.op(f"getelementptr i64, ptr {notes.name}, i64 {place.name}", PTR, one=True)
-            bits = e.op(f"zext i8 {e.mask_bits(rows).name} to i64", I64, one=True)
-            told = e.op(f"or i64 {bits.name}, {((len(names) - 1) << 16) | (sort << 8)}", I64, one=True)
+            bits = e.op(f"zext i8 {e.mask_bits(bad).name} to i64", I64, one=True)
+            told = e.op(f"or i64 {bits.name}, {(len(faults) - 1) << WIDTH}", I64, one=True)
             for k, value in enumerate((self.row, told)):
                 at = e.op(f"getelementptr i64, ptr {first.name}, i64 {k + 1}", PTR, one=True)
                 e.do(f"store {value.typed}, ptr {at.name}")

@@ -26,6 +26,7 @@ NAMES = ("grid.count", "grid.place")
 _KEYS = ("numbers", "x", "y", "z", "keys", "starts", "sorted x", "sorted y", "sorted z", "places")
 _AGAIN = 16  # searches of a crowd after which it is asked anew whether it lies in one sheet
 _FEW = 64  # agents; fewer are sorted by NumPy
+_UNUSED = 16  # steps after which arrays of a size of cells that nobody asks for are let go
 _NO_KEYS = np.zeros(1, np.int64)  # cells are listed
 
 Arrays = Mapping[str, NDArray[Any] | None]
@@ -94,12 +95,19 @@ class Grids:
     functions: Callable[[str], Callable[[int, int, int], None]]
     _found: dict[tuple[str, float], Arrays] = field(default_factory=dict)  # of this step
     _kept: dict[tuple[str, float], dict[str, NDArray[Any]]] = field(default_factory=dict)
+    _asked: dict[tuple[str, float], int] = field(default_factory=dict)  # the last step in which somebody did
+    _step: int = 0
     _lies: Addresses = field(default_factory=Addresses)
     _sheets: dict[str, tuple[int, int, bool]] = field(default_factory=dict)  # agents, searches since, whether
 
     def forget(self) -> None:
-        """Agents have moved."""
+        """Agents have moved: another step begins."""
         self._found.clear()
+        self._step += 1
+        for key in [key for key, last in self._asked.items() if self._step - last > _UNUSED]:
+            del self._asked[key]
+            for name in self._kept.pop(key):
+                self._lies.forget((*key, name))
 
     def of(self, world: World, other: Population, cell: float) -> Arrays:
         """What a search is run with, of cells that suit a radius."""
@@ -131,6 +139,7 @@ class Grids:
             kept |= {"floats": np.zeros(9), "whole": np.zeros(7, np.int64), "table": np.zeros(len(_KEYS), np.int64)}
             kept["numbers"] = np.zeros(9)
             self._kept[other.name, size] = kept
+        self._asked[other.name, size] = self._step
         starts = np.zeros(shape.cells + 2, np.int32)
         inverse = [1 / width for width in shape.width]
         floats, table = kept["floats"], kept["table"]
@@ -152,6 +161,8 @@ class Grids:
 
     def _sheet(self, other: Population, places: list[NDArray[np.float32]], shape: Shape) -> bool:
         """Whether a crowd lies in one sheet: only speed hangs on it, so it is not asked each time."""
+        if not shape.extent[2] > 0:
+            return False  # one layer of cells already
         count, since, known = self._sheets.get(other.name, (-1, 0, False))
         if count != len(other) or since >= _AGAIN:
             known, since = shape.is_sheet(places), 0

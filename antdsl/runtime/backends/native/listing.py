@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.machine import Target
@@ -12,9 +13,12 @@ from antdsl.runtime.backends.numpy_backend import NumpyBackend
 _HEADS = ("define ", "declare ", "}", "@")
 
 
-def of_plan(plan: ir.Plan, target: Target) -> Program:
-    """A plan as machine code would be made of it, on ground that does not move."""
-    return program(plan, NumpyBackend(plan).blocks, Facts(False, False), target)
+STILL = Facts(moving=False, detail=False)
+
+
+def of_plan(plan: ir.Plan, target: Target, facts: Facts = STILL) -> Program:
+    """A plan as machine code is made of it for a world."""
+    return program(plan, NumpyBackend(plan).blocks, facts, target)
 
 
 def counts(made: Program) -> dict[str, int]:
@@ -60,4 +64,4 @@ def _asked(what: ir.Node | ir.Statement) -> str:
 
 def _place(what: ir.Node | ir.Statement) -> str:
     span = what.span
-    return "" if span is None else f", line {span.source.line_column(span.start)[0]}"
+    return "" if span is None else f", {Path(span.source.path).name}:{span.source.line_column(span.start)[0]}"

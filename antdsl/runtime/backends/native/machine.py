@@ -83,14 +83,20 @@ def host() -> Target:
     """This machine."""
     llvm = _llvm()
     features: Mapping[str, bool] = llvm.get_host_cpu_features()
-    named = [f"{'+' if on and name not in _FUSED else '-'}{name}" for name, on in sorted(features.items())]
-    return Target(llvm.get_default_triple(), llvm.get_host_cpu_name(), ",".join(named))
+    return Target(llvm.get_default_triple(), llvm.get_host_cpu_name(), named(features))
 
 
-def object_code(text: str, target: Target, *, effort: int = 2) -> bytes:
+def named(features: Mapping[str, bool]) -> str:
+    """A processor's features as LLVM reads them, without those that instructions could be fused by. These are said to be missing
+    last, since one may imply another (`xop` has `fma4` with it) and what is read later counts."""
+    words = [f"{'+' if on else '-'}{name}" for name, on in sorted(features.items()) if name not in _FUSED]
+    return ",".join(words + [f"-{name}" for name in _FUSED if name in features])
+
+
+def object_code(text: str, target: Target) -> bytes:
     """An object file with the functions of a text. Raises RuntimeError where the text is wrong, which is our mistake."""
     with _LOCK:
-        machine, module = _passed(text, target, effort)
+        machine, module = _passed(text, target)
         code: bytes = machine.emit_object(module)
         return code
 
@@ -98,15 +104,15 @@ def object_code(text: str, target: Target, *, effort: int = 2) -> bytes:
 def assembly(text: str, target: Target) -> str:
     """The same as text of the processor's instructions."""
     with _LOCK:
-        machine, module = _passed(text, target, 2)
+        machine, module = _passed(text, target)
         found: str = machine.emit_assembly(module)
         return found
 
 
-def _passed(text: str, target: Target, effort: int) -> tuple[Any, Any]:
+def _passed(text: str, target: Target) -> tuple[Any, Any]:
     """What makes code, and the functions of a text as it gets them."""
     llvm = _llvm()
-    machine = _machine(target, effort)
+    machine = _machine(target)
     module = llvm.parse_assembly(text)
     module.triple, module.data_layout = target.triple, str(machine.target_data)
     module.verify()
@@ -121,13 +127,13 @@ def _passed(text: str, target: Target, effort: int) -> tuple[Any, Any]:
     return machine, module
 
 
-def _machine(target: Target, effort: int) -> Any:
+def _machine(target: Target) -> Any:
     llvm = _llvm()
     if target.triple != llvm.get_default_triple():
         llvm.initialize_all_targets()
         llvm.initialize_all_asmprinters()
     return llvm.Target.from_triple(target.triple).create_target_machine(
-        cpu=target.cpu, features=target.features, opt=effort, reloc="pic", codemodel="default"
+        cpu=target.cpu, features=target.features, opt=2, reloc="pic", codemodel="default"
     )
 
 
@@ -151,7 +157,7 @@ def load(code: bytes) -> Code:
     """Put an object file into memory, ready to run."""
     llvm = _llvm()
     with _LOCK:
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(host(), 2))
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(host()))
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
         return Code(engine)

@@ -46,3 +46,7 @@ class Addresses:
                 check(array)
             known = self._known[key] = (array, address(array))
         return known[1]
+
+    def forget(self, key: Any) -> None:
+        """Let go of the array that stands for a key, if there is one."""
+        self._known.pop(key, None)

@@ -17,6 +17,7 @@ from antdsl.runtime.backends.native.machine import Target
 from antdsl.runtime.backends.native.marks import Lines
 from antdsl.runtime.backends.native.schedule import PAIRED, schedule
 from antdsl.runtime.backends.native.senses import GUARDS, NATIVE, OF_PAIRS, ON_MOVING_GROUND
+from antdsl.scene.setting import Setting
 
 _RUNS = ("decide", "act", "blend")
 
@@ -46,6 +47,11 @@ class Facts:
     moving: bool
     detail: bool
     timed: bool = False
+
+    @classmethod
+    def of(cls, setting: Setting, *, timed: bool = False) -> Facts:
+        """Those of a world that is bound to a setting."""
+        return cls(any(name in setting.surfaces for name in setting.moves.meshes), setting.detail is not None, timed)
 
 
 def program(plan: ir.Plan, blocks: Mapping[tuple[str, str], BlockCompiler], facts: Facts, target: Target) -> Program:

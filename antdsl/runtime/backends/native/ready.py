@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from threading import Lock
 from typing import Any
-from weakref import WeakKeyDictionary
+from weakref import ReferenceType, WeakKeyDictionary, ref
 
 from antdsl.plan import ir
 from antdsl.runtime.backends import numpy_calls
@@ -24,10 +24,9 @@ from antdsl.runtime.backends.native.programs import Facts, Program, program
 from antdsl.runtime.sensing import SENSES
 
 _KEPT = 256  # functions whose code stays in memory
-_WAITING = 4  # programs that may wait for their code
 _known: OrderedDict[str, machine.Code] = OrderedDict()
 _plans: WeakKeyDictionary[ir.Plan, dict[Facts, Ready]] = WeakKeyDictionary()
-_asked: list[tuple[Future[Ready], Generator[None, None, Ready]]] = []
+_asked: list[tuple[ReferenceType[Future[Ready]], Generator[None, None, Ready]]] = []
 _guard = Lock()
 
 Blocks = Mapping[tuple[str, str], BlockCompiler]
@@ -86,41 +85,41 @@ def _made(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Generator[None, None, 
 
 def beside(plan: ir.Plan, blocks: Blocks, facts: Facts) -> Future[Ready]:
     """A plan's blocks as machine code for this processor, made in a thread; Unavailable where it cannot be made. What was asked
-    for last is made first, and what has waited longest of many is cancelled: a program that is saved again before its code has
-    come is mostly not wanted any more."""
+    for last is made first: it is what somebody looks at. It is made as long as whoever asked holds what this gives: of a program
+    that is saved again before its code has come, the world before is gone, and nothing more is made for it."""
     coming: Future[Ready] = Future()
     with _guard:
-        _asked.append((coming, _made(plan, blocks, facts)))
-        while len(_asked) > _WAITING:
-            _asked.pop(0)[0].cancel()
+        _asked.append((ref(coming), _made(plan, blocks, facts)))
     _worker().submit(_work)
     return coming
 
 
 def _work() -> None:
-    """Do a piece of what was asked for last."""
+    """Do a piece of what was asked for last and is still waited for."""
     with _guard:
+        _asked[:] = [each for each in _asked if each[0]() is not None]
         if not _asked:
             return
-        coming, making = _asked[-1]
+        asked, making = _asked[-1]
     try:
         next(making)
     except StopIteration as made:
         ready: Ready = made.value
-        _over(coming, lambda: coming.set_result(ready))
+        _over(asked, lambda coming: coming.set_result(ready))
     except Exception as problem:
         why = problem
-        _over(coming, lambda: coming.set_exception(why))
+        _over(asked, lambda coming: coming.set_exception(why))
     with suppress(RuntimeError):  # the program ends; nobody waits
         _worker().submit(_work)
 
 
-def _over(coming: Future[Ready], tell: Callable[[], None]) -> None:
+def _over(asked: ReferenceType[Future[Ready]], tell: Callable[[Future[Ready]], None]) -> None:
     """One that was asked for has been made, or cannot be."""
     with _guard:
-        _asked[:] = [each for each in _asked if each[0] is not coming]
-        if not coming.cancelled():
-            tell()
+        _asked[:] = [each for each in _asked if each[0] is not asked]
+    coming = asked()
+    if coming is not None:
+        tell(coming)
 
 
 def told() -> list[str]:

@@ -92,7 +92,7 @@ class Chunk:
         notes = self.block.tables.notes
         for k in range(int(notes[0])):
             row, told = int(notes[1 + 2 * k]), int(notes[2 + 2 * k])
-            refused, span = self.block.code.faults[told >> 16]
+            refused, span = self.block.code.faults[told >> WIDTH]
             rows = row + np.flatnonzero([told >> bit & 1 for bit in range(WIDTH)])
             self.effects.faults.append(FaultEntry(self.block.compiler.name, refused, span, rows))
 

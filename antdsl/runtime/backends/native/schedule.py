@@ -210,7 +210,7 @@ def _wanted(maker: _Maker, asking: frozenset[str]) -> Schedule:
                 if out in wanted:
                     want((instruction.result, mask), maker.at[instruction])
             elif mask in wanted:
-                home[mask] = maker.first[mask]
+                home[mask] = min(wanted[mask])  # no stage before goes through the scope, to work it out
                 want((scope.rows,), home[mask])
                 _through(maker, scope, wanted, wanted[mask])
         elif ending:

@@ -1,0 +1,209 @@
+"""Bodies as capsules: where the trunks of all agents are, and how near any two are to each other.
+
+A capsule is a segment along the heading with a radius about it, at the height of the trunk over the feet. Two are measured in the
+plane between the ways that both stand, and across it, so that neither a slope nor bodies above each other count as an overlap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.catalogue import CAPSULES, Capsule, body_of
+from antdsl.numerics import elementary, randomness
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.vectors import dot
+from antdsl.runtime.world import AXES, Population, World
+from antdsl.senses.touching import within_reach
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+SLACK = 0.15  # of its width: how far beyond its trunk an agent is looked about, since it will yet be moved
+_OPPOSITE = -0.5  # cosine between two ways of standing, below which agents are on two sides of something
+_NOWHERE = 1e-6  # of a width: so near each other, two axes give no direction
+_SPREAD = 0x9E3779B1  # an odd number, that numbers pairs of ids
+_SPECIES = 1 << 40  # more than there are ids of a species
+
+
+def capsule_of(world: World, species: str) -> Capsule:
+    """The room that a body of a species takes: of the first line of the crowd that names one, else of what suits its name."""
+    named = (crowd.body for crowd in world.setting.crowds if crowd.species == species and crowd.body)
+    return CAPSULES[next(named, body_of(species))]
+
+
+class Crowd:
+    """All agents of a world, species by species, whose properties are read as one array each when they are asked for."""
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.species = [population for population in world.populations.values() if len(population)]
+        self.first = np.cumsum([0, *(len(population) for population in self.species)])
+        self._capsules = [capsule_of(world, population.name) for population in self.species]
+        size = self.of(lambda p: np.maximum(p.now["size"], np.float32(0))).astype(np.float64)
+        self.radius = size * self._shares("width") * 0.5
+        self.half = np.maximum(size * self._shares("length") * 0.5 - self.radius, 0.0)
+        self.key = self.of(lambda p: p.ids + self.species.index(p) * _SPECIES)
+        high, ahead = size * self._shares("height"), size * self._shares("ahead")
+        heading, up = self.vector("heading"), self.vector("up")
+        place = self.of(lambda p: p.position)
+        x, y, z = ((place[:, k] + up[k] * high) + heading[k] * ahead for k in range(3))
+        self.middle = (x, y, z)  # float64[n] each, mm
+
+    def __len__(self) -> int:
+        return int(self.first[-1])
+
+    def of(self, read: Callable[[Population], NDArray[Any]]) -> NDArray[Any]:
+        """What is read of each species, one after another."""
+        arrays = [read(population) for population in self.species]
+        return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+    def vector(self, name: str) -> tuple[NDArray[np.float32], ...]:
+        """The three registers of a vector."""
+        return tuple(self.of(lambda p, axis=axis: p.now[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
+
+    def _shares(self, name: str) -> Floats | float:
+        """A number of each capsule, in body lengths: one for all where they have one body."""
+        shares = [float(getattr(capsule, name)) for capsule in self._capsules]
+        if len(set(shares)) == 1:
+            return shares[0]
+        return np.repeat(shares, np.diff(self.first))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Near:
+    """Pairs of capsules that are near each other. `rows` of the crowd that are in any, ascending; `i` and `j` count these, and
+    the first of a pair comes first by species and id. Of each row, as it stood when they were found: `middle`, `ahead` and `up`
+    (3, k), `half` and `radius` (k), mm. `drawn` gives ways (3, m) to part for pairs of rows
+    that have none of their own."""
+
+    rows: Rows
+    i: Rows
+    j: Rows
+    middle: Floats
+    ahead: Floats
+    up: Floats
+    half: Floats
+    radius: Floats
+    drawn: Callable[[Rows, Rows], Floats]
+
+    def gaps(self, gone: Floats | None = None, which: Rows | None = None) -> tuple[Floats, Floats]:
+        """How far pairs, all or some, are from touching (float64[m] mm, below 0 inside each other) once rows have gone by (3, k)
+        mm, and unit vectors (3, m) from the second to the first of each, the shortest way to part."""
+        at = self.middle if gone is None else self.middle + gone
+        i, j = (self.i, self.j) if which is None else (self.i.take(which), self.j.take(which))
+        return self.between(at, i, j)
+
+    def between(self, at: Floats, i: Rows, j: Rows) -> tuple[Floats, Floats]:
+        """The same of pairs `i` and `j` of rows, whose middles are at places (3, k) mm."""
+
+        def drawn(lost: Rows) -> Floats:
+            return self.drawn(i.take(lost), j.take(lost))
+
+        return _gaps(at, self.ahead, self.up, self.half, self.radius, i, j, drawn)
+
+
+def find(crowd: Crowd) -> Near:
+    """The pairs of a crowd whose capsules may touch, whichever way they lie."""
+    pairs = within_reach(crowd.middle, crowd.half + crowd.radius * (1 + 2 * SLACK), crowd.key)
+    rows, i, j = part_of(len(crowd), pairs.i, pairs.j)
+    key = crowd.key.take(rows)
+    late = key.take(i) > key.take(j)
+    i, j = np.where(late, j, i), np.where(late, i, j)
+    middle = np.stack([part.take(rows) for part in crowd.middle])
+    ahead, up = (np.stack([part.take(rows) for part in crowd.vector(name)]).astype(np.float64) for name in ("heading", "up"))
+
+    def drawn(first: Rows, second: Rows) -> Floats:
+        return _drawn(crowd, rows, up, first, second)
+
+    return Near(rows, i, j, middle, ahead, up, crowd.half.take(rows), crowd.radius.take(rows), drawn)
+
+
+def depths(world: World) -> Floats:
+    """How deep each agent of a crowd (float64[n], species by species) is in the worst of the others, in widths of its own trunk;
+    0 apart."""
+    crowd = Crowd(world)
+    near = find(crowd)
+    deep = np.zeros(len(crowd))
+    if len(near.i):
+        gap, _ = near.gaps()
+        inside = np.flatnonzero(gap < 0)
+        for k in (near.i.take(inside), near.j.take(inside)):
+            np.maximum.at(deep, near.rows.take(k), -gap.take(inside) / (2 * near.radius.take(k)))
+    return deep
+
+
+def part_of(count: int, i: Rows, j: Rows) -> tuple[Rows, Rows, Rows]:
+    """Which of so many rows are in some pairs, ascending, and the pairs by where these stand among them."""
+    there = np.zeros(count, np.bool_)
+    there[i] = True
+    there[j] = True
+    number = np.cumsum(there) - 1
+    return np.flatnonzero(there), number.take(i), number.take(j)
+
+
+def _gaps(
+    at: Floats, ahead: Floats, up: Floats, half: Floats, radius: Floats, i: Rows, j: Rows, drawn: Callable[[Rows], Floats]
+) -> tuple[Floats, Floats]:
+    """See `Near.gaps`. The nearest points of two segments by C. Ericson, Real-Time Collision Detection, 2005, 5.1.9."""
+    one, other = up.take(i, axis=1), up.take(j, axis=1)
+    away = at.take(i, axis=1) - at.take(j, axis=1)
+    between = one + other
+    size = dot(between, between)
+    between = between * np.where(dot(one, other) < _OPPOSITE, 0.0, 1 / np.sqrt(np.maximum(size, 1e-12)))
+    a, b = ahead.take(i, axis=1), ahead.take(j, axis=1)
+    flat = away - between * dot(away, between)
+    one, other = a - between * dot(a, between), b - between * dot(b, between)
+    reach, length = half.take(i), half.take(j)
+    aa, bb, ab = np.maximum(dot(one, one), 1e-9), np.maximum(dot(other, other), 1e-9), dot(one, other)
+    c, f = dot(one, flat), dot(other, flat)
+    skew = aa * bb - ab * ab
+    s = np.where(skew > 1e-9, (ab * f - c * bb) / np.maximum(skew, 1e-9), 0.0)
+    s = np.minimum(np.maximum(s, -reach), reach)
+    t = (ab * s + f) / bb
+    t = np.minimum(np.maximum(t, -length), length)
+    s = (ab * t - c) / aa
+    s = np.minimum(np.maximum(s, -reach), reach)
+    apart = (away + a * s) - b * t
+    over = dot(apart, between)
+    apart = apart - between * over
+    distance = np.sqrt(dot(apart, apart))
+    wide = radius.take(i) + radius.take(j)
+    room = wide * wide - over * over
+    gap = np.where(room > 0, distance - np.sqrt(np.maximum(room, 0.0)), np.inf)
+    way = apart / np.maximum(distance, 1e-300)
+    lost = np.flatnonzero(distance <= wide * _NOWHERE)
+    if len(lost):
+        way[:, lost] = _parting(flat.take(lost, axis=1), wide.take(lost), lost, drawn)
+    return gap, way
+
+
+def _parting(flat: Floats, wide: Floats, pairs: Rows, drawn: Callable[[Rows], Floats]) -> Floats:
+    """Ways to part of pairs whose axes cross: from middle to middle, and where these are in one place, as drawn."""
+    size = np.sqrt(dot(flat, flat))
+    way = flat / np.maximum(size, 1e-300)
+    same = np.flatnonzero(size <= wide * _NOWHERE)
+    if len(same):
+        way[:, same] = drawn(pairs.take(same))
+    return way
+
+
+def _drawn(crowd: Crowd, rows: Rows, up: Floats, i: Rows, j: Rows) -> Floats:
+    """Unit vectors (3, m) along the ground of the first of each pair, by the seed and both ids."""
+    first, second = (crowd.key.take(rows.take(k)) for k in (i, j))
+    kinds = (first // _SPECIES) * len(crowd.species) + second // _SPECIES
+    turn = np.empty(len(i), np.float32)
+    for kind in np.unique(kinds):
+        some = np.flatnonzero(kinds == kind)
+        one, other = (crowd.species[number].name for number in divmod(int(kind), len(crowd.species)))
+        ids = (first[some] % _SPECIES) * _SPREAD + second[some] % _SPECIES
+        turn[some] = randomness.uniform(crowd.world.setting.seed, 0, one, f"parts from {other}", 0, ids)
+    angle = turn * np.float32(2 * np.pi)
+    normal = up.take(i, axis=1)
+    side = np.stack(vec.across((normal[0], normal[1], normal[2])))
+    found: Floats = side * elementary.cos(angle) + vec.stacked_cross(normal, side) * elementary.sin(angle)
+    return found

@@ -1,0 +1,64 @@
+"""Agents that walk as the scene says: straight on at one speed for a length, sensing and deciding nothing (P18)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.vectors import Vector
+from antdsl.runtime.world import AXES, Population, World
+from antdsl.scene.setting import WalkData
+
+Rows = NDArray[np.intp]
+
+_F = np.float32
+
+
+def walks_of(world: World, population: Population) -> dict[int, WalkData]:
+    """The walks of a species by the number of the crowd's line that has one."""
+    return {c.group: c.walk for c in world.setting.crowds if c.walk is not None and c.species == population.name}
+
+
+def is_led(world: World, population: Population) -> NDArray[np.bool_]:
+    """Who walks as the scene says, bool[n]."""
+    found: NDArray[np.bool_] = np.isin(population.now["group"], list(walks_of(world, population)))
+    return found
+
+
+def awake(world: World, population: Population) -> Rows | None:
+    """The rows of those who sense and decide for themselves; None where all do."""
+    if not walks_of(world, population):
+        return None
+    return np.flatnonzero(~is_led(world, population) & ~population.quarantined)
+
+
+def set_out(world: World, population: Population, rows: Rows) -> None:
+    """Turn those of `rows` whom the scene leads to their way along the ground, at its speed, which may be above their own."""
+    now, start = population.now, population.start
+    for group, walk in walks_of(world, population).items():
+        own = rows[now["group"][rows] == group]
+        up, heading = (vec.take(vec.named(now, name), own) for name in ("up", "heading"))
+        way = np.broadcast_to(np.array(walk.direction, np.float32)[:, None], (3, len(own)))
+        ahead = vec.unit(vec.flat((way[0], way[1], way[2]), up), heading, 1e-3)  # one that leads off the ground is none
+        now["max_speed"][own] = start["max_speed"][own] = np.maximum(now["max_speed"][own], _F(walk.speed))
+        for name, value in (("heading", ahead), ("velocity", vec.scale(ahead, _F(walk.speed)))):
+            for axis, component in zip(AXES, value, strict=True):
+                now[f"{name}.{axis}"][own] = start[f"{name}.{axis}"][own] = component
+
+
+def led(world: World, population: Population, velocity: Vector, up: Vector) -> Vector:
+    """Velocities, of those whom the scene leads such that they go on where they went, at its speed, as far as it says since they
+    were born; then they stand."""
+    found = velocity
+    for group, walk in walks_of(world, population).items():
+        own = np.flatnonzero(population.now["group"] == group)
+        gone = (world.frame - population.born[own]) * (world.dt * walk.speed)
+        speed = np.clip((walk.length - gone) / world.dt, 0.0, walk.speed).astype(np.float32)
+        before, heading = (vec.take(vec.named(population.now, name), own) for name in ("velocity", "heading"))
+        above = vec.take(up, own)
+        ahead = vec.unit(vec.flat(before, above), vec.unit(vec.flat(heading, above), vec.across(above)))
+        found = vec.copy(found)
+        for component, value in zip(found, vec.scale(ahead, speed), strict=True):
+            component[own] = value
+    return found

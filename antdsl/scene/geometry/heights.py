@@ -1,0 +1,118 @@
+"""Heights in rows and columns to a surface of triangles: 16-bit grey images and arrays. Sizes are held against the limits before
+anything is unpacked."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.scene.geometry.arrays import ArrayFileError, read_archive
+from antdsl.scene.geometry.mesh_text import MeshError
+
+Floats = NDArray[np.float64]
+
+IMAGES = {"png": "PNG", "tif": "TIFF", "tiff": "TIFF"}
+_GREY = 65535.0  # the sample of a 16-bit image that is 1
+
+
+def read_heights(data: bytes, name: str, array: str | None = None, layer: int | None = None) -> Floats:
+    """Samples float64[rows, columns] of a file's bytes: of a 16-bit image from 0 to 1, of one of floats and of an array as they
+    are. `array` names one of an .npz file, where it has several; `layer` is the first index of one with three dimensions.
+    MeshError says what is wrong."""
+    kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
+    if kind == "npz":
+        samples = _array(data, array, layer)
+    elif kind in IMAGES:
+        for key, given in (("array", array), ("layer", layer)):
+            if given is not None:
+                raise MeshError("is an image, which has one layer of samples", f"leave `{key}` out")
+        samples = _image(data, IMAGES[kind])
+    else:
+        raise MeshError("is not one of " + ", ".join(f".{word}" for word in (*IMAGES, "npz")))
+    if not np.isfinite(samples).all():
+        raise MeshError("has a height that is not a finite number")
+    return samples
+
+
+def _image(data: bytes, form: str) -> Floats:
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(data), formats=(form,)) as image:
+            columns, rows = image.size
+            _within(rows, columns)
+            if getattr(image, "n_frames", 1) != 1:
+                raise MeshError("has several pages", "save one of them")
+            if image.mode != "F" and not image.mode.startswith("I;16"):
+                raise MeshError(
+                    f"has no samples of 16 bits in one channel (its mode is {image.mode})", "save it as grey with 16 bits"
+                )
+            found = np.asarray(image).astype(np.float64)
+            grey = image.mode != "F"
+    except MeshError:
+        raise
+    except Exception as problem:  # a reader of other people's making meets a file of other people's making
+        raise MeshError(f"cannot be read as {form} ({type(problem).__name__})") from problem
+    if found.shape != (rows, columns):
+        raise MeshError("has no samples in rows and columns")
+    return found / _GREY if grey else found
+
+
+def _array(data: bytes, array: str | None, layer: int | None) -> Floats:
+    try:
+        arrays = read_archive(io.BytesIO(data), len(data), None if array is None else {array})
+    except ArrayFileError as why:
+        raise MeshError(str(why)) from None
+    if array is None and len(arrays) != 1:
+        names = ", ".join(f"`{each}`" for each in arrays) or "none"
+        raise MeshError(f"has {len(arrays)} arrays, {names}", "name one: `array: …`")
+    found: NDArray[Any] | None = next(iter(arrays.values()), None) if array is None else arrays.get(array)
+    if found is None:
+        raise MeshError(f"has no array `{array}`")
+    if found.dtype.kind not in "fiu":
+        raise MeshError("has an array of no numbers")
+    if found.ndim == 3:
+        if layer is None:
+            raise MeshError(f"has {found.shape[0]} layers of samples", "say which: `layer: 0`")
+        if layer >= found.shape[0]:
+            raise MeshError(f"has no layer {layer}", f"write one from 0 to {found.shape[0] - 1}")
+        found = found[layer]
+    elif layer is not None:
+        raise MeshError("has one layer of samples", "leave `layer` out")
+    if found.ndim != 2:
+        raise MeshError(f"has an array with {found.ndim} dimensions", "save one with rows and columns")
+    _within(*found.shape)
+    return found.astype(np.float64)
+
+
+def _within(rows: int, columns: int) -> None:
+    if rows < 2 or columns < 2:
+        raise MeshError(f"has {rows} rows and {columns} columns of samples, and two of each are the least")
+    if 2 * (rows - 1) * (columns - 1) > limits.MESH_FACES:
+        words = f"has {rows:,} rows and {columns:,} columns of samples, which make more than {limits.MESH_FACES:,} faces"
+        raise MeshError(words, "use a smaller one")
+
+
+def surface_of(heights: Floats, extent: tuple[float, float]) -> tuple[Floats, NDArray[np.int64]]:
+    """Vertices (n, 3) and faces (m, 3) of heights [rows, columns] over an extent in x and z about the origin, y up, faces seen
+    from above. A vertex is a sample, row after row: columns go along +x, rows along +z, as a picture that is seen from above."""
+    rows, columns = heights.shape
+    x = -extent[0] / 2 + np.arange(columns) * (extent[0] / (columns - 1))
+    z = -extent[1] / 2 + np.arange(rows) * (extent[1] / (rows - 1))
+    vertices = np.empty((rows, columns, 3))
+    vertices[..., 0], vertices[..., 1], vertices[..., 2] = x[None, :], heights, z[:, None]
+    a = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)[None, :]).ravel()
+    right, below, across = a + 1, a + columns, a + columns + 1
+    faces = np.stack([np.stack([a, below, across], axis=1), np.stack([a, across, right], axis=1)], axis=1)
+    return vertices.reshape(-1, 3), faces.reshape(-1, 3).astype(np.int64)
+
+
+def deviation(heights: Floats) -> float:
+    """How far the triangles lie from the bilinear surface through the samples, at most: in the middle of a cell, by a fourth of
+    its twist."""
+    twist = heights[:-1, :-1] - heights[:-1, 1:] - heights[1:, :-1] + heights[1:, 1:]
+    return float(np.abs(twist).max()) / 4

@@ -1,0 +1,188 @@
+"""Which agents are near enough to touch: every pair once, from cells as wide as two of them.
+
+Method: a uniform grid and half of each cell's surroundings (C. Ericson, Real-Time Collision Detection, 2005, 7.1), one grid for
+agents of much the same size, whom all smaller ones ask as well. Where agents lie in a heap, each is paired with a bounded number
+of those in reach, so that many in one place cost no more than as many side by side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics.sorting import stable_order
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+_MOST = 48  # of one row of three cells, with whom an agent is paired: more than stand side by side in it
+_ALONG = 1 << 20  # cells along an axis at most
+_SHEET = 8  # pairs of cell mates for each agent, up to which layers above each other are not told apart
+_SIZES = 1  # powers of two that agents of one grid differ by at most
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairs:
+    """Rows `i` and `j` of pairs, each once and in no order. `all_of_them`: False where a heap was so dense that some are left
+    out."""
+
+    i: Rows
+    j: Rows
+    all_of_them: bool
+
+
+def within_reach(place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64]) -> Pairs:
+    """Pairs of agents that are no farther apart than the sum of their reaches (float64[n], mm). `place`: x, y and z float64[n],
+    mm; `order` int64[n], different for all, says who counts first in a heap, whatever the rows. Agents without a finite place
+    and reach are in no pair."""
+    fit = np.isfinite(place[0]) & np.isfinite(place[1]) & np.isfinite(place[2]) & np.isfinite(reach) & (reach > 0)
+    rows = None if fit.all() else np.flatnonzero(fit)
+    if rows is not None:
+        place, reach, order = (place[0][rows], place[1][rows], place[2][rows]), reach[rows], order[rows]
+    if not len(reach):
+        return Pairs(np.empty(0, np.intp), np.empty(0, np.intp), True)
+    found = _of_all(place, reach, None)
+    if not found.all_of_them:  # who is left out goes by the order, not by rows
+        found = _of_all(place, reach, order)
+    if rows is None:
+        return found
+    return Pairs(rows[found.i], rows[found.j], found.all_of_them)
+
+
+def _of_all(place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64] | None) -> Pairs:
+    low, high = float(reach.min()), float(reach.max())
+    if low * (1 << _SIZES) >= high:
+        return _of_class(place, reach, order, np.arange(len(reach)), None)
+    sizes = np.frexp(reach)[1] // _SIZES
+    found = []
+    for size in np.unique(sizes):
+        members, smaller = np.flatnonzero(sizes == size), np.flatnonzero(sizes < size)
+        found.append(_of_class(place, reach, order, members, smaller if len(smaller) else None))
+    i, j = (np.concatenate([getattr(each, name) for each in found]) for name in ("i", "j"))
+    return Pairs(i, j, all(each.all_of_them for each in found))
+
+
+def _of_class(
+    place: tuple[Floats, Floats, Floats], reach: Floats, order: NDArray[np.int64] | None, rows: Rows, smaller: Rows | None
+) -> Pairs:
+    """The pairs among some rows of much the same size, and of those with all `smaller` ones."""
+    grid = _Grid.of(place, 2 * float(reach[rows].max()), rows, order)
+    i, j, whole = grid.among_themselves()
+    i, j = _near(place, reach, i, j)
+    if smaller is None:
+        return Pairs(i, j, whole)
+    near, far, entire = grid.asked_by(place, smaller)
+    near, far = _near(place, reach, near, far)
+    return Pairs(np.concatenate([i, near]), np.concatenate([j, far]), whole and entire)
+
+
+def _near(place: tuple[Floats, Floats, Floats], reach: Floats, i: Rows, j: Rows) -> tuple[Rows, Rows]:
+    x, y, z = (p.take(j) - p.take(i) for p in place)
+    room = reach.take(i) + reach.take(j)
+    keep = np.flatnonzero((x * x + y * y) + z * z <= room * room)
+    return i.take(keep), j.take(keep)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grid:
+    """Rows sorted by cells: `low` and `cell` (mm), the `axes` from the longest to the shortest, numbers of cells along them, and
+    the cells of all, ascending."""
+
+    axes: list[int]
+    low: list[float]
+    cell: float
+    size: list[int]
+    rows: Rows
+    keys: NDArray[np.int64]
+    starts: NDArray[np.intp] | None
+
+    @staticmethod
+    def of(place: tuple[Floats, Floats, Floats], cell: float, rows: Rows, order: NDArray[np.int64] | None) -> _Grid:
+        """The grid of some rows, of which those in one cell are in an order."""
+        if order is not None:
+            rows = rows[stable_order(order[rows])]
+        every = len(rows) == len(place[0]) and order is None
+        own = [p if every else p[rows] for p in place]
+        low, extent = [float(p.min()) for p in own], [float(p.max()) - float(p.min()) for p in own]
+        axes = sorted(range(3), key=lambda axis: -extent[axis])
+        cell = max(cell, extent[axes[0]] / _ALONG, 1e-9)
+        low = [low[axis] for axis in axes]
+        size = [int(extent[axis] / cell) + 3 for axis in axes]  # one is free at either end
+        number = [((own[axis] - b) * (1 / cell)).astype(np.int64) + 1 for axis, b in zip(axes, low, strict=True)]
+        keys = number[1] * size[0] + number[0]
+        if size[0] * size[1] <= max(1 << 16, 16 * len(rows)):
+            mates = np.bincount(keys)
+            flat = int((mates * mates).sum()) <= _SHEET * len(rows)
+        else:
+            flat = False
+        if flat:
+            size[2] = 1
+        else:
+            keys += number[2] * (size[0] * size[1])
+        order_of_keys = stable_order(keys)
+        keys, rows = keys.take(order_of_keys), rows.take(order_of_keys)
+        cells = size[0] * size[1] * size[2]
+        starts = None
+        if cells <= max(1 << 16, 16 * len(rows)):
+            starts = np.zeros(cells + 1, np.intp)
+            np.cumsum(np.bincount(keys, minlength=cells), out=starts[1:])
+        return _Grid(axes, low, cell, size, rows, keys, starts)
+
+    def among_themselves(self) -> tuple[Rows, Rows, bool]:
+        """Candidates: each with those after it in its cell and in the half of the surroundings that comes after."""
+        n, across, layer = len(self.rows), self.size[0], self.size[0] * self.size[1]
+        number = np.arange(n)
+        spans = [(number + 1, self._before(self.keys + 2))]
+        shifts = [across] if self.size[2] == 1 else [across, layer - across, layer, layer + across]
+        spans += [(self._before(self.keys + (shift - 1)), self._before(self.keys + (shift + 2))) for shift in shifts]
+        return self._listed(self.rows, spans)
+
+    def asked_by(self, place: tuple[Floats, Floats, Floats], rows: Rows) -> tuple[Rows, Rows, bool]:
+        """Candidates of others: all in the cells about them."""
+        at = [
+            np.clip(np.floor((place[axis][rows] - low) * (1 / self.cell)), -2.0, float(size)).astype(np.int64) + 1
+            for axis, low, size in zip(self.axes, self.low, self.size, strict=True)
+        ]
+        inside = [(a >= 0) & (a < size) for a, size in zip(at, self.size, strict=True)]
+        flat = self.size[2] == 1
+        known = inside[0] & inside[1] if flat else inside[0] & inside[1] & inside[2]
+        rows, at = rows[known], [a[known] for a in at]
+        spans = []
+        for deep in (0,) if flat else (-1, 0, 1):
+            for aside in (-1, 0, 1):
+                y, z = at[1] + aside, 0 if flat else at[2] + deep
+                first = (z * self.size[1] + y) * self.size[0]
+                last = first + np.minimum(at[0] + 1, self.size[0] - 1) + 1
+                first = first + np.maximum(at[0] - 1, 0)
+                there = (y >= 0) & (y < self.size[1]) & ((z >= 0) & (z < self.size[2]))
+                spans.append((self._before(np.where(there, first, 0)), self._before(np.where(there, last, 0))))
+        return self._listed(rows, spans)
+
+    def _before(self, key: NDArray[Any]) -> Rows:
+        """How many rows lie in cells before others."""
+        if self.starts is not None:
+            known: Rows = self.starts.take(np.minimum(key, len(self.starts) - 1))
+            return known
+        found: Rows = np.searchsorted(self.keys, key)
+        return found
+
+    def _listed(self, asking: Rows, spans: list[tuple[Rows, Rows]]) -> tuple[Rows, Rows, bool]:
+        """Pairs of who asks and who is in its spans of sorted rows: of one span at most _MOST, from another place on for each."""
+        i, j, whole = [], [], True
+        for first, last in spans:
+            count = last - first
+            dense = int(count.max(initial=0)) > _MOST
+            kept = np.minimum(count, _MOST) if dense else count
+            who = np.repeat(np.arange(len(asking)), kept)
+            at = np.arange(len(who)) - np.repeat(np.cumsum(kept) - kept, kept)
+            if dense:
+                whole = False
+                turned = (np.arange(len(asking)) * _MOST) % np.maximum(count, 1)
+                at = np.where(count.take(who) > _MOST, (at + turned.take(who)) % count.take(who), at)
+            at += first.take(who)
+            i.append(asking.take(who))
+            j.append(self.rows.take(at))
+        return np.concatenate(i), np.concatenate(j), whole

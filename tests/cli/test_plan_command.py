@@ -1,0 +1,62 @@
+"""`antdsl plan`: what it prints of programs and scenes, as array passes and as machine code."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import commands
+import pytest
+from compilers import need_llvmlite
+
+from antdsl.pipeline import open_scene
+from antdsl.plan import show
+from antdsl.runtime.backends.native import listing, machine
+from antdsl.runtime.backends.native.programs import Facts
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+def plan(*words: str, cwd: Path = EXAMPLES) -> str:
+    done = commands.run("plan", *words, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_a_scene_has_the_plan_that_runs() -> None:
+    shot, _ = open_scene(EXAMPLES / "minimal" / "scene.yaml")
+    assert shot is not None
+    assert plan("minimal/scene.yaml") == show(shot.plan) + "\n"
+    raw, _ = open_scene(EXAMPLES / "minimal" / "scene.yaml", raw=True)
+    assert raw is not None and plan("minimal/scene.yaml", "--raw") == show(raw.plan) + "\n" != show(shot.plan) + "\n"
+
+
+def test_machine_code_is_told_of_the_scene_that_runs_it_and_lines_with_their_file(tmp_path: Path) -> None:
+    """With level of detail another function asks rays, so that the code is another one."""
+    need_llvmlite()
+    shutil.copytree(EXAMPLES / "foraging", tmp_path / "far", ignore=shutil.ignore_patterns("out"))
+    scene = tmp_path / "far" / "scene.yaml"
+    still = plan("far/scene.yaml", "--native", cwd=tmp_path)
+    assert plan("far/forager.ant", "--native", cwd=tmp_path).startswith("as on ground that stands still, without `lod`")
+    scene.write_text(scene.read_text(encoding="utf-8") + "lod: {near: 60 mm, far: 80 mm}\n", encoding="utf-8")
+    shot, _ = open_scene(scene)
+    assert shot is not None and shot.setting.detail is not None
+    there = plan("far/scene.yaml", "--native", cwd=tmp_path)
+    assert there == listing.show(listing.of_plan(shot.plan, machine.host(), Facts(moving=False, detail=True))) + "\n" != still
+    assert re.search(r"then NumPy: ray\(stones\), <steering>:\d+, 3 times\n", still)
+    assert "asks for claim, forager.ant:51\n" in still
+
+
+def test_the_code_itself_is_printed_with_and_without_the_other_word() -> None:
+    need_llvmlite()
+    code = plan("minimal/scene.yaml", "--ir")
+    assert code == plan("minimal/scene.yaml", "--native", "--ir") and "define void @" in code
+    assert code.startswith(plan("minimal/scene.yaml", "--native"))
+
+
+def test_why_there_is_no_machine_code_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    why = "llvmlite 0.30 is too old: install another"
+    monkeypatch.setattr(machine, "unavailable", lambda: why)
+    done = commands.run("plan", "minimal/scene.yaml", "--native", cwd=EXAMPLES)
+    assert done.returncode == 1 and done.stderr.startswith("error: ") and why in done.stderr

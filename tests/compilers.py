@@ -1,0 +1,21 @@
+"""What a test needs that compiles: it is skipped where that is missing, or there and of no use. Packages that are installed and
+do not load raise other errors than those that are not, so that `pytest.importorskip` does not do."""
+
+from __future__ import annotations
+
+import pytest
+
+from antdsl.numerics import compiled
+from antdsl.runtime.backends.native import machine
+
+
+def need_numba() -> None:
+    """Skip the test where kernels cannot be compiled."""
+    if not compiled.available():
+        pytest.skip("needs numba")
+
+
+def need_llvmlite() -> None:
+    """Skip the test where machine code cannot be made."""
+    if why := machine.unavailable():
+        pytest.skip(why)

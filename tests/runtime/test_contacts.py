@@ -1,0 +1,215 @@
+"""Bodies that take room: crowds come apart, across species, by mass, on thin sheets and at rest; the same bits everywhere."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import combinations
+
+import meshes
+import numpy as np
+import pytest
+from test_program import checked, complaints
+
+from antdsl import passes, plan
+from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
+from antdsl.runtime.moving.capsules import Crowd, depths
+from antdsl.scene.setting import CrowdData, MeshData, PlaceData, Setting
+from antdsl.senses.touching import within_reach
+
+RESTING = """ant 1
+species ant {
+  size uniform(3.6 mm, 4.4 mm)
+  max_speed 30 mm/s
+  on spawn { velocity = 0 * velocity }
+  start rest
+  state rest { steer 0 * heading }
+}
+species ball {
+  size 10 mm
+  mass 1 kg
+  max_speed 20 mm/s
+  on spawn { velocity = 0 * velocity }
+  start rest
+  state rest { steer 0 * heading }
+}
+"""
+WALKING = RESTING.replace("state rest { steer 0 * heading }", "state rest { steer -position / 10 mm }", 1)
+
+
+@cache
+def plan_of(text: str) -> plan.ir.Plan:
+    program, report = checked(text)
+    assert report.ok, complaints(report)
+    return passes.optimise(plan.lower(program)[0])
+
+
+def points(*places: tuple[float, float]) -> PlaceData:
+    return PlaceData(points=np.array([[x, 0.0, z] for x, z in places]))
+
+
+def heap(count: int, radius: float = 0.0) -> PlaceData:
+    random = np.random.default_rng(count)
+    far, way = radius * np.sqrt(random.random(count)), random.random(count) * 2 * np.pi
+    return points(*zip(far * np.cos(way), far * np.sin(way), strict=True))
+
+
+def world(*crowds: CrowdData, text: str = RESTING, options: Options | None = None, **more: object) -> World:
+    setting = Setting(crowds=crowds, seed=3, **{"contacts": "hard", **more})  # type: ignore[arg-type]
+    return bind(plan_of(text), setting, options or Options(backend="numpy"))
+
+
+def places(made: World, species: str = "ant") -> np.ndarray:
+    population = made.populations[species]
+    return population.position[population.in_id_order()]
+
+
+# --- heaps -----------------------------------------------------------------------------------------------------------
+
+
+def frames_until_free(made: World, most: int) -> int:
+    for frame in range(most):
+        if depths(made).max() < 1e-3:
+            return frame
+        before = places(made)
+        step(made)
+        assert np.linalg.norm(places(made) - before, axis=1).max() <= 30 / 24 * 1.005
+    raise AssertionError(f"still {depths(made).max():.3g} of a width deep")
+
+
+def test_a_heap_in_one_place_comes_apart_and_lies_still() -> None:
+    made = world(CrowdData("ant", 60, heap(60)))
+    assert frames_until_free(made, 60) > 5
+    for _ in range(12):  # what is left is parted to less than half of that
+        step(made)
+    before = places(made)
+    for _ in range(3):
+        step(made)
+    assert np.array_equal(places(made), before)
+    assert not made.populations["ant"].vector("velocity").any()
+
+
+@pytest.mark.slow
+def test_a_heap_of_a_thousand_is_free_within_three_seconds() -> None:
+    assert frames_until_free(world(CrowdData("ant", 1000, heap(1000, 20.0))), 72) > 10
+
+
+@pytest.mark.parametrize("mode", ["hard", "soft"])
+def test_the_same_bits_for_any_rows_threads_chunks_and_backend(mode: str) -> None:
+    found = set()
+    for options in (
+        Options(backend="numpy"),
+        Options(backend="numpy", shuffle_rows=5),
+        Options(backend="numpy", threads=3, chunk=64),
+        Options(backend="reference", shuffle_rows=1),
+        Options(backend="native", wait_for_code=True),
+    ):
+        made = world(
+            CrowdData("ant", 120, heap(120, 4.0)),
+            CrowdData("ball", 3, heap(3), 1, "ball"),
+            text=WALKING,
+            options=options,
+            contacts=mode,
+        )
+        for _ in range(8):
+            step(made)
+        found.add(state_hash(made))
+    assert len(found) == 1
+
+
+def test_soft_bodies_part_more_slowly_and_none_at_all_without_contacts() -> None:
+    deep = {}
+    for mode in ("off", "soft", "hard"):
+        made = world(CrowdData("ant", 2, points((0.0, 0.0), (0.3, 0.1))), contacts=mode)
+        begun = depths(made).max()
+        step(made)
+        deep[mode] = depths(made).max() / begun
+    assert deep["off"] == 1.0 and 0.5 < deep["soft"] < 0.95 and deep["hard"] < 1e-3
+
+
+def test_a_checkpoint_goes_on_to_the_same_bits() -> None:
+    made = world(CrowdData("ant", 40, heap(40, 2.0)), text=WALKING)
+    for _ in range(4):
+        step(made)
+    other = world(CrowdData("ant", 40, heap(40, 2.0)), text=WALKING)
+    restore(other, checkpoint(made))
+    for _ in range(4):
+        step(made)
+        step(other)
+    assert state_hash(made) == state_hash(other)
+
+
+# --- pairs -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_lighter_one_makes_room_across_species() -> None:
+    made = world(CrowdData("ant", 1, points((1.0, 0.0))), CrowdData("ball", 1, points((0.0, 0.0)), 1, "ball"))
+    before = places(made), places(made, "ball")
+    for _ in range(4):
+        step(made)
+    gone = np.linalg.norm(places(made) - before[0]), np.linalg.norm(places(made, "ball") - before[1])
+    assert depths(made).max() < 1e-3 and gone[0] > 0.3 and gone[1] < 0.01 * gone[0]
+
+
+def test_who_meets_one_that_stands_goes_round_it_and_not_through() -> None:
+    text = RESTING.replace("state rest { steer 0 * heading }", "state rest { steer heading }", 1)
+    text = text.replace(
+        "on spawn { velocity = 0 * velocity }", "on spawn { heading = vector(1, 0, 0); velocity = 0 * velocity }", 1
+    )
+    text = text.replace("max_speed 20 mm/s", "max_speed 0.001 mm/s")
+    made = world(CrowdData("ant", 1, points((-12.0, 0.0))), CrowdData("ball", 1, points((0.0, 0.0)), 1, "ball"), text=text)
+    nearest = 12.0
+    for _ in range(30):
+        step(made)
+        assert depths(made).max() < 0.02
+        nearest = min(nearest, float(np.linalg.norm(places(made)[0])))
+    # The room of both, at the heights of their trunks: the ball's swells above the ant.
+    assert 3.0 < nearest < 6.0 and np.abs(places(made, "ball")).max() < 0.01
+
+
+def test_two_sides_of_a_thin_sheet_do_not_meet() -> None:
+    plate = MeshData(*meshes.box((-40, 0, -40), (40, 0.1, 40)))
+    surfaces = {"plate": plate}
+    text = RESTING.replace("species ant", 'world { surface plate "thin" }\nspecies ant', 1)
+    made = world(CrowdData("ant", 300, PlaceData(on=("plate",), by_area=True)), text=text, surfaces=surfaces)
+    sides = np.sign(made.populations["ant"].normal[:, 1])
+    assert (sides > 0).any() and (sides < 0).any()
+    for _ in range(30):
+        step(made)
+    assert depths(made).max() < 1e-3
+    crowd = Crowd(made)
+    middles = np.stack(crowd.middle, axis=1)
+    near = np.linalg.norm(middles[:, None] - middles[None], axis=2) < 1.5
+    assert (near & (np.sign(made.populations["ant"].normal[:, 1])[:, None] != sides[None])).any()  # right below one another
+
+
+def test_who_is_frozen_by_a_fault_is_not_pushed() -> None:
+    made = world(CrowdData("ant", 2, points((0.0, 0.0), (0.2, 0.0))))
+    made.populations["ant"].quarantined[0] = True
+    before = places(made)
+    for _ in range(3):
+        step(made)
+    assert np.array_equal(places(made)[0], before[0]) and depths(made).max() < 1e-3
+
+
+# --- who is near ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "size, reach", [((90, 90, 0), (1, 1.2)), ((60, 60, 60), (1, 8)), ((90, 90, 4), (0.5, 6)), ((1e6, 1e6, 3), (1, 2))]
+)
+def test_every_pair_in_reach_is_found_once(size: tuple[float, ...], reach: tuple[float, float]) -> None:
+    random = np.random.default_rng(1)
+    place, wide = random.random((250, 3)) * size, random.uniform(*reach, 250)
+    found = within_reach((place[:, 0].copy(), place[:, 1].copy(), place[:, 2].copy()), wide, np.arange(250))
+    apart = np.linalg.norm(place[:, None] - place[None], axis=2)
+    expected = {(i, j) for i, j in combinations(range(250), 2) if apart[i, j] <= wide[i] + wide[j]}
+    assert found.all_of_them and len(found.i) == len(expected)
+    assert {(min(i, j), max(i, j)) for i, j in zip(found.i.tolist(), found.j.tolist(), strict=True)} == expected
+
+
+def test_thousands_in_one_place_are_paired_with_a_bounded_number_each() -> None:
+    n = 7500
+    place = np.zeros(n)
+    found = within_reach((place, place, place), np.ones(n), np.arange(n))
+    each = np.bincount(np.concatenate([found.i, found.j]), minlength=n)
+    assert not found.all_of_them and each.min() >= 40 and len(found.i) < 60 * n
