@@ -157,6 +157,8 @@ def _empty(stage: UsdStage, prim: Any) -> UsdPoints:
     for attribute in prim.GetAuthoredPropertiesInNamespace(_USER):
         name = str(attribute.GetName()).removeprefix(f"{_USER}:")
         value = attribute.Get(stage.first) if ":" not in name and hasattr(attribute, "HasValue") else None
+        if isinstance(value, float) and not np.isfinite(value):
+            raise UsdError("bad-usd", f"`{name}` of `{prim.GetPath()}` is {value:g}, no finite number", "give it another", "usd")
         if isinstance(value, bool | int | float):
             values[name] = np.full(1, float(value))
         elif isinstance(value, str) and len(value) <= limits.NAME_CHARACTERS:
