@@ -57,7 +57,7 @@ def take_over(old: World, plan: ir.Plan, setting: Setting, built: Built | None =
         _flows(old, world)
         begin(world, arrive(world, _agents(old, world, migration)))
         for population in world.populations.values():
-            forget_the_dead(world, population)
+            forget_the_dead(world, population, between_steps=True)
     _counts(old, world)
     return world, migration
 

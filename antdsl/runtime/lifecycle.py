@@ -193,11 +193,13 @@ def _smells(population: Population) -> bool:
     return any(node.op.startswith("field.") for node in nodes)
 
 
-def forget_the_dead(world: World, population: Population) -> None:
-    """References to the dead become none, where the plan says whose ids a register holds."""
+def forget_the_dead(world: World, population: Population, *, between_steps: bool = False) -> None:
+    """References to the dead become none, where the plan says whose ids a register holds; `between_steps` in the state that the
+    next step begins with, too."""
     for register in population.plan.registers.values():
         if register.kind is ir.Kind.I64 and register.of in world.populations and register.role != "temp":
-            held = population.now[register.name]
-            gone = (held >= 0) & (world.populations[register.of].rows_of(held) < 0)
-            if gone.any():
-                held[gone] = -1
+            for holder in (population.now, population.start) if between_steps else (population.now,):
+                held = holder[register.name]
+                gone = (held >= 0) & (world.populations[register.of].rows_of(held) < 0)
+                if gone.any():
+                    held[gone] = -1

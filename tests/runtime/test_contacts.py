@@ -105,7 +105,7 @@ def test_the_same_bits_for_any_rows_threads_chunks_and_backend(mode: str) -> Non
     ):
         made = world(
             CrowdData("ant", 120, heap(120, 4.0)),
-            CrowdData("ball", 3, heap(3), 1, "ball"),
+            CrowdData("ball", 3, heap(3), 1, body="ball"),
             text=WALKING,
             options=options,
             contacts=mode,
@@ -142,7 +142,7 @@ def test_a_checkpoint_goes_on_to_the_same_bits() -> None:
 
 
 def test_the_lighter_one_makes_room_across_species() -> None:
-    made = world(CrowdData("ant", 1, points((1.0, 0.0))), CrowdData("ball", 1, points((0.0, 0.0)), 1, "ball"))
+    made = world(CrowdData("ant", 1, points((1.0, 0.0))), CrowdData("ball", 1, points((0.0, 0.0)), 1, body="ball"))
     before = places(made), places(made, "ball")
     for _ in range(4):
         step(made)
@@ -156,7 +156,7 @@ def test_who_meets_one_that_stands_goes_round_it_and_not_through() -> None:
         "on spawn { velocity = 0 * velocity }", "on spawn { heading = vector(1, 0, 0); velocity = 0 * velocity }", 1
     )
     text = text.replace("max_speed 20 mm/s", "max_speed 0.001 mm/s")
-    made = world(CrowdData("ant", 1, points((-12.0, 0.0))), CrowdData("ball", 1, points((0.0, 0.0)), 1, "ball"), text=text)
+    made = world(CrowdData("ant", 1, points((-12.0, 0.0))), CrowdData("ball", 1, points((0.0, 0.0)), 1, body="ball"), text=text)
     nearest = 12.0
     for _ in range(30):
         step(made)
