@@ -112,7 +112,7 @@ def _others(
     there, first = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
     if found:
         columns = [np.concatenate(column) for column in zip(*found, strict=True)]
-        order = np.lexsort((columns[3], columns[2], columns[1], columns[0]))  # by distance, then species and id
+        order = _order(*columns[:4])
         columns = [column.take(order) for column in columns]
         asking = columns[0]
         place_of = np.arange(len(asking)) - np.searchsorted(asking, asking)
@@ -122,6 +122,17 @@ def _others(
             whole[at] = column.take(kept)
         there[at], first[at] = True, columns[9].take(kept)
     return Others(x, y, vx, vy, both, there, first)
+
+
+def _order(asking: Rows, distance: NDArray[np.float32], species: Rows, ids: NDArray[np.int64]) -> Rows:
+    """The order of pairs by who asks and how far away the other is, at a tie by species and id."""
+    near = np.asarray(distance, np.float32).view(np.int32)  # bits of numbers that are not negative have their order
+    key = (asking.astype(np.int64) << 32) | near
+    order = np.argsort(key)
+    following = key.take(order)
+    if (following[1:] == following[:-1]).any():
+        order = np.lexsort((ids, species, key))
+    return order
 
 
 def _radius(population: Population) -> Floats:
