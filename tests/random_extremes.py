@@ -51,6 +51,7 @@ NUMBERS = (
     "cos(odd * 1 rad)",
     "log(tiny)",
     "noise(scale: 20 mm, seed: id, period: 2 s)",
+    "min_speed / 20 mm/s",
     "length(drift)",
     "damp",
     "smell(trail, ahead: odd * 1 mm, turn: odd * 1 deg)",

@@ -18,7 +18,7 @@ NUMPY = Options(backend="numpy", on_fault="quarantine")
 REFERENCE = Options(backend="reference", on_fault="quarantine", shuffle_rows=2)
 CHUNKS, THREADS = (8, 24, 1000, 100_000), (1, 2, 5)
 # What no line of a program gives: a number that only specs are told, and an operation that no line is lowered to.
-BY_NONE = {"operation told", "operation finite"}
+BY_NONE = {"operation told"}
 
 
 def states(plan: ir.Plan, setting: Setting, seed: int, options: Options, frames: int, built: Built) -> list[str]:
