@@ -88,24 +88,24 @@ def _others(
     n, widest = len(rows), int(count.max(initial=0))
     place = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     reach = np.where(within > 0, within, -1).astype(np.float32)
-    radius = _radius(population)[rows]
+    ids, radius = population.ids[rows], _radius(population, rows)
     found: list[tuple[NDArray[Any], ...]] = []
     far = float(reach.max(initial=0.0, where=np.isfinite(reach)))
     for number, (name, other) in enumerate(world.populations.items()):
         if not len(other) or not widest:
             continue
         grid = grid_for(world, other, far if far > 0 else 1.0)
-        qid = population.ids[rows] if other is population else None
+        qid = ids if other is population else None
         p = grid.pairs(None, reach, qx=place[0], qy=place[1], qz=place[2], qid=qid, threads=world.options.threads)
         theirs = _known(vec.take(vec.named(other.start, "up"), p.j))
         kept = np.flatnonzero(vec.dot(vec.take(plane.up, p.i), theirs) > 0)
         i, j = p.i.take(kept), p.j.take(kept)
         way = tuple(each.take(kept).astype(np.float64) for each in (p.dx, p.dy, p.dz))
         moves = [] if own is None else [vec.sub(vec.take(own, i), _known(vec.take(vec.named(other.start, "velocity"), j)))]
-        first = population.ids[rows][i] < other.ids[j] if other is population else np.full(len(i), population.name < name)
+        first = ids[i] < other.ids[j] if other is population else np.full(len(i), population.name < name)
         flat = [vec.dot(v, vec.take(axis, i)) for v in (way, *moves) for axis in (plane.ahead, plane.left)]  # type: ignore[arg-type]
         flat += [np.zeros(len(i))] * (4 - len(flat))
-        room = radius[i] + _radius(other)[j]
+        room = radius[i] + _radius(other, j)
         found.append((i, p.distance.take(kept), np.full(len(i), number), other.ids[j], *flat, room, first))
     shape = (n, widest)
     x, y, vx, vy, both = table = [np.zeros(shape) for _ in range(5)]
@@ -135,6 +135,6 @@ def _order(asking: Rows, distance: NDArray[np.float32], species: Rows, ids: NDAr
     return order
 
 
-def _radius(population: Population) -> Floats:
-    radius = population.start["radius"].astype(np.float64)
+def _radius(population: Population, rows: Rows) -> Floats:
+    radius = population.start["radius"][rows].astype(np.float64)
     return np.where(np.isfinite(radius) & (radius > 0), radius, 0.0)

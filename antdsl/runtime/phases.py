@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import vectors as vec
 from antdsl.numerics.sorting import interleaved, stable_order
 from antdsl.plan.ir import Kind
 from antdsl.program.tables.effects import settled_in
@@ -102,11 +101,11 @@ def move(world: World) -> None:
         for population in world.populations.values():
             tilting.stand_up(population)
         for substep in range(world.setting.substeps):
-            before = {name: population.position for name, population in world.populations.items()}
-            facing = {name: vec.copy(vec.named(population.now, "heading")) for name, population in world.populations.items()}
+            stood = contacts.stood(world)
             for population in world.populations.values():
                 advance.move(world, population, substep)
-            contacts.resolve(world, before, facing, world.dt / world.setting.substeps)
+            if stood is not None:
+                contacts.resolve(world, stood, world.dt / world.setting.substeps)
 
 
 def measure(world: World) -> None:

@@ -43,11 +43,9 @@ def walls() -> trimesh.Trimesh:
     for along_x, rows in ((True, ALONG_X), (False, ALONG_Z)):
         for at, begin, end, doors, width in rows:
             # Walls along z end where those along x begin: boxes do not stand in each other.
+            over = THICK / 2 if along_x else -THICK / 2
             for a, b in pieces(begin, end, doors, width):
-                trim = 0.0 if along_x else THICK / 2
-                a, b = (a + trim if a == begin else a), (b - trim if b == end else b)
-                if along_x:
-                    a, b = (a - THICK / 2 if a == begin else a), (b + THICK / 2 if b == end else b)
+                a, b = (a - over if a == begin else a), (b + over if b == end else b)
                 box = trimesh.creation.box((b - a, HIGH, THICK) if along_x else (THICK, HIGH, b - a))
                 box.apply_translation(((a + b) / 2, HIGH / 2, at) if along_x else (at, HIGH / 2, (a + b) / 2))
                 boxes.append(box)

@@ -68,13 +68,28 @@ class Effort:
 EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(4, 3, 3)}
 
 
-def resolve(world: World, before: Mapping[str, Floats], facing: Mapping[str, Vector], dt: float) -> None:
-    """Move apart who stands in another. `before` and `facing`: where each species was (n, 3) and its headings when the substep
-    began, which took `dt` s."""
-    effort = EFFORTS.get(world.setting.contacts)
-    crowd = Crowd(world) if effort is not None and len(world) > 1 else None
-    if effort is None or crowd is None:
+@dataclass(frozen=True, slots=True, eq=False)
+class Stood:
+    """How agents stood when a substep began, by species: places (n, 3) mm and headings."""
+
+    places: Mapping[str, Floats]
+    headings: Mapping[str, Vector]
+
+
+def stood(world: World) -> Stood | None:
+    """How agents stand now, for `resolve`; None where bodies take no room."""
+    if world.setting.contacts == "off":
+        return None
+    species = world.populations.items()
+    headings = {name: vec.copy(vec.named(population.now, "heading")) for name, population in species}
+    return Stood({name: population.position for name, population in species}, headings)
+
+
+def resolve(world: World, began: Stood, dt: float) -> None:
+    """Move apart who stands in another, after a substep that `began` so and took `dt` s."""
+    if len(world) < 2:
         return
+    effort, before, crowd = EFFORTS[world.setting.contacts], began.places, Crowd(world)
     near = find(crowd)
     if not len(near.i):
         return
@@ -83,7 +98,7 @@ def resolve(world: World, before: Mapping[str, Floats], facing: Mapping[str, Vec
     cut = np.zeros_like(near.middle)
     if world.setting.contacts == "hard":
         cut, stopped = _cut(crowd, near, before, dt)
-        _face_as_before(crowd, near, stopped, facing)
+        _face_as_before(crowd, near, stopped, began.headings)
     for _ in range(effort.rounds):
         asked = _apart(crowd, near, which, held, before, dt, effort, share, cut)
         cut = np.zeros_like(cut)
