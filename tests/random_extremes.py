@@ -138,6 +138,8 @@ param huge = 1e30
 param tiny = 1e-30
 carved = 0 mm^3
 let load_of_all = sum(f in all(food): f.load)
+on collision(met) { fear += odd; pal = met; heading = direction(met, to: self) }
+on collision(met: other) { luck -= met.mood * odd }
 fuzzy haste { rising(fear, 0 .. 1) -> 1; not meal -> 0.5; falling(luck * odd, 0 .. 1) -> 0.2 }
 """
 LINES = (

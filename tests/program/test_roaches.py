@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import meshes
 import numpy as np
 import pytest
 
 from antdsl.pipeline import open_scene
-from antdsl.runtime import Options, World, bind, step
+from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, Setting, World, bind, step
 
 SCENE = Path(__file__).resolve().parents[2] / "examples" / "roaches" / "scene.yaml"
 COUNT, FRAMES = 160, 150
@@ -64,3 +65,50 @@ def test_some_have_become_friends_and_some_foes(frames: tuple[World, list[dict[s
     _, found = frames
     values = np.concatenate([array for name, array in found[-1].items() if "likes" in name and array.dtype == np.float32])
     assert (values > 0.01).sum() > 3 and (values < -0.01).sum() > 3
+
+
+def felt(*places: tuple[float, float], frames: int) -> tuple[World, list[dict[str, np.ndarray]]]:
+    """Roaches at points (x, z, mm) of an endless floor without controls, who run towards the middle."""
+    shot, _ = open_scene(SCENE)
+    assert shot is not None
+    crowd = CrowdData("roach", len(places), PlaceData(points=np.array([[x, 0.0, z] for x, z in places])))
+    legs = {"legs": MeshData(*meshes.ball(10.0, (9000, 5, 9000), 2))}
+    world = bind(shot.plan, Setting(seed=3, crowds=(crowd,), obstacles=legs), Options(threads=1))
+    roaches, found = world.populations["roach"], []
+    for frame in range(frames):
+        if frame:
+            step(world)
+        rows = roaches.in_id_order()
+        found.append({name: array[rows].copy() for name, array in roaches.now.items()})
+    return world, found
+
+
+def likes(frame: dict[str, np.ndarray], roach: int) -> dict[int, float]:
+    """What a roach keeps about others, by id."""
+    return {
+        int(frame[f"likes|{k}.id"][roach]): float(frame[f"likes|{k}"][roach])
+        for k in range(8)
+        if frame[f"likes|{k}.id"][roach] >= 0
+    }
+
+
+def test_a_collision_upsets_both_and_makes_them_foes() -> None:
+    _, found = felt((0, 0), (5, 0), (300, 300), frames=2)
+    assert found[1]["calm"] == pytest.approx([0.95, 0.95, 1.0], abs=1e-6)
+    assert likes(found[1], 0) == {1: pytest.approx(-0.1, abs=0.01)} and likes(found[1], 1) == {0: pytest.approx(-0.1, abs=0.01)}
+
+
+def test_a_crowd_upsets_and_calm_comes_back() -> None:
+    side = np.arange(5) * 40.0
+    _, found = felt(*((float(x), float(z)) for x in side for z in side), (2000.0, 2000.0), frames=60)
+    middle, alone = 12, 25
+    assert found[12]["calm"][middle] < 0.95 and found[12]["calm"][alone] == 1
+    assert found[59]["calm"][alone] == 1
+
+
+def test_who_is_alone_grows_lonely_and_goes_to_look_for_others() -> None:
+    world, found = felt((0, 0), (20, 40), (3000, 0), frames=200)
+    lonely = np.array([frame["lonely"] for frame in found])
+    assert (np.diff(lonely[:20, 2]) > 0).all() and lonely[:10, 0].max() == 0
+    states = world.plan.species["roach"].machines[1].states
+    assert "homesick" in {states[int(frame["moving.state"][2])] for frame in found}

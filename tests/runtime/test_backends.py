@@ -94,8 +94,8 @@ def test_every_operation_is_covered():
         "clear.velocity",
         "gap.widest",
         "contact",
-    }  # tests/specs/test_specs.py, tests/numerics/test_noise.py, tests/senses/test_clear_velocity.py, tests/runtime/test_collisions.py,
-    wanted = set(ir.OPS) - elsewhere  # tests/runtime/test_meaning_others.py
+    }  # tests/specs/test_specs.py, tests/numerics/test_noise.py, tests/senses/test_clear_velocity.py,
+    wanted = set(ir.OPS) - elsewhere  # tests/runtime/test_meaning_others.py, tests/runtime/test_collisions.py
     wanted |= {"If", "Store", "Claim", "Give", *EFFECTS} - {"carve"}  # tests/runtime/test_digging.py
     lacking = wanted - operations(plans.rich()) - operations(surfaces_plan())
     assert not lacking, f"no plan here has {lacking}: put them into tests/plans.py, or name the test that they have above"

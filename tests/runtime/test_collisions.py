@@ -1,4 +1,4 @@
-"""`on collision`: noticed once on both sides, about one other a step, by species; the same bits on all backends and after a restart."""
+"""`on collision`: noticed once on both sides, about one other a step; the same bits on all backends and after a restart."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ BALLS = "size 10 mm\nmax_speed 40 mm/s\nresponse 0.01 s\nhits = 0\nwhom = none o
 STILL = "on spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s); heading = vector(1, 0, 0) }\n"
 MEETING = f"""species prey {{ {BALLS}
   way = vector(1, 0, 0)
-  on spawn {{ way = if dot(position, vector(1, 0, 0)) < 0 mm then vector(1, 0, 0) else vector(-1, 0, 0); velocity = way * 20 mm/s; heading = way }}
+  on spawn {{
+    way = if dot(position, vector(1, 0, 0)) < 0 mm then vector(1, 0, 0) else vector(-1, 0, 0)
+    velocity = way * 20 mm/s; heading = way
+  }}
   on collision(other) {{ hits += 1; whom = other }}
   start s
   state s {{ steer match(way * 20 mm/s) }}
