@@ -1,0 +1,9 @@
+"""Agent definitions: what all agents of one kind share, so that a body can be posed and drawn.
+
+A `Definition` is a `Rig` (a tree of joints with a rest pose, and channels), a library of `Shape`s, `Layer`s that bind shapes to
+joints, `Clip`s, `TransformGroup`s and metadata. It is read from its JSON documents, glTF or USD, and shared by all agents of a
+kind. What each agent has of its own (which clips at which times with which weights, and the poses that follow) is arrays over all
+agents: no object per agent, and none per joint of an agent.
+
+Matrices take column vectors: `world = parent_world @ local`, `point = matrix @ (x, y, z, 1)`. Quaternions are x, y, z, w.
+"""
