@@ -298,6 +298,14 @@ class LayerPlan:
     span: Span
 
 
+@dataclass(frozen=True, slots=True)
+class ClipPlan:
+    """A clip of the body by its name, on the joints of a transform group ("": all)."""
+
+    name: str
+    on: str = ""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeciesPlan:
     """`born` fills the registers at birth (placement and velocity are there already) and runs `on spawn`.
@@ -316,6 +324,7 @@ class SpeciesPlan:
     handles: tuple[str, ...]  # events
     layers: tuple[LayerPlan, ...]
     lazy: tuple[Node, ...] = ()  # worth keeping for the whole step once computed: senses used in more than one region
+    clips: tuple[ClipPlan, ...] = ()  # what its states play: registers of clips count these
 
 
 @dataclass(frozen=True, slots=True, eq=False)

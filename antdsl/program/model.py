@@ -16,6 +16,7 @@ from antdsl.program.kinds import Type as Type
 from antdsl.program.names.bindings import Bindings as Bindings
 from antdsl.program.typed import Attribute as Attribute
 from antdsl.program.typed import Binding as Binding
+from antdsl.program.typed import ClipTest as ClipTest
 from antdsl.program.typed import Const as Const
 from antdsl.program.typed import Expr as Expr
 from antdsl.program.typed import Inline as Inline
@@ -92,7 +93,19 @@ class Give:
     span: Span
 
 
-Statement = Steer | Face | Assign | Ask | Give
+@value
+class Play:
+    """`clip` is played as long as the state lasts, on the joints of the transform group `on` ("": all), `speed` times as fast as
+    it goes and with the share `weight` (None: 1)."""
+
+    clip: str
+    on: str
+    speed: Expr | None
+    weight: Expr | None
+    span: Span
+
+
+Statement = Steer | Face | Assign | Ask | Give | Play
 
 
 @value
@@ -124,6 +137,7 @@ class Transition:
     choices: tuple[tuple[int, Expr], ...]
     actions: tuple[Statement, ...]
     span: Span
+    over: Expr | None = None  # the time in which the clip of the state before gives way
 
 
 @value

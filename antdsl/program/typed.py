@@ -44,6 +44,14 @@ class StateConst(Expr):
 
 
 @value
+class ClipTest(Expr):
+    """Whether the clip of a machine has been played to its end, or has come to a `mark` ("": its end) in the last step."""
+
+    machine: str
+    mark: str
+
+
+@value
 class ParamRef(Expr):
     """A param by its qualified name, `forager.smell`."""
 

@@ -16,6 +16,7 @@ from antdsl.numerics import elementary, noise, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.plan import ir
 from antdsl.runtime.about import clear_velocity, widest_gap
+from antdsl.runtime.clip_values import clip_value
 from antdsl.runtime.collisions import contact
 from antdsl.runtime.moving import moving_geometry
 from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
@@ -262,6 +263,10 @@ def _widest_gap(world: World, population: Population, node: ir.Node, rows: Rows,
     return widest_gap(world, population, _numbered(rows), within, most)
 
 
+def _clip_value(world: World, population: Population, node: ir.Node, rows: Rows, clip: Value) -> Value:
+    return clip_value(world, population, node.attrs[0], clip)
+
+
 def _contact(world: World, population: Population, node: ir.Node, rows: Rows, *touched: Value) -> Value:
     """`touched`: ids of those whom the agent touched until now."""
     known = np.stack([np.asarray(_spread(each, rows), np.int64) for each in touched], axis=1)
@@ -294,4 +299,5 @@ SENSES: Mapping[str, Callable[..., Value]] = {
     "clear.velocity": _clear_velocity,
     "gap.widest": _widest_gap,
     "contact": _contact,
+    "clip.value": _clip_value,
 }

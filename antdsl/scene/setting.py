@@ -160,6 +160,17 @@ class CrowdData:
     body: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class ClipData:
+    """A clip of a body: how many `seconds` it takes, the way that it covers in one turn, in body lengths (0: it stays where it
+    is), whether it loops, and its marks in turns, by name."""
+
+    seconds: float = 1.0
+    stride: float = 0.0
+    loop: bool = True
+    marks: Mapping[str, float] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldStart:
     """A field's value at the first frame: everywhere, or only within `radius` mm of `around`."""
@@ -199,7 +210,7 @@ class Setting:
     `by_rays` agents stick to meshes by two rays a step and do not walk over triangles. `orient`: what bodies stand across: the
     ground's smooth `normal`, the last two directions of motion (`turns`), or the ways to two `probes`. `deviations`: how far (mm)
     the triangles of surfaces that are made of heights lie from bilinear patches, at most. `contacts` says how bodies
-    keep apart."""
+    keep apart. `clips`: of the body of each species, by name."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -224,6 +235,7 @@ class Setting:
     camera: CameraData | None = None
     detail: DetailData | None = None
     deviations: Mapping[str, float] = field(default_factory=dict)
+    clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
 
     @property
     def dt(self) -> float:

@@ -241,10 +241,10 @@ class Builder:
         return Block("exit", parts[1].lines, self.over(parts))
 
     def change(self, parts: list[Any]) -> n.Change:
-        interrupt, _, (condition, after, held), take, _, target, body = parts
+        interrupt, _, (condition, after, held), take, _, target, over, body = parts
         actions = body.lines if body else ()
         span = self.over(parts)
-        return n.Change(interrupt is not None, condition, after, held, take, target, actions, None, span)
+        return n.Change(interrupt is not None, condition, after, held, take, target, over, actions, None, span)
 
     def condition(self, parts: list[Any]) -> tuple[n.Expr | None, n.Expr | None, n.Expr | None]:
         return parts[0], None, parts[1]
@@ -279,6 +279,9 @@ class Builder:
 
     def ask_open(self, parts: list[Any]) -> n.Ask:
         return n.Ask(str(parts[0].value), self.word(parts[1]), None, _given(parts[3:-2]), parts[-1], self.over(parts))
+
+    def ask_called(self, parts: list[Any]) -> n.Ask:
+        return n.Ask(str(parts[0].value), self.word(parts[1]), None, _given(parts[3:-1]), None, self.over(parts))
 
     def ask_amount(self, parts: list[Any]) -> n.Ask:
         return n.Ask(str(parts[0].value), self.word(parts[1]), parts[2], (), None, self.over(parts))
@@ -348,6 +351,12 @@ class Builder:
 
     def is_none(self, parts: list[Any]) -> n.IsNone:
         return n.IsNone(parts[0], parts[2] is not None, self.over(parts))
+
+    def clip_done(self, parts: list[Any]) -> n.ClipTest:
+        return n.ClipTest(self.word(parts[1]), False, self.over(parts))
+
+    def clip_at(self, parts: list[Any]) -> n.ClipTest:
+        return n.ClipTest(self.word(parts[1]), True, self.over(parts))
 
     def pair_of(self, parts: list[Any]) -> n.PairOf:
         return n.PairOf(parts[0], parts[1], self.over(parts))

@@ -155,6 +155,15 @@ class IsNone:
 
 
 @node
+class ClipTest:
+    """`clip done` (`name` is that word), or with `at` `clip at MARK`: the clip of the state that the agent is in."""
+
+    name: Name
+    at: bool
+    span: Span
+
+
+@node
 class IfElse:
     condition: Expr
     then: Expr
@@ -196,7 +205,21 @@ class BadExpr:
 
 
 Expr = (
-    Number | Quantity | NameRef | Member | Index | Call | Unary | Binary | IsNone | IfElse | RangeExpr | PairOf | NoneOf | BadExpr
+    Number
+    | Quantity
+    | NameRef
+    | Member
+    | Index
+    | Call
+    | Unary
+    | Binary
+    | IsNone
+    | ClipTest
+    | IfElse
+    | RangeExpr
+    | PairOf
+    | NoneOf
+    | BadExpr
 )
 
 
@@ -294,8 +317,9 @@ class Target:
 
 @node
 class Change:
-    """A transition. `after` holds for `when after 0.5 s`; `condition` is None then. `held` goes with a condition.
-    `any_except` is a tuple for `from any except a, b when …` and None for a transition inside a state."""
+    """A transition. `after` holds for `when after 0.5 s`; `condition` is None then. `held` goes with a condition. `over` is the
+    time in which one clip gives way to the other. `any_except` is a tuple for `from any except a, b when …` and None for a
+    transition inside a state."""
 
     interrupt: bool
     condition: Expr | None
@@ -303,6 +327,7 @@ class Change:
     held: Expr | None
     take: Take | None
     target: Target
+    over: Expr | None
     actions: tuple[Action, ...]
     any_except: tuple[Name, ...] | None
     span: Span

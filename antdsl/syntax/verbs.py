@@ -14,6 +14,7 @@ SHAPES: dict[str, str] = {
     "alone": "",
     "name": "NAME",
     "open": "NAME [LPAR [_arguments] RPAR] [_TO expr] -> ask_open",
+    "called": "NAME [LPAR [_arguments] RPAR] -> ask_called",
     "arguments": "NAME LPAR [_arguments] RPAR",
     "amount": "NAME expr -> ask_amount",
     "own": "",
@@ -38,6 +39,6 @@ _ROWS = (
     Verb("emit", "open", "emit alarm(within: 50 mm)", "the name of an event"),
     Verb("spawn", "name", "spawn worker", "the name of a species"),
     Verb("die", "alone", "die"),
-    Verb("play", "name", "play walk", "the name of a clip"),
+    Verb("play", "called", "play walk", "the name of a clip"),
 )
 VERBS: dict[str, Verb] = {row.word: row for row in _ROWS}

@@ -8,7 +8,7 @@ from typing import Any
 from antdsl.plan import ir
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
-from antdsl.plan.lowering import pair_values, values
+from antdsl.plan.lowering import clips, pair_values, values
 from antdsl.plan.lowering.expressions import lower, own, scalar, single, vector
 from antdsl.plan.lowering.values import Named, Own, Ref, Vec
 from antdsl.plan.lowering.writer import AXES, NotYet, Writer
@@ -19,12 +19,16 @@ Operands = tuple[Node | None, ...]
 STEER, GAZE = "~steer", "~gaze"  # temps begin with a sign that no name of an author has
 
 
-def write(w: Writer, statements: Sequence[model.Statement], site: str) -> None:
-    """Write statements in text order; what cannot run yet is complained about and left out."""
+def write(w: Writer, statements: Sequence[model.Statement], site: str, machine: str = "") -> None:
+    """Write statements in text order; what cannot run yet is complained about and left out. `machine`: that of the
+    state whose body they are."""
     for number, statement in enumerate(statements, 1):
         w.b.span = statement.span
         try:
-            _WRITE[type(statement)](w, statement, f"{site}#{number}")
+            if isinstance(statement, model.Play):
+                clips.play(w, machine, statement)
+            else:
+                _WRITE[type(statement)](w, statement, f"{site}#{number}")
         except NotYet as missing:
             complain(w, missing)
 

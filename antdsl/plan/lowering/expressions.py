@@ -344,6 +344,10 @@ def _op(w: Writer, e: model.Op) -> Value:
     return rule(w, e)
 
 
+def _clip_test(w: Writer, e: model.ClipTest) -> Value:
+    return w.rules.clip(w, e)
+
+
 def _set(w: Writer, e: model.SetOf) -> Value:
     return w.rules.gather(w, e)
 
@@ -357,8 +361,8 @@ def _told(w: Writer, e: model.Expr) -> Value:
 
 
 _LOWER: dict[type, Callable[[Writer, Any], Value]] = {
-    model.Const: _const, model.NoneRef: _none, model.StateConst: _state, model.ParamRef: _param, model.Thing: _thing,
-    model.Local: _local, model.Inline: _inline, model.Attribute: _attribute, model.Op: _op,
+    model.Const: _const, model.NoneRef: _none, model.StateConst: _state, model.ClipTest: _clip_test, model.ParamRef: _param,
+    model.Thing: _thing, model.Local: _local, model.Inline: _inline, model.Attribute: _attribute, model.Op: _op,
     model.SetOf: _set, model.Reduce: _reduce,
     expectations.Whole: _told, expectations.AtStart: _told, expectations.Measured: _told,
     expectations.Other: _told, expectations.Bodily: _told, expectations.CellValue: _told,

@@ -11,7 +11,7 @@ from antdsl.diagnostics import Report
 from antdsl.plan import ir
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Block, Kind, Node
-from antdsl.plan.lowering import birth, blending, collisions, pair_values
+from antdsl.plan.lowering import birth, blending, clips, collisions, pair_values
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.expressions import own, scalar, truth, vector
 from antdsl.plan.lowering.lazy import lazy
@@ -94,7 +94,7 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
     events = tuple(sorted({node.attrs[0] for node in nodes if node.op == "event"}))
     return ir.SpeciesPlan(
         species.name, w.registers, tuple(m.plan() for m in machines), born, decide, act, blend, events, layers,
-        lazy(decide, act, blend),
+        lazy(decide, act, blend), clips.clips_of(species),
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from functools import partial
 
 from antdsl.plan import ir
 from antdsl.plan.ir import Kind, Node
+from antdsl.plan.lowering import clips
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.durations import advance, passed, steps
 from antdsl.plan.lowering.expressions import lower, present, scalar, truth
@@ -39,6 +40,8 @@ class MachineWriter:
         for part in ("state", "previous", "next"):
             w.declare(f"{self.name}.{part}", Kind.I32, "memory")
         w.declare(f"{self.name}.time_in_state", Kind.F32, "memory")
+        if clips.plays(machine):
+            clips.declare(w, machine)
         w.declare(self.pending, Kind.I32, "temp")
         w.declare(self.won, Kind.BOOL, "temp")
         for change in self.changes:
@@ -169,7 +172,11 @@ class MachineWriter:
         if self.changes:
             with w.region(self._changing(), self.machine.span):
                 self._change()
-        self._per_state(self.machine.states, lambda s: write(w, s.body, f"{self.site}.{s.name}"))
+        self._per_state(self.machine.states, self._body)
+
+    def _body(self, state: model.State) -> None:
+        write(self.w, state.body, f"{self.site}.{state.name}", self.name)
+        clips.rest(self.w, self.machine, state)
 
     def _changing(self) -> Node:
         b = self.w.b
@@ -190,6 +197,8 @@ class MachineWriter:
             target = b("where", self._is(change), self._target(change), target)
         w.store(f"{name}.next", target, self.machine.span)
         self._per_state((s for s in self.machine.states if s.exit), lambda s: write(w, s.exit, f"{self.site}.{s.name}.exit"))
+        if clips.plays(self.machine):
+            self._per_change(self.changes, lambda c: clips.give_way(w, self.machine, c.transition.over, c.transition.span))
         acting = (c for c in self.changes if c.transition.actions)
         self._per_change(acting, lambda c: write(w, c.transition.actions, c.transition.key))
         w.store(f"{name}.previous", old, self.machine.span)

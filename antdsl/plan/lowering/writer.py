@@ -44,6 +44,7 @@ class Rules(NamedTuple):
     gather: Callable[[Writer, model.SetOf], values.Value]
     reduce: Callable[[Writer, model.Reduce], values.Value]
     about: Callable[[Writer, model.AttributeDecl, model.Expr], Node]
+    clip: Callable[[Writer, model.ClipTest], Node]
 
 
 class Writer:

@@ -191,8 +191,9 @@ def _change(scope: Scope, names: MachineNames, node: nodes.Change, path: str) ->
     if target is None and not choices and not node.target.previous:
         return None
     return model.Transition(
-        key, node.interrupt, test, after, held, claim, target, node.target.previous, choices, actions, node.span
-    )
+        key, node.interrupt, test, after, held, claim, target, node.target.previous, choices, actions, node.span,
+        _duration(scope, node.over, "`over`"),
+    )  # fmt: skip
 
 
 def _after(scope: Scope, node: nodes.Expr | None) -> Expr | None:

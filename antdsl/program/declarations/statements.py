@@ -9,6 +9,7 @@ from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import Block, added
 from antdsl.program.declarations.asks import ask
+from antdsl.program.declarations.clips import play
 from antdsl.program.model import Expr, Kind, Type
 from antdsl.program.names.scope import NUMBER, PUSH, Scope, did_you_mean, listed, type_from_words
 from antdsl.program.tables.vocabulary import GIVEN
@@ -171,6 +172,10 @@ def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) ->
     return None
 
 
+def _ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Statement | None:
+    return play(scope, line, block) if line.verb == "play" else ask(scope, line, block)
+
+
 def _give(scope: Scope, line: nodes.Give, block: Block) -> model.Statement | None:
     species = scope.species
     assert species is not None
@@ -299,5 +304,5 @@ def _holds(scope: Scope, node: nodes.Expr, found: Expr, attribute: nodes.Name, o
 
 
 _RULES: dict[type, Callable[..., model.Statement | None]] = {
-    nodes.Steer: _steer, nodes.Face: _face, nodes.Assign: _assign, nodes.Ask: ask, nodes.Give: _give,
+    nodes.Steer: _steer, nodes.Face: _face, nodes.Assign: _assign, nodes.Ask: _ask, nodes.Give: _give,
 }  # fmt: skip

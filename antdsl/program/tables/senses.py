@@ -259,6 +259,15 @@ _ROWS = (
         operands="ff",
     ),
     Sense(
+        "clip.value",
+        "",
+        (Part("value"),),
+        "of a clip of the species' body: seconds, stride (body lengths a turn), loop (1 or 0), `mark NAME` (turns, -1 without "
+        "it); a second, 0 and 1 for no clip",
+        operands="i",
+        attrs=("what",),
+    ),
+    Sense(
         "contact",
         "species",
         (Part("whom", "l"), *(Part(f"touched{number}", "l") for number in range(1, limits.TOUCHED + 1))),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from antdsl.plan.lowering import pair_values
+from antdsl.plan.lowering import clips, pair_values
 from antdsl.plan.lowering.rules import chance, logic, numbers, places, senses, vectors
 from antdsl.plan.lowering.sets import gather, reduce
 from antdsl.plan.lowering.values import Value
@@ -19,4 +19,4 @@ OPERATIONS: dict[str, Callable[[Writer, model.Op], Value]] = {
     **places.RULES,
     **senses.RULES,
 }
-RULES = Rules(OPERATIONS, gather, reduce, pair_values.read)
+RULES = Rules(OPERATIONS, gather, reduce, pair_values.read, clips.test)

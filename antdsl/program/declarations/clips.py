@@ -1,0 +1,44 @@
+"""Clips in behaviour: `play walk` in a state, and what a change says of how one gives way to the next."""
+
+from __future__ import annotations
+
+from antdsl.program import model
+from antdsl.program.declarations.amounts import Block
+from antdsl.program.kinds import Kind
+from antdsl.program.names.scope import NUMBER, Scope
+from antdsl.program.types.arguments import Slot, arranged, type_all
+from antdsl.program.types.operators import wanted
+from antdsl.syntax import nodes
+
+_SLOTS = (Slot("speed", required=False), Slot("weight", required=False), Slot("on", required=False))
+
+
+def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
+    """`play walk`, `play walk(speed: 0.5)`, `play wave(on: arms, weight: 0.8)`; None after a complaint."""
+    assert line.name is not None
+    clip = line.name.text
+    found = arranged(scope, "play", _SLOTS, line, f"play {clip}") if line.arguments else {}
+    if found is None:
+        type_all(scope, line)
+        return None
+    if not block.body:
+        scope.report.error(
+            "misplaced", f"`play {clip}` stands in an action, and a clip goes on as long as a state", line.span,
+            f"write `play {clip}` as a line of the state itself",
+        )  # fmt: skip
+        return None
+    given = {name: arguments[0].value for name, arguments in found.items()}
+    numbers = {
+        name: wanted(scope, given[name], NUMBER, f"`{name}` of `play`") if name in given else None for name in ("speed", "weight")
+    }
+    if any(each is not None and each.type.kind is Kind.BAD for each in numbers.values()):
+        return None
+    on = given.get("on")
+    if on is not None and not isinstance(on, nodes.NameRef):
+        text = " ".join(on.span.text.split())
+        scope.report.error(
+            "wrong-argument", f"`on` of `play` names a transform group of the body, and `{text}` is no name", on.span,
+            f"write `play {clip}(on: arms)`",
+        )  # fmt: skip
+        return None
+    return model.Play(clip, on.name.text if isinstance(on, nodes.NameRef) else "", numbers["speed"], numbers["weight"], line.span)

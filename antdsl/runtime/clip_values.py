@@ -1,0 +1,29 @@
+"""What is known of the clips that a species plays: from the definition of its body, by the names that its states say."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.world import Population, World
+from antdsl.scene.setting import ClipData
+
+_UNKNOWN = ClipData()
+
+
+def clip_value(world: World, population: Population, what: str, clip: Any) -> NDArray[np.float32]:
+    """`seconds`, `stride`, `loop` or `mark NAME` of clips by their numbers in the species' plan; of none as of an unknown one."""
+    known = world.setting.clips.get(population.name, {})
+    every = [known.get(each.name, _UNKNOWN) for each in population.plan.clips]
+    values = np.array([_of(each, what) for each in (*every, _UNKNOWN)], np.float32)
+    number = np.asarray(clip)
+    found: NDArray[np.float32] = values[np.where((number >= 0) & (number < len(every)), number, len(every))]
+    return found
+
+
+def _of(clip: ClipData, what: str) -> float:
+    if what.startswith("mark "):
+        return clip.marks.get(what.removeprefix("mark "), -1.0)
+    return float(getattr(clip, what))

@@ -1,0 +1,147 @@
+"""`play`: clips go by the ground covered or the clock, give way to each other, and can be asked for; the same bits everywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from meaning import WAYS, Seen, crowd, play
+from plan_text import plan_of
+
+from antdsl.passes import optimise
+from antdsl.runtime import Options, bind, checkpoint, restore, state_hash, step
+from antdsl.scene.setting import ClipData, Setting
+
+EVERY_WAY = (*WAYS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
+CLIPS = {
+    "a": {
+        "walk": ClipData(1.0, 0.5, True, {"foot": 0.5}),
+        "run": ClipData(0.5, 1.0, True),
+        "wave": ClipData(0.8, 0.0, False, {"top": 0.5}),
+        "breathe": ClipData(2.0, 0.0, True),
+    }
+}
+GOES = "match(vector(10 mm/s, 0 mm/s, 0 mm/s))"
+HEAD = """species a { size 10 mm
+  max_speed 20 mm/s
+  response 0.001 s
+  on spawn { velocity = vector(10 mm/s, 0 mm/s, 0 mm/s); heading = vector(1, 0, 0) }
+"""
+
+
+def shown(states: str, steps: int, count: int = 1, start: str = "one", **more: object) -> Seen:
+    return play(
+        f"{HEAD}start {start}\n{states} }}", crowd(count, radius=20.0), steps=steps, ways=EVERY_WAY, clips=CLIPS, **more
+    )  # type: ignore[arg-type]
+
+
+def turns(seen: Seen, number: int = 0, name: str = "clip_turns") -> np.ndarray:
+    return np.array(seen.every(f"main.{name}", number))
+
+
+def test_a_clip_that_covers_ground_goes_by_the_ground_and_others_by_the_clock() -> None:
+    # 10 mm/s over half a body length of 10 mm a turn: two turns a second.
+    walked = turns(shown(f"state one {{ play walk; steer {GOES} }}", 10))[1:]
+    assert np.diff(walked) == pytest.approx(np.full(9, 0.2), abs=1e-5)
+    waited = turns(shown(f"state one {{ play breathe; steer {GOES} }}", 10))[1:]
+    assert np.diff(waited) == pytest.approx(np.full(9, 0.05), abs=1e-5)
+    hurried = turns(shown(f"state one {{ play breathe(speed: 3); steer {GOES} }}", 10))[1:]
+    assert np.diff(hurried) == pytest.approx(np.full(9, 0.15), abs=1e-5)
+    stands = turns(shown("state one { play walk; steer match(vector(0 mm/s, 0 mm/s, 0 mm/s)) }", 10))[3:]
+    assert np.abs(np.diff(stands)).max() < 1e-3
+
+
+def test_loops_begin_anywhere_and_others_at_their_start() -> None:
+    begun = [turns(seen := shown(f"state one {{ play walk; steer {GOES} }}", 1, count=40), k)[1] for k in range(40)]
+    assert seen.world.faults.count == 0 and min(begun) < 0.2 and max(begun) > 0.8 and max(begun) < 1
+    assert turns(shown(f"state one {{ play wave; steer {GOES} }}", 1))[1] == 0
+
+
+def test_one_that_does_not_loop_stays_at_its_end_and_is_done() -> None:
+    states = f"state one {{ play wave; steer {GOES}; when clip done -> two }}; state two {{ play breathe; steer {GOES} }}"
+    seen = shown(states, 14)
+    assert seen.states() == ["one"] * 10 + ["two"] * 5
+    assert turns(seen)[1:10] == pytest.approx(np.minimum(np.arange(9) * 0.125, 1), abs=1e-5)
+
+
+def test_a_mark_is_passed_once_a_turn() -> None:
+    states = f"state one {{ play walk; steer {GOES}; when clip at foot -> one {{ steps += 1 }} }}; steps = 0"
+    seen = shown(states, 41)
+    passed = np.diff(np.floor(turns(seen)[1:] - 0.5)).sum()
+    assert 7 <= seen["steps"][0] <= 8 and abs(seen["steps"][0] - passed) <= 1
+    states = f"state one {{ play wave; steer {GOES}; when clip at top -> two }}; state two {{ play wave; steer {GOES} }}"
+    assert shown(states, 10).states().index("two") == 6
+    never = f"state one {{ play walk; steer {GOES}; when clip at nowhere -> two }}; state two {{ play wave; steer {GOES} }}"
+    assert set(shown(never, 20).states()) == {"one"}
+
+
+def test_the_clip_before_gives_way_in_the_time_that_is_said() -> None:
+    states = f"""state one {{ play walk; steer {GOES}; when after 0.5 s -> two over 0.4 s }}
+      state two {{ play wave; steer {GOES}; when after 0.6 s -> three }}
+      state three {{ steer {GOES} }}"""
+    seen = shown(states, 16)
+    assert seen.states().index("two") == 6 and seen.states().index("three") == 12
+    fade = turns(seen, name="clip_fade")
+    assert fade[:6] == pytest.approx(0) and fade[6:11] == pytest.approx([0.75, 0.5, 0.25, 0, 0], abs=1e-6)
+    assert fade[12] == pytest.approx(1 / 3, abs=1e-5) and fade[13] == 0  # 0.15 s where nothing is said
+    assert seen.every("main.clip") == [-1] + [0] * 5 + [1] * 6 + [-1] * 5
+    before = turns(seen, name="clip_before_turns")
+    assert np.diff(before[6:9]) == pytest.approx(0.2, abs=1e-5)  # it goes on meanwhile
+
+
+def test_two_that_cover_ground_keep_step() -> None:
+    states = f"state one {{ play walk; steer {GOES}; when after 0.5 s -> two }}; state two {{ play run; steer {GOES} }}"
+    seen = shown(states, 8)
+    last = turns(seen)[5]
+    assert turns(seen)[6] == pytest.approx(last % 1 + 0.1, abs=1e-5)
+
+
+def test_weights_and_groups() -> None:
+    states = f"state one {{ play walk(weight: 0.25); steer {GOES}; when after 0.3 s -> two }}"
+    seen = shown(states + f"\nstate two {{ play walk(on: arms, weight: 7); steer {GOES} }}", 6)
+    assert seen.every("main.clip_weight") == [0] + [0.25] * 3 + [1] * 3
+    assert [(clip.name, clip.on) for clip in seen.world.plan.species["a"].clips] == [("walk", ""), ("walk", "arms")]
+
+
+def test_machines_play_beside_each_other() -> None:
+    text = f"""{HEAD}
+      machine legs {{ start one; state one {{ play walk; steer {GOES} }} }}
+      machine arms {{ start rest; state rest {{ when after 0.3 s -> wave }}; state wave {{ play wave(on: arms) }} }}
+    }}"""
+    seen = play(text, crowd(1), steps=6, ways=EVERY_WAY, clips=CLIPS)
+    assert seen.every("legs.clip") == [-1] + [0] * 6 and seen.every("arms.clip") == [-1] * 4 + [1] * 3
+
+
+def test_a_checkpoint_goes_on_where_clips_are() -> None:
+    text = f"{HEAD}start one\nstate one {{ play walk; steer {GOES}; when chance 50 %/s -> two over 0.5 s }}"
+    text += f"\nstate two {{ play wave; steer {GOES}; when clip done -> one }} }}"
+    setting = Setting(crowds=(crowd(30, radius=40.0),), seed=2, clips=CLIPS)
+    made, again = (bind(optimise(plan_of(text)), setting, Options(backend=name)) for name in ("numpy", "reference"))
+    for _ in range(20):
+        step(made)
+    restore(again, checkpoint(made))
+    hashes = []
+    for world in (made, again):
+        hashes.append([])
+        for _ in range(5):
+            step(world)
+            hashes[-1].append(state_hash(world))
+    assert hashes[0] == hashes[1]
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "help"),
+    [
+        ("enter { play wave }", "misplaced", "write `play wave` as a line of the state itself"),
+        ("play wave(on: 3)", "wrong-argument", "write `play wave(on: arms)`"),
+        ("play wave(speed: 2 mm)", "wrong-unit", None),
+        ("play wave(loud: 2)", "unknown-argument", None),
+        ("when clip over -> s", "unknown-name", "write `clip done`, or for a mark `clip at over`"),
+        ("when after 1 s -> s over 3 mm", "wrong-unit", None),
+    ],
+)
+def test_mistakes_are_told_with_what_to_write(line: str, code: str, help: str | None) -> None:
+    from test_program import checked
+
+    _, report = checked(f"ant 1\nspecies a {{\n  start s\n  state s {{\n    steer heading\n    {line}\n  }}\n}}\n")
+    assert [d.code for d in report.errors] == [code], [(d.code, d.message, d.help) for d in report.errors]
+    assert report.errors[0].span is not None and help in (None, report.errors[0].help)
