@@ -50,7 +50,7 @@ INNER = (
     "when", "interrupt", "within", "as", "on", "any", "except", "for", "each", "held", "after", "take", "from", "all", "to",
     "until", "then", "relax", "over", "strongest", "if", "else", "at", "least",
 )  # fmt: skip
-OPERATORS = ("or", "and", "not", "no", "is", "none", "of", "chance", "in")
+OPERATORS = ("or", "and", "not", "no", "is", "none", "of", "chance", "clip", "in")
 CLAIMS = tuple(word for word, form in FORMS.items() if form.startswith(f"{word}:"))  # a colon follows these
 
 _NAME = "[a-z][a-z_0-9]*"

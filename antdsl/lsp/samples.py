@@ -19,6 +19,7 @@ INNER_FORMS = {
     "all": "give all load to nest",
     "after": "when after 5 s -> rest",
     "held": "when speed < 1 mm/s held 0.5 s -> rest",
+    "clip": "when clip done -> rest",
     "chance": "when chance 20 %/s -> rest",
     "for": "state rest for at least 1 s { when after 2 s -> walk }",
     "least": "state rest for at least 1 s { when after 2 s -> walk }",

@@ -82,7 +82,7 @@ FORM_HELP = {
     "within": "holds before a time is over",
     "each": "asks of every agent",
     "ant": "the edition of the language",
-    "play": "plays a clip; not yet",
+    "play": "the clip that the body plays in this state",
 }
 # Words inside a line; some of them begin lines too and mean something else there.
 INNER_HELP = {
@@ -99,6 +99,7 @@ INNER_HELP = {
     "after": "so long in this state",
     "held": "it must have been so without a break for that long",
     "chance": "happens at that rate, whatever the frames a second; a share where it is asked once",
+    "clip": "the clip that is played: `clip done`, or `clip at MARK`",
     "for": "the shortest time in this state, or what a value is about",
     "least": "`for at least 1 s`: nothing but `interrupt` leaves the state sooner",
     "choose": "one of several states, by weight",

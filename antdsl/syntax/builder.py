@@ -224,7 +224,7 @@ class Builder:
         return n.State(self.word(name), self.text(label), self.word(colour), least, lines, enter, exit, self.over(parts))
 
     def at_least(self, parts: list[Any]) -> Result:
-        return Result(parts[1], self.over(parts))
+        return Result(parts[2], self.over(parts))
 
     # --- lines of a state ---
 
@@ -242,8 +242,7 @@ class Builder:
 
     def change(self, parts: list[Any]) -> n.Change:
         interrupt, _, (condition, after, held), take, _, target, over, body = parts
-        actions = body.lines if body else ()
-        span = self.over(parts)
+        actions, span = body.lines if body else (), self.over(parts)
         return n.Change(interrupt is not None, condition, after, held, take, target, over, actions, None, span)
 
     def condition(self, parts: list[Any]) -> tuple[n.Expr | None, n.Expr | None, n.Expr | None]:
@@ -255,8 +254,7 @@ class Builder:
     def take(self, parts: list[Any]) -> n.Take:
         _, amount, attribute, _, source = parts
         every = getattr(amount, "type", None) == "ALL"
-        name = None if attribute is None else self.word(attribute)
-        return n.Take(None if every else amount, name, source, self.over(parts))
+        return n.Take(None if every else amount, self.word(attribute), source, self.over(parts))
 
     def target_state(self, parts: list[Any]) -> n.Target:
         return n.Target(self.word(parts[0]), False, (), self.over(parts))
@@ -280,16 +278,12 @@ class Builder:
     def ask_open(self, parts: list[Any]) -> n.Ask:
         return n.Ask(str(parts[0].value), self.word(parts[1]), None, _given(parts[3:-2]), parts[-1], self.over(parts))
 
-    def ask_called(self, parts: list[Any]) -> n.Ask:
-        return n.Ask(str(parts[0].value), self.word(parts[1]), None, _given(parts[3:-1]), None, self.over(parts))
-
     def ask_amount(self, parts: list[Any]) -> n.Ask:
         return n.Ask(str(parts[0].value), self.word(parts[1]), parts[2], (), None, self.over(parts))
 
     def give(self, parts: list[Any]) -> n.Give:
-        _, amount, attribute, to = parts
-        every = getattr(amount, "type", None) == "ALL"
-        return n.Give(None if every else amount, self.word(attribute), to, self.over(parts))
+        every = getattr(parts[1], "type", None) == "ALL"
+        return n.Give(None if every else parts[1], self.word(parts[2]), parts[3], self.over(parts))
 
     # --- lines of a behaviour and of a spec ---
 
@@ -352,11 +346,8 @@ class Builder:
     def is_none(self, parts: list[Any]) -> n.IsNone:
         return n.IsNone(parts[0], parts[2] is not None, self.over(parts))
 
-    def clip_done(self, parts: list[Any]) -> n.ClipTest:
-        return n.ClipTest(self.word(parts[1]), False, self.over(parts))
-
-    def clip_at(self, parts: list[Any]) -> n.ClipTest:
-        return n.ClipTest(self.word(parts[1]), True, self.over(parts))
+    def clip_test(self, parts: list[Any]) -> n.ClipTest:
+        return n.ClipTest(self.word(parts[2]), parts[1] is not None, self.over(parts))
 
     def pair_of(self, parts: list[Any]) -> n.PairOf:
         return n.PairOf(parts[0], parts[1], self.over(parts))

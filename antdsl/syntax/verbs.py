@@ -14,7 +14,7 @@ SHAPES: dict[str, str] = {
     "alone": "",
     "name": "NAME",
     "open": "NAME [LPAR [_arguments] RPAR] [_TO expr] -> ask_open",
-    "called": "NAME [LPAR [_arguments] RPAR] -> ask_called",
+    "called": "NAME [LPAR [_arguments] RPAR]",
     "arguments": "NAME LPAR [_arguments] RPAR",
     "amount": "NAME expr -> ask_amount",
     "own": "",

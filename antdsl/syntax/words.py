@@ -214,6 +214,7 @@ AFTER: dict[str, str] = {
     "to": "where to",
     "in": "a range, such as `0 mm .. 200 mm`",
     "chance": "a rate, such as `20 %/s`",
+    "clip": "`done`, or `at` and the name of a mark",
     "until": "a condition",
     "state": "the name of the state",
     "start": "the name of a state",

@@ -29,9 +29,7 @@ HEAD = """species a { size 10 mm
 
 
 def shown(states: str, steps: int, count: int = 1, start: str = "one", **more: object) -> Seen:
-    return play(
-        f"{HEAD}start {start}\n{states} }}", crowd(count, radius=20.0), steps=steps, ways=EVERY_WAY, clips=CLIPS, **more
-    )  # type: ignore[arg-type]
+    return play(f"{HEAD}start {start}\n{states} }}", crowd(count, radius=20.0), steps=steps, ways=EVERY_WAY, clips=CLIPS, **more)  # type: ignore[arg-type]
 
 
 def turns(seen: Seen, number: int = 0, name: str = "clip_turns") -> np.ndarray:

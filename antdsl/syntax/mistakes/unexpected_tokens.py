@@ -60,7 +60,7 @@ _NEEDED = (
     ("_IN", "`in`"),
     ("WHEN", "`when`"),
     ("ANY", "`any`"),
-    ("_AT", "`at`"),
+    ("AT", "`at`"),
     ("_LEAST", "`least`"),
     ("EACH", "`each`"),
     ("AS", "`as`"),
