@@ -20,6 +20,7 @@ INNER_FORMS = {
     "after": "when after 5 s -> rest",
     "held": "when speed < 1 mm/s held 0.5 s -> rest",
     "clip": "when clip done -> rest",
+    "done": "when clip done -> rest",
     "chance": "when chance 20 %/s -> rest",
     "for": "state rest for at least 1 s { when after 2 s -> walk }",
     "least": "state rest for at least 1 s { when after 2 s -> walk }",

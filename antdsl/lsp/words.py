@@ -100,6 +100,7 @@ INNER_HELP = {
     "held": "it must have been so without a break for that long",
     "chance": "happens at that rate, whatever the frames a second; a share where it is asked once",
     "clip": "the clip that is played: `clip done`, or `clip at MARK`",
+    "done": "`clip done`: the clip has been played through",
     "for": "the shortest time in this state, or what a value is about",
     "least": "`for at least 1 s`: nothing but `interrupt` leaves the state sooner",
     "choose": "one of several states, by weight",

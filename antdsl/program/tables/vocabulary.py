@@ -287,4 +287,4 @@ INTERVALS: dict[str, tuple[float, float]] = {row.op: row.interval for row in _RO
 COSTS: dict[str, Cost] = {row.op: row.cost for row in _ROWS if row.cost is not None} | {"chance": _DRAW}
 
 # Words with a meaning to come. Used as a name they are refused, used as a construct they get a placed "not yet".
-RESERVED = ("play", "repeat", "import", "share", "total", "clip")
+RESERVED = ("repeat", "import", "share", "total")
