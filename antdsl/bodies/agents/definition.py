@@ -21,8 +21,8 @@ UP = (0.0, 1.0, 0.0)
 @dataclass(frozen=True, slots=True, eq=False)
 class Definition:
     """`front` and `up`: the axes of its space that it looks along and stands along; `length`: how long it is along `front` in
-    its own units, which is what an agent's `size` scales it to; `unit`: millimetres in one of its units. `materials`: base colours
-    (linear, 0 to 1) by name."""
+    its own units, which is what an agent's `size` scales it to; `unit`: millimetres in one of its units. `materials`: base
+    colours (linear, 0 to 1) by name."""
 
     name: str
     rig: Rig

@@ -26,7 +26,14 @@ _COMPRESSED = {
     "EXT_meshopt_compression": "meshopt",
     "KHR_meshopt_compression": "meshopt",
 }
-_HARMLESS = ("KHR_mesh_quantization", "KHR_texture_transform", "KHR_materials_", "KHR_lights_punctual", "EXT_texture_", "KHR_texture_")
+_HARMLESS = (
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+    "KHR_materials_",
+    "KHR_lights_punctual",
+    "EXT_texture_",
+    "KHR_texture_",
+)
 
 
 class Gltf:
@@ -40,14 +47,16 @@ class Gltf:
         self._left = limits.BODY_BYTES
         self._buffers: dict[int, bytes] = {}
         self._kept: dict[int, NDArray[Any]] = {}
+        self._decoded = 0
+        self._tops: dict[str, list[dict[str, Any]]] = {}
         version = str(self.object(self.tree, "asset").get("version", ""))
         if not version.startswith("2."):
             raise BodyError(f"is glTF {version[:10] or 'without a version'}, and 2.0 is read", _EXPORT)
-        for name in self.tree.get("extensionsRequired") or ():
+        for name in map(str, self.list(self.tree, "extensionsRequired")):
             if name in _COMPRESSED:
                 raise BodyError(f"is compressed with {_COMPRESSED[name]}, which is not read", "export it without compression")
-            if not isinstance(name, str) or not name.startswith(_HARMLESS):
-                raise BodyError(f"needs the extension `{str(name)[:60]}`, which is not read", "export it without")
+            if not name.startswith(_HARMLESS):
+                raise BodyError(f"needs the extension `{name[:60]}`, which is not read", "export it without")
 
     # ---- JSON
 
@@ -82,6 +91,12 @@ class Gltf:
             raise BodyError(f"names `{what}` {str(value)[:20]}, of which there are {count:,}", _EXPORT)
         return value
 
+    def top(self, key: str) -> list[dict[str, Any]]:
+        """A list of the file itself, such as `nodes`, looked through once."""
+        if key not in self._tops:
+            self._tops[key] = self.objects(self.tree, key)
+        return self._tops[key]
+
     def floats(self, holder: dict[str, Any], key: str, otherwise: tuple[float, ...]) -> NDArray[np.float64]:
         """As many numbers as `otherwise` has, which stands for what is not there."""
         found = holder.get(key, otherwise)
@@ -101,7 +116,7 @@ class Gltf:
 
     def accessor(self, number: Any, width: int | None = None) -> NDArray[Any]:
         """The values (count, width) of an accessor: float64 for floats and for what stands for shares, int64 otherwise."""
-        accessors = self.objects(self.tree, "accessors")
+        accessors = self.top("accessors")
         number = self.number_of(number, "accessor", len(accessors))
         if number not in self._kept:
             self._kept[number] = self._read(accessors[number], number)
@@ -116,7 +131,8 @@ class Gltf:
         if kind is None or width is None or isinstance(count, bool) or not isinstance(count, int) or count < 0:
             raise BodyError(f"has an accessor {number} of a kind that is not known", _EXPORT)
         size = np.dtype(kind).itemsize * width
-        if count * max(size, 8 * width) > limits.BODY_BYTES:
+        self._decoded += count * max(size, 8 * width)
+        if self._decoded > 4 * limits.BODY_BYTES:
             raise BodyError(f"has an accessor {number} of {count:,} values, more than are read", code="too-large")
         if width == 16 and np.dtype(kind).itemsize < 4:
             raise BodyError(f"has an accessor {number} of a kind that is not known", _EXPORT)
@@ -147,7 +163,7 @@ class Gltf:
 
     def _rows(self, view: Any, start: Any, count: int, kind: str, width: int) -> NDArray[Any]:
         """`count` rows of a buffer view, from byte `start` of it on."""
-        views = self.objects(self.tree, "bufferViews")
+        views = self.top("bufferViews")
         found = views[self.number_of(view, "bufferView", len(views))]
         offset, length, stride = found.get("byteOffset", 0), found.get("byteLength"), found.get("byteStride", 0)
         size = np.dtype(kind).itemsize * width
@@ -166,7 +182,7 @@ class Gltf:
         return np.ascontiguousarray(raw)
 
     def _buffer(self, number: Any) -> bytes:
-        buffers = self.objects(self.tree, "buffers")
+        buffers = self.top("buffers")
         number = self.number_of(number, "buffer", len(buffers))
         if number not in self._buffers:
             data = self._fetched(buffers[number], number)
@@ -224,7 +240,9 @@ def _parts(data: bytes) -> tuple[bytes, bytes | None]:
 
 def _parsed(text: bytes) -> dict[str, Any]:
     if len(text) > limits.BODY_TEXT_BYTES:
-        raise BodyError(f"has more than {limits.BODY_TEXT_BYTES:,} bytes of JSON", "write its buffers to a .bin file", "too-large")
+        raise BodyError(
+            f"has more than {limits.BODY_TEXT_BYTES:,} bytes of JSON", "write its buffers to a .bin file", "too-large"
+        )
     try:
         found = json.loads(text.decode("utf-8-sig"), parse_constant=_no_number)
     except (ValueError, RecursionError):
