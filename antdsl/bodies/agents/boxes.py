@@ -7,6 +7,7 @@ middle of a box, so that it means the same wherever the box lies."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from antdsl.bodies.agents.layer import Binding
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.agents.transforms import world_matrices
 
-Floats = NDArray[np.float32] | NDArray[np.float64]
+Floats = NDArray[Any]  # float32 or float64
 
 
 def layer_boxes(definition: Definition, worlds: Floats, layers: Sequence[str]) -> tuple[Floats, Floats]:

@@ -41,12 +41,12 @@ def read_clips(file: Gltf, joint: Mapping[int, str], weights: Mapping[int, tuple
     return list(found.values())
 
 
-def even_times(seconds: float, rate: float) -> tuple[Floats, float]:
+def even_times(seconds: float, rate: float) -> tuple[NDArray[Any], float]:
     """Moments from 0 to `seconds`, both among them, about `rate` a second; and how many a second they are."""
     steps = max(1, round(seconds * rate))
     if seconds <= 0:
         return np.zeros(1), rate
-    return np.arange(steps + 1) * (seconds / steps), steps / seconds
+    return np.arange(steps + 1, dtype=np.float64) * (seconds / steps), steps / seconds
 
 
 def _clip(
@@ -139,4 +139,4 @@ class _Keys:
         start, leaving = self.values[before, 1], self.values[before, 2]
         arriving, end = self.values[before + 1, 0], self.values[before + 1, 1]
         first = (2 * t3 - 3 * t2 + 1) * start + d * (t3 - 2 * t2 + t) * leaving
-        return first + (3 * t2 - 2 * t3) * end + d * (t3 - t2) * arriving
+        return np.asarray(first + (3 * t2 - 2 * t3) * end + d * (t3 - t2) * arriving)

@@ -52,7 +52,7 @@ class Gltf:
         version = str(self.object(self.tree, "asset").get("version", ""))
         if not version.startswith("2."):
             raise BodyError(f"is glTF {version[:10] or 'without a version'}, and 2.0 is read", _EXPORT)
-        for name in map(str, self.list(self.tree, "extensionsRequired")):
+        for name in map(str, self.listed(self.tree, "extensionsRequired")):
             if name in _COMPRESSED:
                 raise BodyError(f"is compressed with {_COMPRESSED[name]}, which is not read", "export it without compression")
             if not name.startswith(_HARMLESS):
@@ -67,7 +67,7 @@ class Gltf:
             raise BodyError(f"has a `{key}` that is no object", _EXPORT)
         return found
 
-    def list(self, holder: dict[str, Any], key: str) -> list[Any]:
+    def listed(self, holder: dict[str, Any], key: str) -> list[Any]:
         """A list, empty where there is none."""
         found = holder.get(key, [])
         if not isinstance(found, list):
@@ -76,7 +76,7 @@ class Gltf:
 
     def objects(self, holder: dict[str, Any], key: str) -> list[dict[str, Any]]:
         """A list of objects, empty where there is none."""
-        found = self.list(holder, key)
+        found = self.listed(holder, key)
         if not all(isinstance(each, dict) for each in found):
             raise BodyError(f"has `{key}` that are no objects", _EXPORT)
         return found
