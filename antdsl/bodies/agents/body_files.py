@@ -103,7 +103,10 @@ class BodyFiles:
     def shown(self, path: str) -> str:
         """How a file is called in complaints."""
         full = self.full(path)
-        return str(self.named[full]) if full in self.named else full
+        beside = next(iter(self.named.values()), None)
+        if full in self.named or beside is None or _ROOTED.match(full):
+            return str(self.named.get(full, full))
+        return str(beside.parent / full)
 
     def body(self, path: str, place: Span | None, prim: str = "", rate: float = 0.0) -> Definition | None:
         """The definition in a glTF or USD file, read once. `prim`: of USD, what lies at and below it; `rate`: samples a second of

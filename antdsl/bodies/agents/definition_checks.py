@@ -22,10 +22,11 @@ from antdsl.source import Span
 def whole(parts: Parts, report: Report) -> Definition | None:
     """The definition with its length measured where none is given; None where one of the complaints is an error."""
     found = parts.definition
+    sound = report.ok  # else a shape may be missing only because its file could not be read
     _sizes(found, parts.whole, report)
     for name, layer in found.layers.items():
         for binding in (*layer.static, *layer.deforming):
-            _binding(found, binding, parts.layers.get(name), report)
+            _binding(found, binding, parts.layers.get(name), report, sound)
     for name, group in found.groups.items():
         place = parts.groups.get(name)
         for joint, _ in group.members:
@@ -62,11 +63,11 @@ def _unknown(report: Report, place: Place | None, what: str, name: str, known: o
     say("unknown-name", f"there is no {what} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
 
 
-def _binding(found: Definition, binding: Binding, place: Place | None, report: Report) -> None:
+def _binding(found: Definition, binding: Binding, place: Place | None, report: Report, sound: bool) -> None:
     if binding.transform and binding.transform not in found.rig.names:
         _unknown(report, place, "joint", binding.transform, found.rig.names)
     shape = found.shapes.get(binding.shape)
-    if shape is None:
+    if shape is None and sound:
         _unknown(report, place, "shape", binding.shape, found.shapes)
     if binding.deformer and binding.deformer not in DOCUMENTED_DEFORMERS:
         near = nearest_name(binding.deformer, DOCUMENTED_DEFORMERS)
@@ -110,8 +111,9 @@ def _shape(found: Definition, shape: Shape, place: Span | None, report: Report) 
 def _measured(found: Definition, parts: Parts, report: Report) -> Definition | None:
     if not parts.measured:
         return found
-    least, most = rest_box(found)
-    length = float(np.abs(most - least) @ np.abs(np.array(found.front)))
+    with np.errstate(all="ignore"):
+        least, most = rest_box(found)
+        length = float(np.abs(most - least) @ np.abs(np.array(found.front)))
     if not np.isfinite(length) or length <= 1e-9:
         words = "the body has no length that could be measured along its front"
         report.warning("missing-key", words, parts.whole, 'add `"length": 1` to its definition')

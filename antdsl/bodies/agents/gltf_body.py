@@ -31,6 +31,11 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 def read_gltf(data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float) -> tuple[Definition, list[str]]:
     """The definition in a file's bytes, and sentences about what of it is not read. Animations are sampled about `rate` times a
     second, so that each ends on a sample. `beside(path, cap)` reads a file beside it. BodyError says why there is none."""
+    with np.errstate(all="ignore"):  # what is not finite is told where it is seen to be so
+        return _read(data, name, beside, rate)
+
+
+def _read(data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float) -> tuple[Definition, list[str]]:
     body = GltfBody(Gltf(data, beside))
     parents = _parents(body.file)
     kept = _kept(body.file, parents)

@@ -89,6 +89,8 @@ def _clip(
             if path in moved[each]:
                 array[:, number] = moved[each][path].at(times, path == "rotation")
     values = np.array([keys.at(times)[:, column] for keys, column in shares.values()]).reshape(len(shares), len(times)).T
+    if not all((np.abs(part) <= limits.LARGEST).all() for part in (translation, rotation, scale, shear, values)):
+        raise BodyError(f"has a clip `{name}` with a value that is not finite", _EXPORT)
     made = Clip(
         name, rate, joints,
         translation.astype(np.float32), one_sign(unit_quaternion(rotation)).astype(np.float32), scale.astype(np.float32),

@@ -217,8 +217,7 @@ def captured(joints: NDArray[np.int64], weights: Floats, count: int) -> tuple[ND
     total = weights.sum(axis=1, keepdims=True)
     lone = np.asarray(total[:, 0] <= 0)
     weights = np.where(lone[:, None], np.arange(weights.shape[1]) == 0, weights / np.where(total > 0, total, 1.0))
-    needed = (weights > 0).any(axis=0)
-    needed[0] = True
+    needed = (weights > 0).any(axis=0) | (np.arange(weights.shape[1]) == 0)
     return joints[:, needed].astype(np.int32), weights[:, needed].astype(np.float32), int(lone.sum())
 
 

@@ -51,6 +51,4 @@ def read_definition(
         return read_document(values, node, files, name)
 
     parts, _ = files.part(text, "a definition", document, place)
-    if parts is None or not report.ok:
-        return None, report
-    return whole(parts, report), report
+    return (None if parts is None else whole(parts, report)), report
