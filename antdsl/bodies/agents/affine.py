@@ -157,7 +157,8 @@ def decomposed(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers
     """Translation [3, J], rotation [4, J], scale and shear [3, J], float64, of matrices [J, 4, 4]: `composed` gives them back.
 
     By Gram and Schmidt's orthogonalisation, column by column; a mirroring matrix has a negative scale along x. A column of
-    length 0, or in the plane of those before it, stands for an axis scaled by 0."""
+    length 0 stands for an axis scaled by 0; one in the plane of those before it, which no shear of such an axis gives, for one
+    that is off that plane by a millionth of its length."""
     m = np.moveaxis(np.asarray(matrices, np.float64)[:, :3], 0, -1)
     columns = [m[:, c].copy() for c in range(3)]
     axes: list[Numbers] = []
@@ -169,7 +170,7 @@ def decomposed(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers
         size = np.sqrt((column[0] * column[0] + column[1] * column[1]) + column[2] * column[2])
         whole = np.sqrt((m[0, c] * m[0, c] + m[1, c] * m[1, c]) + m[2, c] * m[2, c])
         flat = size <= 1e-12 * whole
-        upper[c, c] = np.where(flat, 0.0, size)
+        upper[c, c] = np.where(flat, 1e-6 * whole, size)
         axes.append(np.where(flat, _across(axes, m.shape[-1]), column / np.where(flat, 1.0, size)))
     mirror = determinants(np.stack(axes, 1), cofactors(np.stack(axes, 1))) < 0
     axes[0] = np.where(mirror, -axes[0], axes[0])
