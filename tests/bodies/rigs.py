@@ -42,10 +42,11 @@ def still(name: str, joints: dict[str, dict[str, Sequence[float]]], channels: di
     def part(key: str, default: Sequence[float]) -> NDArray[np.float32]:
         return np.array([[each.get(key, default) for each in joints.values()]], np.float32).reshape(1, len(joints), len(default))
 
-    sheared = any("h" in each for each in joints.values())
     values = channels or {}
-    return Clip(name, 24.0, tuple(joints), part("t", (0, 0, 0)), part("r", (0, 0, 0, 1)), part("s", (1, 1, 1)),
-                part("h", (0, 0, 0)) if sheared else None, tuple(values), np.array([list(values.values())], np.float32))  # fmt: skip
+    shear = part("h", (0, 0, 0)) if any("h" in each for each in joints.values()) else None
+    numbers = np.array([list(values.values())], np.float32)
+    parts = (part("t", (0, 0, 0)), part("r", (0, 0, 0, 1)), part("s", (1, 1, 1)), shear)
+    return Clip(name, 24.0, tuple(joints), *parts, tuple(values), numbers)
 
 
 def definition(
@@ -66,7 +67,7 @@ def wild(joints: int, seed: int, samples: Sequence[int] = (5, 9), scales: bool =
     rest = np.stack([matrix(random.normal(size=3), random.normal(size=4), random.uniform(0.5, 2, 3)) for _ in names])
     clips = {}
     for number, count in enumerate(samples):
-        rotation = random.normal(size=(count, joints, 4)) + [0, 0, 0, 2]
+        rotation = random.normal((0, 0, 0, 2), size=(count, joints, 4))
         rotation /= np.linalg.norm(rotation, axis=2, keepdims=True)
         scale = random.uniform(0.5, 2, (count, joints, 3)) if scales else np.ones((count, joints, 3))
         shear = random.normal(size=(count, joints, 3)) * 0.3 if sheared else None

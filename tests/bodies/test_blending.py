@@ -136,9 +136,8 @@ def test_the_first_input_of_an_additive_layer_may_be_a_layer() -> None:
 
 
 def test_an_added_rotation_is_measured_from_the_rest_pose() -> None:
-    made = definition(
-        {"a": ""}, still("base", {"a": {"r": turn("y", 20)}}), still("look", {"a": {"r": turn("z", 75)}}), rest={"a": matrix(rotation=turn("z", 30))}
-    )  # fmt: skip
+    clips = still("base", {"a": {"r": turn("y", 20)}}), still("look", {"a": {"r": turn("z", 75)}})
+    made = definition({"a": ""}, *clips, rest={"a": matrix(rotation=turn("z", 30))})
     playing = Playing.alike(
         ClipTree((0, 0), ("", ""), (ADDITIVE,), (-1,)),
         np.array([[0, 1]], np.int32),

@@ -133,7 +133,7 @@ def _captured(shape: Shape, definition: Definition, poses: Poses) -> tuple[NDArr
         raise KeyError(f"shape `{shape.name}` follows joint `{missing[0]}`, which the rig does not have")
     world = poses.world.transpose(2, 3, 1, 0)[:, :, [numbers[name] for name in capture.names]]
     inverse = np.ascontiguousarray(np.moveaxis(capture.inverse[:, :3], 0, -1), np.float32)[..., None]
-    used = max(1, int((capture.weights != 0).any(axis=0).cumsum().argmax(initial=0)) + 1) if capture.weights.size else 1
+    used = int(np.flatnonzero((capture.weights != 0).any(axis=0)).max(initial=0)) + 1
     matrices = times(world, inverse, np.empty(world.shape, np.float32))
     return capture.joints[:, :used].astype(np.intp), capture.weights[:, :used].astype(np.float32), matrices
 
