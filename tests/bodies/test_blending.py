@@ -10,6 +10,7 @@ import pytest
 from rigs import definition, matrix, still, turn
 
 from antdsl.bodies.agents.blending import ADDITIVE, INTERPOLATE, ClipTree, Playing, posed
+from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.layer import TransformGroup
 from antdsl.bodies.agents.poses import Poses
@@ -28,6 +29,7 @@ LOW, HIGH, NOD = 0, 1, 2
 GROUPS = {
     "arm": TransformGroup("arm", (("arm", 1.0),)),
     "half": TransformGroup("half", (("arm", 0.5),), ("jaw",)),
+    "body": TransformGroup("body", (("body", 1.0),)),
 }
 
 
@@ -107,6 +109,23 @@ def test_a_layer_with_one_input_is_as_that_input() -> None:
     assert np.allclose(twice.world, one(ClipTree.flat(1), [HIGH], [1]).world, atol=1e-6)
 
 
+def test_a_layer_of_several_inputs_is_there_as_much_as_their_groups_are_on_average() -> None:
+    tree = ClipTree((0, 1, 1), ("", "half", "half"), (INTERPOLATE, INTERPOLATE), (-1, 0))
+    found = one(tree, [LOW, HIGH, HIGH], [1, 2, 5], [1, 1])
+    assert place(found, 1) == [round(8 * 0.5 / 1.5, 5), 0, 0]
+    mixed = one(ClipTree((0, 1, 1), ("", "half", ""), (0, 0), (-1, 0)), [LOW, HIGH, HIGH], [1, 3, 1], [1, 1])
+    there = (3 * 0.5 + 1 * 1) / 4
+    assert place(mixed, 1) == [round(8 * there / (1 + there), 5), 0, 0]
+    assert place(mixed, 0) == [round(8 * 0.25 / 1.25, 5), 0, 0]
+
+
+def test_an_additive_layer_is_there_where_its_first_input_is_and_as_much_as_others_add() -> None:
+    tree = ClipTree((0, 1, 1), ("", "arm", "body"), (INTERPOLATE, ADDITIVE), (-1, 0))
+    found = one(tree, [LOW, HIGH, HIGH], [1, 1, 0.5], [1, 1])
+    assert place(found, 1) == [4, 0, 0]  # half of the first input
+    assert place(found, 0) == [round(4 * 0.5 / 1.5, 5), 0, 0]  # the rest pose's 0 and half of 8, there by a half
+
+
 def test_additive_layers_take_the_first_whole_and_a_share_of_what_others_differ_from_rest() -> None:
     tree = ClipTree((0, 0), ("", ""), (ADDITIVE,), (-1,))
     found = one(tree, [HIGH, NOD], [0.2, 0.5])
@@ -137,7 +156,7 @@ def test_the_first_input_of_an_additive_layer_may_be_a_layer() -> None:
 
 def test_an_added_rotation_is_measured_from_the_rest_pose() -> None:
     clips = still("base", {"a": {"r": turn("y", 20)}}), still("look", {"a": {"r": turn("z", 75)}})
-    made = definition({"a": ""}, *clips, rest={"a": matrix(rotation=turn("z", 30))})
+    made = definition({"a": ""}, *clips, rest={"a": matrix(rotation=turn("x", 30))})
     playing = Playing.alike(
         ClipTree((0, 0), ("", ""), (ADDITIVE,), (-1,)),
         np.array([[0, 1]], np.int32),
@@ -145,8 +164,20 @@ def test_an_added_rotation_is_measured_from_the_rest_pose() -> None:
         np.ones((1, 2), np.float32),
     )
     found = posed(clip_table(made), {}, playing)
-    wanted = matrix(rotation=turn("z", 45))[:3, :3] @ matrix(rotation=turn("y", 20))[:3, :3]
+    added = matrix(rotation=turn("z", 75))[:3, :3] @ matrix(rotation=turn("x", -30))[:3, :3]
+    wanted = added @ matrix(rotation=turn("y", 20))[:3, :3]
     assert np.allclose(found.world[0, 0, :, :3], wanted, atol=1e-6)
+
+
+def test_a_share_of_an_added_rotation_goes_the_shorter_way() -> None:
+    """A clip that has gone round by 340 degrees is 20 degrees before the rest pose: half of that is 10."""
+    rotation = np.array([[turn("z", 0)], [turn("z", 170)], [turn("z", 340)]], np.float32)
+    round_it = Clip("round", 1.0, ("a",), np.zeros((3, 1, 3), np.float32), rotation, np.ones((3, 1, 3), np.float32), loop=False)
+    made = definition({"a": ""}, still("base", {"a": {}}), round_it)
+    tree = ClipTree((0, 0), ("", ""), (ADDITIVE,), (-1,))
+    playing = Playing.alike(tree, np.array([[0, 1]], np.int32), np.array([[0.0, 2.0]]), np.array([[1, 0.5]], np.float32))
+    found = posed(clip_table(made), {}, playing)
+    assert np.allclose(found.world[0, 0, :, :3], matrix(rotation=turn("z", -10))[:3, :3], atol=1e-6)
 
 
 def test_three_rotations_are_blended_on_one_side_whatever_their_signs() -> None:

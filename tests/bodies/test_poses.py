@@ -82,6 +82,13 @@ def test_a_joint_that_a_clip_lacks_has_its_rest_pose_and_a_channel_its_default()
     assert alone(swing(), [0], [0.5]).channels[0, 1] == 0.75
 
 
+def test_a_clip_that_tells_of_a_joint_and_of_no_shears_says_that_it_has_none() -> None:
+    rest = matrix((1, 2, 3), turn("x", 40), (1, 2, 0.5), (0.1, 0.2, 0.3))
+    found = alone(definition({"a": ""}, still("c", {"a": {"s": (3, 1, 1)}}), rest={"a": rest}), [0, -1], [0.0, 0.0])
+    assert np.allclose(found.world[0, 0, :, :3], np.diag([3, 1, 1]), atol=1e-6)
+    assert np.allclose(found.world[1, 0], rest[:3], atol=1e-6)
+
+
 def test_local_transforms_are_scaled_then_sheared_then_turned_then_moved() -> None:
     made = {"t": (1, 2, 3), "r": turn("y", 70), "s": (2, 3, -4), "h": (0.5, -0.25, 0.75)}
     found = alone(definition({"a": ""}, still("c", {"a": made})), [0], [0.0])
