@@ -44,6 +44,18 @@ AGENTS: Final = 5_000_000
 BIRTHS_IN_A_ROW: Final = 16  # generations within one step, where those born bear at once
 FRAMES: Final = 1_000_000
 
+# bodies
+BODY_TEXT_BYTES: Final = 64 * MIB  # of one JSON file
+BODY_VALUES: Final = 1_000_000  # of one JSON file; numbers in a row count less
+BODY_BYTES: Final = 512 * MIB  # of one glTF file, its buffers included
+JOINTS: Final = 4096  # of one rig
+CHANNELS: Final = 4096  # of one rig
+BODY_PARTS: Final = 4096  # shapes, layers, clips or transform groups of one definition
+BODY_POINTS: Final = 3_000_000  # of all shapes of one definition
+CLIP_BYTES: Final = 1 * GIB  # of all samples of the clips of one definition
+CLIP_SAMPLES: Final = 1_000_000  # of one clip
+CAPTURED: Final = 64  # joints that one point follows
+
 # senses and fields
 NEIGHBOURS: Final = 256  # of one agent in one question, the nearest
 WITHIN_RADIUS: Final = 8192  # others within the radius of one agent in one question, from whom the nearest are chosen

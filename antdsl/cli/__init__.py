@@ -13,6 +13,7 @@ import typer  # noqa: E402
 
 from antdsl.cli import (  # noqa: E402
     bench,
+    body,
     check,
     doctor,
     edit,
@@ -46,6 +47,7 @@ COMMANDS = (
     ("edit", edit.edit),
     ("export", export.export),
     ("info", info.info),
+    ("body", body.body),
     ("explain", explain.explain),
     ("graph", graph.graph),
     ("plan", plan.plan),

@@ -77,8 +77,8 @@ class _Refused(Exception):
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
 
 
-def decode(data: bytes, name: str) -> tuple[Source, Report]:
-    """Bytes of a scene's file as a Source; a byte order mark is dropped, anything but UTF-8 is refused."""
+def decode(data: bytes, name: str, what: str = "a scene") -> tuple[Source, Report]:
+    """Bytes of a file of text as a Source; a byte order mark is dropped, anything but UTF-8 is refused. `what` it is to be."""
     report = Report()
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         source = Source(name, "")
@@ -96,7 +96,7 @@ def decode(data: bytes, name: str) -> tuple[Source, Report]:
     source = Source(name, text)
     bad = _FORBIDDEN.search(text)
     if bad:
-        message = f"the character U+{ord(bad[0]):04X} cannot stand in a scene, it would not show"
+        message = f"the character U+{ord(bad[0]):04X} cannot stand in {what}, it would not show"
         report.error("control-character", message, Span(source, bad.start(), bad.end()), "delete it")
     return source, report
 

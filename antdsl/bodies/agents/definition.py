@@ -21,7 +21,8 @@ UP = (0.0, 1.0, 0.0)
 @dataclass(frozen=True, slots=True, eq=False)
 class Definition:
     """`front` and `up`: the axes of its space that it looks along and stands along; `length`: how long it is along `front` in
-    its own units, which is what an agent's `size` scales it to. `materials`: base colours (linear, 0 to 1) by name."""
+    its own units, which is what an agent's `size` scales it to; `unit`: millimetres in one of its units. `materials`: base
+    colours (linear, 0 to 1) by name."""
 
     name: str
     rig: Rig
@@ -34,6 +35,7 @@ class Definition:
     front: tuple[float, float, float] = FRONT
     up: tuple[float, float, float] = UP
     length: float = 1.0
+    unit: float = 1.0
 
     def base(self) -> NDArray[np.float64]:
         """The matrix float64[4, 4] from its own space to that of agents: length 1, front +x, up +y."""

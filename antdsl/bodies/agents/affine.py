@@ -1,0 +1,197 @@
+"""Rotations, scales, shears and affine matrices of many joints of many agents, one array a component.
+
+Components stand in front: a quaternion is [4, …], a matrix [3, 4, …], and all else has one shape. Every number is made of sums,
+products, quotients and roots in one written order, so that neither the count of agents nor the processor changes a bit (no BLAS,
+no `einsum`: those choose instructions and orders when they run). A local transform is translation · rotation · shear · scale of
+column vectors: a point is scaled first, then sheared (`x += shear1 y + shear2 z`, `y += shear3 z`), turned, and moved.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+Numbers = NDArray[Any]  # float32 or float64, as it was given
+
+_POLAR_STEPS = 12  # Newton's iteration squares the error in each; shears and scales up to 1:1000 take eleven
+
+
+def normalised(rotation: Numbers) -> Numbers:
+    """Quaternions [4, …] made unit in place; one of length 0 becomes no rotation."""
+    x, y, z, w = rotation
+    square = x * x
+    square += y * y
+    square += z * z
+    square += w * w
+    nothing = square == 0
+    w[nothing] = 1
+    square[nothing] = 1
+    np.sqrt(square, out=square)
+    rotation /= square
+    return rotation
+
+
+def product(a: Numbers, b: Numbers) -> Numbers:
+    """Quaternions [4, …] of turning by b and then by a."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return np.stack([
+        ((aw * bx + ax * bw) + ay * bz) - az * by,
+        ((aw * by - ax * bz) + ay * bw) + az * bx,
+        ((aw * bz + ax * by) - ay * bx) + az * bw,
+        ((aw * bw - ax * bx) - ay * by) - az * bz,
+    ])  # fmt: skip
+
+
+def composed(translation: Numbers, rotation: Numbers, scale: Numbers | None, shear: Numbers | None, out: Numbers) -> Numbers:
+    """Matrices [3, 4, …] of translations [3, …], unit quaternions [4, …], scales and shears [3, …] (None: 1, 0), into `out`."""
+    x, y, z, w = rotation
+    two = rotation.dtype.type(2)
+    x2, y2, z2 = x * two, y * two, z * two
+    xx, yy, zz = x * x2, y * y2, z * z2
+    xy, xz, yz = x * y2, x * z2, y * z2
+    wx, wy, wz = w * x2, w * y2, w * z2
+    one = rotation.dtype.type(1)
+    for a, b, more, less in ((xy, wz, (1, 0), (0, 1)), (xz, wy, (0, 2), (2, 0)), (yz, wx, (2, 1), (1, 2))):
+        np.add(a, b, out=out[more])
+        np.subtract(a, b, out=out[less])
+    for k, a, b in ((0, yy, zz), (1, xx, zz), (2, xx, yy)):
+        np.add(a, b, out=out[k, k])
+        np.subtract(one, out[k, k], out=out[k, k])
+    out[:, 3] = translation
+    if shear is not None:
+        first, second = out[:, 0], out[:, 1].copy()
+        out[:, 1] += first * shear[0]
+        out[:, 2] += first * shear[1]
+        out[:, 2] += second * shear[2]
+    if scale is not None:
+        for k in range(3):
+            out[:, k] *= scale[k]
+    return out
+
+
+def times(a: Numbers, b: Numbers, out: Numbers) -> Numbers:
+    """The products a · b of matrices [3, 4, …] into `out`, which is neither of them."""
+    part = np.empty(out.shape[2:], out.dtype)
+    for r in range(3):
+        for c in range(4):
+            to = out[r, c]
+            np.multiply(a[r, 0], b[0, c], out=to)
+            for k in (1, 2):
+                np.multiply(a[r, k], b[k, c], out=part)
+                to += part
+        out[r, 3] += a[r, 3]
+    return out
+
+
+def cofactors(m: Numbers) -> Numbers:
+    """The cofactors [3, 3, …] of matrices [3, 3 or 4, …]: their inverse transposed, times the determinant."""
+    turns = ((1, 2), (2, 0), (0, 1))
+    return np.stack([
+        np.stack([m[a, c] * m[b, d] - m[a, d] * m[b, c] for c, d in turns]) for a, b in turns
+    ])  # fmt: skip
+
+
+def determinants(m: Numbers, cofactor: Numbers) -> Numbers:
+    """Determinants […] of matrices whose cofactors are known."""
+    found: Numbers = (m[0, 0] * cofactor[0, 0] + m[0, 1] * cofactor[0, 1]) + m[0, 2] * cofactor[0, 2]
+    return found
+
+
+def inverse_transposed(m: Numbers) -> Numbers:
+    """The inverse transposed [3, 3, …], by which normals turn; the cofactors where there is no inverse."""
+    found = cofactors(m)
+    whole = determinants(m, found)
+    found /= np.where(whole == 0, m.dtype.type(1), whole)
+    return found
+
+
+def rotation_part(m: Numbers) -> Numbers:
+    """The rotation [3, 3, …] nearest to each matrix: of its polar decomposition M = R S, with the sign of S where M mirrors, so
+    that R never does. By Newton's iteration, in float64 (N. J. Higham, Computing the Polar Decomposition, SIAM J. Sci. Stat.
+    Comput. 7, 1986), as many steps for every matrix. No rotation where there is no inverse."""
+    found = m[:, :3].astype(np.float64)
+    whole = determinants(found, cofactors(found))
+    found *= np.where(whole < 0, -1.0, 1.0)
+    flat = whole == 0
+    for r in range(3):
+        for c in range(3):
+            found[r, c][flat] = float(r == c)
+    # determinant 1 first: what is left to do then goes by the ratio of scales alone
+    size = np.abs(np.where(flat, 1.0, whole))
+    found /= _cube_root(size)
+    for _ in range(_POLAR_STEPS):
+        found = 0.5 * (found + inverse_transposed(found))
+    return found
+
+
+def _cube_root(x: Numbers) -> Numbers:
+    """A number within a factor of two of the cube root of float64 above 0: its exponent by three, exactly a power of two."""
+    _, exponent = np.frexp(x)
+    found: Numbers = np.ldexp(1.0, exponent // 3)
+    return found
+
+
+def quaternions(m: Numbers) -> Numbers:
+    """Unit quaternions [4, …] of rotation matrices [3, 3 or 4, …], w not negative: of the four ways to take them the one that
+    divides by most (S. W. Shepperd, Quaternion from Rotation Matrix, J. Guidance and Control 1, 1978)."""
+    trace = (m[0, 0] + m[1, 1]) + m[2, 2]
+    sizes = np.stack([m[0, 0], m[1, 1], m[2, 2], trace])
+    best = sizes.argmax(axis=0)
+    xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
+    wx, wy, wz = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    own = [1 + 2 * m[k, k] - trace for k in range(3)]
+    ways = (
+        np.stack([own[0], xy, xz, wx]), np.stack([xy, own[1], yz, wy]), np.stack([xz, yz, own[2], wz]),
+        np.stack([wx, wy, wz, 1 + trace]),
+    )  # fmt: skip
+    found = np.choose(best, ways)
+    found *= np.where(found[3] < 0, -1, 1)
+    return normalised(found)
+
+
+def decomposed(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+    """Translation [3, J], rotation [4, J], scale and shear [3, J], float64, of matrices [J, 4, 4]: `composed` gives them back.
+
+    By Gram and Schmidt's orthogonalisation, column by column; a mirroring matrix has a negative scale along x. A column of
+    length 0 stands for an axis scaled by 0; one in the plane of those before it, which no shear of such an axis gives, for one
+    that is off that plane by a millionth of its length."""
+    m = np.moveaxis(np.asarray(matrices, np.float64)[:, :3], 0, -1)
+    columns = [m[:, c].copy() for c in range(3)]
+    axes: list[Numbers] = []
+    upper = np.zeros((3, 3, m.shape[-1]))
+    for c, column in enumerate(columns):
+        for k, axis in enumerate(axes):
+            upper[k, c] = (axis[0] * column[0] + axis[1] * column[1]) + axis[2] * column[2]
+            column -= upper[k, c] * axis
+        size = np.sqrt((column[0] * column[0] + column[1] * column[1]) + column[2] * column[2])
+        whole = np.sqrt((m[0, c] * m[0, c] + m[1, c] * m[1, c]) + m[2, c] * m[2, c])
+        flat = size <= 1e-12 * whole
+        upper[c, c] = np.where(flat, 1e-6 * whole, size)
+        axes.append(np.where(flat, _across(axes, m.shape[-1]), column / np.where(flat, 1.0, size)))
+    mirror = determinants(np.stack(axes, 1), cofactors(np.stack(axes, 1))) < 0
+    axes[0] = np.where(mirror, -axes[0], axes[0])
+    upper[0] = np.where(mirror, -upper[0], upper[0])
+    scale = np.stack([upper[k, k] for k in range(3)])
+    by = np.where(scale == 0, 1.0, scale)
+    shear = np.stack([upper[0, 1] / by[1], upper[0, 2] / by[2], upper[1, 2] / by[2]])
+    return m[:, 3].copy(), quaternions(np.stack(axes, 1)), scale, shear
+
+
+def _across(axes: list[Numbers], count: int) -> Numbers:
+    """A unit vector [3, count] across those that there are."""
+    if len(axes) == 2:
+        a, b = axes
+        return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    if not axes:
+        return np.repeat([[1.0], [0.0], [0.0]], count, 1)
+    a = axes[0]
+    steep = np.abs(a[0]) > 0.6
+    other = np.where(steep, [[0.0], [1.0], [0.0]], [[1.0], [0.0], [0.0]])
+    found = other - ((a[0] * other[0] + a[1] * other[1]) + a[2] * other[2]) * a
+    size = np.sqrt((found[0] * found[0] + found[1] * found[1]) + found[2] * found[2])
+    unit: Numbers = found / size
+    return unit

@@ -1,0 +1,119 @@
+"""Blend shapes: a shape moved toward other shapes of the library by channel values of each agent, with in-betweens.
+
+Each input adds its difference from the base shape, times its weight; weights are not normalised and may be below 0 or above 1.
+An input with in-betweens goes from the base at weight 0 through each of its corrective shapes at that one's weight to the
+primary shape at weight 1, in straight pieces; the outermost pieces go on beyond. Points are matched by an attribute (`id` unless
+the base names another) where the base and the other shape both have it, else by number; points that find none stay.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.affine import Floats
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.agents.skinning import Deformed, unit
+
+_OWN = {"P": "points", "N": "normals"}  # attributes with a field of their own
+_LEAST_APART = 1e-6  # in-betweens of the same weight are one
+
+
+def blend_shapes(given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+    """Add the inputs of a blend shape, weighed by the channels of each agent, to the attributes that it blends (P and N unless it
+    says otherwise). Primitives have no attributes here, so there is nothing to match by `Blend.primitive_id`.
+
+    Raises ValueError for a shape without blend shapes, for one whose inputs and channels are not as many, and for in-betweens at
+    weight 0 or 1; KeyError for shapes that the library does not have, and channels that the rig does not have."""
+    blend = shape.blend
+    if blend is None:
+        raise ValueError(f"shape `{shape.name}` names no blend shapes (blendshape_shapenames)")
+    if len(blend.shapes) != len(blend.channels):
+        raise ValueError(f"shape `{shape.name}` has {len(blend.shapes)} blend shapes and {len(blend.channels)} channels for them")
+    n = max(len(poses.channels), len(given.points))
+    names = [name for name in blend.attributes if _of(given, name) is not None]
+    found = {name: _spread(_of(given, name), n) for name in names}
+    for name, channel in zip(blend.shapes, blend.channels, strict=True):
+        weights = poses.channels[:, definition.rig.channel(channel)]
+        targets, knots = _knots(definition, name)
+        for target, share in zip(targets, _shares(weights, knots), strict=True):
+            here, there = _matched(shape, target, blend.point_id)
+            for each in names:
+                difference = _difference(shape, target, each, here, there)
+                if difference is not None:
+                    found[each][:, here] += difference[..., None] * share
+    rest = {name: array.transpose(2, 1, 0) for name, array in found.items() if name not in _OWN}
+    points = found["P"].transpose(2, 1, 0) if "P" in found else given.points
+    normals = unit(found["N"]).transpose(2, 1, 0) if "N" in found else given.normals
+    return Deformed(points, normals, {**given.attributes, **rest})
+
+
+def _of(given: Deformed, name: str) -> Floats | None:
+    """An attribute [n, P, …] as it has been deformed so far."""
+    return {"P": given.points, "N": given.normals}[name] if name in _OWN else given.attributes.get(name)
+
+
+def _spread(values: Floats | None, n: int) -> Floats:
+    """An attribute as a new array [components, P, n]."""
+    assert values is not None
+    wide = values.reshape(*values.shape[:2], -1).transpose(2, 1, 0)
+    return np.ascontiguousarray(np.broadcast_to(wide, (*wide.shape[:2], n)).astype(np.float32))
+
+
+def _knots(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np.float64]]:
+    """An input's primary shape and its in-betweens with their weights, which rise."""
+    primary = definition.shapes[name]
+    between = primary.between
+    found = [(1.0, primary)]
+    if between is not None:
+        if len(between.shapes) != len(between.weights):
+            raise ValueError(f"shape `{name}` has {len(between.shapes)} in-betweens and {len(between.weights)} weights for them")
+        for each, weight in zip(between.shapes, between.weights, strict=True):
+            if any(abs(weight - other) < _LEAST_APART for other in (0.0, *(known for known, _ in found))):
+                raise ValueError(
+                    f"in-between `{each}` of shape `{name}` has weight {weight:g}: 0 is the base's, 1 its own, each is there once"
+                )
+            found.append((weight, definition.shapes[each]))
+    found.sort(key=lambda pair: pair[0])
+    return [target for _, target in found], np.array([weight for weight, _ in found])
+
+
+def _shares(weights: Floats, knots: NDArray[np.float64]) -> Floats:
+    """How much of the difference of each of K shapes an input of these weights [n] adds, float32[K, n]: of the two that a
+    weight lies between what each is near, the base at 0 among them."""
+    places = np.sort(np.append(knots, 0.0))
+    weight = weights.astype(np.float64)
+    piece = np.clip(np.searchsorted(places, weight, side="right") - 1, 0, len(places) - 2)
+    near = (weight - places[piece]) / (places[piece + 1] - places[piece])
+    found = np.zeros((len(places), len(weight)))
+    agents = np.arange(len(weight))
+    found[piece, agents] = 1 - near
+    found[piece + 1, agents] = near
+    shares: Floats = found[places != 0].astype(np.float32)
+    return shares
+
+
+def _matched(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Points of the base and the points of another shape that they become."""
+    own, other = base.attributes.get(point_id), target.attributes.get(point_id)
+    if own is None or other is None:
+        both = np.arange(min(len(base.points), len(target.points)))
+        return both, both
+    order = np.argsort(other, kind="stable")
+    place = np.minimum(np.searchsorted(other[order], own), max(len(other) - 1, 0))
+    here = np.flatnonzero(other[order][place] == own) if len(other) else np.zeros(0, np.intp)
+    return here, order[place[here]] if len(other) else here
+
+
+def _difference(base: Shape, target: Shape, name: str, here: NDArray[np.intp], there: NDArray[np.intp]) -> Floats | None:
+    """What another shape has more of an attribute at matched points, float32[components, matched]; None if one has it not."""
+    if name in _OWN:
+        mine, others = getattr(base, _OWN[name]), getattr(target, _OWN[name])
+    else:
+        mine, others = base.attributes.get(name), target.attributes.get(name)
+    if mine is None or others is None:
+        return None
+    found = others[there].astype(np.float32) - mine[here].astype(np.float32)
+    return np.ascontiguousarray(found.reshape(len(here), -1).T)

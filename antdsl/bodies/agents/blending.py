@@ -1,0 +1,295 @@
+"""Clips blended by a tree of layers: what agents play, and the poses that follow.
+
+An agent has a list of clips, each with a time, a weight, a transform group and the layer it is an input of; layers have a mode,
+a weight and the layer that they are an input of themselves. Inputs of a layer are its clips in the order of their list, then its
+layers in the order of theirs. The one layer that is no input of another, with parent -1, gives the pose; its weight is unused.
+
+- `INTERPOLATE`: at each joint the mean of the inputs, weighed by the weight of each times its transform group's weight for the
+  joint. Where all of these are 0 the layer says nothing about the joint: it is the rest pose in the end, and no input to the
+  layer's parent. Of a layer in a layer the weight is times the mean of the weights in the groups below it, so that a layer with
+  one input is as that input itself. Translations, scales, shears and channels are linear means; rotations a sum of quaternions,
+  each on the side of those before it, made unit again.
+- `ADDITIVE`: the first input whole, whatever its weight, and of each other one as much as its weight times its group's weight
+  says, not normalised: of its translation less that of the rest pose, of its rotation as seen from the rest pose, and of its
+  channels less their defaults; scales and shears are the first's.
+
+What others add is measured from the rest pose since a joint that a clip does not have stands there, and then adds nothing; and
+since any clip can be added so, without one being made of differences beforehand. The added rotation stands on the side of the
+parent: the joint is posed by the first input and then turned. A share of it is nlerp from no rotation; weights above 1 add more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.affine import Floats, normalised, product
+from antdsl.bodies.agents.clip_table import REST, ClipTable
+from antdsl.bodies.agents.layer import TransformGroup
+from antdsl.bodies.agents.poses import Pose, Poses, rest_pose, sampled, transforms
+from antdsl.numerics import compiled
+
+INTERPOLATE, ADDITIVE = 0, 1
+NO_PARENT = -1
+_PART = 1 << 14  # joints worked on at once: their components stay in the cache of a core
+_ONE = np.float32(1)
+_MOST, _LEAST = np.float32(1e18), np.float32(1e-30)  # of weights: shares of more, or of a sum of less, cannot be told in float32
+
+
+@dataclass(frozen=True, slots=True)
+class ClipTree:
+    """What agents that blend alike have in common: for each of S clips its layer (`layers`: agentcliplayerids) and transform
+    group (`groups`: agentcliptransformgroups, "" for the whole rig), for each of L layers its mode (agentcliplayermodes) and
+    parent (agentcliplayerparents). Raises ValueError for what is no tree with one root."""
+
+    layers: tuple[int, ...]
+    groups: tuple[str, ...]
+    modes: tuple[int, ...] = (INTERPOLATE,)
+    parents: tuple[int, ...] = (NO_PARENT,)
+
+    def __post_init__(self) -> None:
+        count = len(self.modes)
+        if len(self.groups) != len(self.layers) or len(self.parents) != count:
+            raise ValueError("each clip has a layer and a transform group, and each layer a mode and a parent")
+        if any(mode not in (INTERPOLATE, ADDITIVE) for mode in self.modes):
+            raise ValueError(f"the mode of a layer is {INTERPOLATE} (interpolate) or {ADDITIVE} (additive)")
+        if any(not 0 <= layer < count for layer in self.layers):
+            raise ValueError(f"a clip is an input of no layer: they are numbered from 0 to {count - 1}")
+        if any(not NO_PARENT <= parent < count for parent in self.parents):
+            raise ValueError(f"the parent of a layer is one of 0 to {count - 1}, or {NO_PARENT} for the topmost")
+        if self.parents.count(NO_PARENT) != 1:
+            raise ValueError(f"{self.parents.count(NO_PARENT)} layers have the parent {NO_PARENT}; it is the topmost one alone")
+        for layer in range(count):
+            above, seen = layer, 0
+            while above != NO_PARENT:
+                above, seen = self.parents[above], seen + 1
+                if seen > count:
+                    raise ValueError(f"layer {layer} is an input of itself, by the parents {self.parents}")
+
+    @property
+    def root(self) -> int:
+        """The layer whose output is the pose."""
+        return self.parents.index(NO_PARENT)
+
+    @staticmethod
+    def flat(count: int, *groups: str) -> ClipTree:
+        """So many clips that are blended by their weights; the groups of the first ones."""
+        return ClipTree((0,) * count, (*groups, *("",) * (count - len(groups))))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Playing:
+    """What each of n agents plays: `tree` int32[n] counts `trees`; `clips` int32[n, S] (numbers of a `ClipTable`; -1 for none),
+    `times` [n, S] in seconds and `weights` float32[n, S] of the clips (agentclipnames, agentcliptimes, agentclipweights), S the
+    most that a tree has; `layer_weights` float32[n, L] of the layers (agentcliplayerweights). What an agent's tree does not have
+    is not read. Weights below 0, and those that are no number, count as 0."""
+
+    trees: tuple[ClipTree, ...]
+    tree: NDArray[np.int32]
+    clips: NDArray[np.int32]
+    times: NDArray[np.float32] | NDArray[np.float64]
+    weights: Floats
+    layer_weights: Floats
+
+    @staticmethod
+    def alike(tree: ClipTree, clips: NDArray[np.int32], times: NDArray[np.float32] | NDArray[np.float64], weights: Floats,
+              layer_weights: Floats | None = None) -> Playing:  # fmt: skip
+        """Agents that all have one tree; layers weigh 1 where nothing else is said."""
+        n = len(clips)
+        layers = np.ones((n, len(tree.modes)), np.float32) if layer_weights is None else layer_weights
+        return Playing((tree,), np.zeros(n, np.int32), clips, times, weights, layers)
+
+
+def posed(
+    table: ClipTable, groups: Mapping[str, TransformGroup], playing: Playing, *, local: bool = False, threads: int = 1
+) -> Poses:
+    """The transforms and channel values of all agents by what they play; local transforms if asked for.
+
+    Raises KeyError for a transform group that there is not, or that names what the rig does not have, IndexError for the number
+    of no clip or tree. `threads` and the order of agents change no bit."""
+    n, joints = len(playing.tree), len(table.order)
+    if n and not 0 <= int(playing.tree.min()) <= int(playing.tree.max()) < len(playing.trees):
+        raise IndexError(f"trees are numbered from 0 to {len(playing.trees) - 1}")
+    named = {name for tree in playing.trees for name in tree.groups if name}
+    members = {name: table.weights(groups[name]) for name in sorted(named)}
+    world = np.empty((3, 4, joints, n), np.float32)
+    own = np.empty((3, 4, joints, n), np.float32) if local else None
+    channels = np.empty((len(table.rig.channels), n), np.float32)
+    part = max(64, _PART // max(1, joints))
+
+    for number, tree in enumerate(playing.trees):
+        rows = None if len(playing.trees) == 1 else np.flatnonzero(playing.tree == number)
+        count = n if rows is None else len(rows)
+
+        def work(begin: int, end: int, tree: ClipTree = tree, rows: NDArray[np.intp] | None = rows) -> None:
+            for a in range(begin, end, part):
+                b = min(a + part, end)
+                whose = slice(a, b) if rows is None else rows[a:b]
+                pose = blended(table, members, tree, playing, whose)
+                found, placed = transforms(table, pose)
+                _put(world, table, whose, placed)
+                if own is not None:
+                    _put(own, table, whose, found)
+                channels[:, whose] = pose.channels
+
+        if count:
+            compiled.in_parts(work, count, threads)
+    return Poses(world.transpose(3, 2, 0, 1), None if own is None else own.transpose(3, 2, 0, 1), channels.T)
+
+
+def _put(into: Floats, table: ClipTable, whose: slice | NDArray[np.intp], found: Floats) -> None:
+    """Matrices of some agents in their place, with joints in the order of the rig."""
+    for r in range(3):
+        for c in range(4):
+            if isinstance(whose, slice):
+                into[r, c, table.order, whose] = found[r, c]
+            else:
+                into[r, c, table.order[:, None], whose] = found[r, c]
+
+
+@dataclass(slots=True, eq=False)
+class _Input:
+    """The pose that an input of a layer gives, its weight [n], and how much of it there is at each joint and for each channel:
+    [n], or [J, n] and [C, n]."""
+
+    pose: Pose
+    weight: Floats
+    joints: Floats
+    channels: Floats
+
+
+def blended(
+    table: ClipTable, members: Mapping[str, tuple[Floats, Floats]], tree: ClipTree, playing: Playing,
+    whose: slice | NDArray[np.intp],
+) -> Pose:  # fmt: skip
+    """The local poses of some agents, all of which have this tree; `members`: weights of transform groups by name."""
+    clips = _by_slot(playing.clips, whose)
+    times, weights = _by_slot(playing.times, whose), _heeded(_by_slot(playing.weights, whose))
+    layer_weights = _heeded(_by_slot(playing.layer_weights, whose))
+    n = clips.shape[1]
+    rest = rest_pose(table, n)
+
+    def of_clip(slot: int) -> _Input:
+        there = (clips[slot] != REST).astype(np.float32)
+        joints, channels = there, there
+        if tree.groups[slot]:
+            joints, channels = (each[:, None] * there for each in members[tree.groups[slot]])
+        return _Input(sampled(table, clips[slot], times[slot]), weights[slot], joints, channels)
+
+    def of_layer(layer: int) -> _Input:
+        inputs = [of_clip(slot) for slot, each in enumerate(tree.layers) if each == layer]
+        inputs += [of_layer(below) for below, parent in enumerate(tree.parents) if parent == layer]
+        if not inputs:
+            nothing = np.zeros(n, np.float32)
+            return _Input(rest, layer_weights[layer], nothing, nothing)
+        found = _added(inputs, rest) if tree.modes[layer] == ADDITIVE else _mean(inputs, rest)
+        found.weight = layer_weights[layer]
+        return found
+
+    return of_layer(tree.root).pose
+
+
+def _by_slot(values: NDArray, whose: slice | NDArray[np.intp]) -> NDArray:  # type: ignore[type-arg]  # of any numbers
+    """Rows of some agents as one array a column."""
+    return np.ascontiguousarray(values[whose].T)
+
+
+def _heeded(weights: Floats) -> Floats:
+    """Weights from 0 to as much as can be added up; what is no number is 0."""
+    return np.minimum(np.where(weights > 0, weights, np.float32(0)).astype(np.float32, copy=False), _MOST)
+
+
+def _mean(inputs: list[_Input], rest: Pose) -> _Input:
+    """The weighted mean of some inputs."""
+    if len(inputs) == 1:
+        return _alone(inputs[0], rest)
+    joint_shares, joints, no_joint = _shares([(each.weight, each.joints) for each in inputs])
+    channel_shares, channels, no_channel = _shares([(each.weight, each.channels) for each in inputs])
+    first = inputs[0].pose
+    pose = Pose(
+        first.translation * joint_shares[0], first.rotation * joint_shares[0],
+        None if first.scale is None else first.scale * joint_shares[0],
+        None if first.shear is None else first.shear * joint_shares[0],
+        first.channels * channel_shares[0],
+    )  # fmt: skip
+    part = np.empty_like(pose.rotation)
+    for each, share, channel_share in zip(inputs[1:], joint_shares[1:], channel_shares[1:], strict=True):
+        for into, more in (
+            (pose.translation, each.pose.translation),
+            (pose.scale, each.pose.scale),
+            (pose.shear, each.pose.shear),
+        ):
+            if into is not None and more is not None:
+                np.multiply(more, share, out=part[:3])
+                into += part[:3]
+        pose.channels += each.pose.channels * channel_share
+        _join(pose.rotation, each.pose.rotation, share, part)
+    normalised(pose.rotation)
+    _rest_where(pose, rest, no_joint, no_channel)
+    return _Input(pose, inputs[0].weight, joints, channels)
+
+
+def _alone(only: _Input, rest: Pose) -> _Input:
+    """The mean of one input: itself, where it has any weight."""
+    joints = only.joints * (only.weight > 0)
+    channels = only.channels * (only.weight > 0)
+    _rest_where(only.pose, rest, joints == 0, channels == 0)
+    return _Input(only.pose, only.weight, joints, channels)
+
+
+def _shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats, NDArray[np.bool_]]:
+    """Of weights and how much there is of each: shares that add up to 1; the mean of how much there is; where there is none."""
+    found = [weight * there for weight, there in weights]
+    total, whole = found[0], weights[0][0]
+    for each, (weight, _) in zip(found[1:], weights[1:], strict=True):
+        total, whole = total + each, whole + weight
+    none = total < _LEAST
+    by: Floats = np.where(none, _ONE, total)
+    np.divide(_ONE, by, out=by)
+    given: Floats = np.where(whole == 0, _ONE, whole)
+    there: Floats = np.divide(total, given)
+    return [each * by for each in found], there, none
+
+
+def _join(into: Floats, more: Floats, share: Floats, part: Floats) -> None:
+    """Add a share of quaternions to a sum, on the side of the sum."""
+    np.multiply(into, more, out=part)
+    dots = part[0]
+    for k in (1, 2, 3):
+        dots += part[k]
+    side = np.where(dots < 0, -share, share)
+    np.multiply(more, side, out=part)
+    into += part
+
+
+def _rest_where(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_channel: NDArray[np.bool_]) -> None:
+    """The rest pose at joints, and the defaults of channels, that nothing is said about."""
+    if no_joint.any():
+        parts = (pose.translation, pose.rotation, pose.scale, pose.shear)
+        for into, still in zip(parts, (rest.translation, rest.rotation, rest.scale, rest.shear), strict=True):
+            if into is not None and still is not None:
+                np.copyto(into, still, where=no_joint)
+    if no_channel.any():
+        np.copyto(pose.channels, rest.channels, where=no_channel)
+
+
+def _added(inputs: list[_Input], rest: Pose) -> _Input:
+    """The first input, and a share of the differences of the others from the rest pose."""
+    first = inputs[0]
+    pose, joints, channels = first.pose, first.joints, first.channels
+    _rest_where(pose, rest, joints == 0, channels == 0)
+    back = rest.rotation * np.array([-1, -1, -1, 1], np.float32)[:, None, None]
+    for each in inputs[1:]:
+        share, channel_share = each.weight * each.joints, each.weight * each.channels
+        pose.translation += (each.pose.translation - rest.translation) * share
+        pose.channels += (each.pose.channels - rest.channels) * channel_share
+        turn = product(each.pose.rotation, back)
+        turn *= np.where(turn[3] < 0, -share, share)
+        turn[3] += _ONE - share
+        pose.rotation = normalised(product(normalised(turn), pose.rotation))
+        joints = np.maximum(joints, np.minimum(share, _ONE))
+        channels = np.maximum(channels, np.minimum(channel_share, _ONE))
+    return _Input(pose, first.weight, joints, channels)

@@ -1,0 +1,130 @@
+"""Bounding boxes of agents from the shapes of their layers: collision layers first, or where there are none the current ones.
+
+A static shape's box is scaled by its binding's bounds scale and then transformed by its joint; a deforming one's is the box of
+the positions of the joints that its capture names, scaled (Houdini 20.5, Agent Primitives, Bounding Box). Scaling is about the
+middle of a box, so that it means the same wherever the box lies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.layer import Binding
+from antdsl.bodies.agents.shape import Shape
+from antdsl.bodies.agents.transforms import world_matrices
+
+Floats = NDArray[Any]  # float32 or float64
+
+
+def layer_boxes(definition: Definition, worlds: Floats, layers: Sequence[str]) -> tuple[Floats, Floats]:
+    """Least and greatest corners [n, 3] of agents whose joints have the world matrices [n, J, 4, 4], in the matrices' own type.
+    Of layers without a shape both are NaN. Raises KeyError for a layer or a shape that the definition does not have."""
+    count = len(worlds)
+    least = np.full((count, 3), np.inf, worlds.dtype)
+    most = np.full((count, 3), -np.inf, worlds.dtype)
+    for name in layers:
+        layer = definition.layers[name]
+        for binding in (*layer.static, *layer.deforming):
+            low, high = _binding_box(definition, binding, worlds)
+            np.minimum(least, low, out=least)
+            np.maximum(most, high, out=most)
+    empty = least[:, 0] > most[:, 0]
+    least[empty], most[empty] = np.nan, np.nan
+    return least, most
+
+
+def agent_boxes(
+    definition: Definition, worlds: Floats, current: Sequence[tuple[str, ...]], collision: Sequence[tuple[str, ...]],
+    wears: NDArray[np.integer], collides: NDArray[np.integer],
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """As `layer_boxes`, of agents with layers of their own: agent i wears the layers `current[wears[i]]` and collides with
+    `collision[collides[i]]`, which go first where there are any."""
+    least = np.full((len(worlds), 3), np.nan, worlds.dtype)
+    most = least.copy()
+    for a, b in sorted(set(zip(wears.tolist(), collides.tolist(), strict=True))):
+        rows = np.flatnonzero((wears == a) & (collides == b))
+        least[rows], most[rows] = layer_boxes(definition, worlds[rows], collision[b] or current[a])
+    return least, most
+
+
+def _binding_box(definition: Definition, binding: Binding, worlds: Floats) -> tuple[Floats, Floats]:
+    shape = definition.shapes[binding.shape]
+    scale = np.array(binding.bounds_scale, worlds.dtype)
+    if shape.capture is not None and binding.deformer not in ("", "blendshape"):
+        chosen = [definition.rig.joint(name) for name in _followed(shape)]
+        low, high = _joint_positions(worlds, chosen)
+        middle, half = (low + high) / 2, (high - low) / 2 * scale
+        return middle - half, middle + half
+    low, high = _extent(definition, shape)
+    middle, half = ((low + high) / 2).astype(worlds.dtype), ((high - low) / 2).astype(worlds.dtype) * scale
+    if not binding.transform:
+        return np.broadcast_to(middle - half, (len(worlds), 3)), np.broadcast_to(middle + half, (len(worlds), 3))
+    world = worlds[:, definition.rig.joint(binding.transform)]
+    # the box of a turned box: its middle is turned, its half widths go by the sizes of the matrix's entries
+    turned = world[:, :3, 0] * middle[0] + world[:, :3, 1] * middle[1] + world[:, :3, 2] * middle[2] + world[:, :3, 3]
+    size = np.abs(world[:, :3, :3])
+    wide = size[:, :, 0] * half[0] + size[:, :, 1] * half[1] + size[:, :, 2] * half[2]
+    return turned - wide, turned + wide
+
+
+def _joint_positions(worlds: Floats, chosen: list[int]) -> tuple[Floats, Floats]:
+    """The box of some joints' positions, joint by joint: no copy of all matrices is made."""
+    low = worlds[:, chosen[0], :3, 3].copy()
+    high = low.copy()
+    for joint in chosen[1:]:
+        np.minimum(low, worlds[:, joint, :3, 3], out=low)
+        np.maximum(high, worlds[:, joint, :3, 3], out=high)
+    return low, high
+
+
+def _followed(shape: Shape) -> list[str]:
+    """The joints that a point of a shape follows with a weight."""
+    assert shape.capture is not None
+    used = np.unique(shape.capture.joints[shape.capture.weights > 0])
+    return [shape.capture.names[number] for number in used]
+
+
+def _extent(definition: Definition, shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The box of a shape and of all that it may be blended with."""
+    inputs = [definition.shapes[name] for name in (shape.blend.shapes if shape.blend else ())]
+    shapes = [shape, *inputs]
+    shapes += [definition.shapes[name] for each in inputs if each.between for name in each.between.shapes]
+    points = [each.points for each in shapes if len(each.points)]
+    if not points:
+        return np.full(3, np.inf), np.full(3, -np.inf)
+    return (
+        np.min([each.min(axis=0) for each in points], axis=0).astype(np.float64),
+        np.max([each.max(axis=0) for each in points], axis=0).astype(np.float64),
+    )
+
+
+def rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The box of all shapes of all layers in the rest pose, points and not joints: what a body's length is measured by. Without a
+    shape that of the joints."""
+    world = world_matrices(definition.rig.parents, definition.rig.rest)
+    found = [world[:, :3, 3]]
+    for layer in definition.layers.values():
+        for binding in (*layer.static, *layer.deforming):
+            shape = definition.shapes.get(binding.shape)
+            if shape is not None and len(shape.points):
+                found.append(_rest_points(definition, binding, shape, world))
+    points = np.concatenate(found[1:] or found)
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _rest_points(definition: Definition, binding: Binding, shape: Shape, world: NDArray[np.float64]) -> NDArray[np.float64]:
+    points = np.concatenate([shape.points.astype(np.float64), np.ones((len(shape.points), 1))], axis=1)
+    if shape.capture is None or binding.deformer in ("", "blendshape"):
+        matrix = world[definition.rig.joint(binding.transform)] if binding.transform else np.eye(4)
+        return np.asarray((points @ matrix.T)[:, :3])
+    chosen = [definition.rig.joint(name) for name in shape.capture.names]
+    matrices = world[chosen] @ shape.capture.inverse
+    made = np.zeros((len(points), 3))
+    for column in range(shape.capture.joints.shape[1]):
+        moved = np.einsum("pij,pj->pi", matrices[shape.capture.joints[:, column]], points)
+        made += moved[:, :3] * shape.capture.weights[:, column, None]
+    return made

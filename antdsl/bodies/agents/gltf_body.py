@@ -1,0 +1,198 @@
+"""A glTF file as an agent definition: nodes are joints, meshes shapes, morph targets blend shapes, animations clips.
+
+Kept of the nodes are the joints of skins, what is animated, what holds a mesh, and all above them, so that the world transform of
+a joint is that of its node. Khronos Group, glTF 2.0 Specification, 2021, sections 3.5, 3.7 and 3.11."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.gltf_clips import read_clips
+from antdsl.bodies.agents.gltf_file import Gltf
+from antdsl.bodies.agents.gltf_shapes import GltfBody, read_shape, unused
+from antdsl.bodies.agents.layer import Binding, Layer
+from antdsl.bodies.agents.problems import BodyError
+from antdsl.bodies.agents.rig import Rig
+from antdsl.bodies.agents.transforms import matrix_of, unit_quaternion
+
+Floats = NDArray[np.float64]
+LAYER = "body"
+_EXPORT = "export it anew, as glTF 2.0"
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+
+
+def read_gltf(data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float) -> tuple[Definition, list[str]]:
+    """The definition in a file's bytes, and sentences about what of it is not read. Animations are sampled about `rate` times a
+    second, so that each ends on a sample. `beside(path, cap)` reads a file beside it. BodyError says why there is none."""
+    with np.errstate(all="ignore"):  # what is not finite is told where it is seen to be so
+        return _read(data, name, beside, rate)
+
+
+def _read(data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float) -> tuple[Definition, list[str]]:
+    body = GltfBody(Gltf(data, beside))
+    parents = _parents(body.file)
+    kept = _kept(body.file, parents)
+    body.joint = _unique_names(body.file, kept)
+    rig = _rig(body, kept, parents)
+    layer = _layer(body)
+    rig = replace(rig, channels=tuple(body.channels.values()))
+    clips = read_clips(body.file, body.joint, body.weights, rig, rate)
+    found = Definition(
+        name, rig, body.shapes, {LAYER: layer} if body.shapes else {}, {clip.name: clip for clip in clips},
+        materials=body.materials, front=(0.0, 0.0, 1.0), up=(0.0, 1.0, 0.0), unit=1000.0,
+    )  # fmt: skip
+    return found, list(body.left_out)
+
+
+# ---- rig
+
+
+def _parents(file: Gltf) -> list[int]:
+    """The parent of each node, -1 for a root; BodyError where they are no tree."""
+    nodes = file.top("nodes")
+    if len(nodes) > 16 * limits.JOINTS:
+        raise BodyError(f"has {len(nodes):,} nodes, more than are read", code="too-large")
+    parents = [-1] * len(nodes)
+    for number, node in enumerate(nodes):
+        for child in file.listed(node, "children"):
+            child = file.number_of(child, "node", len(nodes))
+            if parents[child] >= 0 or child == number:
+                raise BodyError(f"has a node {child} with two parents", _EXPORT, "bad-rig")
+            parents[child] = number
+    state = [0] * len(nodes)  # 1: being followed, 2: known to lead to a root
+    for start in range(len(nodes)):
+        way: list[int] = []
+        at = start
+        while at >= 0 and state[at] == 0:
+            state[at] = 1
+            way.append(at)
+            at = parents[at]
+        if at >= 0 and state[at] == 1:
+            raise BodyError(f"has nodes that hang below each other in a circle, {at} among them", _EXPORT, "bad-rig")
+        for each in way:
+            state[each] = 2
+    return parents
+
+
+def _kept(file: Gltf, parents: list[int]) -> list[int]:
+    """The nodes that become joints, parents before children, as the file's scene has them."""
+    nodes = file.top("nodes")
+    scenes = file.top("scenes")
+    scene = file.index(file.tree, "scene", len(scenes)) or 0
+    roots = [file.number_of(root, "node", len(nodes)) for root in file.listed(scenes[scene], "nodes")] if scenes else []
+    roots = roots or [number for number, parent in enumerate(parents) if parent < 0]
+    wanted: set[int] = set()
+    for number in _below(file, roots):
+        if "mesh" in nodes[number] and "skin" not in nodes[number]:
+            wanted.add(number)
+    for skin in file.top("skins"):
+        wanted.update(file.number_of(joint, "node", len(nodes)) for joint in file.listed(skin, "joints"))
+    for animation in file.top("animations"):
+        for channel in file.objects(animation, "channels"):
+            target = file.object(channel, "target")
+            node = file.index(target, "node", len(nodes))
+            if node is not None and target.get("path") != "weights":
+                wanted.add(node)
+    for number in list(wanted):
+        above = parents[number]
+        while above >= 0 and above not in wanted:
+            wanted.add(above)
+            above = parents[above]
+    if not wanted:
+        wanted.update(roots[:1])
+    if not wanted:
+        raise BodyError("has no nodes", _EXPORT)
+    if len(wanted) > limits.JOINTS:
+        raise BodyError(f"has {len(wanted):,} joints, more than {limits.JOINTS:,}", code="too-large")
+    tops = [number for number in wanted if parents[number] < 0]
+    order = sorted(tops, key=lambda number: (number not in roots, roots.index(number) if number in roots else number))
+    return [number for number in _below(file, order) if number in wanted]
+
+
+def _below(file: Gltf, roots: Iterable[int]) -> list[int]:
+    """The nodes and all below them, parents first, children in the order of the file."""
+    nodes, found = file.top("nodes"), []
+    waiting = list(reversed(list(roots)))
+    while waiting:
+        found.append(waiting.pop())
+        waiting += reversed(file.listed(nodes[found[-1]], "children"))
+        if len(found) > len(nodes):
+            raise BodyError("has a scene that names a node twice", _EXPORT)
+    return found
+
+
+def _unique_names(file: Gltf, kept: list[int]) -> dict[int, str]:
+    found: dict[int, str] = {}
+    taken: set[str] = set()
+    for number in kept:
+        name = unused(file.name(file.top("nodes")[number], f"node{number}"), taken)
+        taken.add(name)
+        found[number] = name
+    return found
+
+
+def _rig(body: GltfBody, kept: list[int], parents: list[int]) -> Rig:
+    place = {number: count for count, number in enumerate(kept)}
+    rest = np.array([local_matrix(body.file, body.file.top("nodes")[number]) for number in kept]).reshape(-1, 4, 4)
+    return Rig(
+        tuple(body.joint[number] for number in kept),
+        np.array([place.get(parents[number], -1) for number in kept], np.int32),
+        rest,
+    )
+
+
+def local_matrix(file: Gltf, node: dict[str, Any]) -> Floats:
+    """The matrix float64[4, 4] of a node."""
+    if "matrix" in node:
+        found = file.floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
+        return np.concatenate([found[:3], [[0.0, 0.0, 0.0, 1.0]]])
+    translation, rotation, scale = local_parts(file, node)
+    return matrix_of(translation, rotation, scale)
+
+
+def local_parts(file: Gltf, node: dict[str, Any]) -> tuple[Floats, Floats, Floats]:
+    """Translation, rotation and scale of a node that has no matrix."""
+    rotation = unit_quaternion(file.floats(node, "rotation", (0.0, 0.0, 0.0, 1.0)))
+    return file.floats(node, "translation", (0.0, 0.0, 0.0)), rotation, file.floats(node, "scale", (1.0, 1.0, 1.0))
+
+
+# ---- shapes
+
+
+def _layer(body: GltfBody) -> Layer:
+    """The layer of all meshes, which are read into shapes on the way."""
+    file = body.file
+    nodes, meshes, skins = file.top("nodes"), file.top("meshes"), file.top("skins")
+    known: dict[tuple[int, ...], str] = {}
+    static, deforming = [], []
+    scenes = file.top("scenes")
+    roots = file.listed(scenes[file.index(file.tree, "scene", len(scenes)) or 0], "nodes") if scenes else []
+    shown = _below(file, roots) if roots else list(range(len(nodes)))
+    for number in shown:
+        node = nodes[number]
+        mesh, skin = file.index(node, "mesh", len(meshes)), file.index(node, "skin", len(skins))
+        if mesh is None:
+            continue
+        morphs = any("targets" in each for each in file.objects(meshes[mesh], "primitives"))
+        key = (mesh, -1 if skin is None else skin, number if morphs else -1)
+        if key not in known:
+            name = unused(file.name(meshes[mesh], file.name(node, f"mesh{mesh}")), body.shapes)
+            if not read_shape(body, name, meshes[mesh], None if skin is None else skins[skin], node):
+                continue
+            known[key] = name
+        shape = body.shapes[known[key]]
+        if shape.blend is not None:
+            body.weights[number] = shape.blend.channels
+        if skin is None and not morphs:
+            static.append(Binding(body.joint[number], shape.name))
+        else:
+            names = ["blendshape"] * morphs + ["linearskinning"] * (skin is not None)
+            deforming.append(Binding("" if skin is not None else body.joint[number], shape.name, deformer="+".join(names)))
+    return Layer(LAYER, tuple(static), tuple(deforming))

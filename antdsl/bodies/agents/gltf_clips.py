@@ -1,0 +1,144 @@
+"""Animations of a glTF file as clips: LINEAR, STEP and CUBICSPLINE keys sampled at even steps of time. Khronos Group, glTF 2.0
+Specification, 2021, section 3.11 and appendix C."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.bodies.agents.clip import Clip
+from antdsl.bodies.agents.gltf_file import Gltf
+from antdsl.bodies.agents.problems import BodyError
+from antdsl.bodies.agents.rig import Rig
+from antdsl.bodies.agents.transforms import between_rotations, one_sign, parts_of, unit_quaternion
+
+Floats = NDArray[np.float64]
+_EXPORT = "export it anew, as glTF 2.0"
+_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
+
+
+def read_clips(file: Gltf, joint: Mapping[int, str], weights: Mapping[int, tuple[str, ...]], rig: Rig, rate: float) -> list[Clip]:
+    """The clips of a file. `joint`: names of nodes by number; `weights`: the channels that weigh the morph targets of a node's
+    mesh. Each is sampled about `rate` times a second, from 0 to its last key."""
+    animations = file.top("animations")
+    if len(animations) > limits.BODY_PARTS:
+        raise BodyError(f"has {len(animations):,} animations, more than are read", code="too-large")
+    found: dict[str, Clip] = {}
+    left = limits.CLIP_BYTES
+    for number, animation in enumerate(animations):
+        name, count = file.name(animation, f"clip{number}"), 2
+        own = name
+        while name in found:
+            name, count = f"{own}_{count}", count + 1
+        clip, size = _clip(file, animation, name, joint, weights, rig, rate, left)
+        left -= size
+        if clip is not None:
+            found[name] = clip
+    return list(found.values())
+
+
+def even_times(seconds: float, rate: float) -> tuple[NDArray[Any], float]:
+    """Moments from 0 to `seconds`, both among them, about `rate` a second; and how many a second they are."""
+    steps = max(1, round(seconds * rate))
+    if seconds <= 0:
+        return np.zeros(1), rate
+    return np.arange(steps + 1, dtype=np.float64) * (seconds / steps), steps / seconds
+
+
+def _clip(
+    file: Gltf, animation: dict[str, Any], name: str, joint: Mapping[int, str], weights: Mapping[int, tuple[str, ...]],
+    rig: Rig, rate: float, left: int,
+) -> tuple[Clip | None, int]:  # fmt: skip
+    """A clip and the bytes that it takes, of `left` at most."""
+    moved: dict[str, dict[str, _Keys]] = {}
+    shares: dict[str, tuple[_Keys, int]] = {}
+    samplers = file.objects(animation, "samplers")
+    seconds = 0.0
+    for channel in file.objects(animation, "channels"):
+        target = file.object(channel, "target")
+        node, path = target.get("node"), target.get("path")
+        if node is None:
+            continue
+        node = file.number_of(node, "node", len(file.top("nodes")))
+        sampler = samplers[file.number_of(channel.get("sampler"), "sampler", len(samplers))]
+        if isinstance(path, str) and path in _WIDTHS and node in joint:
+            moved.setdefault(joint[node], {})[path] = keys = _Keys(file, sampler, _WIDTHS[path])
+        elif path == "weights" and node in weights:
+            keys = _Keys(file, sampler, len(weights[node]))
+            shares |= {each: (keys, column) for column, each in enumerate(weights[node])}
+        else:
+            continue
+        seconds = max(seconds, float(keys.times[-1]))
+    if not moved and not shares:
+        return None, 0
+    if seconds * rate > limits.CLIP_SAMPLES:
+        raise BodyError(f"has a clip `{name}` of {seconds:,.0f} seconds, longer than is read", code="too-large")
+    times, rate = even_times(seconds, rate)
+    size = len(times) * (len(moved) * 13 + len(shares)) * 8
+    if size > left:
+        raise BodyError(f"has clips of more than {limits.CLIP_BYTES:,} bytes when they are sampled", code="too-large")
+    joints = tuple(each for each in rig.names if each in moved)
+    rest = parts_of(rig.rest[[rig.names.index(each) for each in joints]].reshape(-1, 4, 4))
+    translation, rotation, scale, shear = (np.broadcast_to(part, (len(times), *part.shape)).copy() for part in rest)
+    for number, each in enumerate(joints):
+        for path, array in (("translation", translation), ("rotation", rotation), ("scale", scale)):
+            if path in moved[each]:
+                array[:, number] = moved[each][path].at(times, path == "rotation")
+    values = np.array([keys.at(times)[:, column] for keys, column in shares.values()]).reshape(len(shares), len(times)).T
+    if not all((np.abs(part) <= limits.LARGEST).all() for part in (translation, rotation, scale, shear, values)):
+        raise BodyError(f"has a clip `{name}` with a value that is not finite", _EXPORT)
+    made = Clip(
+        name, rate, joints,
+        translation.astype(np.float32), one_sign(unit_quaternion(rotation)).astype(np.float32), scale.astype(np.float32),
+        shear.astype(np.float32) if (np.abs(shear) > 1e-6).any() else None,
+        tuple(shares), np.ascontiguousarray(values, np.float32),
+    )  # fmt: skip
+    return made, size
+
+
+class _Keys:
+    """The keys of a sampler: `times` float64[n], rising; `values` float64[n, 1, width], of a spline [n, 3, width], the value
+    between two tangents."""
+
+    def __init__(self, file: Gltf, sampler: dict[str, Any], width: int) -> None:
+        self.kind = sampler.get("interpolation", "LINEAR")
+        if self.kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
+            raise BodyError(f"has keys of the kind `{str(self.kind)[:20]}`, which is not known", _EXPORT)
+        self.times = file.accessor(sampler.get("input"), 1)[:, 0].astype(np.float64)
+        values = file.accessor(sampler.get("output")).astype(np.float64)
+        count, each = len(self.times), 3 if self.kind == "CUBICSPLINE" else 1
+        if not count or not np.isfinite(self.times).all() or (np.diff(self.times) < 0).any() or self.times[0] < 0:
+            raise BodyError("has keys whose times do not rise from 0 on", _EXPORT)
+        if values.size != count * each * width or not np.isfinite(values).all():
+            raise BodyError(f"has {values.size:,} values for {count:,} keys of {width}, or one that is not finite", _EXPORT)
+        self.values = values.reshape(count, each, width)
+
+    def at(self, times: Floats, rotation: bool = False) -> Floats:
+        """The values at `times` float64[F], those of the first and last key before and after all of them."""
+        keys, own = self.times, self.values[:, len(self.values[0]) // 2]
+        if len(keys) == 1:
+            return np.broadcast_to(own[0], (len(times), own.shape[1]))
+        before = np.clip(np.searchsorted(keys, times, side="right") - 1, 0, len(keys) - 2)
+        step = keys[before + 1] - keys[before]
+        share = np.clip((times - keys[before]) / np.where(step > 0, step, 1.0), 0.0, 1.0)
+        share = np.where(step > 0, share, 1.0)
+        if self.kind == "STEP":
+            return np.where(share[:, None] >= 1.0, own[before + 1], own[before])
+        if self.kind == "CUBICSPLINE":
+            return self._spline(before, share, step)
+        if rotation:
+            return between_rotations(unit_quaternion(own[before]), unit_quaternion(own[before + 1]), share)
+        return own[before] + share[:, None] * (own[before + 1] - own[before])
+
+    def _spline(self, before: NDArray[np.int64], share: Floats, step: Floats) -> Floats:
+        """Hermite splines: tangents are per second."""
+        t, d = share[:, None], step[:, None]
+        t2, t3 = t * t, t * t * t
+        start, leaving = self.values[before, 1], self.values[before, 2]
+        arriving, end = self.values[before + 1, 0], self.values[before + 1, 1]
+        first = (2 * t3 - 3 * t2 + 1) * start + d * (t3 - 2 * t2 + t) * leaving
+        return np.asarray(first + (3 * t2 - 2 * t3) * end + d * (t3 - t2) * arriving)

@@ -1,0 +1,256 @@
+"""A glTF 2.0 file (.gltf, .glb) as its JSON and its accessors as arrays: counts, offsets and sizes are held against the buffers
+and the limits before anything is allocated. Khronos Group, glTF 2.0 Specification, 2021, sections 3.6 and 4."""
+
+from __future__ import annotations
+
+import binascii
+import json
+import struct
+from base64 import b64decode
+from collections.abc import Callable
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.bodies.agents.problems import BodyError
+
+_COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+_EXPORT = "export it anew, as glTF 2.0"
+# What a reader must know to understand a file at all. Others change how it looks, and are passed over.
+_COMPRESSED = {
+    "KHR_draco_mesh_compression": "Draco",
+    "EXT_meshopt_compression": "meshopt",
+    "KHR_meshopt_compression": "meshopt",
+}
+_HARMLESS = (
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+    "KHR_materials_",
+    "KHR_lights_punctual",
+    "EXT_texture_",
+    "KHR_texture_",
+)
+
+
+class Gltf:
+    """The file's JSON with checked access: every index and kind that is asked for is looked at, BodyError says what is wrong."""
+
+    def __init__(self, data: bytes, beside: Callable[[str, int], bytes]) -> None:
+        """`beside(path, cap)` reads a file that lies beside this one, of at most `cap` bytes."""
+        text, self._binary = _parts(data)
+        self.tree = _parsed(text)
+        self._beside = beside
+        self._left = limits.BODY_BYTES
+        self._buffers: dict[int, bytes] = {}
+        self._kept: dict[int, NDArray[Any]] = {}
+        self._decoded = 0
+        self._tops: dict[str, list[dict[str, Any]]] = {}
+        version = str(self.object(self.tree, "asset").get("version", ""))
+        if not version.startswith("2."):
+            raise BodyError(f"is glTF {version[:10] or 'without a version'}, and 2.0 is read", _EXPORT)
+        for name in map(str, self.listed(self.tree, "extensionsRequired")):
+            if name in _COMPRESSED:
+                raise BodyError(f"is compressed with {_COMPRESSED[name]}, which is not read", "export it without compression")
+            if not name.startswith(_HARMLESS):
+                raise BodyError(f"needs the extension `{name[:60]}`, which is not read", "export it without")
+
+    # ---- JSON
+
+    def object(self, holder: dict[str, Any], key: str) -> dict[str, Any]:
+        """An object, empty where there is none."""
+        found = holder.get(key, {})
+        if not isinstance(found, dict):
+            raise BodyError(f"has a `{key}` that is no object", _EXPORT)
+        return found
+
+    def listed(self, holder: dict[str, Any], key: str) -> list[Any]:
+        """A list, empty where there is none."""
+        found = holder.get(key, [])
+        if not isinstance(found, list):
+            raise BodyError(f"has `{key}` that are no list", _EXPORT)
+        return found
+
+    def objects(self, holder: dict[str, Any], key: str) -> list[dict[str, Any]]:
+        """A list of objects, empty where there is none."""
+        found = self.listed(holder, key)
+        if not all(isinstance(each, dict) for each in found):
+            raise BodyError(f"has `{key}` that are no objects", _EXPORT)
+        return found
+
+    def index(self, holder: dict[str, Any], key: str, count: int) -> int | None:
+        """A number of one of `count` things, None where none is given."""
+        return None if key not in holder else self.number_of(holder[key], key, count)
+
+    def number_of(self, value: Any, what: str, count: int) -> int:
+        """A number of one of `count` things."""
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
+            raise BodyError(f"names `{what}` {str(value)[:20]}, of which there are {count:,}", _EXPORT)
+        return value
+
+    def top(self, key: str) -> list[dict[str, Any]]:
+        """A list of the file itself, such as `nodes`, looked through once."""
+        if key not in self._tops:
+            self._tops[key] = self.objects(self.tree, key)
+        return self._tops[key]
+
+    def floats(self, holder: dict[str, Any], key: str, otherwise: tuple[float, ...]) -> NDArray[np.float64]:
+        """As many numbers as `otherwise` has, which stands for what is not there."""
+        found = holder.get(key, otherwise)
+        right = isinstance(found, list | tuple) and len(found) == len(otherwise)
+        if not right or not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e30 for x in found):
+            raise BodyError(f"has a `{key}` that is not {len(otherwise)} numbers", _EXPORT)
+        return np.array(found, np.float64)
+
+    def name(self, holder: dict[str, Any], otherwise: str) -> str:
+        """A name that can be shown and written."""
+        found = holder.get("name")
+        if not isinstance(found, str) or not found.strip():
+            return otherwise
+        return "".join(c if c.isprintable() else "\ufffd" for c in found[:200])
+
+    # ---- arrays
+
+    def accessor(self, number: Any, width: int | None = None) -> NDArray[Any]:
+        """The values (count, width) of an accessor: float64 for floats and for what stands for shares, int64 otherwise."""
+        accessors = self.top("accessors")
+        number = self.number_of(number, "accessor", len(accessors))
+        if number not in self._kept:
+            self._kept[number] = self._read(accessors[number], number)
+        found = self._kept[number]
+        if width is not None and found.shape[1] != width:
+            raise BodyError(f"has an accessor {number} of {found.shape[1]} numbers where {width} are wanted", _EXPORT)
+        return found
+
+    def _read(self, accessor: dict[str, Any], number: int) -> NDArray[Any]:
+        kind, width = _COMPONENTS.get(_plain(accessor.get("componentType"))), _WIDTHS.get(str(accessor.get("type")))
+        count = accessor.get("count")
+        if kind is None or width is None or isinstance(count, bool) or not isinstance(count, int) or count < 0:
+            raise BodyError(f"has an accessor {number} of a kind that is not known", _EXPORT)
+        size = np.dtype(kind).itemsize * width
+        self._decoded += count * max(size, 8 * width)
+        if self._decoded > 4 * limits.BODY_BYTES:
+            raise BodyError(f"has an accessor {number} of {count:,} values, more than are read", code="too-large")
+        if width == 16 and np.dtype(kind).itemsize < 4:
+            raise BodyError(f"has an accessor {number} of a kind that is not known", _EXPORT)
+        if "bufferView" in accessor:
+            raw = self._rows(accessor["bufferView"], accessor.get("byteOffset", 0), count, kind, width)
+        else:
+            raw = np.zeros((count, width), kind)
+        if "sparse" in accessor:
+            raw = self._sparse(self.object(accessor, "sparse"), raw, kind, width)
+        if kind == "<f4":
+            return raw.astype(np.float64)
+        whole = raw.astype(np.int64)
+        if accessor.get("normalized") is not True:
+            return whole
+        return np.maximum(whole / float(np.iinfo(kind).max), -1.0)
+
+    def _sparse(self, sparse: dict[str, Any], raw: NDArray[Any], kind: str, width: int) -> NDArray[Any]:
+        indices, values, count = self.object(sparse, "indices"), self.object(sparse, "values"), sparse.get("count")
+        index_kind = _COMPONENTS.get(_plain(indices.get("componentType")))
+        if index_kind is None or isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= len(raw):
+            raise BodyError("has a sparse accessor that is not understood", _EXPORT)
+        rows = self._rows(indices.get("bufferView"), indices.get("byteOffset", 0), count, index_kind, 1)[:, 0].astype(np.int64)
+        if len(rows) and (rows.min() < 0 or rows.max() >= len(raw)):
+            raise BodyError("has a sparse accessor that names values which are not there", _EXPORT)
+        made = raw.copy()
+        made[rows] = self._rows(values.get("bufferView"), values.get("byteOffset", 0), count, kind, width)
+        return made
+
+    def _rows(self, view: Any, start: Any, count: int, kind: str, width: int) -> NDArray[Any]:
+        """`count` rows of a buffer view, from byte `start` of it on."""
+        views = self.top("bufferViews")
+        found = views[self.number_of(view, "bufferView", len(views))]
+        offset, length, stride = found.get("byteOffset", 0), found.get("byteLength"), found.get("byteStride", 0)
+        size = np.dtype(kind).itemsize * width
+        for value in (start, offset, length, stride):
+            if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**40:
+                raise BodyError("has a buffer view that is not understood", _EXPORT)
+        stride = stride or size
+        if stride < size or (count and start + stride * (count - 1) + size > length):
+            raise BodyError(f"has a buffer view of {length:,} bytes, too few for what is in it", "a part of it is missing")
+        data = self._buffer(found.get("buffer"))
+        if offset + length > len(data):
+            raise BodyError(f"has a buffer of {len(data):,} bytes, too few for what is in it", "a part of it is missing")
+        if not count:
+            return np.empty((0, width), kind)
+        raw = np.ndarray((count, width), kind, data, offset + start, (stride, np.dtype(kind).itemsize))
+        return np.ascontiguousarray(raw)
+
+    def _buffer(self, number: Any) -> bytes:
+        buffers = self.top("buffers")
+        number = self.number_of(number, "buffer", len(buffers))
+        if number not in self._buffers:
+            data = self._fetched(buffers[number], number)
+            self._left -= len(data)
+            if self._left < 0:
+                raise BodyError(f"has buffers of more than {limits.BODY_BYTES:,} bytes", code="too-large")
+            self._buffers[number] = data
+        return self._buffers[number]
+
+    def _fetched(self, buffer: dict[str, Any], number: int) -> bytes:
+        uri = buffer.get("uri")
+        if uri is None and number == 0 and self._binary is not None:
+            return self._binary
+        if not isinstance(uri, str):
+            raise BodyError(f"has a buffer {number} that lies nowhere", "a part of it is missing")
+        if uri[:5].lower() == "data:":
+            head, comma, body = uri.partition(",")
+            if not comma or not head.lower().endswith(";base64"):
+                raise BodyError(f"has a buffer {number} that is not written as base64", _EXPORT)
+            try:
+                return b64decode(body, validate=True)
+            except (binascii.Error, ValueError):
+                raise BodyError(f"has a buffer {number} that is not written as base64", _EXPORT) from None
+        return self._beside(unquote(uri), self._left)
+
+
+def _plain(value: Any) -> int:
+    return value if isinstance(value, int) and not isinstance(value, bool) else -1
+
+
+def _parts(data: bytes) -> tuple[bytes, bytes | None]:
+    """The JSON of a file and, of a .glb, its binary chunk."""
+    if data[:4] != b"glTF":
+        return data, None
+    if len(data) < 20:
+        raise BodyError("ends before it has begun", "a part of it is missing")
+    version, length = struct.unpack_from("<II", data, 4)
+    if version != 2:
+        raise BodyError(f"is a binary glTF {version}, and 2 is read", _EXPORT)
+    if length > len(data):
+        raise BodyError(f"says it has {length:,} bytes, and has {len(data):,}", "a part of it is missing")
+    chunks: list[tuple[int, bytes]] = []
+    at = 12
+    while at + 8 <= length and len(chunks) < 64:
+        size, kind = struct.unpack_from("<II", data, at)
+        if at + 8 + size > length:
+            raise BodyError("has a chunk that goes on beyond its end", "a part of it is missing")
+        chunks.append((kind, data[at + 8 : at + 8 + size]))
+        at += 8 + size
+    if not chunks or chunks[0][0] != 0x4E4F534A:
+        raise BodyError("has no JSON", _EXPORT)
+    binary = next((body for kind, body in chunks[1:] if kind == 0x004E4942), None)
+    return chunks[0][1], binary
+
+
+def _parsed(text: bytes) -> dict[str, Any]:
+    if len(text) > limits.BODY_TEXT_BYTES:
+        raise BodyError(
+            f"has more than {limits.BODY_TEXT_BYTES:,} bytes of JSON", "write its buffers to a .bin file", "too-large"
+        )
+    try:
+        found = json.loads(text.decode("utf-8-sig"), parse_constant=_no_number)
+    except (ValueError, RecursionError):
+        raise BodyError("is not glTF: its JSON cannot be read", _EXPORT) from None
+    if not isinstance(found, dict):
+        raise BodyError("is not glTF: its JSON is no object", _EXPORT)
+    return found
+
+
+def _no_number(word: str) -> float:
+    raise ValueError(word)

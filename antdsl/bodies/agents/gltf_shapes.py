@@ -1,0 +1,268 @@
+"""Meshes of a glTF file as shapes: triangles, normals, texture coordinates, colours of materials, the joints that points follow,
+and morph targets as shapes to blend with. Khronos Group, glTF 2.0 Specification, 2021, section 3.7."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.bodies.agents.gltf_file import Gltf
+from antdsl.bodies.agents.problems import BodyError
+from antdsl.bodies.agents.rig import Channel
+from antdsl.bodies.agents.shape import Blend, Capture, Shape
+
+Floats = NDArray[np.float64]
+_EXPORT = "export it anew, as glTF 2.0"
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+
+
+@dataclass(slots=True)
+class GltfBody:
+    """What is being read: `joint` is the name of each node by its number, `left_out` what is told of and not read."""
+
+    file: Gltf
+    joint: dict[int, str] = field(default_factory=dict)
+    shapes: dict[str, Shape] = field(default_factory=dict)
+    channels: dict[str, Channel] = field(default_factory=dict)
+    weights: dict[int, tuple[str, ...]] = field(default_factory=dict)  # channels of each node's mesh
+    materials: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    left_out: dict[str, None] = field(default_factory=dict)
+    points: int = 0
+
+
+def unused(name: str, taken: Iterable[str]) -> str:
+    """A name that is not taken: itself, or with the first number that makes it so."""
+    taken = taken if isinstance(taken, set | dict) else set(taken)
+    made, count = name, 2
+    while made in taken:
+        made, count = f"{name}_{count}", count + 1
+    return made
+
+
+@dataclass(slots=True)
+class _Pieces:
+    """The primitives of a mesh, one after the other."""
+
+    points: list[Floats] = field(default_factory=list)
+    faces: list[NDArray[np.int64]] = field(default_factory=list)
+    normals: list[Floats | None] = field(default_factory=list)
+    uvs: list[Floats | None] = field(default_factory=list)
+    material: list[int | None] = field(default_factory=list)
+    joints: list[NDArray[np.int64]] = field(default_factory=list)
+    weights: list[Floats] = field(default_factory=list)
+    targets: list[list[tuple[Floats, Floats | None]]] = field(default_factory=list)
+    further: list[dict[str, NDArray[Any]]] = field(default_factory=list)
+
+
+def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, Any] | None, node: dict[str, Any]) -> bool:
+    """Reads a mesh into the shape `name`, its morph targets into shapes of their own; False where it has no triangles."""
+    file, pieces = body.file, _Pieces()
+    for primitive in file.objects(mesh, "primitives"):
+        _piece(body, pieces, primitive, skin is not None)
+    if not pieces.points:
+        body.left_out[f"the mesh `{name}` has no triangles"] = None
+        return False
+    counts = [len(points) for points in pieces.points]
+    starts = np.cumsum([0, *counts[:-1]])
+    faces = np.concatenate([f + start for f, start in zip(pieces.faces, starts, strict=True)]).astype(np.int32)
+    points = np.concatenate(pieces.points).astype(np.float32)
+    with_normals = all(each is not None for each in pieces.normals)
+    normals = np.concatenate([each for each in pieces.normals if each is not None]).astype(np.float32) if with_normals else None
+    uvs = None
+    if any(each is not None for each in pieces.uvs):
+        whole = [np.zeros((n, 2)) if each is None else each for each, n in zip(pieces.uvs, counts, strict=True)]
+        uvs = np.concatenate(whole).astype(np.float32)
+    materials, material = _materials(body, pieces)
+    common = set.intersection(*(set(each) for each in pieces.further))
+    further = {key: np.concatenate([each[key] for each in pieces.further]) for key in sorted(common)}
+    shape = Shape(name, points, faces, normals, uvs, materials, material, further)
+    if skin is not None:
+        shape = replace(shape, capture=_capture(body, pieces, skin, name))
+    body.shapes[name] = shape
+    number = len(pieces.targets[0])
+    if any(len(each) != number for each in pieces.targets):
+        raise BodyError(f"has a mesh `{name}` whose primitives have different numbers of morph targets", _EXPORT)
+    if number:
+        body.shapes[name] = replace(shape, blend=_targets(body, shape, pieces, mesh, node))
+    return True
+
+
+def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: bool) -> None:
+    file = body.file
+    mode = primitive.get("mode", _TRIANGLES)
+    if mode not in (_TRIANGLES, _STRIP, _FAN):
+        body.left_out["points and lines of meshes are not read"] = None
+        return
+    if "KHR_draco_mesh_compression" in file.object(primitive, "extensions"):
+        body.left_out["what is compressed with Draco is not read"] = None
+        return
+    given = file.object(primitive, "attributes")
+    if "POSITION" not in given:
+        body.left_out["a primitive of a mesh has no positions"] = None
+        return
+    points = file.accessor(given["POSITION"], 3).astype(np.float64)
+    body.points += len(points) * (1 + len(file.listed(primitive, "targets")))
+    if body.points > limits.BODY_POINTS:
+        raise BodyError(f"has more than {limits.BODY_POINTS:,} points, morph targets among them", code="too-large")
+    if not np.isfinite(points).all() or (len(points) and np.abs(points).max() > 1e30):
+        raise BodyError("has a point that is not finite", _EXPORT)
+    corners = file.accessor(primitive["indices"], 1)[:, 0] if "indices" in primitive else np.arange(len(points))
+    faces = _triangles(corners.astype(np.int64), mode)
+    if len(faces) > limits.MESH_FACES:
+        raise BodyError(f"has more than {limits.MESH_FACES:,} triangles", code="too-large")
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(points)):
+        raise BodyError("has a triangle that names a point which is not there", _EXPORT)
+    if not len(faces):
+        return
+
+    def of_points(key: str, width: int) -> Floats | None:
+        if key not in given:
+            return None
+        found = file.accessor(given[key], width)
+        if len(found) != len(points) or not np.isfinite(found).all():
+            raise BodyError(
+                f"has `{key}` of {len(found):,} values for {len(points):,} points, or one that is not finite", _EXPORT
+            )
+        return found.astype(np.float64)
+
+    pieces.points.append(points)
+    pieces.faces.append(faces)
+    pieces.normals.append(of_points("NORMAL", 3))
+    pieces.uvs.append(of_points("TEXCOORD_0", 2))
+    pieces.material.append(file.index(primitive, "material", len(file.top("materials"))))
+    pieces.targets.append([])
+    for target in file.objects(primitive, "targets"):
+        moved = [_target(file, target, key, len(points)) for key in ("POSITION", "NORMAL")]
+        pieces.targets[-1].append((np.zeros((len(points), 3)) if moved[0] is None else moved[0], moved[1]))
+    pieces.further.append({})
+    for key in given:
+        if isinstance(key, str) and key.startswith("_") and key.strip("_"):
+            values = file.accessor(given[key])
+            if len(values) == len(points) and values.shape[1] == 1 and np.isfinite(values).all():
+                whole = values.dtype == np.int64
+                pieces.further[-1][key.strip("_").lower()] = values[:, 0].astype(np.int64 if whole else np.float32)
+    if skinned:
+        _follow(pieces, of_points, len(points))
+
+
+def _target(file: Gltf, target: dict[str, Any], key: str, count: int) -> Floats | None:
+    if key not in target:
+        return None
+    found = file.accessor(target[key], 3)
+    if len(found) != count or not np.isfinite(found).all():
+        raise BodyError(f"has a morph target of {len(found):,} values for {count:,} points, or one that is not finite", _EXPORT)
+    return found.astype(np.float64)
+
+
+def _triangles(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
+    """Triangles (n, 3) of a list, a strip or a fan of corners; those without an area are left out of strips."""
+    if mode == _TRIANGLES:
+        return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+    if len(corners) < 3:
+        return np.empty((0, 3), np.int64)
+    if mode == _FAN:
+        return np.stack([corners[1:-1], corners[2:], np.full(len(corners) - 2, corners[0])], axis=1)
+    found = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+    found[1::2] = found[1::2][:, [1, 0, 2]]
+    apart = (found[:, 0] != found[:, 1]) & (found[:, 1] != found[:, 2]) & (found[:, 0] != found[:, 2])
+    return np.asarray(found[apart])
+
+
+def _follow(pieces: _Pieces, of_points: Callable[[str, int], Floats | None], count: int) -> None:
+    """The joints of each point with their weights, in as many columns as the file has."""
+    joints: list[NDArray[np.int64]] = []
+    weights: list[Floats] = []
+    while 4 * len(joints) < limits.CAPTURED:
+        these, shares = of_points(f"JOINTS_{len(joints)}", 4), of_points(f"WEIGHTS_{len(joints)}", 4)
+        if these is None or shares is None:
+            break
+        joints.append(these.astype(np.int64))
+        weights.append(np.maximum(shares, 0.0))
+    pieces.joints.append(np.concatenate(joints, axis=1) if joints else np.zeros((count, 4), np.int64))
+    pieces.weights.append(np.concatenate(weights, axis=1) if weights else np.zeros((count, 4)))
+
+
+def _capture(body: GltfBody, pieces: _Pieces, skin: dict[str, Any], name: str) -> Capture:
+    file = body.file
+    names = tuple(body.joint[number] for number in file.listed(skin, "joints"))
+    if not names:
+        raise BodyError("has a skin without joints", _EXPORT)
+    inverse = np.tile(np.eye(4), (len(names), 1, 1))
+    if "inverseBindMatrices" in skin:
+        found = file.accessor(skin["inverseBindMatrices"], 16)
+        if len(found) < len(names) or not np.isfinite(found).all():
+            raise BodyError(f"has {len(found)} inverse bind matrices for {len(names)} joints, or one not finite", _EXPORT)
+        inverse = np.ascontiguousarray(found[: len(names)].astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1))
+    columns = max(each.shape[1] for each in pieces.joints)
+    joints = np.concatenate([np.pad(each, ((0, 0), (0, columns - each.shape[1]))) for each in pieces.joints])
+    weights = np.concatenate([np.pad(each, ((0, 0), (0, columns - each.shape[1]))) for each in pieces.weights])
+    joints, weights, lone = captured(joints, weights, len(names))
+    if lone:
+        body.left_out[f"{lone:,} points of `{name}` follow no joint, and were given to `{names[0]}`"] = None
+    return Capture(names, joints, weights, inverse)
+
+
+def captured(joints: NDArray[np.int64], weights: Floats, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32], int]:
+    """Joints int32[P, K] and weights float32[P, K] that add up to 1, columns that nobody needs left out; and how many points
+    followed none of the `count` joints, which then follow the first. BodyError for a joint that is not there."""
+    used = weights > 0
+    if len(joints) and used.any() and (joints[used].min() < 0 or joints[used].max() >= count):
+        raise BodyError(f"has a point that follows a joint which is not among the {count} of its skin", _EXPORT)
+    joints = np.where(used, joints, 0)
+    total = weights.sum(axis=1, keepdims=True)
+    lone = np.asarray(total[:, 0] <= 0)
+    weights = np.where(lone[:, None], np.arange(weights.shape[1]) == 0, weights / np.where(total > 0, total, 1.0))
+    needed = (weights > 0).any(axis=0) | (np.arange(weights.shape[1]) == 0)
+    return joints[:, needed].astype(np.int32), weights[:, needed].astype(np.float32), int(lone.sum())
+
+
+def _targets(body: GltfBody, shape: Shape, pieces: _Pieces, mesh: dict[str, Any], node: dict[str, Any]) -> Blend:
+    """Shapes of the library for the morph targets of a mesh, and channels that weigh them."""
+    file, number = body.file, len(pieces.targets[0])
+    extras = mesh.get("extras")
+    given = extras.get("targetNames") if isinstance(extras, dict) else None
+    names = given if isinstance(given, list) and len(given) == number and all(isinstance(n, str) and n for n in given) else None
+    weights = file.floats(node if "weights" in node else mesh, "weights", (0.0,) * number)
+    shapes, channels = [], []
+    for count in range(number):
+        own = names[count][:200] if names else f"target{count}"
+        name = unused(f"{shape.name}.{own}", body.shapes)
+        channel = unused(name, body.channels)
+        moved = np.concatenate([each[count][0] for each in pieces.targets])
+        normals = shape.normals
+        if normals is not None:
+            turned = [
+                np.zeros((len(p), 3)) if each[count][1] is None else each[count][1]
+                for each, p in zip(pieces.targets, pieces.points, strict=True)
+            ]
+            normals = (normals + np.concatenate(turned)).astype(np.float32)  # type: ignore[arg-type]
+        body.shapes[name] = Shape(name, (shape.points + moved).astype(np.float32), shape.faces, normals, shape.uvs)
+        body.channels[channel] = Channel(channel, float(weights[count]))
+        shapes.append(name)
+        channels.append(channel)
+    return Blend(tuple(shapes), tuple(channels), ("P", "N") if shape.normals is not None else ("P",))
+
+
+def _materials(body: GltfBody, pieces: _Pieces) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
+    """The names of a shape's materials, and the number of each triangle's; their base colours go to the definition."""
+    file, known = body.file, body.file.top("materials")
+    if not known or all(each is None for each in pieces.material):
+        return (), None
+    names: dict[str, None] = {}
+    numbers = []
+    for given, faces in zip(pieces.material, pieces.faces, strict=True):
+        name = "default" if given is None else file.name(known[given], f"material{given}")
+        colour = (1.0, 1.0, 1.0)
+        if given is not None:
+            pbr = file.object(known[given], "pbrMetallicRoughness")
+            red, green, blue, _ = np.clip(file.floats(pbr, "baseColorFactor", (1.0, 1.0, 1.0, 1.0)), 0.0, 1.0)
+            colour = (float(red), float(green), float(blue))
+        body.materials.setdefault(name, colour)
+        names.setdefault(name)
+        numbers.append(np.full(len(faces), list(names).index(name), np.int32))
+    return tuple(names), np.concatenate(numbers)

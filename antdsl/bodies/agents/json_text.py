@@ -1,0 +1,233 @@
+"""JSON text to a tree in which each value has its place: as RFC 8259, and comments (`//`, `/* */`) and a comma behind the last
+value are passed over, since people write them. Depth and number of values are held against limits as they come."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass, field
+from math import isfinite
+
+from antdsl import limits
+from antdsl.diagnostics import Label, Report
+from antdsl.source import Source, Span
+
+Plain = dict[str, "Node"] | list["Node"] | list[float] | str | int | float | bool | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Node:
+    """A value at characters `start` to `end`. `value` of an array of numbers alone is a list of plain numbers (`numbers`), of any
+    other array a list of nodes, of an object a mapping whose keys stand at `keys`."""
+
+    value: Plain
+    start: int
+    end: int
+    keys: dict[str, tuple[int, int]] = field(default_factory=dict)
+    numbers: bool = False
+
+
+class _Refused(Exception):
+    """Reading cannot go on; the complaint is in the report already."""
+
+
+_SPACE = re.compile(r"(?:[ \t\r\n]+|//[^\n]*|/\*(?:[^*]|\*(?!/))*+\*/)*+")
+_STRING = re.compile(r'"(?:[^"\\\x00-\x1f]|\\.)*+"')
+_NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*+)(\.[0-9]++)?([eE][+-]?[0-9]++)?(?![0-9A-Za-z_.+-])")
+_NUMBERS = re.compile(r"\[[-+0-9eE.,\s]*+\]")
+_WORD = re.compile(r"[A-Za-z0-9_.+'\-]{1,40}")
+_LONE = re.compile("[\ud800-\udfff]")
+_WORDS: dict[str, bool | None] = {"true": True, "false": False, "null": None}
+_DIGITS = 400  # of one number
+_NO_NUMBERS = frozenset(
+    ("nan", "inf", "infinity", "-nan", "-inf", "-infinity", "+inf", "+infinity", "1.#inf", "1.#qnan", "-1.#ind")
+)
+_INSTEAD = {"True": "true", "False": "false", "None": "null", "undefined": "null", "TRUE": "true", "FALSE": "false"}
+
+
+def read_json(source: Source, what: str) -> tuple[Node | None, Report]:
+    """The tree of a text, or None and what is wrong with it, the first mistake alone; `what` it is to be, such as `a rig`."""
+    reader = _Reader(source, what)
+    try:
+        return reader.whole(), reader.report
+    except _Refused:
+        return None, reader.report
+
+
+def number_place(source: Source, node: Node, number: int) -> Span:
+    """Where a number of an array of numbers stands."""
+    for count, found in enumerate(re.finditer(r"[^\s,\[\]]+", source.text[node.start : node.end])):
+        if count == number:
+            return Span(source, node.start + found.start(), node.start + found.end())
+    return Span(source, node.start, node.end)
+
+
+class _Reader:
+    def __init__(self, source: Source, what: str) -> None:
+        self.source, self.text, self.what = source, source.text, what
+        self.report = Report()
+        self.count = 0
+
+    def refuse(self, start: int, end: int, message: str, help: str | None, *labels: Label, code: str = "json-syntax") -> _Refused:
+        if len(self.text) > start:
+            end = max(end, start + 1)
+        self.report.error(code, message, Span(self.source, start, end), help, labels=labels)
+        return _Refused()
+
+    def space(self, at: int) -> int:
+        found = _SPACE.match(self.text, at)
+        assert found is not None
+        at = found.end()
+        if self.text.startswith("/*", at):
+            raise self.refuse(at, at + 2, "this comment is not closed", "write `*/` where it ends")
+        return at
+
+    def whole(self) -> Node:
+        at = self.space(0)
+        if at == len(self.text):
+            raise self.refuse(0, 0, f"the file is empty, and {self.what} is wanted", "write `{ … }`")
+        node = self.value(at, 0)
+        at = self.space(node.end)
+        if at < len(self.text):
+            raise self.refuse(at, at + 1, f"something stands behind the end of {self.what}", "delete it")
+        return node
+
+    def value(self, at: int, depth: int) -> Node:
+        self.count += 1
+        if self.count > limits.BODY_VALUES:
+            raise self.refuse(at, at, f"there are more than {limits.BODY_VALUES:,} values", None, code="too-large")
+        sign = self.text[at : at + 1]
+        if sign == "[":
+            return self.numbers(at) or self.array(at, depth)
+        if sign == "{":
+            return self.object(at, depth)
+        if sign == '"':
+            return self.string(at)
+        found = _NUMBER.match(self.text, at)
+        if found:
+            return Node(self.number(found), at, found.end())
+        return self.word(at)
+
+    def number(self, found: re.Match[str]) -> int | float:
+        if found.end() - found.start() > _DIGITS:
+            raise self.refuse(found.start(), found.end(), "a number has too many digits", "round it")
+        value = float(found[0])
+        if not isfinite(value):
+            words = f"`{found[0][:40]}` is too large for a number"
+            raise self.refuse(found.start(), found.end(), words, "write a smaller one", code="out-of-range")
+        return value if found[1] or found[2] else int(found[0])
+
+    def numbers(self, at: int) -> Node | None:
+        """An array of nothing but numbers, as are most of the values of a clip; None for any other, and for what is wrong."""
+        found = _NUMBERS.match(self.text, at)
+        if not found:
+            return None
+        inside = found[0][1:-1].strip()
+        inside = inside.removesuffix(",") if inside != "," else inside
+        try:
+            values = json.loads(f"[{inside}]")
+        except ValueError:  # more than one comma, a number that is none, or one of thousands of digits
+            return None
+        if not all(-limits.LARGEST <= each <= limits.LARGEST for each in values):
+            return None
+        self.count += len(values) // 16  # a plain number takes less than a node
+        return Node(values, at, found.end(), numbers=True)
+
+    def deeper(self, at: int, depth: int) -> int:
+        if depth >= limits.NESTING:
+            words = f"values lie more than {limits.NESTING} deep in each other"
+            raise self.refuse(at, at + 1, words, None, code="too-large")
+        return depth + 1
+
+    def array(self, at: int, depth: int) -> Node:
+        depth, items, place = self.deeper(at, depth), [], self.space(at + 1)
+        while self.text[place : place + 1] != "]":
+            items.append(self.value(self.needed(place, at, "]"), depth))
+            place = self.behind(items[-1].end, at, "]")
+        return Node(items, at, place + 1)
+
+    def object(self, at: int, depth: int) -> Node:
+        depth, place = self.deeper(at, depth), self.space(at + 1)
+        entries: dict[str, Node] = {}
+        keys: dict[str, tuple[int, int]] = {}
+        while self.text[place : place + 1] != "}":
+            key = self.key(self.needed(place, at, "}"))
+            name = str(key.value)
+            if name in entries:
+                first = Label(Span(self.source, *keys[name]), "here first")
+                words = f"`{name[:60]}` is given twice"
+                raise self.refuse(key.start, key.end, words, "keep one of them", first, code="duplicate-key")
+            place = self.space(key.end)
+            if self.text[place : place + 1] != ":":
+                raise self.refuse(place, place + 1, f"`:` is missing behind `{name[:60]}`", 'write `"key": value`')
+            place = self.needed(self.space(place + 1), at, "}")
+            if self.text[place : place + 1] in (",", "}"):
+                raise self.refuse(key.start, key.end, f"`{name[:60]}` has no value", 'write `"key": value`')
+            entries[name], keys[name] = self.value(place, depth), (key.start, key.end)
+            place = self.behind(entries[name].end, at, "}")
+        return Node(entries, at, place + 1, keys)
+
+    def key(self, at: int) -> Node:
+        if self.text[at] == '"':
+            return self.string(at)
+        found = _WORD.match(self.text, at)
+        word = found[0] if found else self.text[at]
+        bare = word.strip("'")
+        help = f'write `"{bare}"`' if re.fullmatch("[A-Za-z0-9_.-]+", bare) else 'write `"key": value`'
+        raise self.refuse(at, at + len(word), f"a key stands in double quotes, and `{word}` does not", help)
+
+    def needed(self, at: int, opened: int, closing: str) -> int:
+        """The place of a value that must be there: the text has not ended."""
+        if at >= len(self.text):
+            opening = Label(Span(self.source, opened, opened + 1), "this is still open")
+            raise self.refuse(at, at, f"the text ends before `{closing}`", f"write the missing `{closing}`", opening)
+        return at
+
+    def behind(self, end: int, opened: int, closing: str) -> int:
+        """The place behind a value and its comma, where the next one or the closing bracket stands."""
+        at = self.needed(self.space(end), opened, closing)
+        if self.text[at] == ",":
+            return self.needed(self.space(at + 1), opened, closing)
+        if self.text[at] != closing:
+            opening = Label(Span(self.source, opened, opened + 1), "this is still open")
+            help = f"write `,` between two values, or `{closing}` at the end"
+            raise self.refuse(end, end + 1, f"`,` or `{closing}` is missing here", help, opening)
+        return at
+
+    def string(self, at: int) -> Node:
+        found = _STRING.match(self.text, at)
+        if not found:
+            line = re.compile(r"[^\n]*").match(self.text, at)
+            end = line.end() if line else at + 1
+            raise self.refuse(
+                at, end, "this text has no closing quote on its line, or a sign that must be escaped", 'write `"…"`'
+            )
+        try:
+            text = str(json.loads(found[0]))
+        except ValueError:
+            raise self.refuse(
+                at, found.end(), "this text has a `\\` that means nothing", "write `\\\\` for a backslash"
+            ) from None
+        if _LONE.search(text):
+            raise self.refuse(at, found.end(), "this text has half a character (a lone surrogate)", "write the character itself")
+        return Node(text, at, found.end())
+
+    def word(self, at: int) -> Node:
+        found = _WORD.match(self.text, at)
+        word = found[0] if found else self.text[at : at + 1]
+        if word in _WORDS:
+            return Node(_WORDS[word], at, at + len(word))
+        message, help = f"`{word}` is no value", None
+        if word.lower() in _NO_NUMBERS:
+            message, help = f"`{word}` is not a number that can stand here", "write a number, such as `0`"
+        elif word in _INSTEAD:
+            help = f"write `{_INSTEAD[word]}`"
+        elif word.startswith("'"):
+            message, help = "text stands in double quotes", 'write `"…"`'
+        elif re.match(r"[-+.]?[0-9.]", word):
+            message, help = f"`{word}` is not written as a number", "write `0.5`, `-2` or `1e-3`"
+        elif found:
+            help = f'write `"{word}"`' if re.fullmatch("[A-Za-z_]+", word) else None
+        elif word == ",":
+            message, help = "a value is missing before this comma", "delete the comma"
+        raise self.refuse(at, at + len(word), message, help)

@@ -1,0 +1,197 @@
+"""Skinning: points and normals of n agents that follow several joints each, by matrices or by dual quaternions.
+
+A joint takes a point from where it was captured to where the joint is now by one matrix, world transform times `Capture.inverse`.
+
+Linear: the mean of these matrices by the point's weights; normals by the mean of their inverses transposed.
+
+Dual quaternions (L. Kavan, S. Collins, J. Zara and C. O'Sullivan, Skinning with Dual Quaternions, I3D 2007): the mean of rigid
+movements, each on the side of the one that the point follows most, so that a joint that twists does not lose its volume. A dual
+quaternion holds a rotation and a translation alone. So each matrix is taken apart, M = R S, R the nearest rotation (polar
+decomposition) and S what is left: scale, shear and mirroring. The point first goes by the mean of the S, linearly, in the space
+where it was captured, and then by the blended R with the translations: two phases, as in L. Kavan et al., Geometric Skinning with
+Approximate Dual Quaternion Blending, ACM TOG 27, 2008, and in USD. One joint alone does the same to a point as with linear
+skinning, whatever it holds; between joints of different scale or shear S is a linear mean, only turns do not collapse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.affine import Floats, Numbers, inverse_transposed, product, quaternions, rotation_part, times
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.shape import Shape
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Deformed:
+    """A shape for n agents, or for all alike where n is 1: `points` float32[n, P, 3]; `normals` the same, unit, or None;
+    `attributes` float32[n, P, …]: others of points that a blend shape names."""
+
+    points: Floats
+    normals: Floats | None
+    attributes: dict[str, Floats]
+
+
+def linear(given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+    """Linear blend skinning. Raises ValueError for a shape without a capture, KeyError for joints that the rig does not have."""
+    joints, weights, matrices = _captured(shape, definition, poses)
+    x, y, z = _components(given.points)
+    points = np.empty((3, len(joints), matrices.shape[-1]), np.float32)
+    for r in range(3):
+        a, b, c, d = (_mean(matrices[r, k], joints, weights) for k in range(4))
+        points[r] = ((a * x + b * y) + c * z) + d
+    normals = None
+    if given.normals is not None:
+        normals = turned(given.normals, _means(inverse_transposed(matrices), joints, weights))
+    return Deformed(points.transpose(2, 1, 0), normals, given.attributes)
+
+
+def dual_quaternion(given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+    """Dual quaternion skinning in two phases. Raises as `linear`."""
+    joints, weights, matrices = _captured(shape, definition, poses)
+    rotation = rotation_part(matrices)
+    rest = _rest_of(rotation, matrices)
+    real = quaternions(rotation)
+    moved = np.concatenate([matrices[:, 3], np.zeros_like(matrices[:1, 3])])
+    dual = (0.5 * product(moved.astype(np.float64), real)).astype(np.float32)
+    turn, shift = _blended(real.astype(np.float32), dual, joints, weights)
+    points = apply(_means(rest, joints, weights), given.points)
+    turn_points(points, turn)
+    points += shift
+    normals = None
+    if given.normals is not None:
+        across = apply(_means(inverse_transposed(rest), joints, weights), given.normals)
+        turn_points(across, turn)
+        normals = unit(across).transpose(2, 1, 0)
+    return Deformed(points.transpose(2, 1, 0), normals, given.attributes)
+
+
+def dual_quaternion_blend(given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+    """Between linear (0) and dual quaternion skinning (1) by the point attribute that `Shape.dual_quaternion_blend` names
+    (deformDualQuaternionBlendAttrib). Raises as `linear`, and ValueError where the shape has no such attribute."""
+    name = shape.dual_quaternion_blend
+    if name not in shape.attributes:
+        raise ValueError(f"shape `{shape.name}` has no point attribute `{name}` (deformDualQuaternionBlendAttrib) to blend by")
+    share = shape.attributes[name].astype(np.float32).reshape(-1)[None, :, None]
+    straight, turned_ = linear(given, shape, definition, poses), dual_quaternion(given, shape, definition, poses)
+    points = straight.points + (turned_.points - straight.points) * share
+    normals = None
+    if straight.normals is not None and turned_.normals is not None:
+        mixed = straight.normals + (turned_.normals - straight.normals) * share
+        normals = unit(mixed.transpose(2, 1, 0)).transpose(2, 1, 0)
+    return Deformed(points, normals, given.attributes)
+
+
+def apply(matrices: Numbers, points: Floats) -> Floats:
+    """Points [n, P, 3] by matrices [3, 3 or 4, P, n], as [3, P, n]; with matrices of three columns they are directions."""
+    x, y, z = _components(points)
+    found = np.stack([(m[0] * x + m[1] * y) + m[2] * z for m in matrices])
+    if matrices.shape[1] == 4:
+        found += matrices[:, 3]
+    return found
+
+
+def turned(normals: Floats, matrices: Numbers) -> Floats:
+    """Normals [n, P, 3] by matrices [3, 3, P, n], unit again."""
+    return unit(apply(matrices, normals)).transpose(2, 1, 0)
+
+
+def unit(vectors: Floats) -> Floats:
+    """Vectors [3, …] made unit in place; those of length 0 stay."""
+    x, y, z = vectors
+    length = np.sqrt((x * x + y * y) + z * z)
+    length[length == 0] = 1
+    vectors /= length
+    return vectors
+
+
+def turn_points(points: Floats, rotation: Floats) -> None:
+    """Turn points [3, P, n] by unit quaternions [4, P, n], in place."""
+    qx, qy, qz, qw = rotation
+    x, y, z = points
+    ux = (qy * z - qz * y) + qw * x
+    uy = (qz * x - qx * z) + qw * y
+    uz = (qx * y - qy * x) + qw * z
+    two = np.float32(2)
+    points[0] = x + two * (qy * uz - qz * uy)
+    points[1] = y + two * (qz * ux - qx * uz)
+    points[2] = z + two * (qx * uy - qy * ux)
+
+
+def _captured(shape: Shape, definition: Definition, poses: Poses) -> tuple[NDArray[np.intp], Floats, Floats]:
+    """Joints [P, K] of the capture, their weights [P, K], and what each of its joints does, float32[3, 4, joints, n]."""
+    capture = shape.capture
+    if capture is None:
+        raise ValueError(f"shape `{shape.name}` says for none of its points which joints they follow (capture)")
+    numbers = {name: number for number, name in enumerate(definition.rig.names)}
+    missing = [name for name in capture.names if name not in numbers]
+    if missing:
+        raise KeyError(f"shape `{shape.name}` follows joint `{missing[0]}`, which the rig does not have")
+    world = poses.world.transpose(2, 3, 1, 0)[:, :, [numbers[name] for name in capture.names]]
+    inverse = np.ascontiguousarray(np.moveaxis(capture.inverse[:, :3], 0, -1), np.float32)[..., None]
+    used = int(np.flatnonzero((capture.weights != 0).any(axis=0)).max(initial=0)) + 1
+    matrices = times(world, inverse, np.empty(world.shape, np.float32))
+    return capture.joints[:, :used].astype(np.intp), capture.weights[:, :used].astype(np.float32), matrices
+
+
+def _components(points: Floats) -> tuple[Floats, Floats, Floats]:
+    """x, y and z, each [P, n]."""
+    x, y, z = points.transpose(2, 1, 0)
+    return x, y, z
+
+
+def _mean(values: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
+    """The mean [P, n] of numbers of joints [joints, n] by the weights of points."""
+    found = values.take(joints[:, 0], axis=0)
+    found *= weights[:, 0, None]
+    for k in range(1, joints.shape[1]):
+        part = values.take(joints[:, k], axis=0)
+        part *= weights[:, k, None]
+        found += part
+    return found
+
+
+def _means(matrices: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
+    """The mean [3, 3 or 4, P, n] of matrices of joints [3, 3 or 4, joints, n]."""
+    return np.stack([np.stack([_mean(each, joints, weights) for each in row]) for row in matrices])
+
+
+def _rest_of(rotation: NDArray[np.float64], matrices: Floats) -> Floats:
+    """What is left of matrices M when their rotation R is taken out: S = R⁻¹ M, float32[3, 3, joints, n]."""
+    m = matrices[:, :3].astype(np.float64)
+    found = np.empty(m.shape, np.float32)
+    for r in range(3):
+        for c in range(3):
+            found[r, c] = (rotation[0, r] * m[0, c] + rotation[1, r] * m[1, c]) + rotation[2, r] * m[2, c]
+    return found
+
+
+def _blended(real: Floats, dual: Floats, joints: NDArray[np.intp], weights: Floats) -> tuple[Floats, Floats]:
+    """The rotation [4, P, n] and the translation [3, P, n] of the mean of dual quaternions of joints [4, joints, n] each."""
+    most = joints[np.arange(len(joints)), weights.argmax(axis=1)]
+    pivot = real.take(most, axis=1)
+    turn = np.zeros_like(pivot)
+    shift = np.zeros_like(pivot)
+    for k in range(joints.shape[1]):
+        each = real.take(joints[:, k], axis=1)
+        near = each * pivot
+        dots = ((near[0] + near[1]) + near[2]) + near[3]
+        share = np.where(dots < 0, -weights[:, k, None], weights[:, k, None])
+        turn += each * share
+        shift += dual.take(joints[:, k], axis=1) * share
+    square = turn * turn
+    size = np.sqrt(((square[0] + square[1]) + square[2]) + square[3])
+    size[size == 0] = 1
+    turn /= size
+    shift /= size
+    (x, y, z, w), (ex, ey, ez, ew) = turn, shift
+    two = np.float32(2)
+    return turn, np.stack([
+        two * (((w * ex - ew * x) + y * ez) - z * ey),
+        two * (((w * ey - ew * y) + z * ex) - x * ez),
+        two * (((w * ez - ew * z) + x * ey) - y * ex),
+    ])  # fmt: skip

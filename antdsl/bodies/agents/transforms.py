@@ -1,0 +1,170 @@
+"""Local transforms as a translation, a rotation, a shear and a scale, and as matrices for column vectors.
+
+A point goes through the scale first, then the shear, then the rotation, then the translation: `T @ R @ H @ S`. `H` adds to x
+`shear1` times y and `shear2` times z, and to y `shear3` times z. Every matrix that flattens nothing is of that form in one way
+(Thomas, Decomposing a Matrix into Simple Transformations, in Graphics Gems II, 1991)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics.elementary import wide_atan2, wide_cos, wide_sin
+
+Floats = NDArray[np.float64]
+ORDERS = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
+
+
+def rotation_matrix(quaternion: Floats) -> Floats:
+    """Matrices float64[..., 3, 3] of unit quaternions float64[..., 4] (x, y, z, w)."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    made = np.empty((*quaternion.shape[:-1], 3, 3))
+    made[..., 0, 0], made[..., 0, 1], made[..., 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    made[..., 1, 0], made[..., 1, 1], made[..., 1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    made[..., 2, 0], made[..., 2, 1], made[..., 2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    return made
+
+
+def rotation_of(matrix: Floats) -> Floats:
+    """Unit quaternions float64[..., 4] of rotations float64[..., 3, 3]; w is not below 0.
+
+    The largest of the four components is found first, so that no division is by what is nearly 0 (Shepperd, Quaternion from
+    Rotation Matrix, 1978)."""
+    m = np.moveaxis(matrix.reshape(-1, 3, 3), 0, -1)
+    four = np.array(
+        [m[0, 0] - m[1, 1] - m[2, 2], m[1, 1] - m[0, 0] - m[2, 2], m[2, 2] - m[0, 0] - m[1, 1], m[0, 0] + m[1, 1] + m[2, 2]]
+    )
+    rows = np.array(
+        [
+            [1 + four[0], m[0, 1] + m[1, 0], m[2, 0] + m[0, 2], m[2, 1] - m[1, 2]],
+            [m[0, 1] + m[1, 0], 1 + four[1], m[1, 2] + m[2, 1], m[0, 2] - m[2, 0]],
+            [m[2, 0] + m[0, 2], m[1, 2] + m[2, 1], 1 + four[2], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1 + four[3]],
+        ]
+    )
+    best = np.argmax(four, axis=0)
+    found = np.take_along_axis(rows, best[None, None], axis=0)[0].T
+    return unit_quaternion(np.where(found[:, 3:] < 0, -found, found)).reshape(*matrix.shape[:-2], 4)
+
+
+def unit_quaternion(quaternion: Floats) -> Floats:
+    """Quaternions float64[..., 4] of length 1; one without a length becomes no rotation."""
+    length = np.sqrt((quaternion * quaternion).sum(axis=-1, keepdims=True))
+    known = np.isfinite(length) & (length > 1e-30)
+    return np.where(known, quaternion / np.where(known, length, 1.0), np.array([0.0, 0.0, 0.0, 1.0]))
+
+
+def product(a: Floats, b: Floats) -> Floats:
+    """The rotation `b` and then `a`, as quaternions float64[..., 4]."""
+    ax, ay, az, aw = np.moveaxis(a, -1, 0)
+    bx, by, bz, bw = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ],
+        axis=-1,
+    )
+
+
+def rotation_of_angles(angles: Floats, order: str) -> Floats:
+    """Unit quaternions float64[..., 4] of radians float64[..., 3] about x, y and z, applied in `order`: "xyz" turns about x
+    first. What follows one another along the first axis keeps to one sign."""
+    found = np.broadcast_to(np.array([0.0, 0.0, 0.0, 1.0]), (*angles.shape[:-1], 4))
+    for letter in order:
+        axis = "xyz".index(letter)
+        turn = np.zeros((*angles.shape[:-1], 4))
+        half = np.ascontiguousarray(angles[..., axis] / 2)
+        turn[..., axis], turn[..., 3] = wide_sin(half), wide_cos(half)
+        found = product(turn, found)
+    return one_sign(unit_quaternion(found))
+
+
+def angles_of_rotation(quaternion: Floats) -> Floats:
+    """Radians float64[..., 3] about x, then y, then z. Where y is a quarter turn, z is 0."""
+    m = rotation_matrix(quaternion)
+    level = np.sqrt(m[..., 0, 0] ** 2 + m[..., 1, 0] ** 2)
+    locked = level < 1e-7
+    x = np.where(locked, wide_atan2(-m[..., 1, 2], m[..., 1, 1]), wide_atan2(m[..., 2, 1], m[..., 2, 2]))
+    z = np.where(locked, 0.0, wide_atan2(m[..., 1, 0], m[..., 0, 0]))
+    return np.stack([x, wide_atan2(-m[..., 2, 0], level), z], axis=-1)
+
+
+def one_sign(quaternion: Floats) -> Floats:
+    """Quaternions float64[F, ..., 4], each of the two signs that is nearer to the one before it."""
+    if len(quaternion) < 2:
+        return quaternion
+    turned = (quaternion[1:] * quaternion[:-1]).sum(axis=-1) < 0
+    signs = np.where(np.cumsum(turned, axis=0) % 2 == 1, -1.0, 1.0)
+    return np.concatenate([quaternion[:1], quaternion[1:] * signs[..., None]])
+
+
+def between_rotations(a: Floats, b: Floats, share: Floats) -> Floats:
+    """The rotation at `share` float64[...] of the shortest way from `a` to `b`, float64[..., 4], at an even rate (Shoemake,
+    Animating Rotation with Quaternion Curves, 1985)."""
+    b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
+    apart, along = np.sqrt(((a - b) ** 2).sum(axis=-1)), np.sqrt(((a + b) ** 2).sum(axis=-1))
+    angle = 2 * wide_atan2(apart, along)
+    sine = wide_sin(angle)
+    wide = sine > 1e-9
+    divisor = np.where(wide, sine, 1.0)
+    first = np.where(wide, wide_sin((1 - share) * angle) / divisor, 1 - share)
+    second = np.where(wide, wide_sin(share * angle) / divisor, share)
+    return unit_quaternion(first[..., None] * a + second[..., None] * b)
+
+
+def matrix_of(translation: Floats, rotation: Floats, scale: Floats, shear: Floats | None = None) -> Floats:
+    """Matrices float64[..., 4, 4] of translations [..., 3], unit quaternions [..., 4], scales [..., 3] and shears [..., 3]."""
+    made = np.zeros((*translation.shape[:-1], 4, 4))
+    turn = rotation_matrix(rotation)
+    if shear is not None:
+        turn = turn.copy()
+        x, y = turn[..., 0].copy(), turn[..., 1].copy()
+        turn[..., 1] = x * shear[..., None, 0] + y
+        turn[..., 2] += x * shear[..., None, 1] + y * shear[..., None, 2]
+    made[..., :3, :3] = turn * scale[..., None, :]
+    made[..., :3, 3], made[..., 3, 3] = translation, 1.0
+    return made
+
+
+def parts_of(matrix: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Translations, unit quaternions, scales and shears of matrices float64[..., 4, 4], as `matrix_of` takes them. The scale of z
+    is below 0 where they mirror; where they flatten, some turn is chosen."""
+    x, y, z = (matrix[..., :3, column] for column in range(3))
+    wide = _lengths(x)
+    first = _divided(x, wide, (1.0, 0.0, 0.0))
+    xy = (first * y).sum(axis=-1)
+    y = y - first * xy[..., None]
+    high = _lengths(y)
+    second = _divided(y, high, (0.0, 1.0, 0.0))
+    second = second - first * (first * second).sum(axis=-1)[..., None]
+    lone = _lengths(second) < 1e-6
+    spare = np.cross(first, np.where(np.abs(first[..., :1]) < 0.7, np.array([1.0, 0, 0]), np.array([0, 0, 1.0])))
+    second = np.where(lone[..., None], spare, second)
+    second = second / _lengths(second)[..., None]
+    third = np.cross(first, second)
+    deep = (third * z).sum(axis=-1)
+    xz, yz = (first * z).sum(axis=-1), (second * z).sum(axis=-1)
+    scale = np.stack([wide, high, deep], axis=-1)
+    over = np.where(np.abs(scale) > 1e-30, scale, 1.0)
+    shear = np.stack([xy / over[..., 1], xz / over[..., 2], yz / over[..., 2]], axis=-1)
+    return matrix[..., :3, 3], rotation_of(np.stack([first, second, third], axis=-1)), scale, shear
+
+
+def _lengths(vectors: Floats) -> Floats:
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
+
+
+def _divided(vectors: Floats, lengths: Floats, otherwise: tuple[float, float, float]) -> Floats:
+    known = lengths > 1e-30
+    return np.where(known[..., None], vectors / np.where(known, lengths, 1.0)[..., None], np.array(otherwise))
+
+
+def world_matrices(parents: NDArray[np.int32], local: Floats) -> Floats:
+    """World matrices float64[J, 4, 4] of a rig's local ones, parents before children."""
+    found = np.empty_like(local)
+    for joint, parent in enumerate(parents):
+        found[joint] = local[joint] if parent < 0 else found[parent] @ local[joint]
+    return found

@@ -1,0 +1,156 @@
+"""An agent definition as lines for people and as JSON for other programs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from antdsl.bodies.agents.clip import Clip
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.layer import Layer
+from antdsl.bodies.agents.metadata import plain_metadata
+from antdsl.bodies.agents.shape import Shape
+from antdsl.diagnostics import Report
+from antdsl.diagnostics.places import safe_line
+from antdsl.diagnostics.render import render, shown
+from antdsl.scene.model import UNIT_MM
+
+_AXES = {sign + letter: np.eye(3)[axis] * (1 if sign == "+" else -1) for axis, letter in enumerate("xyz") for sign in "+-"}
+
+
+def body_lines(body: Definition) -> Iterator[str]:
+    """The lines that tell about a definition."""
+    unit = unit_of(body)
+    yield f"body         {body.name}: {body.length:.4g} {unit} long, front {axis(body.front)}, up {axis(body.up)}"
+    yield f"joints       {len(body.rig.names)}"
+    yield from tree_lines(body)
+    for each in body.rig.channels:
+        at = f" of {each.transform}" if each.transform else ""
+        yield safe_line(f"channel      {each.name}{at}: {each.default:g} where no clip says otherwise")
+    for shape in body.shapes.values():
+        yield safe_line(f"shape        {shape.name}: {', '.join(_about(shape))}")
+    for layer in body.layers.values():
+        yield safe_line(f"layer        {layer.name}: {_bound(layer)}")
+    for clip in body.clips.values():
+        yield safe_line(f"clip         {clip.name}: {', '.join(_played(body, clip))}")
+    for group in body.groups.values():
+        members = [name if weight == 1 else f"{name} {weight:g}" for name, weight in group.members]
+        yield safe_line(f"group        {group.name}: {_some([*members, *group.channels])}")
+    for name, colour in body.materials.items():
+        yield safe_line(f"material     {name}: {' '.join(f'{part:.3g}' for part in colour)}")
+    for key, value in plain_metadata(body.metadata).items():
+        yield safe_line(f"metadata     {key}: {_short(json.dumps(value, ensure_ascii=False))}")
+
+
+def tree_lines(body: Definition) -> Iterator[str]:
+    """The joints, each below its parent and set in."""
+    depth: list[int] = []
+    for name, parent in zip(body.rig.names, body.rig.parents, strict=True):
+        depth.append(0 if parent < 0 else depth[parent] + 1)
+        yield safe_line(f"  {'  ' * min(depth[-1], 40)}{name}")
+
+
+def unit_of(body: Definition) -> str:
+    """The unit of a definition's lengths."""
+    return next((name for name, mm in UNIT_MM.items() if abs(mm / body.unit - 1) < 1e-6), f"× {body.unit:g} mm")
+
+
+def axis(vector: Iterable[float]) -> str:
+    """An axis by its name, such as `+z`."""
+    found = np.array(tuple(vector))
+    return next(name for name, each in _AXES.items() if (each == found).all())
+
+
+def _about(shape: Shape) -> list[str]:
+    words = [f"{len(shape.points):,} points", f"{len(shape.faces):,} triangles"]
+    if shape.capture is not None:
+        words.append(f"follows {len(shape.capture.names)} joints")
+    if shape.blend is not None:
+        words.append(f"blends with {len(shape.blend.shapes)}")
+    if shape.between is not None:
+        words.append(f"{len(shape.between.shapes)} in-between")
+    words += [word for word, given in (("no normals", shape.normals), ("no uvs", shape.uvs)) if given is None]
+    return words
+
+
+def _bound(layer: Layer) -> str:
+    static = [f"{each.shape} at {each.transform}" for each in layer.static]
+    deforming = [f"{each.shape} by {each.deformer}" for each in layer.deforming]
+    return _some([*deforming, *static])
+
+
+def _played(body: Definition, clip: Clip) -> list[str]:
+    words = [f"{clip.duration:.3g} s", f"{clip.rate:.4g} samples/s", f"{len(clip.joints)} joints"]
+    if clip.channels:
+        words.append(f"{len(clip.channels)} channels")
+    words.append("loops" if clip.loop else "plays once")
+    words.append(f"stride {clip.stride:.4g} {unit_of(body)}" if clip.stride else "stays in place")
+    words += [f"{name} at {moment:.3g} s" for name, moment in clip.marks.items()]
+    return words
+
+
+def _some(words: list[str]) -> str:
+    return ", ".join(words[:8]) + (f" and {len(words) - 8} more" if len(words) > 8 else "") if words else "empty"
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 100 else text[:99] + "…"
+
+
+def body_document(body: Definition | None, report: Report) -> str:
+    """The same as JSON: `body` is null where there is none; `findings` as `antdsl check --format json` has them."""
+    findings = json.loads(render(report, "json")) if shown(report) else None
+    content: dict[str, Any] = {"format_version": "1.0", "valid": report.ok, "body": None, "findings": findings}
+    if body is not None:
+        content["body"] = {
+            "name": body.name, "length": body.length, "unit_mm": body.unit, "front": axis(body.front), "up": axis(body.up),
+            "joints": {
+                name: None if parent < 0 else body.rig.names[parent]
+                for name, parent in zip(body.rig.names, body.rig.parents, strict=True)
+            },
+            "channels": {each.name: {"default": each.default, "transform": each.transform} for each in body.rig.channels},
+            "shapes": {name: _shape(shape) for name, shape in body.shapes.items()},
+            "layers": {name: _layer(layer) for name, layer in body.layers.items()},
+            "clips": {name: _clip(clip) for name, clip in body.clips.items()},
+            "groups": {
+                name: {"members": dict(group.members), "channels": list(group.channels)} for name, group in body.groups.items()
+            },
+            "materials": {name: list(colour) for name, colour in body.materials.items()},
+            "metadata": plain_metadata(body.metadata),
+        }  # fmt: skip
+    return json.dumps(content, indent=2, ensure_ascii=True) + "\n"
+
+
+def _shape(shape: Shape) -> dict[str, Any]:
+    return {
+        "points": len(shape.points),
+        "triangles": len(shape.faces),
+        "joints": list(shape.capture.names) if shape.capture is not None else [],
+        "blends_with": list(shape.blend.shapes) if shape.blend is not None else [],
+        "in_between": dict(zip(shape.between.shapes, shape.between.weights, strict=True)) if shape.between is not None else {},
+        "materials": list(shape.materials),
+        "normals": shape.normals is not None,
+        "uvs": shape.uvs is not None,
+    }
+
+
+def _layer(layer: Layer) -> list[dict[str, Any]]:
+    return [
+        {"shape": each.shape, "transform": each.transform, "deformer": each.deformer, "bounds_scale": list(each.bounds_scale)}
+        for each in (*layer.static, *layer.deforming)
+    ]
+
+
+def _clip(clip: Clip) -> dict[str, Any]:
+    return {
+        "seconds": clip.duration,
+        "rate": clip.rate,
+        "joints": len(clip.joints),
+        "channels": list(clip.channels),
+        "loop": clip.loop,
+        "stride": clip.stride,
+        "marks": dict(clip.marks),
+    }

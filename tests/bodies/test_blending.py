@@ -1,0 +1,229 @@
+"""Layer trees of clips: cases worked by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rigs import definition, matrix, still, turn
+
+from antdsl.bodies.agents.blending import ADDITIVE, INTERPOLATE, ClipTree, Playing, posed
+from antdsl.bodies.agents.clip import Clip
+from antdsl.bodies.agents.clip_table import clip_table
+from antdsl.bodies.agents.layer import TransformGroup
+from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.rig import Channel
+
+REST = matrix((0, 5, 0), turn("z", 0), (1, 1, 1))
+MADE = definition(
+    {"body": "", "arm": "body"},
+    still("low", {"body": {"t": (0, 0, 0)}, "arm": {"t": (0, 0, 0), "s": (2, 2, 2)}}, {"jaw": 0.0}),
+    still("high", {"body": {"t": (8, 0, 0)}, "arm": {"t": (8, 0, 0), "r": turn("z", 90)}}, {"jaw": 1.0, "brow": 1.0}),
+    still("nod", {"arm": {"t": (0, 7, 0), "r": turn("x", 60)}}, {"jaw": 0.5}),
+    rest={"arm": REST},
+    channels=(Channel("jaw"), Channel("brow", 0.25)),
+)
+LOW, HIGH, NOD = 0, 1, 2
+GROUPS = {
+    "arm": TransformGroup("arm", (("arm", 1.0),)),
+    "half": TransformGroup("half", (("arm", 0.5),), ("jaw",)),
+    "body": TransformGroup("body", (("body", 1.0),)),
+}
+
+
+def one(tree: ClipTree, clips: Sequence[int], weights: Sequence[float], layers: Sequence[float] | None = None) -> Poses:
+    """The pose of one agent."""
+    playing = Playing.alike(
+        tree, np.array([clips], np.int32), np.zeros((1, len(clips))), np.array([weights], np.float32),
+        None if layers is None else np.array([layers], np.float32),
+    )  # fmt: skip
+    return posed(clip_table(MADE), GROUPS, playing, local=True)
+
+
+def place(found: Poses, joint: int) -> list[float]:
+    assert found.local is not None
+    return [round(float(k), 5) for k in found.local[0, joint, :, 3]]
+
+
+def linear_part(found: Poses, joint: int) -> np.ndarray:
+    assert found.local is not None
+    return found.local[0, joint, :, :3]
+
+
+def test_weights_are_normalised() -> None:
+    found = one(ClipTree.flat(2), [LOW, HIGH], [1, 3])
+    assert place(found, 0) == [6, 0, 0]
+    assert place(found, 1) == [6, 0, 0]
+    assert found.channels[0].tolist() == [0.75, 0.8125]  # a clip without a channel counts with its default
+    again = one(ClipTree.flat(2), [LOW, HIGH], [10, 30])
+    assert np.allclose(found.world, again.world, atol=1e-6)
+
+
+def test_half_of_a_quarter_turn_is_an_eighth_and_scales_are_linear() -> None:
+    found = linear_part(one(ClipTree.flat(2), [LOW, HIGH], [1, 1]), 1)
+    assert np.allclose(found, matrix(rotation=turn("z", 45), scale=(1.5, 1.5, 1.5))[:3, :3], atol=1e-6)
+
+
+def test_a_clip_counts_by_its_weight_times_that_of_its_group_at_each_joint() -> None:
+    found = one(ClipTree.flat(2, "", "half"), [LOW, HIGH], [1, 1])
+    assert place(found, 0) == [0, 0, 0]  # not in the group
+    assert place(found, 1) == [round(8 * 0.5 / 1.5, 5), 0, 0]
+    assert found.channels[0].tolist() == [0.5, 0.25]  # the jaw is in the group, the brow is not
+
+
+def test_what_no_input_says_anything_about_is_at_rest() -> None:
+    nobody = one(ClipTree.flat(2), [LOW, HIGH], [0, 0])
+    assert place(nobody, 1) == [0, 5, 0] and nobody.channels[0].tolist() == [0, 0.25]
+    assert place(one(ClipTree.flat(1, "arm"), [HIGH], [1]), 0) == [0, 0, 0]
+    assert place(one(ClipTree.flat(2), [LOW, -1], [1, 3]), 1) == [0, 0, 0]  # no clip has no weight
+    assert place(one(ClipTree.flat(1), [-1], [1]), 1) == [0, 5, 0]
+    assert place(one(ClipTree((), ()), [], []), 1) == [0, 5, 0]
+
+
+def test_weights_below_zero_or_no_number_count_as_none_and_huge_ones_as_large() -> None:
+    for odd in (-1.0, np.nan, -np.inf, 1e-44):
+        found = one(ClipTree.flat(2), [LOW, HIGH], [1, odd])
+        assert place(found, 1) == [0, 0, 0]
+    assert place(one(ClipTree.flat(2), [LOW, HIGH], [3e38, np.inf]), 1) == [4, 0, 0]
+    assert place(one(ClipTree.flat(1), [HIGH], [1e-44]), 1) in ([8, 0, 0], [0, 5, 0])
+
+
+def test_a_layer_is_an_input_where_its_groups_are_and_the_topmost_weight_is_unused() -> None:
+    """Walking with the whole body, and a layer of two clips for the arm alone that weighs three times as much."""
+    tree = ClipTree((0, 1, 1), ("", "arm", "arm"), (INTERPOLATE, INTERPOLATE), (-1, 0))
+    found = one(tree, [LOW, HIGH, LOW], [1, 3, 1], [1, 3])
+    assert place(found, 0) == [0, 0, 0]  # the layer says nothing of the body
+    assert place(found, 1) == [0.75 * 6, 0, 0]
+    for topmost in (0.0, 7.0, np.nan):
+        assert one(tree, [LOW, HIGH, LOW], [1, 3, 1], [topmost, 3]).world.tobytes() == found.world.tobytes()
+    assert place(one(tree, [LOW, HIGH, LOW], [1, 3, 1], [1, 0]), 1) == [0, 0, 0]
+
+
+def test_a_layer_with_one_input_is_as_that_input() -> None:
+    straight = one(ClipTree.flat(2, "", "half"), [LOW, HIGH], [1, 0.5])
+    wrapped = one(ClipTree((0, 1), ("", "half"), (0, 0), (-1, 0)), [LOW, HIGH], [1, 7], [1, 0.5])
+    assert np.allclose(straight.world, wrapped.world, atol=1e-6) and np.allclose(straight.channels, wrapped.channels)
+    twice = one(ClipTree((2,), ("",), (0, 1, 0), (-1, 0, 1)), [HIGH], [0.3], [0, 0.1, 0.2])
+    assert np.allclose(twice.world, one(ClipTree.flat(1), [HIGH], [1]).world, atol=1e-6)
+
+
+def test_a_layer_of_several_inputs_is_there_as_much_as_their_groups_are_on_average() -> None:
+    tree = ClipTree((0, 1, 1), ("", "half", "half"), (INTERPOLATE, INTERPOLATE), (-1, 0))
+    found = one(tree, [LOW, HIGH, HIGH], [1, 2, 5], [1, 1])
+    assert place(found, 1) == [round(8 * 0.5 / 1.5, 5), 0, 0]
+    mixed = one(ClipTree((0, 1, 1), ("", "half", ""), (0, 0), (-1, 0)), [LOW, HIGH, HIGH], [1, 3, 1], [1, 1])
+    there = (3 * 0.5 + 1 * 1) / 4
+    assert place(mixed, 1) == [round(8 * there / (1 + there), 5), 0, 0]
+    assert place(mixed, 0) == [round(8 * 0.25 / 1.25, 5), 0, 0]
+
+
+def test_an_additive_layer_is_there_where_its_first_input_is_and_as_much_as_others_add() -> None:
+    tree = ClipTree((0, 1, 1), ("", "arm", "body"), (INTERPOLATE, ADDITIVE), (-1, 0))
+    found = one(tree, [LOW, HIGH, HIGH], [1, 1, 0.5], [1, 1])
+    assert place(found, 1) == [4, 0, 0]  # half of the first input
+    assert place(found, 0) == [round(4 * 0.5 / 1.5, 5), 0, 0]  # the rest pose's 0 and half of 8, there by a half
+
+
+def test_additive_layers_take_the_first_whole_and_a_share_of_what_others_differ_from_rest() -> None:
+    tree = ClipTree((0, 0), ("", ""), (ADDITIVE,), (-1,))
+    found = one(tree, [HIGH, NOD], [0.2, 0.5])
+    assert place(found, 0) == [8, 0, 0]  # `nod` does not have the body, which adds nothing
+    assert place(found, 1) == [8, 1, 0]  # half of 7 less the rest's 5
+    wanted = matrix(rotation=turn("x", 30))[:3, :3] @ matrix(rotation=turn("z", 90))[:3, :3]  # turned on the parent's side
+    assert np.allclose(linear_part(found, 1), wanted, atol=1e-6)
+    assert found.channels[0].tolist() == [1.25, 1.0]
+
+
+def test_additive_layers_keep_the_scale_of_the_first_and_do_not_normalise() -> None:
+    tree = ClipTree((0, 0, 0), ("", "half", ""), (ADDITIVE,), (-1,))
+    found = one(tree, [LOW, NOD, NOD], [1, 1, 1])
+    assert place(found, 1) == [0, 0.5 * 2 + 2, 0]
+    assert np.allclose(linear_part(found, 1), 2 * matrix(rotation=turn("x", 90))[:3, :3], atol=1e-6)
+    assert place(one(tree, [LOW, NOD, NOD], [1, 0, 0]), 1) == [0, 0, 0]
+
+
+def test_the_first_input_of_an_additive_layer_may_be_a_layer() -> None:
+    """A blend of two clips, and a layer of one clip that is added to it."""
+    tree = ClipTree((1, 1, 2), ("", "", "arm"), (ADDITIVE, INTERPOLATE, INTERPOLATE), (-1, 0, 0))
+    found = one(tree, [LOW, HIGH, NOD], [1, 1, 1], [1, 1, 0.5])
+    assert place(found, 0) == [4, 0, 0]
+    assert place(found, 1) == [4, 1, 0]
+    wanted = matrix(rotation=turn("x", 30))[:3, :3] @ matrix(rotation=turn("z", 45), scale=(1.5, 1.5, 1.5))[:3, :3]
+    assert np.allclose(linear_part(found, 1), wanted, atol=1e-6)
+
+
+def test_an_added_rotation_is_measured_from_the_rest_pose() -> None:
+    clips = still("base", {"a": {"r": turn("y", 20)}}), still("look", {"a": {"r": turn("z", 75)}})
+    made = definition({"a": ""}, *clips, rest={"a": matrix(rotation=turn("x", 30))})
+    playing = Playing.alike(
+        ClipTree((0, 0), ("", ""), (ADDITIVE,), (-1,)),
+        np.array([[0, 1]], np.int32),
+        np.zeros((1, 2)),
+        np.ones((1, 2), np.float32),
+    )
+    found = posed(clip_table(made), {}, playing)
+    added = matrix(rotation=turn("z", 75))[:3, :3] @ matrix(rotation=turn("x", -30))[:3, :3]
+    wanted = added @ matrix(rotation=turn("y", 20))[:3, :3]
+    assert np.allclose(found.world[0, 0, :, :3], wanted, atol=1e-6)
+
+
+def test_a_share_of_an_added_rotation_goes_the_shorter_way() -> None:
+    """A clip that has gone round by 340 degrees is 20 degrees before the rest pose: half of that is 10."""
+    rotation = np.array([[turn("z", 0)], [turn("z", 170)], [turn("z", 340)]], np.float32)
+    round_it = Clip("round", 1.0, ("a",), np.zeros((3, 1, 3), np.float32), rotation, np.ones((3, 1, 3), np.float32), loop=False)
+    made = definition({"a": ""}, still("base", {"a": {}}), round_it)
+    tree = ClipTree((0, 0), ("", ""), (ADDITIVE,), (-1,))
+    playing = Playing.alike(tree, np.array([[0, 1]], np.int32), np.array([[0.0, 2.0]]), np.array([[1, 0.5]], np.float32))
+    found = posed(clip_table(made), {}, playing)
+    assert np.allclose(found.world[0, 0, :, :3], matrix(rotation=turn("z", -10))[:3, :3], atol=1e-6)
+
+
+def test_three_rotations_are_blended_on_one_side_whatever_their_signs() -> None:
+    made = definition({"a": ""}, *(still(name, {"a": {"r": r}}) for name, r in (
+        ("a", turn("x", 170)), ("b", [-k for k in turn("x", 200)]), ("c", turn("x", 185)))))  # fmt: skip
+    playing = Playing.alike(ClipTree.flat(3), np.array([[0, 1, 2]], np.int32), np.zeros((1, 3)), np.ones((1, 3), np.float32))
+    assert np.allclose(
+        posed(clip_table(made), {}, playing).world[0, 0, :, :3], matrix(rotation=turn("x", 185))[:3, :3], atol=1e-6
+    )
+
+
+def test_agents_of_different_trees_are_each_as_alone() -> None:
+    trees = (ClipTree.flat(2), ClipTree((0, 0), ("", "arm"), (ADDITIVE,), (-1,)), ClipTree((1,), ("",), (0, 0), (-1, 0)))
+    rows = [
+        (0, [LOW, HIGH], [1, 3], [1, 9]),
+        (1, [HIGH, NOD], [1, 0.5], [1, 9]),
+        (2, [HIGH, 77], [1, 5], [1, 0.5]),
+        (0, [NOD, HIGH], [1, 1], [1, 1]),
+    ]
+    playing = Playing(
+        trees, np.array([row[0] for row in rows], np.int32), np.array([row[1] for row in rows], np.int32), np.zeros((4, 2)),
+        np.array([row[2] for row in rows], np.float32), np.array([row[3] for row in rows], np.float32),
+    )  # fmt: skip
+    found = posed(clip_table(MADE), GROUPS, playing)
+    for k, (tree, clips, weights, layers) in enumerate(rows):
+        count = len(trees[tree].layers)
+        alone = one(trees[tree], clips[:count], weights[:count], layers[: len(trees[tree].modes)])
+        assert alone.world[0].tobytes() == found.world[k].tobytes()
+    with pytest.raises(IndexError, match="trees are numbered from 0 to 2"):
+        posed(clip_table(MADE), GROUPS, replace(playing, tree=np.array([0, 1, 2, 3], np.int32)))
+
+
+@pytest.mark.parametrize("tree, why", [
+    (dict(layers=(0,), groups=("",), parents=(0,)), "0 layers have the parent -1"),
+    (dict(layers=(0,), groups=("",), modes=(0, 0), parents=(-1, -1)), "2 layers have the parent -1"),
+    (dict(layers=(0,), groups=("",), modes=(0, 0, 0), parents=(-1, 2, 1)), "layer 1 is an input of itself"),
+    (dict(layers=(0,), groups=("",), modes=(0, 0), parents=(-1, 2)), "one of 0 to 1"),
+    (dict(layers=(1,), groups=("",)), "input of no layer"),
+    (dict(layers=(0,), groups=("",), modes=(2,)), "0 \\(interpolate\\) or 1"),
+    (dict(layers=(0,), groups=()), "each clip has a layer"),
+])  # fmt: skip
+def test_what_is_no_tree_is_refused(tree: dict[str, tuple[int, ...]], why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        ClipTree(**tree)  # type: ignore[arg-type]
+
+
+def test_a_group_that_there_is_not_is_refused() -> None:
+    with pytest.raises(KeyError, match="wings"):
+        one(ClipTree.flat(1, "wings"), [LOW], [1])

@@ -1,0 +1,318 @@
+"""Deformers: against UsdSkel, which is written by others, and by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rigs import definition, matrix, still, turn, wild
+
+from antdsl.bodies.agents import deformers
+from antdsl.bodies.agents.blending import ClipTree, Playing, posed
+from antdsl.bodies.agents.clip_table import clip_table
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.deformers import DEFORMERS, bound, register, steps
+from antdsl.bodies.agents.layer import Binding
+from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.rig import Channel
+from antdsl.bodies.agents.shape import Between, Blend, Capture, Shape
+from antdsl.bodies.agents.skinning import Deformed
+
+FACES = np.zeros((0, 3), np.int32)
+
+
+def skinned(scales: bool, sheared: bool = False) -> tuple[Definition, Poses]:
+    """A shape of 120 points that follow four of nine joints each, and the poses of seven agents."""
+    made, random = wild(9, 11, scales=scales, sheared=sheared), np.random.default_rng(12)
+    points, normals = random.normal(size=(2, 120, 3)).astype(np.float32)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    names = tuple(random.permutation(made.rig.names))
+    weights = random.uniform(size=(120, 4)) ** 3
+    weights[::5, 1:] = 0
+    weights = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
+    inverse = np.stack([matrix(random.normal(size=3), random.normal(size=4)) for _ in names])
+    capture = Capture(names, random.integers(0, 9, (120, 4)).astype(np.int32), weights, inverse)
+    body = Shape("body", points, FACES, normals, attributes={"twist": random.uniform(size=120).astype(np.float32)},
+                 capture=capture, dual_quaternion_blend="twist")  # fmt: skip
+    made = replace(made, shapes={"body": body})
+    playing = Playing.alike(
+        ClipTree.flat(2),
+        np.tile(np.array([[0, 1]], np.int32), (7, 1)),
+        random.uniform(0, 1, (7, 2)),
+        random.uniform(size=(7, 2)).astype(np.float32),
+    )
+    return made, posed(clip_table(made), {}, playing)
+
+
+def theirs(made: Definition, poses: Poses, method: str) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Points and normals by UsdSkel, agent by agent."""
+    skel, gf, vt = (pytest.importorskip(f"pxr.{name}") for name in ("UsdSkel", "Gf", "Vt"))
+    shape = made.shapes["body"]
+    capture = shape.capture
+    assert capture is not None and shape.normals is not None
+    at = [made.rig.names.index(name) for name in capture.names]
+    found = []
+    for world in poses.world.astype(np.float64):
+        full = np.concatenate([world, np.tile([[[0, 0, 0, 1.0]]], (len(world), 1, 1))], 1)[at] @ capture.inverse
+        points, normals = vt.Vec3fArray.FromNumpy(shape.points.copy()), vt.Vec3fArray.FromNumpy(shape.normals.copy())
+        joints, weights = vt.IntArray(capture.joints.reshape(-1).tolist()), vt.FloatArray(capture.weights.reshape(-1).tolist())
+        moves = vt.Matrix4dArray([gf.Matrix4d(each.T.tolist()) for each in full])
+        turns = vt.Matrix3dArray([gf.Matrix3d(np.linalg.inv(each[:3, :3]).tolist()) for each in full])
+        assert skel.SkinPoints(method, gf.Matrix4d(1), moves, joints, weights, 4, points)
+        assert skel.SkinNormals(method, gf.Matrix3d(1), turns, joints, weights, 4, normals)
+        found.append((np.array(points), np.array(normals)))
+    points, normals = np.array(found).transpose(1, 0, 2, 3)
+    return points, normals / np.linalg.norm(normals, axis=2, keepdims=True)
+
+
+@pytest.mark.parametrize("scales", [False, True], ids=["rigid", "scaled"])
+def test_linear_skinning_is_that_of_an_independent_implementation(scales: bool) -> None:
+    made, poses = skinned(scales, sheared=scales)
+    found = bound(made, Binding("", "body", deformer="linearskinning"), poses)
+    points, normals = theirs(made, poses, "classicLinear")
+    assert np.abs(found.points - points).max() < 1e-5 * max(1, np.abs(points).max())
+    assert found.normals is not None and np.abs(found.normals - normals).max() < 1e-5 * (5 if scales else 1)
+
+
+def test_dual_quaternion_skinning_is_that_of_an_independent_implementation() -> None:
+    made, poses = skinned(scales=False)
+    found = bound(made, Binding("", "body", deformer="dualquatskinning"), poses)
+    points, normals = theirs(made, poses, "dualQuaternion")
+    assert np.abs(found.points - points).max() < 1e-5 * max(1, np.abs(points).max())
+    assert found.normals is not None and np.abs(found.normals - normals).max() < 1e-5
+
+
+def test_dual_quaternions_take_scale_and_shear_as_an_independent_implementation_does() -> None:
+    made, poses = skinned(scales=True, sheared=True)
+    found = bound(made, Binding("", "body", deformer="dualquatskinning"), poses)
+    points, _ = theirs(made, poses, "dualQuaternion")
+    assert np.abs(found.points - points).max() < 1e-5 * np.abs(points).max()
+
+
+def twisted() -> tuple[Definition, Poses]:
+    """A ring of points half way along a bone that is twisted by 180 degrees at its end, scaled there or not."""
+    rest = {"end": matrix((2, 0, 0))}
+    made = definition(
+        {"root": "", "end": "root"}, still("twist", {"root": {}, "end": {"t": (2, 0, 0), "r": turn("x", 170)}}), rest=rest
+    )
+    points = np.array([[1, 1, 0], [1, 0, 1], [1, -1, 0]], np.float32)
+    capture = Capture(("root", "end"), np.tile(np.array([[0, 1]], np.int32), (3, 1)), np.full((3, 2), 0.5, np.float32),
+                      np.stack([np.eye(4), np.linalg.inv(rest["end"])]))  # fmt: skip
+    shape = Shape("bone", points, FACES, points - [[1, 0, 0]], attributes={"dq": np.array([0, 0.5, 1], np.float32)},
+                  capture=capture, dual_quaternion_blend="dq")  # fmt: skip
+    made = replace(made, shapes={"bone": shape})
+    playing = Playing.alike(ClipTree.flat(1), np.zeros((1, 1), np.int32), np.zeros((1, 1)), np.ones((1, 1), np.float32))
+    return made, posed(clip_table(made), {}, playing)
+
+
+def test_a_twist_collapses_linearly_and_keeps_its_volume_by_dual_quaternions() -> None:
+    made, poses = twisted()
+    radius = {}
+    for name in ("linearskinning", "dualquatskinning", "dualquatblendskinning"):
+        found = bound(made, Binding("", "bone", deformer=name), poses)
+        radius[name] = np.linalg.norm(found.points[0, :, 1:], axis=1)
+    assert np.allclose(radius["linearskinning"], np.cos(np.radians(85)), atol=1e-6)
+    assert np.allclose(radius["dualquatskinning"], 1, atol=1e-6)
+    straight, turned = (
+        bound(made, Binding("", "bone", deformer=name), poses).points[0] for name in ("linearskinning", "dualquatskinning")
+    )
+    mixed = bound(made, Binding("", "bone", deformer="dualquatblendskinning"), poses).points[0]
+    assert np.allclose(mixed, [straight[0], (straight[1] + turned[1]) / 2, turned[2]], atol=1e-6)  # by the attribute: 0, 0.5, 1
+
+
+def test_a_point_of_one_joint_goes_the_same_way_by_both_methods_whatever_the_joint_holds() -> None:
+    made, poses = skinned(scales=True, sheared=True)
+    straight, turned = (bound(made, Binding("", "body", deformer=f"{name}skinning"), poses) for name in ("linear", "dualquat"))
+    assert np.allclose(straight.points[:, ::5], turned.points[:, ::5], atol=1e-5 * np.abs(straight.points).max())
+    assert straight.normals is not None and turned.normals is not None
+    assert np.allclose(straight.normals[:, ::5], turned.normals[:, ::5], atol=1e-4)
+
+
+FACE = Shape(
+    "face", np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], np.float32), FACES, np.array([[0, 1, 0]] * 3, np.float32),
+    attributes={"id": np.array([10, 20, 30]), "red": np.array([0, 0, 1], np.float32)},
+    blend=Blend(("smile", "open"), ("smile", "jaw")),
+)  # fmt: skip
+
+
+def moved(name: str, *points: tuple[float, float, float], ids: tuple[int, ...] = (), **more: Any) -> Shape:
+    return Shape(name, np.array(points, np.float32), FACES, attributes={"id": np.array(ids)} if ids else {}, **more)
+
+
+SMILE = moved("smile", (0, 1, 0), (1, 2, 0), (2, 3, 0))
+OPEN = moved("open", (2, 0, 4), (0, 0, -4), ids=(30, 10), between=Between(("ajar",), (0.25,)))
+AJAR = moved("ajar", (2, 0, 4), (0, 0, -2), ids=(30, 10))
+
+
+def face(shape: Shape, smile: list[float], jaw: list[float], *others: Shape) -> Deformed:
+    made = definition({"head": ""}, channels=(Channel("smile"), Channel("jaw")))
+    made = replace(made, shapes={each.name: each for each in (shape, SMILE, OPEN, AJAR, *others)})
+    world = np.tile(np.eye(4, dtype=np.float32)[:3], (len(smile), 1, 1, 1))
+    return bound(made, Binding("", "face", deformer="blendshape"), Poses(world, None, np.array([smile, jaw], np.float32).T))
+
+
+def test_blend_shapes_add_their_differences_by_weights_that_are_not_normalised() -> None:
+    found = face(FACE, [0, 0.5, 1, 2, -1], [0, 0, 0, 0, 0])
+    assert found.points[:, :, 1].tolist() == [[0, 0, 0], [0.5, 1, 1.5], [1, 2, 3], [2, 4, 6], [-1, -2, -3]]
+
+
+def test_points_are_matched_by_id_and_those_without_one_stay() -> None:
+    found = face(FACE, [0, 1], [1, 1])
+    assert found.points[0].tolist() == [[0, 0, -4], [1, 0, 0], [2, 0, 4]]
+    assert found.points[1].tolist() == [[0, 1, -4], [1, 2, 0], [2, 3, 4]]
+    other = replace(
+        FACE, blend=replace(FACE.blend, point_id="number"), attributes={**FACE.attributes, "number": np.array([3, 2, 1])}
+    )
+    found = face(other, [0], [1])  # the other shape does not have the attribute, so they are matched by number
+    assert found.points[0].tolist() == [[2, 0, 4], [0, 0, -4], [2, 0, 0]]
+
+
+def test_in_betweens_are_gone_through_at_their_weights() -> None:
+    """The first point goes to -2 at 0.25 and to -4 at 1, the last one to 4 at 0.25 and stays there."""
+    found = face(FACE, [0] * 6, [0.125, 0.25, 0.625, 1, 1.75, -0.25])
+    assert found.points[:, 0, 2].tolist() == [-1, -2, -3, -4, -6, 2]
+    assert found.points[:, 2, 2].tolist() == [2, 4, 4, 4, 4, -4]
+
+
+def test_in_betweens_are_those_of_an_independent_implementation() -> None:
+    skel, usd, vt = (pytest.importorskip(f"pxr.{name}") for name in ("UsdSkel", "Usd", "Vt"))
+    geom = pytest.importorskip("pxr.UsdGeom")
+    random = np.random.default_rng(2)
+    base, primary, low, high = random.normal(size=(4, 8, 3)).astype(np.float32)
+    stage = usd.Stage.CreateInMemory()
+    mesh = geom.Mesh.Define(stage, "/mesh")
+    shape = skel.BlendShape.Define(stage, "/mesh/shape")
+    shape.CreateOffsetsAttr(vt.Vec3fArray.FromNumpy(primary - base))
+    for name, weight, points in (("low", 0.3, low), ("high", 0.8, high)):
+        between = shape.CreateInbetween(name)
+        between.SetWeight(weight)
+        between.SetOffsets(vt.Vec3fArray.FromNumpy(points - base))
+    binding = skel.BindingAPI.Apply(mesh.GetPrim())
+    binding.CreateBlendShapesAttr(["jaw"])
+    binding.CreateBlendShapeTargetsRel().AddTarget("/mesh/shape")
+    query = skel.BlendShapeQuery(binding)
+    library = {
+        "face": Shape("face", base, FACES, blend=Blend(("one",), ("jaw",))),
+        "one": Shape("one", primary, FACES, between=Between(("high", "low"), (0.8, 0.3))),
+        "low": Shape("low", low, FACES), "high": Shape("high", high, FACES),
+    }  # fmt: skip
+    made = replace(definition({"head": ""}, channels=(Channel("jaw"),)), shapes=library)
+    weights = [0.0, 0.1, 0.3, 0.55, 0.8, 0.93, 1.0]
+    world = np.tile(np.eye(4, dtype=np.float32)[:3], (len(weights), 1, 1, 1))
+    found = bound(made, Binding("", "face", deformer="blendshape"), Poses(world, None, np.array(weights, np.float32)[:, None]))
+    for weight, mine in zip(weights, found.points, strict=True):
+        points = vt.Vec3fArray.FromNumpy(base.copy())
+        shares = query.ComputeSubShapeWeights(vt.FloatArray([weight]))
+        assert query.ComputeDeformedPoints(
+            *shares, query.ComputeBlendShapePointIndices(), query.ComputeSubShapePointOffsets(), points
+        )
+        assert np.abs(np.array(points) - mine).max() < 1e-5
+
+
+def test_normals_are_blended_and_unit_again_and_so_is_what_else_is_named() -> None:
+    tilted = replace(
+        SMILE, name="tilted", normals=np.array([[1, 0, 0]] * 3, np.float32), attributes={"red": np.array([1, 1, 1], np.float32)}
+    )
+    named = Blend(("tilted",), ("smile",), ("P", "N", "red"))
+    found = face(replace(FACE, blend=named), [0.5], [0], tilted)
+    assert found.normals is not None and np.allclose(found.normals[0], [[np.sqrt(0.5), np.sqrt(0.5), 0]] * 3)
+    assert found.attributes["red"].tolist() == [[0.5, 0.5, 1]]
+    only = face(replace(FACE, blend=replace(named, attributes=("red",))), [0.5], [0], tilted)
+    assert np.array_equal(only.points[0], FACE.points) and only.attributes["red"].tolist() == [[0.5, 0.5, 1]]
+
+
+def test_what_a_blend_shape_cannot_be_is_refused() -> None:
+    for weight in (0.0, 1.0):
+        odd = replace(SMILE, name="odd", between=Between(("ajar",), (weight,)))
+        with pytest.raises(ValueError, match=f"has weight {weight:g}"):
+            face(replace(FACE, blend=Blend(("odd",), ("smile",))), [0], [0], odd)
+    for blend, why in ((Blend(("gone",), ("smile",)), "gone"), (Blend(("smile",), ("tail",)), "tail")):
+        with pytest.raises(KeyError, match=why):
+            face(replace(FACE, blend=blend), [0], [0])
+    with pytest.raises(ValueError, match="names no blend shapes"):
+        face(replace(FACE, blend=None), [0], [0])
+    with pytest.raises(ValueError, match="2 blend shapes and 1 channels"):
+        face(replace(FACE, blend=Blend(("smile", "open"), ("jaw",))), [0], [0])
+
+
+def test_blend_shapes_come_before_skinning() -> None:
+    """A point is opened by 1 along y, and then its joint turns by 90 degrees about x; in the other order y would stay."""
+    capture = Capture(("head",), np.zeros((1, 1), np.int32), np.ones((1, 1), np.float32), np.eye(4)[None])
+    shapes = {
+        "skin": Shape("skin", np.array([[3, 0, 0]], np.float32), FACES, np.array([[0, 1, 0]], np.float32), capture=capture,
+                      attributes={"dq": np.ones(1, np.float32)}, blend=Blend(("up",), ("open",)), dual_quaternion_blend="dq"),
+        "up": Shape("up", np.array([[3, 1, 0]], np.float32), FACES),
+    }  # fmt: skip
+    made = replace(
+        definition({"head": ""}, still("turn", {"head": {"r": turn("x", 90)}}, {"open": 1.0}), channels=(Channel("open"),)),
+        shapes=shapes,
+    )
+    playing = Playing.alike(ClipTree.flat(1), np.zeros((1, 1), np.int32), np.zeros((1, 1)), np.ones((1, 1), np.float32))
+    poses = posed(clip_table(made), {}, playing)
+    for name in ("linearskinning", "dualquatskinning", "dualquatblendskinning"):
+        found = bound(made, Binding("", "skin", deformer=f"blendshape+{name}"), poses)
+        assert np.allclose(found.points, [[[3, 0, 1]]], atol=1e-6) and found.normals is not None
+        assert np.allclose(found.normals, [[[0, 0, 1]]], atol=1e-6)
+
+
+def test_a_static_shape_goes_as_its_joint_goes() -> None:
+    """A stick along x at a hand that is moved, turned by 90 degrees about z, and stretched to twice along its own x."""
+    made = definition({"hand": ""}, still("hold", {"hand": {"t": (0, 0, 5), "r": turn("z", 90), "s": (2, 1, 1)}}))
+    stick = Shape("stick", np.array([[1, 0, 0], [1, 1, 0]], np.float32), FACES, np.array([[1, 0, 0], [0.6, 0.8, 0]], np.float32))
+    made = replace(made, shapes={"stick": stick})
+    playing = Playing.alike(ClipTree.flat(1), np.array([[0], [-1]], np.int32), np.zeros((2, 1)), np.ones((2, 1), np.float32))
+    found = bound(made, Binding("hand", "stick"), posed(clip_table(made), {}, playing))
+    assert np.allclose(found.points, [[[0, 2, 5], [-1, 2, 5]], [[1, 0, 0], [1, 1, 0]]], atol=1e-6)
+    across = np.array([-0.8, 0.3, 0]) / np.hypot(0.8, 0.3)  # normals shrink where the shape is stretched
+    assert found.normals is not None and np.allclose(found.normals, [[[0, 1, 0], across], [[1, 0, 0], [0.6, 0.8, 0]]], atol=1e-6)
+
+
+def test_a_deformer_of_ones_own_is_used_by_its_name_alone_and_after_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(deformers, "DEFORMERS", dict(DEFORMERS))
+
+    def swell(given: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+        return Deformed(given.points * (1 + poses.channels[:, :1, None]), given.normals, given.attributes)
+
+    register("swell", swell)
+    made = replace(
+        definition({"head": ""}, channels=(Channel("smile"), Channel("jaw"))),
+        shapes={"face": FACE, "smile": SMILE, "open": OPEN, "ajar": AJAR},
+    )
+    poses = Poses(np.tile(np.eye(4, dtype=np.float32)[:3], (2, 1, 1, 1)), None, np.array([[1, 0], [0, 0]], np.float32))
+    assert bound(made, Binding("", "face", deformer="swell"), poses).points[0].tolist() == (2 * FACE.points).tolist()
+    assert bound(made, Binding("", "face", deformer="blendshape+swell"), poses).points[0].tolist() == (2 * SMILE.points).tolist()
+    for name in ("", "swell", "a+b"):
+        with pytest.raises(ValueError, match="no name for a deformer"):
+            register(name, swell)
+    with pytest.raises(KeyError, match="no deformer `melt`; there are linearskinning"):
+        steps("blendshape+melt")
+
+
+def test_shapes_without_what_a_deformer_needs_are_refused() -> None:
+    made, poses = skinned(scales=False)
+    body = made.shapes["body"]
+    assert body.capture is not None
+    astray = replace(body.capture, names=("tail", *body.capture.names[1:]))
+    for odd, name, error, why in (
+        (replace(body, capture=None), "linearskinning", ValueError, "capture"),
+        (replace(body, dual_quaternion_blend="soft"), "dualquatblendskinning", ValueError, "no point attribute `soft`"),
+        (replace(body, capture=astray), "linearskinning", KeyError, "follows joint `tail`"),
+    ):  # fmt: skip
+        with pytest.raises(error, match=why):
+            bound(replace(made, shapes={"body": odd}), Binding("", "body", deformer=name), poses)
+
+
+@pytest.mark.parametrize("name", ["", "linearskinning", "dualquatskinning", "dualquatblendskinning"])
+def test_an_agent_is_deformed_alike_whoever_else_is_there(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    made, poses = skinned(scales=True)
+    binding = Binding("" if name else "j3", "body", deformer=name)
+    whole = bound(made, binding, poses)
+    order = np.array([4, 2, 6, 0, 1, 3, 5])
+    monkeypatch.setattr(deformers, "_PART", 1)
+    for rows in (order, order[:1]):
+        some = bound(made, binding, Poses(np.ascontiguousarray(poses.world[rows]), None, poses.channels[rows]))
+        assert some.points.tobytes() == whole.points[rows].tobytes()
+        assert some.normals is not None and whole.normals is not None and some.normals.tobytes() == whole.normals[rows].tobytes()
