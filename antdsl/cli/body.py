@@ -16,6 +16,7 @@ def body(
     rate: float = typer.Option(
         0.0, "--rate", min=0.0, max=1000.0, help="Samples a second of animations; 0: the frames of a USD file, 30 of a glTF file."
     ),
+    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but complaints."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant a folder outside the file's own."),
 ) -> None:
     """Say what is in the body of an agent: joints, shapes, layers, clips, groups, metadata, and what is wrong with it."""
@@ -31,7 +32,7 @@ def body(
         typer.echo(body_document(found, report), nl=False)
     else:
         show(report)
-        for line in body_lines(found) if found is not None else ():
+        for line in body_lines(found) if found is not None and not quiet else ():
             typer.echo(line)
     if not report.ok:
         raise Stop(Exit.FINDINGS if as_json and verdict(report) is not Exit.INPUT_OUTPUT else verdict(report))
