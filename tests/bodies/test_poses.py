@@ -11,7 +11,7 @@ from antdsl.bodies.agents.blending import ClipTree, Playing, posed
 from antdsl.bodies.agents.clip import Clip
 from antdsl.bodies.agents.clip_table import clip_table
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.poses import Poses, sampled
+from antdsl.bodies.agents.poses import Poses, local_transforms, sampled, square, world_transforms
 from antdsl.bodies.agents.rig import Channel, Rig
 
 
@@ -138,6 +138,22 @@ def test_world_transforms_are_those_of_an_independent_implementation() -> None:
         assert skel.ConcatJointTransforms(topology, vt.Matrix4dArray(full), theirs)
         wanted = np.array([np.array(each).T[:3] for each in theirs])
         assert np.allclose(world, wanted, atol=1e-5 * np.abs(wanted).max())
+
+
+def test_transforms_may_be_changed_by_hand_and_the_others_follow() -> None:
+    """The shoulder is turned further; and what local transforms world ones stand for is found again."""
+    made = wild(12, 8, sheared=True)
+    table, found = clip_table(made), alone(made, [0, 1, -1], [0.1, 0.2, 0.0])
+    assert found.local is not None
+    assert world_transforms(table, found.local).tobytes() == found.world.tobytes()
+    assert np.allclose(local_transforms(table, found.world), found.local, atol=1e-3)
+    arm = swing()
+    local = np.array(alone(arm, [0], [0.5]).local)
+    local[0, 0] = matrix((0, 0, 1), turn("z", 180))[:3]
+    assert np.allclose(world_transforms(clip_table(arm), local)[0, 1, :, 3], [-2, 0, 1], atol=1e-6)
+    full = square(found.world)
+    assert full.shape == (3, 12, 4, 4) and full.flags.c_contiguous
+    assert np.array_equal(full[..., :3, :], found.world) and full[1, 1, 3].tolist() == [0, 0, 0, 1]
 
 
 def test_order_of_agents_chunks_and_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,6 +31,7 @@ from antdsl.bodies.agents.clip_table import REST, ClipTable
 from antdsl.bodies.agents.layer import TransformGroup
 from antdsl.bodies.agents.poses import Pose, Poses, rest_pose, sampled, transforms
 from antdsl.numerics import compiled
+from antdsl.numerics.float_environment import standard
 
 INTERPOLATE, ADDITIVE = 0, 1
 NO_PARENT = -1
@@ -136,7 +137,8 @@ def posed(
                 channels[:, whose] = pose.channels
 
         if count:
-            compiled.in_parts(work, count, threads)
+            with standard():
+                compiled.in_parts(work, count, threads)
     return Poses(world.transpose(3, 2, 0, 1), None if own is None else own.transpose(3, 2, 0, 1), channels.T)
 
 

@@ -18,6 +18,7 @@ from antdsl.bodies.agents.layer import Binding
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.agents.shape import Shape
 from antdsl.bodies.agents.skinning import Deformed, apply, dual_quaternion, dual_quaternion_blend, linear, unit
+from antdsl.numerics.float_environment import standard
 
 _PART = 1 << 15  # points of agents worked on at once
 
@@ -72,8 +73,9 @@ def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
         some = slice(a, min(a + part, n))
         local = None if poses.local is None else poses.local[some]
         here, found = Poses(poses.world[some], local, poses.channels[some]), rest
-        for step in chain:
-            found = step(found, shape, definition, here)
+        with standard():
+            for step in chain:
+                found = step(found, shape, definition, here)
         points[some] = found.points
         if normals is not None and found.normals is not None:
             normals[some] = found.normals

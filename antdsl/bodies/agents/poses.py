@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.affine import Floats, composed, normalised, times
+from antdsl.bodies.agents.affine import Floats, composed, inverse_transposed, normalised, times
 from antdsl.bodies.agents.clip_table import ClipTable
 
 
@@ -75,17 +75,53 @@ def rest_pose(table: ClipTable, count: int) -> Pose:
 
 
 def transforms(table: ClipTable, pose: Pose) -> tuple[Floats, Floats]:
-    """Local and world matrices, float32[3, 4, J, n] each, joints in the order of the table: depth by depth of the rig, each
-    joint's world transform is its parent's times its own."""
+    """Local and world matrices of poses, float32[3, 4, J, n] each, joints in the order of the table."""
     shape = (3, 4, *pose.rotation.shape[1:])
     local = composed(pose.translation, pose.rotation, pose.scale, pose.shear, np.empty(shape, np.float32))
-    world = np.empty(shape, np.float32)
+    return local, _placed(table, local)
+
+
+def world_transforms(table: ClipTable, local: Floats) -> Floats:
+    """World transforms float32[n, J, 3, 4] that follow from local ones, joints in the order of the rig: for transforms that are
+    not a clip's, such as those of legs that were bent to reach the ground, or of a head that looks at something."""
+    found = np.empty((3, 4, local.shape[1], len(local)), np.float32)
+    found[:, :, table.order] = _placed(table, local.transpose(2, 3, 1, 0)[:, :, table.order])
+    return found.transpose(3, 2, 0, 1)
+
+
+def local_transforms(table: ClipTable, world: Floats) -> Floats:
+    """Local transforms float32[n, J, 3, 4] that world ones stand for, joints in the order of the rig: the inverse of each
+    parent's times the joint's own. What a parent that is scaled to nothing had for its children cannot be told."""
+    placed = world.transpose(2, 3, 1, 0)
+    found = np.array(placed, np.float32)
+    children = np.flatnonzero(np.asarray(table.rig.parents) >= 0)
+    above = placed[:, :, np.asarray(table.rig.parents)[children]]
+    back = np.empty(above.shape, np.float32)
+    back[:, :3] = inverse_transposed(above).transpose(1, 0, 2, 3)
+    for r in range(3):
+        back[r, 3] = -((back[r, 0] * above[0, 3] + back[r, 1] * above[1, 3]) + back[r, 2] * above[2, 3])
+    found[:, :, children] = times(back, placed[:, :, children], np.empty(above.shape, np.float32))
+    return found.transpose(3, 2, 0, 1)
+
+
+def square(matrices: Floats) -> Floats:
+    """Matrices float32[…, 4, 4] of such of three rows, agents apart in memory: for column vectors, as everywhere here."""
+    found = np.zeros((*matrices.shape[:-2], 4, 4), np.float32)
+    found[..., :3, :] = matrices
+    found[..., 3, 3] = 1
+    return found
+
+
+def _placed(table: ClipTable, local: Floats) -> Floats:
+    """World matrices [3, 4, J, n] of local ones, joints in the order of the table: depth by depth of the rig, each joint's is
+    its parent's times its own."""
+    world = np.empty(local.shape, np.float32)
     for begin, end, parents in table.levels:
         if not len(parents):
             world[:, :, begin:end] = local[:, :, begin:end]
         else:
             times(world[:, :, parents], local[:, :, begin:end], world[:, :, begin:end])
-    return local, world
+    return world
 
 
 def _places(
